@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from bench import (
+    browser,
     closed_loop,
     command,
     contacts,
@@ -33,10 +34,13 @@ from bench import (
     passivity,
     resources,
     stability,
+    streams,
+    sweeps,
     telemetry,
     tick,
     timing,
     velocity,
+    web,
 )
 from bench.report import PICTURES, ROOT, Advance, Options, Section, machine
 from hapticd.base.errors import HapticdError
@@ -44,7 +48,7 @@ from hapticd.base.files import is_there
 
 DOCS = ROOT / "docs"
 ACCURACY, SPEED, DEVICES = "accuracy.md", "benchmarks.md", "devices.md"
-NEEDED = ("matplotlib", "mpmath", "scipy")
+NEEDED = ("distributed", "matplotlib", "mpmath", "pyarrow", "scipy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +83,14 @@ MEASUREMENTS: dict[str, Measurement] = {
     "command": Measurement("command round trip beside a bare echo", command.run, (SPEED,)),
     "telemetry": Measurement("ten subscribers, one dead", telemetry.run, (SPEED,)),
     "marks": Measurement("what marks cost the servo", marks.run, (SPEED,)),
+    "streams": Measurement("streamed forces: what is lost, how long one takes, what it costs", streams.run, (SPEED,)),
+    "web": Measurement("what the page's server costs", web.run, (SPEED,)),
+    "browser": Measurement(
+        "the page in a browser: frames, and how late force, picture and sound are", browser.run, (SPEED,)
+    ),
+    "sweeps": Measurement(
+        "sweeps on dask beside bare processes, plans, growth with points and workers", sweeps.run, (SPEED,)
+    ),
     "resources": Measurement("start, memory, processor time", resources.run, (SPEED,)),
     "link": Measurement("links of 1000, 500 and 250 Hz: stability, and error of each material", link.run, (DEVICES,)),
 }
@@ -108,7 +120,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="what to measure [default: everything]")
     parser.add_argument("--quick", action="store_true", help="a minute or two: shows that it runs, not how fast")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="where the pages go [default: docs, of a whole run]")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="where the pages go [default: docs, of a whole run or with --overwrite]",
+    )
     parser.add_argument(
         "--overwrite",
         action="store_true",
@@ -193,13 +210,13 @@ def _write(found: Found, folder: Path, on: str, whole: bool) -> list[Path]:
             f"precision or a closed form. Written by `make bench` (`hapticd bench`). {on} {took} Ways are measured in "
             "turns in one process, and ratios are of one run, round by round; a cost is the median over the rounds, "
             "and in brackets the tenth to the ninetieth percentile of them. In the figures the way that hapticd takes "
-            "is ringed. What a wake-up, a command and a scene cost is in [benchmarks.md](benchmarks.md). All that a "
+            "is ringed. What a wake-up, a command and a scene cost is in [Benchmarks](benchmarks.md). All that a "
             "section claims is shown by the command at its end; errors of the core are asserted, with margins, in "
             "`tests/`.",
         ),
         SPEED: (
             "Benchmarks",
-            "What is speed alone; [accuracy.md](accuracy.md) sets speed against error. Written by `make bench`; "
+            "Times and rates. [Speed against error](accuracy.md) sets speed against error. Written by `make bench`; "
             f"ratios are of one run. {on} {took} Processors and other guests of the machine are shared, so that "
             "medians and ratios count, not the tails; a figure is the median over repetitions, and in brackets the "
             "tenth to the ninetieth percentile of them.",
@@ -237,7 +254,9 @@ def perform(names: Sequence[str], options: Options, out: Path | None, overwrite:
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(on, markup=False, highlight=False)
     whole = chosen == list(MEASUREMENTS) and not options.quick
-    folder = out or (DOCS if whole else None)
+    if overwrite and out is None and options.quick:
+        raise HapticdError("--quick measures too little for docs: give another folder with --out, or no --overwrite")
+    folder = out or (DOCS if whole or overwrite else None)
     if folder is not None and not overwrite:
         for page in sorted({page for name in chosen for page in MEASUREMENTS[name].pages} - {DEVICES}):
             if (folder / page).exists():

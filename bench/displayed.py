@@ -9,10 +9,13 @@ motion: what `hapticd.render` gives for a tap, held from tick to tick, moves the
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.report import Advance, Floats, Options, Section, Table, spread, verdict
+from bench.report import Advance, Floats, Options, Section, Table, between, spread, verdict
+from bench.swept import swept, workers
 from bench.tick import FLOOR, STRETCH, Stretch
 from hapticd.analysis.calibration.walls import AT_TICK, acceleration_on, tap_force
 from hapticd.base.core import Flag
@@ -26,8 +29,11 @@ from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayed_error import FINER, band_error, handle_acceleration, waveform
 from hapticd.rendering.offline import new_world
 
+if TYPE_CHECKING:
+    from hapticd.sweeps.measures.sweep_point import SweepPoint
+
 RATE_HZ = 10_000.0
-RATES_HZ = (1000.0, 2000.0, 4000.0, 5000.0, 10_000.0)
+COMPARED: tuple[Compensation, ...] = ("off", "full")
 HANDLE = (0.04, 0.2)
 """Mass and damping of the default simulated joystick."""
 GRIPS = {"light": (0.005, 2.0, 100.0), "default": (0.01, 5.0, 300.0), "firm": (0.02, 10.0, 600.0)}
@@ -111,53 +117,74 @@ def wall_error(mode: Mode, grip: str, known: bool, part: float = AT_TICK) -> flo
     return band_error(moved, wanted, FINER * RATE_HZ, 30.0, 0.4 * RATE_HZ)
 
 
-def _walls(advance: Advance) -> Table:
-    rows = []
-    for name, mode in modes().items():
-        if name in ("comb", "cellophane"):
-            continue
-        cells = []
-        for grip in GRIPS:
-            cells += [_percent(wall_error(mode, grip, known)) for known in (False, True)]
-            anywhere = [wall_error(mode, grip, True, (place + 0.5) / PHASES) ** 2 for place in range(PHASES)]
-            cells.append(_percent(float(np.sqrt(np.mean(anywhere)))))
-        rows.append([name, *cells])
-        advance(0.9, f"wall, {name}")
+def on_wall(point: SweepPoint) -> dict[str, float]:
+    """A point of studies/displayed_walls.yaml."""
+    mode, grip = modes()[point.parameters["material"]], point.parameters["grip"]
+    anywhere = [wall_error(mode, grip, True, (place + 0.5) / PHASES) ** 2 for place in range(PHASES)]
+    return {
+        "left_out": wall_error(mode, grip, False),
+        "full": wall_error(mode, grip, True),
+        "anywhere": float(np.sqrt(np.mean(anywhere))),
+    }
+
+
+def _walls(client: Any, tell: Callable[[float], None]) -> Table:
+    cells: dict[str, list[str]] = {}
+    for row in swept(client, "displayed_walls", tell):
+        errors = [_percent(row[key]) for key in ("left_out", "full", "anywhere")]
+        cells.setdefault(row["parameters.material"], []).extend(errors)
     columns = [f"{grip}: {what}" for grip in GRIPS for what in ("wall left out", "full", "any onset")]
     caption = f"On a wall of {WALL_N_PER_M:g} N/m, {RATE_HZ:.0f} Hz: displayed error with `full`, %"
-    return Table(caption, ["material", *columns], rows)
+    return Table(caption, ["material", *columns], [[name, *each] for name, each in cells.items()])
 
 
 def _percent(value: float) -> str:
     return f"{100 * value:.1f}"
 
 
-def _errors(advance: Advance) -> list[str | Table]:
+def in_grip(point: SweepPoint) -> dict[str, float | None]:
+    """A point of studies/displayed_grips.yaml."""
+    mode, grip = modes()[point.parameters["material"]], point.parameters["grip"]
+    shape = shape_of(mode, held(grip), RATE_HZ, "full")
+    phases = (np.arange(PHASES) + 0.5) / PHASES
+
+    def anywhere(compensation: Compensation) -> float:
+        errors = [moved_error(mode, grip, compensation, RATE_HZ, part) ** 2 for part in phases]
+        return float(np.sqrt(np.mean(errors)))
+
+    return {
+        "off": moved_error(mode, grip, "off", RATE_HZ),
+        "mass": moved_error(mode, grip, "mass", RATE_HZ),
+        "alone": pole_shape(mode, held(grip), RATE_HZ, pole_gain(mode, held(grip), 1 / RATE_HZ)).error,
+        "full": moved_error(mode, grip, "full", RATE_HZ),
+        "tail_s": None if shape.tail is None else shape.tail.end_s,
+        "largest": float(np.abs(tapped(mode, grip, "full", RATE_HZ, AT_TICK)).max() / held(grip).mass_kg),
+        "off_anywhere": anywhere("off"),
+        "full_anywhere": anywhere("full"),
+    }
+
+
+def _errors(client: Any, tell: Callable[[float], None]) -> list[str | Table]:
     columns = ["material", "off", "mass", "C alone", "full", "tail", "largest force, m A", "any onset: off", "full"]
     tables: list[str | Table] = []
-    worst: list[float] = []
-    phases = (np.arange(PHASES) + 0.5) / PHASES
-    for index, grip in enumerate(GRIPS):
-        rows = []
-        for name, mode in modes().items():
-            at_tick = {each: moved_error(mode, grip, each, RATE_HZ) for each in ("off", "mass", "full")}
-            alone = pole_shape(mode, held(grip), RATE_HZ, pole_gain(mode, held(grip), 1 / RATE_HZ))
-            shape = shape_of(mode, held(grip), RATE_HZ, "full")
-            largest = np.abs(tapped(mode, grip, "full", RATE_HZ, AT_TICK)).max() / held(grip).mass_kg
-            anywhere = [
-                float(np.sqrt(np.mean([moved_error(mode, grip, each, RATE_HZ, part) ** 2 for part in phases])))
-                for each in ("off", "full")
+    found = swept(client, "displayed_grips", tell)
+    for grip, (mass, damping, stiffness) in GRIPS.items():
+        rows = [
+            [
+                row["parameters.material"],
+                *(_percent(row[key]) for key in ("off", "mass", "alone", "full")),
+                "none" if row["tail_s"] is None else f"{1e3 * row['tail_s']:.1f} ms",
+                f"{row['largest']:.2f}",
+                *(_percent(row[key]) for key in ("off_anywhere", "full_anywhere")),
             ]
-            worst.append(at_tick["full"])
-            tail = "none" if shape.tail is None else f"{1e3 * shape.tail.end_s:.1f} ms"
-            errors = [at_tick["off"], at_tick["mass"], alone.error, at_tick["full"]]
-            rows.append([name, *map(_percent, errors), tail, f"{largest:.2f}", *map(_percent, anywhere)])
-            advance(0.6 * (index + (len(rows) / len(MATERIALS))) / len(GRIPS), f"{grip}, {name}")
-        mass, damping, stiffness = GRIPS[grip]
+            for row in found
+            if row["parameters.grip"] == grip
+        ]
         caption = (
             f"{grip} grip ({mass:g} kg, {damping:g} N s/m, {stiffness:g} N/m), {RATE_HZ:.0f} Hz: displayed error, %"
         )
         tables.append(Table(caption, columns, rows))
+    worst = [row["full"] for row in found]
     reached = sum(error <= GOAL for error in worst)
     tables.append(
         f"Worst with `full`: {100 * max(worst):.1f} %; at most {100 * AIM:g} %: {verdict(max(worst), AIM)}. "
@@ -166,19 +193,24 @@ def _errors(advance: Advance) -> list[str | Table]:
     return tables
 
 
-def _rates(advance: Advance) -> Table:
-    rows = []
-    for name, mode in modes().items():
-        cells = []
-        for rate in RATES_HZ:
-            if mode.frequency_hz > 0.4 * rate:
-                cells.append("not carried")
-            else:
-                cells.append(" / ".join(_percent(moved_error(mode, "default", each, rate)) for each in ("off", "full")))
-        rows.append([name, *cells])
-        advance(0.6 + 0.3 * len(rows) / len(MATERIALS), f"rates, {name}")
+def at_rate(point: SweepPoint) -> dict[str, float | None]:
+    """A point of studies/displayed_rates.yaml; None: the rate does not carry the mode."""
+    mode, rate_hz = modes()[point.parameters["material"]], point.rate_hz
+    if mode.frequency_hz > 0.4 * rate_hz:
+        return {"off": None, "full": None}
+    return {each: moved_error(mode, "default", each, rate_hz) for each in COMPARED}
+
+
+def _rates(client: Any, tell: Callable[[float], None]) -> Table:
+    cells: dict[str, dict[float, str]] = {}
+    for row in swept(client, "displayed_rates", tell):
+        errors = [row[each] for each in COMPARED]
+        cell = "not carried" if None in errors else " / ".join(map(_percent, errors))
+        cells.setdefault(row["parameters.material"], {})[row["servo.rate_hz"]] = cell
+    rates = next(iter(cells.values()))
     caption = "Displayed error over rate, default grip, %: off / full"
-    return Table(caption, ["material", *(f"{rate:.0f} Hz" for rate in RATES_HZ)], rows)
+    rows = [[name, *each.values()] for name, each in cells.items()]
+    return Table(caption, ["material", *(f"{rate:.0f} Hz" for rate in rates)], rows)
 
 
 CALLS = 12
@@ -247,6 +279,10 @@ def _costs(options: Options) -> Table:
 
 def run(options: Options, advance: Advance) -> Section:
     """All tables of it."""
+    with workers() as client:
+        errors = _errors(client, between(advance, 0.0, 0.5, "grips"))
+        walls = _walls(client, between(advance, 0.5, 0.8, "walls"))
+        rates = _rates(client, between(advance, 0.8, 0.9, "rates"))
     parts: list[str | Table] = [
         "A tap of the default simulated handle (0.04 kg, 0.2 N s/m) in three grips. `off` strikes with the mass of "
         "handle and hand, `mass` makes up for the hold of the force too, `C alone` is the complex gain of the whole "
@@ -254,14 +290,14 @@ def run(options: Options, advance: Advance) -> Section:
         "`any onset` are for an onset at a tick, as of `play`. A tap begins anywhere between two ticks and cannot be "
         f"answered before the second of them: what is missing until then counts in `any onset`, the RMS over {PHASES} "
         "places. The tail is told by how long after the onset it ends.",
-        *_errors(advance),
+        *errors,
         "All of that is with nothing touched, as of `play`. A wall acts on the handle while its tap rings. `wall left "
         "out` are the forces for no wall, against the wall; `full` is what a tap on it is given.",
-        _walls(advance),
+        walls,
         "`hapticd verify` tells the same of a configuration, at an onset at a tick: rows `tap` of nothing touched, "
         "rows `wall` on the material's own stiffness. It adds what the joystick does besides: dry friction, steps of "
         "the actuator, the force limit. Without friction, steps and a limit it gives these figures.",
-        _rates(advance),
+        rates,
         _costs(options),
         f"Choosing gain and tail of a mode takes {spread(compile_ms(options.few(5, 1)), '.1f')} ms of processor time, "
         "once.",

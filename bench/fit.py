@@ -5,21 +5,29 @@ A set is a recording of ten taps at random speeds, by the synthetic stylus, whos
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bench import fit_strokes
-from bench.report import Advance, Floats, Options, Section, Table
+from bench.report import Advance, Floats, Options, Section, Table, between
+from bench.swept import swept, workers
 from hapticd.base.errors import HapticdError
-from hapticd.config.materials import Tap, shipped_materials
+from hapticd.base.yaml_source import Json
+from hapticd.config.materials import shipped_materials
 from hapticd.fit.synthesize import Stylus, taps
 from hapticd.fit.tap import fit_tap
 
-SEVEN = ("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel")
+if TYPE_CHECKING:
+    from hapticd.sweeps.measures.sweep_point import SweepPoint
+
 TAPS = 10
 SPEEDS_M_PER_S = (0.1, 0.4)
 NOISE = 0.02
+SEED = 1
+KEYS = ("slope", "first_peak", "frequency", "decay_time")
 FIGURES = ("slope", "slope of the first peak", "frequency", "decay time")
 
 
@@ -33,56 +41,61 @@ class Errors:
     refused: int
 
 
-def errors(tap: Tap, sets: int, count: int = TAPS, noise: float = NOISE, seed: int = 1) -> Errors:
-    """Of so many sets of so many taps."""
-    relative, held, refused = [], [], 0
-    for index in range(sets):
-        speeds = np.random.default_rng([seed, index]).uniform(*SPEEDS_M_PER_S, count)
-        recording, truth = taps(tap, speeds, Stylus(noise_rms=noise, seed=1000 * seed + index))
-        try:
-            fit = fit_tap([recording])
-        except HapticdError:
-            refused += 1
-            continue
-        mode = truth.mode
-        pairs = (
-            (fit.slope_per_s, truth.slope_per_s),
-            (fit.first_peak_slope_per_s, truth.slope_per_s * mode.peak),
-            (fit.frequency_hz, mode.frequency_hz),
-            (fit.decay_time_s, mode.decay_time_s),
-        )
-        relative.append([found.value / true - 1 for found, true in pairs])
-        held.append([float(found.low <= true <= found.high) for found, true in pairs])
-    return Errors(np.array(relative).reshape(-1, len(FIGURES)), np.array(held).reshape(-1, len(FIGURES)), refused)
+def fitted(point: SweepPoint) -> dict[str, float | bool | None]:
+    """A point of studies/fit_taps.yaml: one recording of TAPS taps; None: it was refused."""
+    tap, index = shipped_materials()[point.parameters["material"]].tap, point.parameters["set"]
+    assert tap is not None
+    speeds = np.random.default_rng([SEED, index]).uniform(*SPEEDS_M_PER_S, TAPS)
+    recording, truth = taps(tap, speeds, Stylus(noise_rms=NOISE, seed=1000 * SEED + index))
+    found: dict[str, float | bool | None] = {f"{key}_{what}": None for key in KEYS for what in ("error", "held")}
+    try:
+        fit = fit_tap([recording])
+    except HapticdError:
+        return found
+    mode = truth.mode
+    pairs = (
+        (fit.slope_per_s, truth.slope_per_s),
+        (fit.first_peak_slope_per_s, truth.slope_per_s * mode.peak),
+        (fit.frequency_hz, mode.frequency_hz),
+        (fit.decay_time_s, mode.decay_time_s),
+    )
+    for key, (value, true) in zip(KEYS, pairs, strict=True):
+        found[f"{key}_error"] = value.value / true - 1
+        found[f"{key}_held"] = bool(value.low <= true <= value.high)
+    return found
+
+
+def errors_of(rows: Sequence[Mapping[str, Any]]) -> Errors:
+    """Of the rows of a study."""
+    kept = [row for row in rows if row[f"{KEYS[0]}_error"] is not None]
+    relative = [[row[f"{key}_error"] for key in KEYS] for row in kept]
+    held = [[float(row[f"{key}_held"]) for key in KEYS] for row in kept]
+    shape = (-1, len(KEYS))
+    return Errors(np.array(relative).reshape(shape), np.array(held).reshape(shape), len(rows) - len(kept))
 
 
 def run(options: Options, advance: Advance) -> Section:
     """A table of it."""
     sets = options.few(12, 3)
-    rows, every = [], []
-    for index, name in enumerate(SEVEN):
-        tap = shipped_materials()[name].tap
-        assert tap is not None
-        found = errors(tap, sets)
-        every.append(found)
-        rows.append([name, *_cells(found)])
-        advance((index + 1) / len(SEVEN), name)
-    together = Errors(
-        np.concatenate([found.relative for found in every]),
-        np.concatenate([found.held for found in every]),
-        sum(found.refused for found in every),
-    )
-    rows.append(["all", *_cells(together)])
+    drawn: dict[str, Json] = {"parameters.set": {"low": 0, "high": sets - 1, "count": sets}}
+    with workers() as client:
+        found = swept(client, "fit_taps", between(advance, 0.0, 0.7, "taps"), drawn)
+        strokes = fit_strokes.table(client, options, between(advance, 0.7, 1.0, "strokes"))
+    rows = [
+        [name, *_cells(errors_of([row for row in found if row["parameters.material"] == name]))]
+        for name in dict.fromkeys(row["parameters.material"] for row in found)
+    ]
+    rows.append(["all", *_cells(errors_of(found))])
     return Section(
         "Fitted taps",
         [
             f"{sets} recordings of {TAPS} taps for each material, at 25 kHz with {100 * NOISE:g} % noise, speeds at "
-            f"random between {SPEEDS_M_PER_S[0]:g} and {SPEEDS_M_PER_S[1]:g} m/s. Told is the median of the error's "
-            "size in per cent, and the part of the recordings whose 95 % interval holds the truth; that part is itself "
-            f"uncertain by {_uncertain(sets):.1f} points (two standard errors) for one material, by "
-            f"{_uncertain(len(SEVEN) * sets):.1f} for all.",
+            f"random between {SPEEDS_M_PER_S[0]:g} and {SPEEDS_M_PER_S[1]:g} m/s. The table shows the median of "
+            "the error's size in per cent, and the fraction of the recordings whose 95 % interval contains the truth; "
+            f"it is uncertain by {_uncertain(sets):.1f} points (two standard errors) for one material, by "
+            f"{_uncertain(len(found)):.1f} for all.",
             Table(f"Median error, % / coverage; {sets} recordings", ["material", *FIGURES, "refused"], rows),
-            fit_strokes.table(options),
+            strokes,
         ],
     )
 

@@ -6,15 +6,18 @@ without a mounting or a filter of its own (what these do is a bias, told in docs
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
 from bench.report import Options, Table
+from bench.swept import swept
 from hapticd.analysis.statistics import Estimate
+from hapticd.base.yaml_source import Json
 from hapticd.config.materials import Material, validate_materials
 from hapticd.fit.grooves import fit_grooves
 from hapticd.fit.puncture import fit_puncture
@@ -22,6 +25,9 @@ from hapticd.fit.recording import Recording
 from hapticd.fit.synthesize import Stylus
 from hapticd.fit.synthesize_strokes import Hand, grooves, puncture, texture
 from hapticd.fit.texture import fit_texture
+
+if TYPE_CHECKING:
+    from hapticd.sweeps.measures.sweep_point import SweepPoint
 
 Figures: TypeAlias = Mapping[str, Estimate]
 Truths: TypeAlias = Mapping[str, float]
@@ -32,6 +38,7 @@ GRITS: Final = ((160.0, 210.0), (250.0, 280.0), (120.0, 170.0))
 """Peak and mean, Hz."""
 SKINS: Final = ((0.002, 500.0), (0.005, 300.0))
 """Depth, m, and stiffness, N/m."""
+SEED: Final = 1
 SPEEDS: Final = (0.05, 0.15)
 FORCES: Final = (0.6, 2.0)
 
@@ -54,31 +61,36 @@ class Coverage:
         return math.sqrt(0.95 * 0.05 / self.sets)
 
 
-def coverage_strokes(sets: int, seed: int, kind: str) -> tuple[Coverage, ...]:
-    """Of `sets` sets of recordings; `kind` is grooves, texture or puncture."""
-    errors: dict[str, list[float]] = {}
-    covered: dict[str, list[bool]] = {}
-    for figures, truths in _SETS[kind](sets, seed):
-        for name, truth in truths.items():
-            found = figures[name]
-            errors.setdefault(name, []).append(found.value / truth - 1)
-            covered.setdefault(name, []).append(found.low <= truth <= found.high)
-    return tuple(
-        Coverage(
-            kind,
-            name,
-            len(values),
-            float(np.median(np.abs(values))),
-            float(np.median(values)),
-            float(np.mean(covered[name])),
-        )
-        for name, values in errors.items()
+def fitted(point: SweepPoint) -> str:
+    """A point of studies/fit_strokes.yaml: by figure, [value, low, high, truth], as JSON."""
+    index = point.parameters["set"]
+    ((figures, truths),) = _SETS[point.parameters["kind"]](range(index, index + 1), SEED)
+    return json.dumps(
+        {name: [figures[name].value, figures[name].low, figures[name].high, truth] for name, truth in truths.items()}
     )
 
 
-def table(options: Options) -> Table:
+def coverage(kind: str, sets: Sequence[Mapping[str, Sequence[float]]]) -> Iterator[Coverage]:
+    """Of each figure over sets, each by figure [value, low, high, truth]."""
+    for name in sets[0]:
+        errors = [value / truth - 1 for value, _, _, truth in (each[name] for each in sets)]
+        covered = [low <= truth <= high for _, low, high, truth in (each[name] for each in sets)]
+        yield Coverage(
+            kind,
+            name,
+            len(sets),
+            float(np.median(np.abs(errors))),
+            float(np.median(errors)),
+            float(np.mean(covered)),
+        )
+
+
+def table(client: Any, options: Options, tell: Callable[[float], None]) -> Table:
     """As `python -m bench fit` prints it: of few sets, as grooves and punctures take a second or two for each."""
-    sets = {"grooves": options.few(4, 1), "texture": options.few(12, 1), "puncture": options.few(6, 1)}
+    quick: dict[str, Json] = {"parameters.kind": list(KINDS), "parameters.set": [0] * len(KINDS)}
+    found: dict[str, list[dict[str, list[float]]]] = {}
+    for row in swept(client, "fit_strokes", tell, quick if options.quick else None):
+        found.setdefault(row["parameters.kind"], []).append(json.loads(row["figures"]))
     rows = [
         [
             each.kind,
@@ -88,8 +100,8 @@ def table(options: Options) -> Table:
             f"{100 * each.covered:.0f}",
             f"{100 * each.binomial:.0f}",
         ]
-        for kind, count in sets.items()
-        for each in coverage_strokes(count, 1, kind)
+        for kind, sets in found.items()
+        for each in coverage(kind, sets)
     ]
     return Table(
         "Strokes and punctures: coverage of the 95 % intervals, beside the standard error of so few sets",
@@ -104,8 +116,8 @@ def _figures(fit: object, names: Mapping[str, float]) -> dict[str, Estimate]:
     return found
 
 
-def _seeds(sets: int, seed: int) -> Iterator[tuple[int, np.random.Generator]]:
-    for each in range(sets):
+def _seeds(sets: Iterable[int], seed: int) -> Iterator[tuple[int, np.random.Generator]]:
+    for each in sets:
         yield 1000 * each + 10_000_000 * seed, np.random.default_rng((seed, each))
 
 
@@ -121,7 +133,7 @@ def _places(random: np.random.Generator, count: int) -> list[tuple[float, float]
     return found
 
 
-def _grooves(sets: int, seed: int) -> Iterator[tuple[Figures, Truths]]:
+def _grooves(sets: Iterable[int], seed: int) -> Iterator[tuple[Figures, Truths]]:
     for first, random in _seeds(sets, seed):
         spacing, frequency, decay = COMBS[first // 1000 % len(COMBS)]
         truths = {
@@ -142,7 +154,7 @@ def _grooves(sets: int, seed: int) -> Iterator[tuple[Figures, Truths]]:
         yield _figures(fit_grooves(strokes), truths), truths
 
 
-def _texture(sets: int, seed: int) -> Iterator[tuple[Figures, Truths]]:
+def _texture(sets: Iterable[int], seed: int) -> Iterator[tuple[Figures, Truths]]:
     for first, random in _seeds(sets, seed):
         peak, mean = GRITS[first // 1000 % len(GRITS)]
         truths = {
@@ -159,7 +171,7 @@ def _texture(sets: int, seed: int) -> Iterator[tuple[Figures, Truths]]:
         yield _figures(fit_texture(strokes), truths), truths
 
 
-def _puncture(sets: int, seed: int) -> Iterator[tuple[Figures, Truths]]:
+def _puncture(sets: Iterable[int], seed: int) -> Iterator[tuple[Figures, Truths]]:
     for first, random in _seeds(sets, seed):
         depth, stiffness = SKINS[first // 1000 % len(SKINS)]
         rupture = {
@@ -180,7 +192,7 @@ def _material(stiffness_n_per_m: float = 800.0, **keys: object) -> Material:
     return validate_materials({"truth": {"stiffness_n_per_m": stiffness_n_per_m, **keys}})["truth"]
 
 
-_SETS: Final[Mapping[str, Callable[[int, int], Iterator[tuple[Figures, Truths]]]]] = {
+_SETS: Final[Mapping[str, Callable[[Iterable[int], int], Iterator[tuple[Figures, Truths]]]]] = {
     "grooves": _grooves,
     "texture": _texture,
     "puncture": _puncture,

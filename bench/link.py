@@ -287,10 +287,11 @@ def run(options: Options, advance: Advance) -> Section:
             "damping of hand and handle (dry friction helps them), the wall buzzes.",
             _stability(advance),
             f"Materials: a hand that nothing deflects taps, punctures ({TAP_M_PER_S:g} m/s) and strokes "
-            f"({STROKE_M_PER_S:g} m/s, 1 N). Told is how far the force that the actuator holds is from the closed form "
-            "of the library (taps and puncture), or from the same stroke without a link (its changes): RMS of the "
-            "difference over RMS, once the delay that stands beside it is taken off; the worst of several places of "
-            "the onset within a frame. Much of it is the staircase of held forces, which the mass of a handle smooths. "
+            f"({STROKE_M_PER_S:g} m/s, 1 N). The tables show how far the force that the actuator holds is from the "
+            "closed form of the library (taps and puncture), or from the same stroke without a link (its changes): RMS "
+            "of the difference over RMS, once the delay that stands beside it is taken off; the worst of several "
+            "places of the onset within a frame. Much of it is the staircase of held forces, which the mass of a "
+            "handle smooths. "
             "Above 0.4 of the link's rate a mode is silent (`undisplayable: mute`).",
             _materials(advance),
         ],

@@ -6,8 +6,8 @@ A loop is a device, a hand that presses and slides and then holds still, and a s
 with textures, a corner, flush boxes with seams, a disc pressed to its centre, or several of these on one another.
 Stiffnesses are 0.3 to 1 of what its margin says is safe; a scene whose margin is not safe, or of which `hapticd check`
 warns of anything, is drawn anew. Each loop runs with the passivity controller off and with it, for at most ten
-simulated minutes; `bench.end_state` says whether it rests. One that goes on is run again without vibration: what rests
-then was driven by its own texture.
+simulated minutes; `hapticd.rendering.end_state` says whether it rests. One that goes on is run again without
+vibration: what rests then was driven by its own texture.
 
 The energy given to the hand is summed from samples and from the handle's own positions, here and not by the servo.
 """
@@ -23,17 +23,13 @@ from typing import Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from bench.end_state import EndState, end_state
-from bench.passivity import work
-from bench.report import Floats
 from bench.stability import evaluated
 from hapticd.analysis.check import check
-from hapticd.base.core import SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.base.core import Flag
 from hapticd.config.configuration import Config, load_config
-from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.device_output import output_of
-from hapticd.rendering.joystick import new_operator, new_sim
-from hapticd.rendering.offline import new_world
+from hapticd.rendering.end_state import EndState, end_state
+from hapticd.rendering.endless_simulation import EndlessSimulation
+from hapticd.sweeps.measures.energy import given_j
 
 Kind: TypeAlias = Literal["wall", "texture", "patches", "corner", "seam", "disc", "mixed"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
@@ -270,60 +266,21 @@ class Outcome:
         return self.given_j / self.bound_j
 
 
-class Loop:
-    """A case, closed: the servo's own tick and the simulated joystick."""
-
-    def __init__(self, config: Config, waypoints: list[list[float]]) -> None:
-        self._rate_hz = config.servo.rate_hz
-        compiler = Compiler(output_of(config, self._rate_hz))
-        self._world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
-        self._state: CData = ffi.gc(lib.hd_state_new(16), lib.hd_state_free)
-        lib.hd_state_set_resolution(self._state, config.device.sim.encoder_step_m)
-        self._sim = new_sim(config.device.sim, self._rate_hz)
-        self._hand = new_operator(waypoints, "linear")
-        lib.hd_sim_operate(self._sim, self._hand)
-        lib.hd_sim_settle(self._sim)
-        self._found = ffi.new("size_t *")
-        self.samples = records(SAMPLE_DTYPE, 1)
-
-    def go_on(self, duration_s: float) -> Floats:
-        """Position and velocity of the handle at the ticks to come, (n, 4); `samples` are those of the same ticks."""
-        count = max(1, round(duration_s * self._rate_hz))
-        truth = np.empty((count, 4))
-        if len(self.samples) != count:
-            self.samples = records(SAMPLE_DTYPE, count)
-        status = lib.hd_simulate(
-            self._world,
-            self._state,
-            self._sim,
-            count,
-            pointer("struct hd_sample[]", self.samples),
-            pointer("double[]", truth),
-            ffi.NULL,
-            0,
-            self._found,
-        )
-        if status != Status.OK:
-            raise RuntimeError(invalid_reason())
-        return truth
-
-
 def given(case: Case, mode: Mode) -> float:
     """The most, J, that touched objects give to the hand in a contact: without vibration, whose part of a force at the
     limit samples do not tell. No fields, forces on: every force is theirs."""
-    loop = Loop(case.config(mode, vibration=False), case.waypoints)
-    truth = loop.go_on(case.waypoints[-1][0] + AFTER_S)
-    touched = (loop.samples["flags"] & Flag.CONTACT) != 0
-    return work(loop.samples["force_n"], truth[:, :2], touched, case.age)
+    loop = EndlessSimulation(case.config(mode, vibration=False), case.waypoints)
+    truth, samples = loop.recorded(case.waypoints[-1][0] + AFTER_S)
+    touched = (samples["flags"] & Flag.CONTACT) != 0
+    return given_j(samples["force_n"], truth[:, :2], touched, case.age)
 
 
 def settle(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> Outcome:
     """Runs a loop until its end is certain."""
     config = case.config(mode)
-    loop = Loop(config, case.waypoints)
+    loop = EndlessSimulation(config, case.waypoints)
     device = config.device
-    loop.go_on(case.waypoints[-1][0] + AFTER_S)
-    samples = loop.samples.copy()
+    _, samples = loop.recorded(case.waypoints[-1][0] + AFTER_S)
     return Outcome(
         end=end_state(loop.go_on, longest_s),
         given_j=given(case, mode),
@@ -335,7 +292,7 @@ def settle(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> Outcome:
 
 def drives_itself(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> bool:
     """Whether it rests without vibration."""
-    loop = Loop(case.config(mode, vibration=False), case.waypoints)
+    loop = EndlessSimulation(case.config(mode, vibration=False), case.waypoints)
     loop.go_on(case.waypoints[-1][0] + AFTER_S)
     return end_state(loop.go_on, longest_s).fate == "rests"
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import threading
 import time
 
-import msgpack
 import numpy as np
 import zmq
 
-from bench.daemon import Running, call, daemon, dealer
+from bench.daemon import call, daemon, dealer
 from bench.lateness import lateness_of
 from bench.report import Advance, Floats, Options, Section, Table, spread
-from hapticd.client.samples import dtype_of
+from bench.samples import SampleReader
 
 RATE_HZ = 10_000
 PER_S = (0, 10, 1000)
@@ -21,42 +19,9 @@ PER_S = (0, 10, 1000)
 _PERCENTILES = (50, 99, 99.9)
 
 
-class _Reader:
-    """Reads all samples, in a thread, until it is told the last tick."""
-
-    def __init__(self, running: Running) -> None:
-        self._endpoint = running.paths.telemetry_endpoint
-        self._last: int | None = None
-        self._ready = threading.Event()
-        self._batches: list[np.ndarray[tuple[int], np.dtype[np.void]]] = []
-        self._thread = threading.Thread(target=self._read)
-        self._thread.start()
-        self._ready.wait()
-
-    def _read(self) -> None:
-        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-            socket.setsockopt(zmq.LINGER, 0)
-            socket.setsockopt(zmq.RCVHWM, 0)
-            socket.setsockopt(zmq.SUBSCRIBE, b"samples")
-            socket.connect(self._endpoint)
-            end = -1
-            while self._last is None or end < self._last:
-                message = msgpack.unpackb(socket.recv_multipart()[1])
-                batch = np.frombuffer(message["data"], dtype_of(message["dtype"]))
-                self._batches.append(batch)
-                end = int(batch["tick"][-1])
-                self._ready.set()
-
-    def until(self, tick: int) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-        """The samples, up to this tick and a few more."""
-        self._last = tick
-        self._thread.join()
-        return np.concatenate(self._batches)
-
-
 def _marked(client: zmq.Socket[bytes], per_s: int, seconds: float) -> list[int]:
     """Leaves marks, evenly as far as they are answered in time; the ticks that took them."""
-    ticks = []
+    ticks: list[int] = []
     begin = time.monotonic()
     while (now := time.monotonic() - begin) < seconds:
         due = (len(ticks) + 1) / per_s if per_s else seconds
@@ -77,7 +42,7 @@ def run(options: Options, advance: Advance) -> Section:
     with daemon(rate_hz=RATE_HZ) as running, dealer(running.paths.command_endpoint) as client:
         for part in range(parts):
             for place, per_s in enumerate(PER_S):
-                reader = _Reader(running)
+                reader = SampleReader(running.paths.telemetry_endpoint)
                 ticks = _marked(client, per_s, seconds)
                 samples = reader.until(int(str(call(client, "get_status")["tick"])))
                 lateness, skipped = lateness_of(samples, RATE_HZ)

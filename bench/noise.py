@@ -262,10 +262,11 @@ def run(options: Options, advance: Advance) -> Section:
             "analytic spectrum; the scatter of a finite stretch is in every row, and is all that there is in most. "
             "Filters that change: two of unit power take turns every "
             f"{', '.join(map(str, CHANGES))} samples, {PAIRS} pairs of them, as models do under a hand that goes to "
-            "and fro over a texture; whatever they are, the power is one. Told is the worst. A table is a stretch of "
-            "noise that was made once: it repeats itself, and between two models there is none. The normalised "
-            "lattice is the dearest: its stages cost four multiplications instead of two, and the changing one's cost "
-            "holds the place in the grid and the square roots of each change. It is the only one whose power is right "
+            "and fro over a texture; whatever they are, the power is one. The table shows the worst. A table is a "
+            "stretch of noise that was made once: it repeats itself, and between two models there is none. The "
+            "normalised lattice is the dearest: its stages cost four multiplications instead of two, and the "
+            "changing one's cost holds the place in the grid and the square roots of each change. "
+            "It is the only one whose power is right "
             "however fast the hand changes.",
             Table(
                 f"ns a sample, {rounds} rounds in turns: median (10 to 90 %); errors",

@@ -9,20 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from bench.report import Advance, Floats, Options, Section, Table, spread
+from bench.report import Advance, Options, Section, Table, spread
+from bench.swept import swept, workers
 from bench.tick import MATERIALS, RATE_HZ, STRETCH, Stretch, walls
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.base.yaml_source import Json
 from hapticd.config.configuration import load_config
 from hapticd.daemon.counters import Energy
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import new_world
+from hapticd.sweeps.measures.energy import given_j
+
+if TYPE_CHECKING:
+    from hapticd.sweeps.measures.sweep_point import SweepPoint
 
 MAX_FORCE_N: Final = 8.9
 MAX_SPEED_M_PER_S: Final = 5.0
@@ -150,24 +155,6 @@ class Given:
     ticks: int
 
 
-def work(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], together: int = 0) -> float:
-    """The largest sum of f.(x' - x) over one contact, the way after its last tick with it; 0 where it never is above.
-
-    `force_n`, `position_m` [n][2], `touched` [n]. Contacts that are no more than `together` ticks apart are one.
-    """
-    steps = np.zeros(len(force_n))
-    steps[1:] = (force_n[:-1] * np.diff(position_m, axis=0)).sum(1)
-    largest = 0.0
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], touched.astype(np.int8), [0]))))
-    apart = np.flatnonzero(edges[2::2] - edges[1:-1:2] > together) if len(edges) else edges
-    edges = np.concatenate((edges[:1], np.stack((edges[1 + 2 * apart], edges[2 + 2 * apart]), 1).ravel(), edges[-1:]))
-    for begin, end in edges.reshape(-1, 2):
-        sums = np.cumsum(steps[begin + 1 : end + 1])
-        if len(sums):
-            largest = max(largest, float(sums.max()))
-    return largest
-
-
 def energy_of(state: CData) -> Energy:
     """Of a `struct hd_state`."""
     raw = ffi.new("struct hd_energy *")
@@ -205,40 +192,52 @@ def simulated(case: Case, passivity: Mode) -> Given:
     force = samples["force_n"]  # nothing rings
     touched = (samples["flags"] & Flag.CONTACT) != 0
     return Given(
-        work(force, samples["position_m"], touched),
-        work(force, truth[:, :2], touched, case.age),
+        given_j(force, samples["position_m"], touched),
+        given_j(force, truth[:, :2], touched, case.age),
         energy_of(state),
         float(np.hypot(*truth[:, 2:].T).max()),
         count,
     )
 
 
+def given(point: SweepPoint) -> dict[str, float]:
+    """A point of studies/passivity.yaml."""
+    case = draw(point.parameters["case"], point.parameters["positions"])
+    run = simulated(case, point.parameters["passivity"])
+    return {
+        "given_j": run.true_j,
+        "bound_j": case.bound_j,
+        "older_j": case.bound_j * (1 + case.age),
+        "speed_m_per_s": run.speed_m_per_s,
+        "contacts": run.energy.contacts,
+        "restrained": run.energy.restrained,
+    }
+
+
 def _counts(options: Options, advance: Advance) -> list[str | Table]:
     many = options.few(1000, 40)
-    rows, contacts = [], 0
-    for index, (group, name) in enumerate(GROUPS.items()):
-        cases = [draw(seed, group) for seed in range(many)]
-        bounds = np.array([case.bound_j for case in cases])
-        older = bounds * [1 + case.age for case in cases]
-        modes: tuple[Mode, Mode] = ("observe", "control")
-        for turn, mode in enumerate(modes):
-            runs = [simulated(case, mode) for case in cases]
-            given = np.array([run.true_j for run in runs])
-            contacts += sum(run.energy.contacts for run in runs)
+    drawn: dict[str, Json] = {"parameters.case": {"low": 0, "high": many - 1, "count": many}}
+    with workers() as client:
+        found = swept(client, "passivity", lambda part: advance(part, "cases"), drawn)
+    rows, contacts = [], sum(row["contacts"] for row in found)
+    modes: tuple[Mode, Mode] = ("observe", "control")
+    for group, name in GROUPS.items():
+        for mode in modes:
+            runs = [row for row in found if (row["parameters.positions"], row["parameters.passivity"]) == (group, mode)]
+            energy, bounds, older = (np.array([row[key] for row in runs]) for key in ("given_j", "bound_j", "older_j"))
             rows.append(
                 [
                     f"{name}, {'off' if mode == 'observe' else 'control'}",
-                    f"{many}",
-                    f"{np.sum(given > bounds)}",
-                    f"{(given / bounds).max():.3g}",
-                    f"{np.sum(given > older)}",
-                    f"{(given / older).max():.3g}",
-                    spread(given / bounds, ".2g"),
-                    spread([run.speed_m_per_s for run in runs], ".2g"),
-                    f"{sum(run.energy.restrained > 0 for run in runs)}",
+                    f"{len(runs)}",
+                    f"{np.sum(energy > bounds)}",
+                    f"{(energy / bounds).max():.3g}",
+                    f"{np.sum(energy > older)}",
+                    f"{(energy / older).max():.3g}",
+                    spread(energy / bounds, ".2g"),
+                    spread([row["speed_m_per_s"] for row in runs], ".2g"),
+                    f"{sum(row['restrained'] > 0 for row in runs)}",
                 ]
             )
-            advance((2 * index + turn + 1) / (2 * len(GROUPS)), name)
     text = (
         f"{len(GROUPS) * many} seeded cases (`bench/passivity.py`, `draw`), each of {LASTING_S:g} s with the "
         f"controller off and on, {contacts} contacts: one wall or a corner of 10 to 170 degrees, 1 to 10 kHz, "

@@ -10,22 +10,27 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
-from typing import Any
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from bench.end_state import EndState, Fate, end_state
-from bench.report import ROOT, Advance, Floats, Options, Section, Table
-from hapticd.base.core import SAMPLE_DTYPE, CData, ffi, lib, pointer
+from bench.report import ROOT, Advance, Floats, Options, Section, Table, between
+from bench.swept import STUDIES, swept, workers
+from hapticd.base.core import ffi, lib
+from hapticd.base.yaml_source import Json, load_path
 from hapticd.config.configuration import Config, load_config
-from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.contact_sets import ContactSets
-from hapticd.rendering.device_output import loop_of, output_of
-from hapticd.rendering.joystick import new_operator, new_sim
-from hapticd.rendering.offline import new_world
+from hapticd.rendering.device_output import loop_of
+from hapticd.rendering.end_state import EndState, Fate
+from hapticd.rendering.endless_simulation import end_of
+from hapticd.rendering.joystick import new_sim
+from hapticd.rendering.scene_stability import sets_of
 from hapticd.rendering.stability import Loop, spectral_radius
+
+if TYPE_CHECKING:
+    from hapticd.sweeps.measures.sweep_point import SweepPoint
 
 SEED = 20
 TRIALS = 10_000
@@ -183,53 +188,14 @@ def _loop(config: Config) -> Loop:
 
 def evaluated(config: Config) -> ContactSets:
     """What the margins of a configuration's scene are."""
-    compiler = Compiler(output_of(config, config.servo.rate_hz))
-    compiler.update(config.scene, config.scene.objects, config.materials, 1)
-    return ContactSets(compiler.surfaces(), _loop(config))
-
-
-class Simulation:
-    """The servo's own tick on the simulated joystick, for as long as anybody wants to know."""
-
-    def __init__(self, config: Config, waypoints: list[list[float]]) -> None:
-        rate_hz = config.servo.rate_hz
-        compiler = Compiler(output_of(config, rate_hz))
-        self._world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
-        self._state: CData = ffi.gc(lib.hd_state_new(8), lib.hd_state_free)
-        lib.hd_state_set_resolution(self._state, config.device.sim.encoder_step_m)
-        self._sim = new_sim(config.device.sim, rate_hz)
-        self._hand = new_operator(waypoints, "linear")
-        lib.hd_sim_operate(self._sim, self._hand)
-        lib.hd_sim_settle(self._sim)
-        self._rate_hz = rate_hz
-        self._samples = np.empty(4096, SAMPLE_DTYPE)
-        self._found = ffi.new("size_t *")
-
-    def go_on(self, duration_s: float) -> Floats:
-        """The handle's position and velocity at the ticks to come, (n, 4)."""
-        count = max(1, round(duration_s * self._rate_hz))
-        truth = np.empty((count, 4))
-        for begin in range(0, count, len(self._samples)):
-            part = truth[begin : begin + len(self._samples)]
-            lib.hd_simulate(
-                self._world,
-                self._state,
-                self._sim,
-                len(part),
-                pointer("struct hd_sample[]", self._samples),
-                pointer("double[]", part),
-                ffi.NULL,
-                0,
-                self._found,
-            )
-        return truth
+    found = sets_of(config)
+    assert found is not None
+    return found
 
 
 def fate_of(config: Config, waypoints: list[list[float]], longest_s: float = LONGEST_S) -> EndState:
     """What becomes of the handle once the hand's reference rests."""
-    simulation = Simulation(config, waypoints)
-    simulation.go_on(waypoints[-1][0] + 0.2)
-    return end_state(simulation.go_on, longest_s)
+    return end_of(config, waypoints, longest_s)
 
 
 def linear_grows(trial: Trial) -> bool:
@@ -298,50 +264,55 @@ class Counts:
     held: list[int] = field(default_factory=list)
     """Those that did not."""
 
-    def add(self, other: Counts) -> None:
-        """Adds what became of other trials."""
-        self.fates += other.fates
-        self.plain += other.plain
-        self.broken += other.broken
-        self.held += other.held
-        self.linear += other.linear
-        self.grew += other.grew
+    def add(self, index: int, became: Became) -> None:
+        """Counts a trial."""
+        self.fates[became.called, became.fate] += 1
+        if became.called == SAFE and became.fate != "rests":
+            self.broken.append(index)
+        if became.plainly_safe:
+            self.plain[became.fate] += 1
+        if became.grows is not None:
+            self.linear += 1
+            self.grew += became.grows
+            if not became.grows:
+                self.held.append(index)
 
 
 SAFE, STABLE, GROWING = "safe", "not safe, stable in this hand", "not safe, spectral radius above 1.001"
 
 
+@dataclass(frozen=True, slots=True)
+class Became:
+    """What became of a trial."""
+
+    called: str
+    """SAFE, STABLE or GROWING."""
+    fate: Fate
+    plainly_safe: bool
+    grows: bool | None
+    """Whether the linear loop grows; None: its spectral radius is at most 1.001."""
+
+
+def became(seed: int, index: int, longest_s: float = LONGEST_S) -> Became:
+    """Draws a trial and simulates it; the same on every run."""
+    trial = draw(np.random.default_rng((seed, index)))
+    fate = fate_of(trial.config, trial.waypoints, longest_s if trial.safe else min(longest_s, UNSAFE_S)).fate
+    radius = trial.radius
+    called = SAFE if trial.safe else GROWING if radius > 1.001 else STABLE
+    return Became(called, fate, trial.plainly_safe, linear_grows(trial) if radius > 1.001 else None)
+
+
 def counted(seed: int, indices: range, longest_s: float = LONGEST_S) -> Counts:
-    """Draws trials and simulates them; the same on every run."""
+    """Of so many trials, one after the other."""
     found = Counts()
     for index in indices:
-        trial = draw(np.random.default_rng((seed, index)))
-        fate = fate_of(trial.config, trial.waypoints, longest_s if trial.safe else min(longest_s, UNSAFE_S)).fate
-        radius = trial.radius
-        found.fates[SAFE if trial.safe else GROWING if radius > 1.001 else STABLE, fate] += 1
-        if trial.safe and fate != "rests":
-            found.broken.append(index)
-        if trial.plainly_safe:
-            found.plain[fate] += 1
-        if radius > 1.001:
-            grows = linear_grows(trial)
-            found.linear += 1
-            found.grew += grows
-            if not grows:
-                found.held.append(index)
+        found.add(index, became(seed, index, longest_s))
     return found
 
 
-def counts(trials: int, advance: Callable[[float], None]) -> Counts:
-    """As counted, on all processors."""
-    chunk = 50
-    chunks = [range(begin, min(begin + chunk, trials)) for begin in range(0, trials, chunk)]
-    found = Counts()
-    with ProcessPoolExecutor() as pool:
-        for done, part in enumerate(pool.map(counted, [SEED] * len(chunks), chunks), 1):
-            found.add(part)
-            advance(done / len(chunks))
-    return found
+def trial(point: SweepPoint) -> dict[str, Any]:
+    """A point of studies/stability_trials.yaml."""
+    return asdict(became(point.parameters["seed"], point.parameters["trial"]))
 
 
 # ---- Maps ----------------------------------------------------------------------------------------------------------
@@ -360,12 +331,16 @@ ROUGH = 1.02
 """The same where nothing is proved: from LOWEST."""
 ABOVE, COARSE = 2.0, 1.02
 """How far beyond the first stiffness that does not rest others are tried, which may rest again, and by which factor."""
-AXES: dict[str, tuple[str, tuple[float, ...]]] = {
-    "rate": ("rate, Hz", (1000.0, 1600.0, 2500.0, 4000.0, 6300.0, 10_000.0)),
-    "delay": ("delay, ms", (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)),
-    "step": ("encoder step, um", (1.0, 3.0, 10.0, 30.0, 100.0)),
-    "friction": ("dry friction, N", (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)),
+NO_LIMIT = 1e300
+"""In place of an infinite stiffness."""
+AXES: dict[str, tuple[str, str, float]] = {
+    "rate": ("rate, Hz", "servo.rate_hz", 1.0),
+    "delay": ("delay, ms", "device.sim.report_delay_s", 1e3),
+    "step": ("encoder step, um", "device.sim.encoder_step_m", 1e6),
+    "friction": ("dry friction, N", "device.sim.coulomb_friction_n", 1.0),
 }
+"""The maps, each a study: what a table calls its axis, its key, and the unit of the table over that of the key."""
+Tree: TypeAlias = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -379,11 +354,12 @@ class Start:
     """The force that lays a free handle onto the wall."""
 
 
+FIGURES = ("passive", "quiet", "free", "held", "simulated_light", "simulated_held", "again")
 STARTS = (Start(0.005, 0.003, 0.5), Start(0.001, 0.001, 0.2), Start(0.02, 0.008, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class Limits:
     """One place of a map: stiffnesses in N/m."""
 
     at: float
@@ -399,51 +375,29 @@ class Point:
     """Part of the stiffnesses up to ABOVE times `simulated_light` at which the free handle comes to rest again."""
 
 
-def _configuration(axis: str, at: float, hand: dict[str, float], stiffness: float, start: Start = STARTS[0]) -> Config:
-    sim: dict[str, Any] = {"hand": hand, "start_m": [0.0, start.height_m], "force_step_n": 0.0, "max_force_n": 100.0}
-    # Without a step or friction of its own each map shows its own axis; friction without a step shows nothing.
-    sim |= (
-        {"encoder_step_m": 20e-6, "coulomb_friction_n": 0.05}
-        if axis in ("step", "friction")
-        else {
-            "encoder_step_m": 0.0,
-            "coulomb_friction_n": 0.0,
-        }
-    )
-    rate_hz = at if axis == "rate" else 10_000.0
-    if axis == "delay":
-        sim["report_delay_s"] = 1e-3 * at
-    elif axis == "step":
-        sim["encoder_step_m"] = 1e-6 * at
-    elif axis == "friction":
-        sim["coulomb_friction_n"] = at
-    if axis in ("step", "friction"):
-        # So heavy a damper that passivity does not come first.
-        sim["handle_damping_n_s_per_m"] = 10.0
-    push = {} if hand is HELD else {"push": {"kind": "constant", "force_n": [0.0, -start.push_n]}}
-    return load_config(
-        {
-            "servo": {"rate_hz": rate_hz},
-            "device": {"max_force_n": 100.0, "max_speed_m_per_s": 1000.0, "sim": sim},
-            "materials": {"m": {"stiffness_n_per_m": stiffness}},
-            "scene": {"objects": {"wall": WALL, **push}, "display": {"force": True, "vibration": False}},
-        }
-    )
+def on_wall(source: Tree, hand: dict[str, float], stiffness: float, start: Start = STARTS[0]) -> Config:
+    """A place of a map, with another hand, stiffness and start."""
+    tree = deepcopy(source)
+    tree["device"]["sim"] |= {"hand": hand, "start_m": [0.0, start.height_m]}
+    tree["materials"]["m"]["stiffness_n_per_m"] = stiffness
+    if hand is not HELD:
+        tree["scene"]["objects"]["push"] = {"kind": "constant", "force_n": [0.0, -start.push_n]}
+    return load_config(tree)
 
 
-def map_fate(axis: str, at: float, hand: dict[str, float], stiffness: float, start: Start = STARTS[0]) -> EndState:
+def map_fate(source: Tree, hand: dict[str, float], stiffness: float, start: Start = STARTS[0]) -> EndState:
     """What becomes of a handle on a wall of this stiffness, at one place of a map."""
-    config = _configuration(axis, at, hand, stiffness, start)
+    config = on_wall(source, hand, stiffness, start)
     deep = -start.depth_m if hand is HELD else start.height_m
     return fate_of(config, [[0.0, 0.0, start.height_m], [0.08, 0.0, deep]], UNSAFE_S)
 
 
-def _stays(axis: str, at: float, hand: dict[str, float], stiffness: float) -> bool:
+def _stays(source: Tree, hand: dict[str, float], stiffness: float) -> bool:
     """Whether it goes on for ever from one of the starts. What falls steadily (just below a limit) does not."""
-    return any(map_fate(axis, at, hand, stiffness, start).fate in ("cycles", "grows") for start in STARTS)
+    return any(map_fate(source, hand, stiffness, start).fate in ("cycles", "grows") for start in STARTS)
 
 
-def simulated_limit(axis: str, at: float, hand: dict[str, float], proved: float, beyond: float) -> float:
+def simulated_limit(source: Tree, hand: dict[str, float], proved: float, beyond: float) -> float:
     """The least stiffness at which a handle on a wall does not come to rest, of a dense search upwards.
 
     With an encoder the unstable stiffnesses are islands: each step from below what is `proved` to rest is tried, up to
@@ -451,23 +405,23 @@ def simulated_limit(axis: str, at: float, hand: dict[str, float], proved: float,
     """
     stiffness, step = (0.9 * proved, STEP) if proved > LOWEST else (LOWEST, ROUGH)
     top = min(HIGHEST, 1.5 * beyond)
-    while stiffness < top and not _stays(axis, at, hand, stiffness):
+    while stiffness < top and not _stays(source, hand, stiffness):
         stiffness *= step
     if stiffness >= top:
         return HIGHEST
     low = stiffness / step
     while stiffness / low > FINE:
         middle = math.sqrt(low * stiffness)
-        low, stiffness = (low, middle) if _stays(axis, at, hand, middle) else (middle, stiffness)
+        low, stiffness = (low, middle) if _stays(source, hand, middle) else (middle, stiffness)
     return stiffness
 
 
-def rests_again(axis: str, at: float, first: float) -> float:
+def rests_again(source: Tree, first: float) -> float:
     """Part of the stiffnesses above the first unstable one at which a free handle comes to rest, from every start."""
     if first >= HIGHEST:
         return 0.0
     tried = first * COARSE ** np.arange(1, round(math.log(ABOVE) / math.log(COARSE)) + 1)
-    return sum(not _stays(axis, at, LIGHT, float(stiffness)) for stiffness in tried) / len(tried)
+    return sum(not _stays(source, LIGHT, float(stiffness)) for stiffness in tried) / len(tried)
 
 
 def linear_limit(loop: Loop) -> float:
@@ -481,31 +435,30 @@ def linear_limit(loop: Loop) -> float:
     return low
 
 
-def mapped(axis: str, at: float) -> Point:
-    """One place of a map."""
-    stiffness = 100.0
-    config = _configuration(axis, at, HELD, stiffness)
+def limits(point: SweepPoint) -> dict[str, float]:
+    """A point of studies/stability_rate.yaml, ..._delay, ..._step, ..._friction: the fields of Limits but `at`."""
+    source, stiffness = point.config, 100.0
+    config = on_wall(source, HELD, stiffness)
     factors = evaluated(config).factors(0)
     loop = _loop(config)
     passive, quiet = stiffness * factors["passivity"], stiffness * factors["quantisation"]
     free, held = linear_limit(loop.let_go()), linear_limit(loop)
-    light = simulated_limit(axis, at, LIGHT, min(passive, quiet), free)
-    return Point(
-        at=at,
-        passive=passive,
-        quiet=quiet,
-        free=free,
-        held=held,
-        simulated_light=light,
-        simulated_held=simulated_limit(axis, at, HELD, min(passive, quiet), held),
-        again=rests_again(axis, at, light) if axis in ("step", "friction") else 0.0,
-    )
+    light = simulated_limit(source, LIGHT, min(passive, quiet), free)
+    return {
+        "passive": min(passive, NO_LIMIT),
+        "quiet": min(quiet, NO_LIMIT),
+        "free": free,
+        "held": held,
+        "simulated_light": light,
+        "simulated_held": simulated_limit(source, HELD, min(passive, quiet), held),
+        "again": rests_again(source, light) if point.parameters.get("again") else 0.0,
+    }
 
 
 PLOT = ROOT / "docs" / "stability.png"
 
 
-def draw_maps(maps: dict[str, list[Point]]) -> None:
+def draw_maps(maps: dict[str, list[Limits]]) -> None:
     """Writes docs/stability.png."""
     import matplotlib
 
@@ -518,7 +471,7 @@ def draw_maps(maps: dict[str, list[Point]]) -> None:
         # Nothing is at a place of its own, left of the rest.
         shown = np.where(at > 0.0, at, at[at > 0.0].min() / 3.0)
 
-        def line(name: str, style: str, label: str, points: list[Point] = points, shown: Floats = shown) -> None:
+        def line(name: str, style: str, label: str, points: list[Limits] = points, shown: Floats = shown) -> None:
             values = np.array([getattr(point, name) for point in points])
             # None found is no marker.
             top = HIGHEST * (1.0 - 1e-9) if name.startswith("simulated") else 2.0 * HIGHEST
@@ -550,7 +503,7 @@ def draw_maps(maps: dict[str, list[Point]]) -> None:
     pyplot.close(figure)
 
 
-def _of(points: list[Point]) -> list[list[str]]:
+def _of(points: list[Limits]) -> list[list[str]]:
     def cell(value: float) -> str:
         return "any" if value >= HIGHEST else f"{value:.4g}"
 
@@ -564,10 +517,31 @@ def _of(points: list[Point]) -> list[list[str]]:
     ]
 
 
+def mapped(client: Any, axis: str, tell: Callable[[float], None], quick: bool = False) -> list[Limits]:
+    """A map; `quick`: every third place of it."""
+    name, (_, key, scale) = f"stability_{axis}", AXES[axis]
+    vary: dict[str, Json] = {}
+    if quick:
+        places = load_path(STUDIES / f"{name}.yaml").data["vary"][key]  # type: ignore[index,call-overload]
+        vary = {key: places[::3]}  # type: ignore[index]
+    rows = swept(client, name, tell, vary)
+    # As a person would write it: 0.1 ms, not 0.1 and a rounding.
+    return [Limits(float(f"{scale * row[key]:.6g}"), *(row[each] for each in FIGURES)) for row in rows]
+
+
 def run(options: Options, advance: Advance) -> Section:
     """The counts of the trials, and the maps; draws docs/stability.png unless it is quick."""
     trials = options.few(TRIALS, 200)
-    found = counts(trials, lambda part: advance(0.6 * part, f"{trials} trials"))
+    drawn: dict[str, Json] = {"parameters.trial": {"low": 0, "high": trials - 1, "count": trials}}
+    maps: dict[str, list[Limits]] = {}
+    found = Counts()
+    with workers() as client:
+        for row in swept(client, "stability_trials", between(advance, 0.0, 0.6, f"{trials} trials"), drawn):
+            it = Became(row["called"], row["fate"], row["plainly_safe"], row["grows"])
+            found.add(row["parameters.trial"], it)
+        for index, axis in enumerate(AXES):
+            tell = between(advance, 0.6 + 0.1 * index, 0.7 + 0.1 * index, f"map of {axis}")
+            maps[axis] = mapped(client, axis, tell, quick=options.quick)
     fates: tuple[Fate, ...] = ("rests", "cycles", "grows", "falls")
     rows = []
     for what in (SAFE, STABLE, GROWING):
@@ -575,12 +549,6 @@ def run(options: Options, advance: Advance) -> Section:
         rows.append([what, str(sum(numbers)), *map(str, numbers)])
     numbers = [found.plain[fate] for fate in fates]
     rows.append(["the plain conditions call it safe", str(sum(numbers)), *map(str, numbers)])
-    jobs = [(axis, at) for axis, (_, places) in AXES.items() for at in (places[::3] if options.quick else places)]
-    maps: dict[str, list[Point]] = {axis: [] for axis in AXES}
-    with ProcessPoolExecutor() as pool:
-        for done, (job, point) in enumerate(zip(jobs, pool.map(mapped, *zip(*jobs, strict=True)), strict=True), 1):
-            maps[job[0]].append(point)
-            advance(0.6 + 0.4 * done / len(jobs), f"map of {job[0]}")
     if not options.quick:
         draw_maps(maps)
     heads = [
@@ -610,7 +578,7 @@ def run(options: Options, advance: Advance) -> Section:
             Table("Trials by what the margin says", ["", "trials", "rest", "cycle", "grow", "still fall"], rows),
             *(
                 Table(f"Stiffness over {label}, N/m", [label, *heads], _of(maps[axis]))
-                for axis, (label, _) in AXES.items()
+                for axis, (label, *_) in AXES.items()
             ),
         ],
     )

@@ -1,1 +1,1 @@
-"""Examples: what `make demo` shows."""
+"""Examples: what `make demo` shows, and PsychoPy beside a session."""

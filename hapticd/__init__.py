@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hapticd.base.core import SAMPLE_DTYPE, Flag
     from hapticd.base.errors import HapticdError, InvalidError, Problem
     from hapticd.base.yaml_source import Json
-    from hapticd.client.blocking import Client, Subscription, connect
+    from hapticd.client.blocking import Client, Stream, Subscription, connect
     from hapticd.client.samples import SampleBatch
     from hapticd.config.configuration import Config, load_config
     from hapticd.config.materials import Friction, Material, Rupture, Tap
@@ -63,12 +63,14 @@ if TYPE_CHECKING:
         SceneResult,
         State,
         Status,
+        StreamStatus,
         TickResult,
         Warned,
     )
     from hapticd.recording.recording import Recording, load
     from hapticd.recording.replay import replay
     from hapticd.rendering.offline import render, simulate
+    from hapticd.sweeps.sweep import sweep
 
 __all__ = [
     "SAMPLE_DTYPE",
@@ -114,6 +116,8 @@ __all__ = [
     "State",
     "Status",
     "Stochastic",
+    "Stream",
+    "StreamStatus",
     "Subscription",
     "Tap",
     "TelemetryLoss",
@@ -132,6 +136,7 @@ __all__ = [
     "render",
     "replay",
     "simulate",
+    "sweep",
 ]
 
 _HOMES = {
@@ -152,6 +157,7 @@ _HOMES = {
     "SceneResult": "protocol.results",
     "State": "protocol.results",
     "Status": "protocol.results",
+    "StreamStatus": "protocol.results",
     "ForcesOff": "protocol.calls",
     "MissedPeriods": "protocol.calls",
     "TelemetryLoss": "protocol.calls",
@@ -160,6 +166,7 @@ _HOMES = {
     "Topic": "protocol.calls",
     "Warned": "protocol.results",
     "Client": "client.blocking",
+    "Stream": "client.blocking",
     "Subscription": "client.blocking",
     "connect": "client.blocking",
     "Config": "config.configuration",
@@ -179,6 +186,7 @@ _HOMES = {
     "Recording": "recording.recording",
     "load": "recording.recording",
     "replay": "recording.replay",
+    "sweep": "sweeps.sweep",
     "SampleBatch": "client.samples",
     "Box": "config.scene",
     "Constant": "config.scene",

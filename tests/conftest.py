@@ -16,8 +16,10 @@ from hypothesis import HealthCheck, settings
 # Before anything imports matplotlib.
 os.environ["MPLBACKEND"] = "Agg"
 
-# What the user set for the commands is not for the tests.
-for _name in [name for name in os.environ if name.startswith("HAPTICD_")]:
+# What the user set for the commands is not for the tests. These are: see tests/web/browser.py and
+# tests/integration/test_other_languages.py.
+_FOR_TESTS = ("HAPTICD_BROWSER", "HAPTICD_CLIENTS")
+for _name in [name for name in os.environ if name.startswith("HAPTICD_") and name not in _FOR_TESTS]:
     del os.environ[_name]
 
 # A job that a script put in the background ignores interrupts, and one under nohup the end of its terminal. Every

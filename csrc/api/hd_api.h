@@ -251,13 +251,15 @@ enum hd_flag {
     HD_FLAG_GLITCH = 128,     /* the position jumped; contacts were resynchronised */
     HD_FLAG_REPEATED = 256,   /* no new sample came from the device */
     HD_FLAG_RESTRAINED = 512, /* the passivity controller changed the contact force */
-    HD_FLAG_CHECKING = 1024   /* the signs of the device are checked: the force is the check's, none the scene's */
+    HD_FLAG_CHECKING = 1024,  /* the signs of the device are checked: the force is the check's, none the scene's */
+    HD_FLAG_STREAMED = 2048   /* a streamed force is a part of the contact force, or on its way to zero */
 };
 
 /* One tick as telemetry carries it.
  *
  * contact_force_n: what touched objects push with (stiffness, damping, friction, and grooves that are displayed as
- * geometry or damping), what is left of objects that went away while touched, and the fields. vibration_force_n:
+ * geometry or damping), what is left of objects that went away while touched, the fields, and the streamed force.
+ * vibration_force_n:
  * ringing modes (taps, grooves displayed as vibration, ruptures, play) and the noise of textures; not what the device
  * plays by itself. Both are weighed by the ramps of the display flags, and the contact force is as the passivity
  * controller left it; neither is cut by the force limit yet, nor weighed by the gain that set_forces and faults fade. A
@@ -268,7 +270,7 @@ struct hd_sample {
     int64_t time_ns; /* the deadline of this tick */
     double position_m[2];
     double velocity_m_per_s[2];
-    double contact_force_n[2];   /* objects and fields, after the passivity controller, before the limit */
+    double contact_force_n[2];   /* objects, fields and stream, after the passivity controller, before the limit */
     double vibration_force_n[2]; /* modes and noise, before the limit */
     double force_n[2];           /* the command, after every limit */
     uint32_t revision;

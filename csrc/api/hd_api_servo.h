@@ -25,6 +25,7 @@ struct hd_servo_config {
     uint32_t unused;
     double frozen_s; /* reports that say the same position for this long under force are a fault; 0: never */
     double frozen_force_n;
+    double stream_timeout_s; /* a stream ends when nothing came for this long: 0.002 to 1 */
 };
 
 /* What becomes of an overload, beside its event. HD_OVERRUN_STEP_DOWN: the force fades out and the thread ends, so that
@@ -62,6 +63,30 @@ struct hd_command {
     double amplitude;
     struct hd_mode mode;
     struct hd_operator *path; /* the servo holds it as long as it uses it */
+};
+
+/* What is streamed: the newest value counts, and there is no answer. The servo goes to it in a straight line over the
+ * time that usually lies between two of them, one period at least and the time-out at most.
+ *
+ * HD_STREAM_TARGET: where the simulated hand wants to be, m; its reference goes there with at most
+ * HD_STREAM_MAX_M_PER_S and stays. It takes the place of a path, and a path takes its place.
+ * HD_STREAM_FORCE: N, part of the contact force like that of a constant field; at most the force limit, and never
+ * faster than max_force_n / ramp_s. When none came for the time-out it goes to zero over the ramp. */
+enum hd_stream_kind { HD_STREAM_TARGET = 0, HD_STREAM_FORCE = 1 };
+
+#define HD_STREAMS 2
+#define HD_STREAM_MAX_M_PER_S 2
+
+/* Of one kind. All that were sent are used or superseded, at the latest a tick after they were sent. */
+struct hd_stream_counters {
+    uint64_t used;       /* those that the servo took */
+    uint64_t superseded; /* those that a newer one took the place of before a tick could take them */
+    uint64_t limited;    /* of those used, those that could not be followed as they were meant: too large, too fast */
+    uint64_t timeouts;   /* times that none came for the time-out */
+    uint64_t seq;        /* of the last one used */
+    uint64_t tick;       /* that took it */
+    uint32_t active;     /* one came within the time-out */
+    uint32_t unused;
 };
 
 /* A snapshot of the counters that the servo keeps; each is read on its own. */
@@ -128,6 +153,11 @@ void hd_servo_free(struct hd_servo *servo);
 int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table);
 /* Sends `count` commands, all or none. *sequence is the number of the last. One caller at a time. */
 int hd_servo_send(struct hd_servo *servo, const struct hd_command *commands, size_t count, uint64_t *sequence);
+/* Sends a value of a stream (enum hd_stream_kind) under a number of the caller's. There is always room. HD_ERR_INVALID:
+ * not a finite number, a target beyond 1000 m, or one without a simulated joystick. One caller at a time. */
+int hd_servo_stream(struct hd_servo *servo, uint32_t kind, uint64_t seq, const double value[2]);
+/* `seq` and `tick` belong together; the others are read each on its own. `kind` is below HD_STREAMS. Any thread. */
+void hd_servo_stream_counters(const struct hd_servo *servo, uint32_t kind, struct hd_stream_counters *counters);
 /* Wait until the servo has taken that command or revision; *tick is the tick that took it (for a revision: the first
  * tick rendered with it or a later one). */
 int hd_servo_wait_command(struct hd_servo *servo, uint64_t sequence, int64_t timeout_ns, uint64_t *tick);

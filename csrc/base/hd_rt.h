@@ -8,6 +8,7 @@
  *   hd_atomic     atomics whose every access names its memory order
  *   hd_ring       records from one thread to one other, none lost
  *   hd_triple     the newest value from one thread to one other
+ *   hd_spacing    the usual time between things that arrive
  *   hd_clock      the servo's clock and its sleep
  *   hd_memory     memory touched and locked before the servo starts
  *   hd_cache      memory fetched before a tick uses it

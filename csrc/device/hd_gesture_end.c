@@ -17,6 +17,14 @@ HD_RT void hd_gesture_begin(struct hd_state *state, struct hd_sim *sim, const st
     hd_sim_step_operate(sim, path);
 }
 
+HD_RT int hd_gesture_lead(struct hd_state *state, struct hd_sim *sim, const double target_m[2], double duration_s,
+                          int64_t time_ns) {
+    if (hd_sim_step_progress(sim) != HD_PROGRESS_NONE) {
+        add_end(state, 0, time_ns);
+    }
+    return hd_sim_step_lead(sim, target_m, duration_s);
+}
+
 HD_RT void hd_gesture_watch(struct hd_state *state, struct hd_sim *sim, int64_t time_ns) {
     const enum hd_progress progress = hd_sim_step_progress(sim);
     if (progress == HD_PROGRESS_NONE) {

@@ -73,32 +73,47 @@ HD_RT size_t hd_operator_first(const struct hd_operator *path) {
     return path->waypoints[0][0] < HD_WAYPOINT_MIN_STEP_S ? 1 : 0;
 }
 
-HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, const double reference_m[2],
-                               struct hd_segment *segment) {
-    if (index >= path->count) {
-        const double *last = path->waypoints[path->count - 1];
-        *segment = (struct hd_segment){
-            .profile = HD_PROFILE_HOLD,
-            .start_s = last[0],
-            .end_s = (double)INFINITY,
-            .duration_s = (double)INFINITY,
-            .from_m = {last[1], last[2]},
-        };
-        return;
-    }
-    const double *to = path->waypoints[index];
-    const double start_s = index > 0 ? path->waypoints[index - 1][0] : 0.0;
-    const double *from_m = index > 0 ? &path->waypoints[index - 1][1] : reference_m;
-    const double rate_per_s = 1.0 / (to[0] - start_s);
-    const double travel_m[2] = {to[1] - from_m[0], to[2] - from_m[1]};
+HD_RT void hd_operator_rest(const double at_m[2], double start_s, struct hd_segment *segment) {
     *segment = (struct hd_segment){
-        .profile = path->profile,
+        .profile = HD_PROFILE_HOLD,
         .start_s = start_s,
-        .end_s = to[0],
-        .duration_s = to[0] - start_s,
+        .end_s = (double)INFINITY,
+        .duration_s = (double)INFINITY,
+        .from_m = {at_m[0], at_m[1]},
+    };
+}
+
+/* From `start_s` on. */
+HD_RT static void go(enum hd_profile profile, const double from_m[2], const double to_m[2], double start_s,
+                     double end_s, struct hd_segment *segment) {
+    const double rate_per_s = 1.0 / (end_s - start_s);
+    const double travel_m[2] = {to_m[0] - from_m[0], to_m[1] - from_m[1]};
+    *segment = (struct hd_segment){
+        .profile = profile,
+        .start_s = start_s,
+        .end_s = end_s,
+        .duration_s = end_s - start_s,
         .rate_per_s = rate_per_s,
         .from_m = {from_m[0], from_m[1]},
         .travel_m = {travel_m[0], travel_m[1]},
         .speed_m_per_s = {travel_m[0] * rate_per_s, travel_m[1] * rate_per_s},
     };
+}
+
+HD_RT void hd_operator_line(const double from_m[2], const double to_m[2], double duration_s,
+                            struct hd_segment *segment) {
+    go(HD_PROFILE_LINEAR, from_m, to_m, 0.0, duration_s, segment);
+}
+
+HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, const double reference_m[2],
+                               struct hd_segment *segment) {
+    if (index >= path->count) {
+        const double *last = path->waypoints[path->count - 1];
+        hd_operator_rest(&last[1], last[0], segment);
+        return;
+    }
+    const double *to = path->waypoints[index];
+    const double start_s = index > 0 ? path->waypoints[index - 1][0] : 0.0;
+    const double *from_m = index > 0 ? &path->waypoints[index - 1][1] : reference_m;
+    go(path->profile, from_m, &to[1], start_s, to[0], segment);
 }

@@ -37,6 +37,11 @@ HD_RT size_t hd_operator_first(const struct hd_operator *path);
 HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, const double reference_m[2],
                                struct hd_segment *segment);
 
+/* A line of its own, from time 0 on, and rest from `start_s` on. */
+HD_RT void hd_operator_line(const double from_m[2], const double to_m[2], double duration_s,
+                            struct hd_segment *segment);
+HD_RT void hd_operator_rest(const double at_m[2], double start_s, struct hd_segment *segment);
+
 /* The reference of one axis and its derivatives, `local_s` after the segment's start. */
 HD_RT static inline void hd_segment_reference(const struct hd_segment *segment, int axis, double local_s,
                                               double reference[HD_REFERENCE_ORDERS]) {

@@ -7,6 +7,9 @@
 #include "base/hd_rt.h"
 
 HD_RT void hd_sim_step_operate(struct hd_sim *sim, const struct hd_operator *path);
+/* The hand goes from where it wants to be now to `target_m` in a straight line, in `duration_s` or, where that would be
+ * faster than HD_STREAM_MAX_M_PER_S, as fast as that; 1: so it was. There it stays. */
+HD_RT int hd_sim_step_lead(struct hd_sim *sim, const double target_m[2], double duration_s);
 HD_RT void hd_sim_step_put(struct hd_sim *sim, const double force_n[2]);
 HD_RT void hd_sim_step_advance(struct hd_sim *sim, uint32_t periods);
 HD_RT void hd_sim_step_read(struct hd_sim *sim, struct hd_reading *reading);

@@ -101,7 +101,8 @@ struct hd_sim {
     uint64_t arrive_at;    /* when the next force of the link arrives; UINT64_MAX: none is under way */
 
     /* What a period with events touches, too. */
-    const struct hd_operator *path; /* NULL: it rests */
+    const struct hd_operator *path; /* NULL: it rests, or is on its way to target_m */
+    double target_m[2];
     size_t path_index;
     double path_end_s;      /* of the last waypoint */
     double segment_limit_s; /* limit_s, or less where the reference is curved */

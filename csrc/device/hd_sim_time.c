@@ -11,6 +11,7 @@
 #include <stddef.h>
 
 #include "base/hd_cache.h"
+#include "base/hd_vector.h"
 
 /* Adding and subtracting it rounds to the nearest integer, up to 2^51. */
 #define HD_ROUND_MAGIC 6755399441055744.0
@@ -48,8 +49,8 @@ HD_RT static void span(struct hd_sim *sim, double local_s, double span_s) {
     }
 }
 
-HD_RT static void enter_segment(struct hd_sim *sim, const double reference_m[2]) {
-    hd_operator_segment(sim->path, sim->path_index, reference_m, &sim->segment);
+/* Into the segment that sim->segment is now. */
+HD_RT static void begin_segment(struct hd_sim *sim) {
     sim->segment_limit_s = sim->limit_s;
     if (sim->segment.profile == HD_PROFILE_MINIMUM_JERK && sim->segment.duration_s < 8.0 * sim->limit_s) {
         sim->segment_limit_s = sim->segment.duration_s / 8.0;
@@ -65,11 +66,26 @@ HD_RT static void enter_segment(struct hd_sim *sim, const double reference_m[2])
     }
 }
 
+HD_RT static void enter_segment(struct hd_sim *sim, const double reference_m[2]) {
+    hd_operator_segment(sim->path, sim->path_index, reference_m, &sim->segment);
+    begin_segment(sim);
+}
+
+/* After a line to a streamed target: it stays there. */
+HD_RT static void arrive_at_target(struct hd_sim *sim) {
+    hd_operator_rest(sim->target_m, sim->segment.end_s, &sim->segment);
+    begin_segment(sim);
+}
+
 /* The segment that holds the time `path_s`, or begins there. */
 HD_RT static void find_segment(struct hd_sim *sim, double path_s) {
     while (path_s >= sim->segment.end_s - HD_SAME_TIME * sim->period_s) {
-        sim->path_index++;
-        enter_segment(sim, sim->segment.from_m);
+        if (sim->path == NULL) {
+            arrive_at_target(sim);
+        } else {
+            sim->path_index++;
+            enter_segment(sim, sim->segment.from_m);
+        }
     }
 }
 
@@ -309,6 +325,21 @@ HD_RT void hd_sim_step_operate(struct hd_sim *sim, const struct hd_operator *pat
     sim->path_announced = false;
     enter_segment(sim, reference_m);
     find_segment(sim, 0.0);
+}
+
+HD_RT int hd_sim_step_lead(struct hd_sim *sim, const double target_m[2], double duration_s) {
+    double reference_m[2] = {0.0, 0.0}; // gcc's analyser cannot see that both are written
+    hd_sim_reference(sim, reference_m);
+    const double fastest_s = hd_distance(reference_m, target_m) / (double)HD_STREAM_MAX_M_PER_S;
+    const int limited = fastest_s > duration_s * (1.0 + HD_SAME_TIME);
+    sim->path = NULL;
+    sim->path_tick = sim->tick;
+    sim->path_announced = true;
+    sim->target_m[0] = target_m[0];
+    sim->target_m[1] = target_m[1];
+    hd_operator_line(reference_m, target_m, limited ? fastest_s : duration_s, &sim->segment);
+    begin_segment(sim);
+    return limited;
 }
 
 HD_RT enum hd_progress hd_sim_step_progress(const struct hd_sim *sim) {

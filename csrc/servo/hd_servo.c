@@ -32,6 +32,9 @@ static int config_check(const struct hd_servo_config *config) {
     if (!(config->frozen_s >= 0.0 && config->frozen_force_n >= 0.0)) {
         return hd_invalid("servo: frozen after %g s under %g N", config->frozen_s, config->frozen_force_n);
     }
+    if (!(config->stream_timeout_s >= 0.002 && config->stream_timeout_s <= 1.0)) {
+        return hd_invalid("servo: a time-out of streams of %g s is not between 0.002 and 1", config->stream_timeout_s);
+    }
     if (config->clock != HD_CLOCK_TIMER && config->clock != HD_CLOCK_DEVICE) {
         return hd_invalid("servo: clock %u", config->clock);
     }
@@ -77,6 +80,9 @@ struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_si
     servo->suspended_ns = INT64_MAX - HD_SUSPEND_NS;
     hd_triple_init(&servo->table_triple);
     hd_triple_init(&servo->touching_triple);
+    for (uint32_t kind = 0; kind < HD_STREAMS; kind++) {
+        hd_triple_init(&servo->streams[kind].triple);
+    }
     servo->state = hd_state_new(config->slot_capacity);
     if (servo->state == NULL ||
         hd_ring_init(&servo->commands, sizeof(struct hd_command), HD_COMMAND_CAPACITY) != HD_OK ||

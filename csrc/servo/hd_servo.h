@@ -4,6 +4,7 @@
  *   hd_servo_thread.c      the thread: deadlines, and one tick from wake-up to the force that is put
  *   hd_servo_watch.c       what calls for zero force: a lost or frozen device, control, lease, load, suspends
  *   hd_servo_commands.c    commands, from control to the tick that takes them
+ *   hd_servo_streams.c     streamed targets and forces, from control to the tick that uses the newest
  *   hd_servo_tables.c      tables, from control to the tick that takes them, in memory that is locked
  *   hd_servo_telemetry.c   samples, events, what is touched and counters, from the tick to control
  *
@@ -13,10 +14,11 @@
  *   changes, locked                   the publisher's own
  *   paths                             the sender's own
  *   commands                          the sender produces, the servo consumes
+ *   streams                           as struct hd_stream says
  *   samples, events                   the servo produces, one reader consumes
  *   touching_triple + touching        the servo fills the back one, that reader reads the front one
- *   beat, lease_ns, stopping,
- *   memory_refused                    control writes, the servo reads
+ *   beat, lease_ns, streamed,
+ *   stopping, memory_refused          control writes, the servo reads
  *   counters, taken_*, adopted_*      the servo writes, control reads
  *   the rest                          as struct hd_servo says
  *
@@ -31,6 +33,7 @@
 #include "base/hd_histogram.h"
 #include "base/hd_memory.h"
 #include "base/hd_ring.h"
+#include "base/hd_spacing.h"
 #include "base/hd_triple.h"
 #include "device/hd_device.h"
 #include "scene/hd_world.h"
@@ -42,7 +45,8 @@
 #define HD_PATH_CAPACITY (HD_COMMAND_CAPACITY + 2u)
 #define HD_ADOPTED_CAPACITY 256u /* revisions whose first tick is remembered */
 #define HD_CHANGE_CAPACITY 4096u
-#define HD_SUSPEND_NS 50000000 /* a suspend of the machine that is shorter is none */
+#define HD_STREAM_REMEMBERED 256u /* values of a stream whose ticks are remembered, a power of two */
+#define HD_SUSPEND_NS 50000000    /* a suspend of the machine that is shorter is none */
 
 /* What a world has missed since it was filled last. More slots than are changed do no harm. */
 struct hd_changes {
@@ -61,6 +65,32 @@ struct hd_touching {
 struct hd_held_path {
     uint64_t sequence; /* of its command */
     struct hd_operator *path;
+};
+
+struct hd_streamed_value {
+    uint64_t number; /* of this kind, from 1 on */
+    uint64_t seq;    /* the sender's */
+    double value[2];
+};
+
+/* Values of one kind. */
+struct hd_stream {
+    /* Control fills the back one and counts; the servo reads the front one. */
+    struct hd_triple triple;
+    struct hd_streamed_value values[3];
+    uint64_t sent;
+    /* The servo's own. */
+    alignas(HD_CACHE_LINE) uint64_t taken; /* the number of the last one */
+    int64_t taken_ns;                      /* the time of its tick */
+    struct hd_spacing spacing;
+    /* The servo writes, control reads. `used` comes after what it tells of. */
+    struct hd_atomic_u64 used;
+    struct hd_atomic_u64 superseded;
+    struct hd_atomic_u64 limited;
+    struct hd_atomic_u64 timeouts;
+    struct hd_atomic_u32 active;
+    struct hd_atomic_u64 used_seq[HD_STREAM_REMEMBERED];
+    struct hd_atomic_u64 used_tick[HD_STREAM_REMEMBERED];
 };
 
 /* Grouped by who touches it and how often. What a tick touches between its wake-up and the force that is put comes
@@ -86,10 +116,12 @@ struct hd_servo {
     uint32_t until_look; /* ticks, to the next look whether the machine was suspended */
     uint32_t connection; /* of the device, that positions are of */
     uint8_t device_lost;
-    uint8_t offloading; /* the device may be playing something by itself */
-    uint8_t ending;     /* the force fades out, whatever is still commanded */
-    uint8_t stepping;   /* that is for another rate */
-    uint8_t wanted;     /* stepping: whether forces are wanted then */
+    uint8_t offloading;     /* the device may be playing something by itself */
+    uint8_t ending;         /* the force fades out, whatever is still commanded */
+    uint8_t stepping;       /* that is for another rate */
+    uint8_t wanted;         /* stepping: whether forces are wanted then */
+    uint8_t streaming;      /* a stream is followed */
+    uint64_t streams_taken; /* as much of `streamed` was looked at */
     double last_force_n;
     int64_t late_ns;            /* of this tick, against the first deadline that it missed */
     uint64_t touches_published; /* of the state's */
@@ -97,6 +129,7 @@ struct hd_servo {
     /* Each tick. Control writes, the servo reads. */
     alignas(HD_CACHE_LINE) struct hd_atomic_u64 beat;
     struct hd_atomic_i64 lease_ns;
+    struct hd_atomic_u64 streamed; /* values sent, of all streams */
     struct hd_atomic_u32 stopping;
     struct hd_atomic_u32 memory_refused;
 
@@ -139,6 +172,9 @@ struct hd_servo {
     struct hd_triple touching_triple;
     struct hd_touching touching[3];
 
+    /* While something is streamed. */
+    struct hd_stream streams[HD_STREAMS];
+
     /* Now and then. The servo's own; control's while no thread runs. */
     alignas(HD_CACHE_LINE) uint32_t refused; /* memory_refused, as it was told */
     int64_t suspended_ns;                    /* by how much CLOCK_BOOTTIME is ahead, at most */
@@ -175,6 +211,14 @@ HD_RT void hd_servo_watch_load(struct hd_servo *servo, uint32_t periods, uint32_
 HD_RT void hd_servo_watch_suspends(struct hd_servo *servo, int64_t time_ns);
 /* Everything else but the tick itself that can call for zero force. */
 HD_RT void hd_servo_watch(struct hd_servo *servo, const struct hd_look *look, int64_t now_ns, int64_t time_ns);
+
+/* hd_servo_streams.c: the newest value of each stream; what became too old ends its stream. */
+HD_RT void hd_servo_follow_streams(struct hd_servo *servo, int64_t time_ns);
+HD_RT static inline void hd_servo_take_streams(struct hd_servo *servo, int64_t time_ns) {
+    if (servo->streaming || hd_atomic_u64_load_relaxed(&servo->streamed) != servo->streams_taken) {
+        hd_servo_follow_streams(servo, time_ns);
+    }
+}
 
 /* hd_servo_commands.c: commands of the table's revision or older, in order; a later one waits for its table. */
 HD_RT void hd_servo_take_commands(struct hd_servo *servo, int64_t time_ns);

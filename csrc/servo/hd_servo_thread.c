@@ -53,6 +53,7 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     if (servo->stepping) {
         hd_state_want_forces(state, servo->wanted);
     }
+    hd_servo_take_streams(servo, deadline_ns); /* before commands: a path takes the place of what was streamed */
     hd_servo_take_commands(servo, deadline_ns);
     hd_servo_watch_load(servo, periods, servo->missed, deadline_ns);
     hd_servo_watch_suspends(servo, deadline_ns);

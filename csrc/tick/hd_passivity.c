@@ -131,12 +131,18 @@ HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *tabl
     }
     const int touched = state->active_count > 0 || is->object_n[0] != 0.0 || is->object_n[1] != 0.0;
     struct hd_push pending = {.size_n = 0.0};
-    if (passivity->running) {
+    const int ran = passivity->running;
+    if (ran) {
         settle(passivity, state, table, input);
         add_up(passivity, 0, table->report_age + passivity->waited, &pending);
         passivity->running = touched || pending.size_n > 0.0;
     }
     if (!touched) {
+        /* A residual that is over in this tick would not be if ramps stood still. */
+        if (ran && still->weight > 0.0 && (still->object_n[0] != 0.0 || still->object_n[1] != 0.0)) {
+            control(passivity, table, passivity->brake * table->brake_n_s_per_m, &pending, input->velocity_m_per_s,
+                    still);
+        }
         return;
     }
     if (!passivity->running) {

@@ -13,11 +13,6 @@ HD_RT static void scale(double factor, double vector[2]) {
     vector[1] *= factor;
 }
 
-/* The slope that no command exceeds, in newtons a tick. */
-HD_RT static double pace(const struct hd_table *table) {
-    return table->max_force_n * table->ramp_step;
-}
-
 HD_RT void hd_ramp_forget(struct hd_state *state) {
     state->change = (struct hd_change){.any = 0};
 }
@@ -77,7 +72,7 @@ HD_RT static void yield(struct hd_residual *residual) {
 
 HD_RT static void fade(struct hd_residual *residual, const struct hd_table *table) {
     const double size = extent_of(residual, table);
-    const double most = pace(table);
+    const double most = hd_ramp_pace(table);
     /* Then the ramp or the limit is another now. */
     if (size > most * (double)residual->remaining * (1.0 + HD_RAMP_ROUNDING)) {
         shrink(residual, (size - most) / size);
@@ -100,17 +95,22 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
         return 0;
     }
     ramped->changed = change->any || shown != state->show_force;
-    double was[2];
+    double was[2];    /* without the changes of this tick, */
+    double before[2]; /* and without the way that the stream went in it */
     double was_object[2];
     for (int axis = 0; axis < 2; axis++) {
         was[axis] = shown * (context->force_n[axis] + change->field_n[axis] + change->object_n[axis]);
+        before[axis] = was[axis] - (change->streams ? shown * state->streamed.step_n[axis] : 0.0);
         was_object[axis] = shown * (context->object_n[axis] + change->object_n[axis]);
     }
     const double limit = hd_limit_of(state, table);
     const double was_cut = hd_limit_cut(was, limit);
     const double cut = hd_limit_cut(contact_n, limit);
     /* Without a residual the limit is left to hd_limit.c, which looks at contact and vibration together. */
-    const double still_cut = residual->remaining > 0 || ramped->cuts ? was_cut : 1.0;
+    const int cuts = residual->remaining > 0 || ramped->cuts;
+    const double was_part = cuts ? was_cut : 1.0;
+    const double before_cut = hd_limit_cut(before, limit);
+    const double before_part = cuts ? before_cut : 1.0;
     double is[2];
     double is_object[2];
     for (int axis = 0; axis < 2; axis++) {
@@ -118,24 +118,25 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
         object_n[axis] = state->show_force * context->object_n[axis];
         is_object[axis] = cut * object_n[axis];
         residual->was_n[axis] = residual->pressed_n[axis];
-        residual->pressed_n[axis] = was_cut * was[axis];
+        residual->pressed_n[axis] = before_cut * before[axis]; /* a stream that goes is no hand that lets go */
     }
     if (residual->remaining > 0) {
         yield(residual);
     }
     for (int axis = 0; axis < 2; axis++) {
-        ramped->still_n[axis] = still_cut * was[axis] + residual->force_n[axis];
-        ramped->still_object_n[axis] = still_cut * was_object[axis] + residual->object_n[axis];
-        ramped->still_whole_n[axis] = was[axis] + residual->force_n[axis] + residual->beyond_n[axis];
+        residual->pressed_n[axis] = was_cut * was[axis];
+        ramped->still_n[axis] = before_part * before[axis] + residual->force_n[axis];
+        ramped->still_object_n[axis] = before_part * was_object[axis] + residual->object_n[axis];
+        ramped->still_whole_n[axis] = before[axis] + residual->force_n[axis] + residual->beyond_n[axis];
     }
     if (change->whole && residual->remaining > 0) {
         fade(residual, table);
     }
     if (ramped->changed) {
-        double felt[2] = {still_cut * was[0] + residual->force_n[0], still_cut * was[1] + residual->force_n[1]};
+        double felt[2] = {was_part * was[0] + residual->force_n[0], was_part * was[1] + residual->force_n[1]};
         const double felt_cut = hd_limit_cut(felt, limit);
         for (int axis = 0; axis < 2; axis++) {
-            const double felt_object = still_cut * was_object[axis] + residual->object_n[axis];
+            const double felt_object = was_part * was_object[axis] + residual->object_n[axis];
             const double whole = was[axis] + residual->force_n[axis] + residual->beyond_n[axis];
             residual->force_n[axis] = felt_cut * felt[axis] - is[axis];
             residual->object_n[axis] = felt_cut * felt_object - is_object[axis];
@@ -168,17 +169,19 @@ HD_RT static void hold(struct hd_state *state, const struct hd_table *table, str
     double step[2];
     hd_difference(force_n, still_n, step);
     const double taken = hd_magnitude(gain_step) * hd_root(hd_dot(still_n, still_n));
-    const double room = pace(table) > taken ? pace(table) - taken : 0.0;
+    const double room = hd_ramp_pace(table) > taken ? hd_ramp_pace(table) - taken : 0.0;
     const double size = hd_root(hd_dot(step, step));
     if (!(size * (1.0 - HD_RAMP_ROUNDING) > room)) {
         return;
     }
     const double part = room / size;
+    /* As far as the controller knows; but a stream that waits is none of theirs. */
+    ramped->held_of_objects = state->passivity.running && !state->change.streams;
     for (int axis = 0; axis < 2; axis++) {
         const double held = still_n[axis] + part * step[axis];
         ramped->held_n[axis] = held - force_n[axis];
         residual->force_n[axis] += ramped->held_n[axis];
-        if (state->passivity.running) { /* it is the objects' as far as the controller knows */
+        if (ramped->held_of_objects) {
             residual->object_n[axis] += ramped->held_n[axis];
         }
         force_n[axis] = held;

@@ -33,7 +33,8 @@ struct hd_ramped {
     double still_object_n[2]; /* the part of it that objects make, */
     double still_whole_n[2];  /* and that without the limit */
     double whole_n[2];        /* the contact force that is felt, without the limit */
-    double held_n[2];         /* out of hd_ramp_command: what it took back */
+    double held_n[2];         /* out of hd_ramp_command: what it took back, */
+    int held_of_objects;      /* and that it is theirs */
 };
 
 /* Where there is a change, a residual, or another display: brings the contact force, as it is displayed, to what is
@@ -48,6 +49,11 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
 HD_RT void hd_ramp_command(struct hd_context *context, struct hd_ramped *ramped, const double contact_n[2],
                            const double vibration_n[2], const double still_n[2], double gain_step, double force_n[2],
                            uint32_t *flags);
+/* The slope that no command exceeds, in newtons a tick. */
+HD_RT static inline double hd_ramp_pace(const struct hd_table *table) {
+    return table->max_force_n * table->ramp_step;
+}
+
 /* What was noted of changes is taken in. */
 HD_RT void hd_ramp_forget(struct hd_state *state);
 /* Nothing of the force before counts. */

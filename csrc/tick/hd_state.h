@@ -60,14 +60,29 @@ struct hd_surface {
 
 /* What commands take from the force. */
 struct hd_change {
-    uint8_t any;   /* object_n, field_n and noise_n are not all zero */
-    uint8_t eases; /* eased_n is not zero */
-    uint8_t whole; /* something came or went: what that makes is whole in this tick, and fades from the next one on */
+    uint8_t any;     /* object_n, field_n and noise_n are not all zero */
+    uint8_t eases;   /* eased_n is not zero */
+    uint8_t streams; /* the streamed force went by streamed.step_n in this tick */
+    uint8_t whole;   /* something came or went: what that makes is whole in this tick, and fades from the next one on */
     double object_n[2]; /* of what is touched */
     double field_n[2];
     double noise_n[2];  /* of noises that are no more: what they would be in this tick */
     double eased_n[2];  /* what noises that are on a ramp are more than they would be if it stood still */
     double noise_rms_n; /* what the RMS of noises would be more in this tick without changes and ramps */
+};
+
+/* The streamed force: see hd_stream.h. */
+struct hd_streamed {
+    double value_n[2]; /* at the last tick */
+    double step_n[2];  /* to it from the one before */
+    double from_n[2];  /* the line that it follows, */
+    double to_n[2];
+    double length_s;  /* in so much time, */
+    uint64_t periods; /* so many of which have passed */
+    uint64_t limited; /* values that could not be followed as they were meant */
+    uint8_t fresh;    /* the line begins in this tick */
+    uint8_t behind;   /* that is known of this value */
+    uint8_t ends;     /* the line leads to nothing, because no value came */
 };
 
 /* What was felt before a change and is not the scene's any more, on its way to zero: see hd_ramp.h. */
@@ -233,6 +248,7 @@ struct hd_state {
     uint8_t field_active; /* the field exerts a force */
     uint8_t field_known;  /* it is the table's, but for a change of its version */
     uint8_t candidates_known; /* candidates[] holds for candidates_center_m */
+    uint8_t streams;          /* there is a streamed force */
     uint8_t commanded;        /* there was a command */
     uint8_t offload_open;     /* the device plays effects by itself: whoever calls the tick says so */
     double gain;              /* of the whole command: enabling and fading */
@@ -264,6 +280,7 @@ struct hd_state {
     uint32_t kick_count;         /* of kicks_n[] that are not zero, from the first on */
     double kicks_n[HD_KICKS][2]; /* what strikes add to this tick and the next ones */
     struct hd_field field;
+    struct hd_streamed streamed;
     uint64_t strikes_total;
     uint64_t glitches_total;
     uint64_t saturations_total;

@@ -14,6 +14,7 @@
 #include "tick/hd_offload.h"
 #include "tick/hd_passivity.h"
 #include "tick/hd_ramp.h"
+#include "tick/hd_stream.h"
 #include "tick/hd_strike.h"
 
 /* Positions are rounded, so that motion at the very limit may seem to exceed it. */
@@ -68,6 +69,7 @@ HD_RT static void resynchronise(struct hd_state *state, const struct hd_input *i
     hd_ramp_clear(state);
     state->field = (struct hd_field){.force_n = {0.0, 0.0}};
     state->field_known = 0;
+    hd_stream_drop(state);
 }
 
 HD_RT static inline double toward(double value, double target, double step) {
@@ -195,12 +197,17 @@ HD_RT static inline void advance(struct hd_state *state, uint32_t periods) {
     }
 }
 
-/* The force of objects and fields, into the context. */
-HD_RT static inline void touch(struct hd_context *context) {
+/* The force of objects, fields and stream, into the context. */
+HD_RT static inline void touch(struct tick *tick) {
+    struct hd_context *context = &tick->context;
     hd_narrow_phase(context);
     context->object_n[0] = context->force_n[0];
     context->object_n[1] = context->force_n[1];
     hd_field_add(context);
+    if (context->state->streams) {
+        hd_stream_add(context);
+        tick->flags |= HD_FLAG_STREAMED;
+    }
 }
 
 /* The passivity controller's part: of what is felt, and of what would be felt if every ramp stood still. `controlled`:
@@ -246,7 +253,7 @@ HD_RT static void ramp_contact(struct tick *tick) {
         const double wanted = controls ? 1.0 : 0.0;
         state->controls = state->started ? toward(controlled, wanted, context->ramp_step) : wanted;
     }
-    const int due = state->change.any || state->residual.remaining > 0 ||
+    const int due = state->change.any || state->change.streams || state->residual.remaining > 0 ||
                     state->show_force != (double)table->display_force || ramped->cuts;
     ramped->any = due && hd_ramp_contact(context, tick->object_n, tick->contact_n, ramped);
     tick->watches = table->passivity != HD_PASSIVITY_OFF || ramped->cuts;
@@ -349,6 +356,7 @@ HD_RT static void ramp_command(struct tick *tick, double gain_step) {
         still_n[axis] = tick->shown * (is_ringing(state) ? noise_n + state->ringing_n[axis] : noise_n);
         ramped->held_n[axis] = 0.0;
     }
+    ramped->held_of_objects = 0;
     hd_ramp_command(&tick->context, ramped, tick->contact_n, tick->vibration_n, still_n, gain_step, tick->force_n,
                     &tick->flags);
     if (tick->restrained && (ramped->held_n[0] != 0.0 || ramped->held_n[1] != 0.0)) {
@@ -363,7 +371,7 @@ HD_RT static void tell_observer(struct tick *tick) {
     double contact_n[2] = {tick->contact_n[0], tick->contact_n[1]};
     for (int axis = 0; axis < 2 && (ramped->any || tick->eases); axis++) { /* what was held is commanded, too */
         contact_n[axis] += ramped->held_n[axis];
-        tick->object_n[axis] += ramped->held_n[axis];
+        tick->object_n[axis] += ramped->held_of_objects ? ramped->held_n[axis] : 0.0;
     }
     hd_passivity_hold(&state->passivity, tick->context.table, state->tick, state->gain, tick->object_n, contact_n);
 }
@@ -415,7 +423,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     begin(&tick, world, state, input);
     locate(&tick);
     advance(state, input->periods);
-    touch(&tick.context);
+    touch(&tick);
     display_contact(&tick);
     if (state->strike_count > 0) {
         strike(&tick);
@@ -462,6 +470,15 @@ HD_RT int hd_tick_play(struct hd_state *state, const struct hd_mode *mode, const
     };
     hd_strike_add(state, &strike);
     return HD_OK;
+}
+
+HD_RT void hd_tick_stream(struct hd_state *state, const struct hd_table *table, const double force_n[2],
+                          double duration_s) {
+    hd_stream_aim(state, table, force_n, duration_s);
+}
+
+HD_RT void hd_tick_stream_end(struct hd_state *state, const struct hd_table *table) {
+    hd_stream_end(state, table);
 }
 
 HD_RT void hd_tick_silence(struct hd_state *state) {

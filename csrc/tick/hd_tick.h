@@ -24,6 +24,7 @@
  *   hd_rupture             membranes that rupture and heal
  *   hd_aim                 the direction in which a tap and a rupture push first
  *   hd_field               springs, viscous and constant fields
+ *   hd_stream              the force that a client streams
  *   hd_ramp                what commands may do to the force
  *   hd_passivity           the passivity observer and controller
  *   hd_strike              strikes: noted, scaled to what the limit leaves, started
@@ -51,6 +52,12 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
 /* Strikes a mode by hand (`play`) at the next tick; direction is a unit vector, amplitude in units of the mode.
  * HD_ERR_FULL: enough for this tick, try at the next. */
 HD_RT int hd_tick_play(struct hd_state *state, const struct hd_mode *mode, const double direction[2], double amplitude);
+
+/* A newer value of the streamed force, finite: it goes there in `duration_s` from the next tick on. See hd_stream.h. */
+HD_RT void hd_tick_stream(struct hd_state *state, const struct hd_table *table, const double force_n[2],
+                          double duration_s);
+/* None came any more: it goes to zero over the ramp. */
+HD_RT void hd_tick_stream_end(struct hd_state *state, const struct hd_table *table);
 
 /* Nothing rings any more. */
 HD_RT void hd_tick_silence(struct hd_state *state);

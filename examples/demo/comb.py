@@ -6,6 +6,7 @@ without real-time rights missed periods, strikes nearby are hidden, and the groo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -15,11 +16,11 @@ import numpy.typing as npt
 from rich.table import Table
 
 from examples.demo.marks import Marks
-from examples.demo.perform import Floats, Recorded, stroking
-from examples.demo.strikes import SAME_S, Strikes, strikes_of
+from examples.demo.perform import Floats, Recorded, Unseen, Waypoints, stroking
+from examples.demo.strikes import SAME_S, Strikes, joined_strikes, strikes_of
 from hapticd.base.core import Flag
-from hapticd.base.errors import HapticdError
 from hapticd.config.materials import Material
+from hapticd.config.scene import Scene
 from hapticd.config.texture import Grooves
 
 MATERIAL: Final = "comb_2400um_vibration"
@@ -27,10 +28,11 @@ STROKES: Final = tuple((speed, press, 1) for press in (0.5, 1.0, 1.5) for speed 
 """Each a speed, m/s, and the force that is pressed with, N, once; the second one back, and so on."""
 HALF_M: Final = 0.0304
 """Half a stroke's length. The ends lie between two grooves."""
-PATH, WAYS = stroking(HALF_M, STROKES)
+WAYS = stroking(HALF_M, STROKES)[1]
 UNSCALED: Final = 100
 """Strikes that the force limit left whole, away from gaps, at least: what gains are measured from."""
 ON_PLACE_M: Final = 1e-6
+RAMP_S: Final = Scene().ramp_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,13 @@ class Combing:
     force_n: Floats
     whole: npt.NDArray[np.bool_]
     """Whether the force limit left it as it was, and no ramp hid the force that it follows."""
+    true_speed_m_per_s: Floats
+    """As the nearest event has it."""
+    in_time: npt.NDArray[np.bool_]
+    """Whether that event is of the same time."""
     passed: int
+    told: int
+    """Grooves that events tell of."""
 
     def gains(self, speed: Floats, used: npt.NDArray[np.bool_]) -> Floats:
         """Of speed, 1/s, and of force, m/s^2/N: the least squares of |A| = g_v |v| + g_F F."""
@@ -53,15 +61,47 @@ class Combing:
         return np.asarray(np.linalg.lstsq(columns, abs(self.strikes.amplitude[used]), rcond=None)[0])
 
 
+def path(times: int) -> Waypoints:
+    """Of all strokes so many times, one after the other; WAYS are those of the first time."""
+    return stroking(HALF_M, STROKES * times)[0]
+
+
+def joined(found: Sequence[Combing]) -> Combing:
+    """What was measured in several performances. Raises Unseen where fewer than UNSCALED strikes came through whole."""
+    whole = np.concatenate([each.whole for each in found])
+    if whole.sum() < UNSCALED:
+        raise Unseen(f"{int(whole.sum())} strikes of the comb came through whole, {UNSCALED} are wanted")
+
+    def all_of(field: str) -> Floats:
+        return np.concatenate([getattr(each, field) for each in found])
+
+    return Combing(
+        strikes=joined_strikes([each.strikes for each in found]),
+        groove=np.concatenate([each.groove for each in found]),
+        position_m=all_of("position_m"),
+        speed_m_per_s=all_of("speed_m_per_s"),
+        force_n=all_of("force_n"),
+        whole=whole,
+        true_speed_m_per_s=all_of("true_speed_m_per_s"),
+        in_time=np.concatenate([each.in_time for each in found]),
+        passed=sum(each.passed for each in found),
+        told=sum(each.told for each in found),
+    )
+
+
 def passages(recorded: Recorded, spacing_m: float) -> tuple[npt.NDArray[np.int64], Floats]:
-    """Which grooves were passed under pressure, and when; within a tick the way is straight."""
-    x, pressed = recorded.samples["position_m"][:, 0], recorded.samples["contact_force_n"][:, 1] > 0
+    """Which grooves were passed under pressure, and when; within a tick the way is straight.
+
+    Where periods were missed for longer than the ramp, the surface is met anew, and nothing is struck on the way.
+    """
+    x, below = recorded.samples["position_m"][:, 0], recorded.samples["position_m"][:, 1] < 0
+    felt = below[:-1] & below[1:] & (np.diff(recorded.time_s) < RAMP_S + 0.5 / recorded.rate_hz)
     cell = np.floor(x / spacing_m).astype(np.int64)
     # The quotient is rounded; the groove lies at the rounded product.
     cell += (cell + 1) * spacing_m <= x
     cell -= cell * spacing_m > x
     found: list[tuple[int, int]] = []
-    for n in np.flatnonzero((np.diff(cell) != 0) & pressed[:-1] & pressed[1:]).tolist():
+    for n in np.flatnonzero((np.diff(cell) != 0) & felt).tolist():
         low, high = sorted((int(cell[n]), int(cell[n + 1])))
         met = range(low + 1, high + 1)
         found += [(n, groove) for groove in (met if cell[n + 1] > cell[n] else reversed(met))]
@@ -77,7 +117,10 @@ def passages(recorded: Recorded, spacing_m: float) -> tuple[npt.NDArray[np.int64
 
 
 def measured(recorded: Recorded, material: Material) -> Combing:
-    """Everything about the comb that telemetry tells; the library says only where grooves should have been."""
+    """Everything about the comb that telemetry tells; the library says only where grooves should have been.
+
+    Raises Unseen where no strike can be seen.
+    """
     assert isinstance(material.texture, Grooves)
     groove, due = passages(recorded, material.texture.spacing_m)
     strikes = strikes_of(recorded, 0, due)
@@ -89,8 +132,9 @@ def measured(recorded: Recorded, material: Material) -> Combing:
     limited = (recorded.samples["flags"] & (Flag.SATURATED | Flag.RAMPING)) != 0
     near = np.searchsorted(recorded.time_s, strikes.onset_s).tolist()
     whole = ~np.array([limited[max(0, n - 1) : n + 2].any() for n in near])
-    if whole.sum() < UNSCALED:
-        raise HapticdError(f"{int(whole.sum())} strikes of the comb came through whole, {UNSCALED} are wanted")
+    events = recorded.told("groove")
+    onsets = np.array([recorded.onset_s(event) for event in events])
+    nearest = abs(strikes.onset_s[:, None] - onsets).argmin(axis=1)
     return Combing(
         strikes=strikes,
         groove=groove[list(strikes.number)],
@@ -98,11 +142,14 @@ def measured(recorded: Recorded, material: Material) -> Combing:
         speed_m_per_s=at_strikes("velocity_m_per_s", 0),
         force_n=at_strikes("contact_force_n", 1),
         whole=whole,
+        true_speed_m_per_s=np.array([event["true_speed_m_per_s"] for event in events])[nearest],
+        in_time=abs(strikes.onset_s - onsets[nearest]) < SAME_S,
         passed=len(due),
+        told=sum(event["count"] for event in events),
     )
 
 
-def table(found: Combing, recorded: Recorded, material: Material, marks: Marks) -> Table:
+def table(found: Combing, material: Material, marks: Marks) -> Table:
     """Measured, library, difference, a line for each."""
     grooves, mode, strikes = material.texture, material.groove_mode, found.strikes
     assert isinstance(grooves, Grooves) and mode is not None
@@ -114,12 +161,7 @@ def table(found: Combing, recorded: Recorded, material: Material, marks: Marks) 
         difference = marks.off(f"comb: {what}", measured, wanted, limit)
         rows.add_row(what, f"{measured:.{digits}f}", f"{wanted:.{digits}f}", difference)
 
-    events = recorded.told("groove")
-    told, seen = sum(event["count"] for event in events), len(strikes.number)
-    onsets = np.array([recorded.onset_s(event) for event in events])
-    nearest = abs(strikes.onset_s[:, None] - onsets).argmin(axis=1)
-    true_speed = np.array([event["true_speed_m_per_s"] for event in events])[nearest]
-    same = found.whole & (abs(strikes.onset_s - onsets[nearest]) < SAME_S)
+    told, seen, same = found.told, len(strikes.number), found.whole & found.in_time
     farthest = float(abs(found.position_m - found.groove * grooves.spacing_m).max())
     marks.expect(strikes.left_over == 0, f"comb: {strikes.left_over} samples ring without a groove")
     marks.expect(told == found.passed, f"comb: {found.passed} grooves passed, events tell of {told}")
@@ -135,7 +177,7 @@ def table(found: Combing, recorded: Recorded, material: Material, marks: Marks) 
     row("decay time, ms", 1e3 * strikes.decay_time_s, 1e3 * mode.decay_time_s, 3, 0.01)
     for which, speed, used, limit in (
         ("", found.speed_m_per_s, found.whole, 0.01),
-        (f" by true speed ({int(same.sum())} strikes)", true_speed, same, 0.03),
+        (f" by true speed ({int(same.sum())} strikes)", found.true_speed_m_per_s, same, 0.03),
     ):
         per_speed, per_force = found.gains(speed, used)
         row(f"velocity gain{which}, 1/s", per_speed, grooves.velocity_gain_per_s, 2, limit)

@@ -32,6 +32,10 @@ REST_S: Final = 0.15
 """Before each stroke."""
 
 
+class Unseen(HapticdError):
+    """Between the periods that the machine missed too little can be seen. It is to be done again."""
+
+
 @dataclass(frozen=True, slots=True)
 class Recorded:
     """Telemetry of one performance, times in seconds from its first sample."""

@@ -15,7 +15,8 @@ import numpy as np
 from rich.table import Table
 
 from examples.demo.marks import Marks
-from examples.demo.perform import Floats, Recorded, stroking
+from examples.demo.perform import Floats, Recorded, Unseen, stroking
+from hapticd.analysis.statistics import FitError
 from hapticd.config.materials import Material
 from hapticd.config.texture import Stochastic
 from hapticd.fit.recording import Recording, Source
@@ -51,7 +52,8 @@ class Sanding:
 def measured(recorded: Recorded, material: Material) -> Sanding:
     """RMS over speed and force, and the spectrum by Welch's method.
 
-    The noise is a sequence of ticks: a missed period makes no gap in it.
+    The noise is a sequence of ticks: a missed period makes no gap in it. Raises Unseen where so many were missed that
+    no block of a stroke is left.
     """
     from scipy.signal import welch
 
@@ -65,7 +67,16 @@ def measured(recorded: Recorded, material: Material) -> Sanding:
         recordings.append(Recording(f"{number}", recorded.rate_hz, noise, force, None, None, speed, Source("", "")))
         pieces.append(noise / np.maximum(_rms(law, speed, force), 1e-9))
     frequency, spectrum = welch(np.concatenate(pieces), recorded.rate_hz, nperseg=SEGMENT, detrend=False)
-    return Sanding(fit_texture(recordings), frequency, spectrum, peak_of(frequency, spectrum, recorded.rate_hz))
+    try:
+        fit = fit_texture(recordings)
+    except FitError as error:
+        if len(recorded.gaps()):
+            raise Unseen(f"between missed periods too little of the strokes is left: {error}") from None
+        raise
+    seen = {WAYS[int(block.recording)][0] for block in fit.blocks}
+    if len(seen) < len(STROKES) and len(recorded.gaps()):
+        raise Unseen(f"missed periods hid {len(STROKES) - len(seen)} of {len(STROKES)} strokes")
+    return Sanding(fit, frequency, spectrum, peak_of(frequency, spectrum, recorded.rate_hz))
 
 
 def _stochastic(material: Material) -> Stochastic:

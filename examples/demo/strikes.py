@@ -15,8 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from examples.demo.perform import Floats, Recorded
-from hapticd.base.errors import HapticdError
+from examples.demo.perform import Floats, Recorded, Unseen
 from hapticd.fit.taps.ringing import SHORTEST, Ringing, fit_ringing
 
 REST: Final = 8
@@ -51,13 +50,26 @@ class Strikes:
         return float(abs(self.onset_s - np.asarray(due_s)[list(self.number)]).max())
 
 
+def joined_strikes(found: Sequence[Strikes]) -> Strikes:
+    """Those of several recordings; numbers and times are of each recording still."""
+    return Strikes(
+        number=tuple(number for each in found for number in each.number),
+        onset_s=np.concatenate([each.onset_s for each in found]),
+        amplitude=np.concatenate([each.amplitude for each in found]),
+        frequency_hz=float(np.median([each.frequency_hz for each in found])),
+        decay_time_s=float(np.median([each.decay_time_s for each in found])),
+        hidden=sum(each.hidden for each in found),
+        left_over=sum(each.left_over for each in found),
+    )
+
+
 def strikes_of(recorded: Recorded, axis: int, due_s: Sequence[float] | Floats) -> Strikes:
-    """The strikes at the times `due_s`, in order. Raises HapticdError where none can be seen."""
+    """The strikes at the times `due_s`, in order. Raises Unseen where none can be seen."""
     time_s, rest = recorded.time_s, recorded.vibration(axis)
     rounding = ROUNDING * float(abs(rest).max())
-    # One exact zero may be the sine's own.
-    silent, gaps = np.flatnonzero((rest[:-1] == 0.0) & (rest[1:] == 0.0)), recorded.gaps()
-    first = np.searchsorted(time_s, due_s, side="right").tolist()
+    gaps, first = recorded.gaps(), np.searchsorted(time_s, due_s, side="right").tolist()
+    # One exact zero may be the sine's own, but for the one after which the next strike begins.
+    silent = np.flatnonzero((rest[:-1] == 0.0) & ((rest[1:] == 0.0) | np.isin(np.arange(1, len(rest)), first)))
     numbers: list[int] = []
     found: list[Ringing] = []
     onsets: list[float] = []
@@ -85,7 +97,7 @@ def strikes_of(recorded: Recorded, axis: int, due_s: Sequence[float] | Floats) -
         decay, omega = ringing.decay_rate_per_s[0], ringing.angular_frequency_rad_per_s[0]
         rest[group] -= ringing.coefficients[0] * np.exp(-decay * since) * np.sin(omega * since)
     if not found:
-        raise HapticdError("no strike can be seen: the machine misses too many periods for the demo")
+        raise Unseen("no strike can be seen: the machine misses too many periods for the demo")
     return Strikes(
         number=tuple(numbers),
         onset_s=np.array(onsets),

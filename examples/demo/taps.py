@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rich.table import Table
 
 from examples.demo.marks import Marks
-from examples.demo.perform import HOVER_M, Floats, Recorded, Waypoints
+from examples.demo.perform import HOVER_M, Floats, Recorded, Unseen, Waypoints
 from examples.demo.strikes import SAME_S, Strikes, strikes_of
 from hapticd.base.errors import HapticdError
 from hapticd.config.materials import Materials
@@ -41,10 +41,10 @@ class Tapped:
         return float(v @ amplitude / (v @ v))
 
 
-def tapping() -> Waypoints:
-    """Waypoints of a hand that taps the floor at y = 0 once at each speed, in straight lines."""
+def tapping(times: int) -> Waypoints:
+    """Waypoints of a hand that taps the floor at y = 0 so many times at each speed, in straight lines."""
     path = [[0.0, 0.0, HOVER_M]]
-    for speed in SPEEDS_M_PER_S:
+    for speed in SPEEDS_M_PER_S * times:
         down_s = (HOVER_M + PRESS_M) / speed
         for height, lasting in ((HOVER_M, 0.05), (-PRESS_M, down_s), (-PRESS_M, HOLD_S), (HOVER_M, 0.09)):
             path.append([path[-1][0] + lasting, 0.0, height])
@@ -52,12 +52,15 @@ def tapping() -> Waypoints:
 
 
 def measured(recorded: Recorded) -> Tapped:
-    """The taps that telemetry shows. Raises HapticdError where there is no slope to measure."""
+    """The taps that telemetry shows. Raises Unseen where missed periods hid too many, HapticdError where there is no
+    slope to measure."""
     events = [event for event in recorded.told("contact") if event["amplitude_m_per_s2"] > 0]
     due = [recorded.onset_s(event) for event in events]
     strikes = strikes_of(recorded, 1, due)
     seen = [events[number] for number in strikes.number]
     whole = np.array([event["scale"] == 1.0 for event in seen])
+    if len(recorded.gaps()) and whole.sum() < UNSCALED:
+        raise Unseen(f"missed periods hid some taps, and {int(whole.sum())} of {UNSCALED} are left")
     if not whole.any():
         raise HapticdError("every tap was scaled down: there is no slope to measure; tap more slowly")
     return Tapped(

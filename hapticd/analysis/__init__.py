@@ -5,6 +5,7 @@
     recordings/   recordings of surfaces in SI units on one clock, with what is wrong in them
     statistics    least squares with intervals
     robust        robust regression: Tukey's bisquare
+    drawing       what every figure and page of results shares: matplotlib, SVG in a page, labels
 
 Questions, and where to begin:
 

@@ -31,11 +31,12 @@ from hapticd.rendering.displayability import (
     materials_in,
     modes_of,
     rate_faults,
+    strike_error,
     undisplayable,
     warnings,
     waveform_of,
 )
-from hapticd.rendering.displayed_error import displayed_error, waveform_error
+from hapticd.rendering.displayed_error import waveform_error
 from hapticd.rendering.driven_hand import driven
 from hapticd.rendering.filter_design import peak_of
 from hapticd.rendering.lagging_modes import lag_warnings
@@ -45,6 +46,11 @@ from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable_text import Use
 
 _UNPLUGGED: Final = "the encoder's step is not known"
+_LINK_UNKNOWN: Final = (
+    "is not given, and the joystick is not connected: vibrations are judged by the servo's rate, although its link may "
+    "carry fewer forces a second; an interval of 4 ms carries 250 reports a second, and a force takes a report "
+    "for each effect"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +147,7 @@ def check(config: Config) -> Report:
         refused=(*device.undrivable, *refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
         warnings=told,
-        notes=(*_gone_through(config), *_doubtful(shown, materials)),
+        notes=(*device.notes, *_gone_through(config), *_doubtful(shown, materials)),
     )
 
 
@@ -198,6 +204,8 @@ class _Device(NamedTuple):
     """Forces a second that its link carries, where that is known."""
     undrivable: tuple[Problem, ...] = ()
     """Why the daemon would not start with a device that is there."""
+    notes: tuple[Problem, ...] = ()
+    """What is assumed of it."""
 
 
 def _device(config: Config) -> _Device:
@@ -220,7 +228,8 @@ def _device(config: Config) -> _Device:
     except UndrivableError as error:
         return _Device(f"{error}{handle}", unknown, None, limit_hz, (Problem("device.hid", str(error)),))
     except HapticdError as error:
-        return _Device(f"not there: {error}{handle}", unknown, None, limit_hz)
+        notes = () if hid.max_rate_hz is not None else (Problem("device.hid.max_rate_hz", _LINK_UNKNOWN),)
+        return _Device(f"not there: {error}{handle}", unknown, None, limit_hz, notes=notes)
     told = f"{found.name} at {found.path}{handle}"
     try:
         _, plan = found.verdict.sound()
@@ -266,17 +275,8 @@ def _checked(name: str, material: Material, used: bool, output: Output) -> Check
         sounds.append(_waveform_sound(waveform, output))
     for use, mode in modes_of(material):
         shown, _ = displayed_mode(mode, output)
-        error = None
-        if shown is mode and output.dynamics is not None:
-            error = displayed_error(
-                mode,
-                output.dynamics,
-                output.carried_hz,
-                output.compensation,
-                output.effective_mass_kg,
-                output.actuator,
-            )
-        sounds.append(Sound(use, mode.frequency_hz, None if shown is None else shown.frequency_hz, error))
+        shown_hz = None if shown is None else shown.frequency_hz
+        sounds.append(Sound(use, mode.frequency_hz, shown_hz, strike_error(mode, output)))
     if isinstance(material.texture, Stochastic):
         pair = displayed_pair(material.texture, output)
         sounds.append(Sound("texture", material.texture.peak_hz, None if pair is None else pair[0], None))

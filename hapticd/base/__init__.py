@@ -7,6 +7,8 @@ The core and the process:
     memory             how a process that runs for months takes its memory
     garbage_collector  Python's collector, paused while very many objects are made
     threads            whether threads can be started under the user's limit of processes
+    tasks              the end of a task of an event loop
+    token_bucket       how much somebody may ask: so much at once, and so much a second
     worker_process     long computations in a separate process, while a long change is taken in
 
 What people and programs write, and what they read:
@@ -14,10 +16,12 @@ What people and programs write, and what they read:
     errors             errors that a user can cause, and the words that report them
     wording            numbers, counts and times as text: 12,340 ticks, 2.5 ms, 19 %
     model              what every validated model shares: strict numbers, limits, faults in the user's words
+    plain_values       values of YAML that a model takes as they are
     arguments          arguments that a program passes to a client, checked before anything is sent
     yaml_source        YAML in: plain data and line numbers
     yaml_mistakes      what a person most likely did wrong in YAML
     yaml_text          YAML out, as the loader reads it
+    html_page          one HTML page without any other file: its frame and its tables
     codec              msgpack of plain data, and values that are encoded once and sent often
     merge_patch        JSON Merge Patch (RFC 7396)
 

@@ -28,6 +28,14 @@ def seconds(name: str, value: object, *, zero: bool = False) -> float:
     return number
 
 
+def within(name: str, value: object, most: float, unit: str) -> float:
+    """A number from -`most` to `most`. Raises InvalidError."""
+    number = _number(value)
+    if number is None or not -most <= number <= most:
+        raise wrong(name, f"must be a number from {-most:g} to {most:g} {unit}, is {shown(value)}")
+    return number
+
+
 def flag(name: str, value: object) -> bool:
     """True or False, numpy's too."""
     made = value.tolist() if hasattr(value, "tolist") else value

@@ -110,6 +110,7 @@ _ENUMS = {
     "SignsState": "How far the check of signs is.",
     "SignsProblem": "What the check of signs met.",
     "CommandKind": "`kind` of a command to the servo.",
+    "StreamKind": "What is streamed: targets of the simulated hand, or forces.",
 }
 
 

@@ -62,6 +62,11 @@ def lines_of(problems: Sequence[Problem]) -> list[str]:
     return [*map(str, problems[:_SHOWN_PROBLEMS]), *([f"and {hidden} more"] if hidden > 0 else [])]
 
 
+def on_one_line(text: str) -> str:
+    """A text of others with a space for each line break and each run of white space."""
+    return " ".join(text.split())
+
+
 def quoted(text: str) -> str:
     """`text` in double quotes on one line, shortened, with everything unprintable escaped."""
     if len(text) > _SHOWN_CHARACTERS:

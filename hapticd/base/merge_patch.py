@@ -1,6 +1,11 @@
-"""JSON Merge Patch (RFC 7396), as `update_scene` and `update_materials` take it."""
+"""JSON Merge Patch (RFC 7396), as `update_scene` and `update_materials` take it; and the flat form of changes."""
+
+from collections.abc import Mapping
+from typing import TypeVar
 
 from hapticd.base.yaml_source import Json
+
+T = TypeVar("T")
 
 
 def merge_patch(target: Json, patch: Json) -> Json:
@@ -25,3 +30,12 @@ def merge_patch(target: Json, patch: Json) -> Json:
             else:
                 into[key] = change
     return result
+
+
+def replace_members(into: dict[str, T], changes: Mapping[str, T | None]) -> None:
+    """Each member of `changes` takes the place of that of the same name, whole; None removes it."""
+    for name, value in changes.items():
+        if value is None:
+            into.pop(name, None)
+        else:
+            into[name] = value

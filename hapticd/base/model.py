@@ -8,17 +8,41 @@ nonsense; they are far outside what a hand can feel.
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, TypeVar, Union, cast, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, ValidationError, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    Strict,
+    StringConstraints,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, ErrorDetails
 
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, near_names, path_text, shown
 from hapticd.base.yaml_mistakes import hint, key_hint
 from hapticd.base.yaml_source import MAX_DEPTH, Json
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class DescribedAs:
+    """Has JSON Schema describe what is annotated with it as another type; whoever takes the value validates it."""
+
+    kind: Any
+
+    def __get_pydantic_json_schema__(self, _: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return handler(TypeAdapter(self.kind).core_schema)
+
+
 NAME_MAX_CHARACTERS = 64
 AT_ONCE: Final = 256
 """Larger mappings are validated so many entries at a time: each call of pydantic's holds the interpreter's lock."""
@@ -416,8 +440,9 @@ def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, 
             continue
         path.append(element)
         if isinstance(here, type) and issubclass(here, BaseModel):
-            known = tuple(here.model_fields)
-            field = here.model_fields.get(str(element))
+            fields = {each.alias or name: each for name, each in here.model_fields.items()}
+            known = tuple(fields)
+            field = fields.get(str(element))
             here = None if field is None else _bare(field.annotation)
         else:
             arguments = get_args(here)

@@ -9,7 +9,8 @@ core schema, several documents, nesting beyond MAX_DEPTH, more than MAX_BYTES, a
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import islice
 from typing import TypeAlias
 
@@ -19,6 +20,8 @@ from hapticd.base.errors import HapticdError, InvalidError, Problem, path_text, 
 from hapticd.base.yaml_mistakes import LINE_BREAKS, diagnose
 
 MAX_DEPTH = 32
+_TOO_DEEP = "exceeded maximum nesting depth"
+"""What libyaml says from 0.2.6 on (PyYAML 6.0.4), which scans ahead of the events that are counted here."""
 MAX_BYTES = 2 * 1024 * 1024
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
@@ -49,7 +52,11 @@ class _Marks:
 
     line: int
     column: int
-    children: dict[str | int, "_Marks"] = field(default_factory=dict)
+    children: dict[str | int, "_Marks"]
+
+
+_NO_CHILDREN: dict[str | int, _Marks] = {}
+"""Of every scalar: nothing is ever put into it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +169,8 @@ def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.Bas
         return _build(loader(text), name)
     except yaml.MarkedYAMLError as error:
         at = _place(error.problem_mark)
+        if error.problem == _TOO_DEEP:
+            raise _refusal(name, *(at or (0, 0)), f"nested deeper than {MAX_DEPTH} levels") from None
         raise _refusal(
             name, *diagnose(text, error.problem or "not YAML", at or (0, 0), _place(error.context_mark))
         ) from None
@@ -187,20 +196,15 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
         def refuse(problem: str, line: int = line, column: int = column) -> InvalidError:
             return _refusal(name, line, column, problem)
 
+        # What comes most often comes first.
         match event:
-            case yaml.AliasEvent():
-                raise refuse(f"aliases are not allowed: {quoted(f'*{event.anchor}')}")
-            case yaml.DocumentStartEvent() if root is not None:
-                raise refuse("a second document; a file holds one")
-            case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
-                stack.pop()
             case yaml.ScalarEvent() | yaml.CollectionStartEvent():
                 value = _value(event, refuse)
                 top = stack[-1] if stack else None
                 if top is not None and isinstance(top.data, dict) and top.key is None:
                     top.key, top.key_at = _key(value, top.data, refuse, near), (line + 1, column + 1)
                     continue
-                marks = _Marks(line + 1, column + 1)
+                marks = _Marks(line + 1, column + 1, {} if isinstance(value, dict | list) else _NO_CHILDREN)
                 if top is None:
                     root = Document(value, name, marks)
                 elif isinstance(top.data, dict):
@@ -216,7 +220,13 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
                     if len(stack) == MAX_DEPTH:
                         raise refuse(f"nested deeper than {MAX_DEPTH} levels")
                     stack.append(_Open(value, marks))
-    return root or Document(None, name, _Marks(1, 1))
+            case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
+                stack.pop()
+            case yaml.AliasEvent():
+                raise refuse(f"aliases are not allowed: {quoted(f'*{event.anchor}')}")
+            case yaml.DocumentStartEvent() if root is not None:
+                raise refuse("a second document; a file holds one")
+    return root or Document(None, name, _Marks(1, 1, {}))
 
 
 def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError], near: bool) -> str:
@@ -249,19 +259,29 @@ def _scalar(event: yaml.ScalarEvent, refuse: Callable[[str], InvalidError]) -> J
     if tag in ("!", _CORE + "str"):
         return text
     if len(text) <= _LONGEST_NUMBER:
-        if tag in (None, _CORE + "null") and _NULL.fullmatch(text):
-            return None
-        if tag in (None, _CORE + "bool") and _BOOL.fullmatch(text):
-            return text[0] in "tT"
-        if tag in (None, _CORE + "int") and _INT.fullmatch(text):
-            return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
-        if tag in (None, _CORE + "float") and _FLOAT.fullmatch(text):
-            return float(text.replace(".", "") if text[-1] in "fFnN" else text)
+        known, value = _core(text, tag)
+        if known:
+            return value
     elif _INT.fullmatch(text) or _FLOAT.fullmatch(text):
         raise refuse(f"a number of more than {_LONGEST_NUMBER} characters")
     if tag is None:
         return text
     raise refuse(f"tag {quoted(tag)} is not allowed here")
+
+
+@lru_cache(maxsize=4096)
+def _core(text: str, tag: str | None) -> tuple[bool, Json]:
+    """Whether the core schema reads a scalar as null, true, false or a number, and as which. Kept, since large files
+    repeat themselves."""
+    if tag in (None, _CORE + "null") and _NULL.fullmatch(text):
+        return True, None
+    if tag in (None, _CORE + "bool") and _BOOL.fullmatch(text):
+        return True, text[0] in "tT"
+    if tag in (None, _CORE + "int") and _INT.fullmatch(text):
+        return True, int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+    if tag in (None, _CORE + "float") and _FLOAT.fullmatch(text):
+        return True, float(text.replace(".", "") if text[-1] in "fFnN" else text)
+    return False, None
 
 
 def _line_column(before: str) -> tuple[int, int]:

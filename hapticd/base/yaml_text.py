@@ -20,17 +20,18 @@ def _block(mapping: Mapping[str, object], pad: str) -> list[str]:
     lines = []
     for key, value in mapping.items():
         if isinstance(value, dict) and any(isinstance(inner, dict) for inner in value.values()):
-            lines += [f"{pad}{_flow(key)}:", *_block(value, pad + "  ")]
+            lines += [f"{pad}{flow_text(key)}:", *_block(value, pad + "  ")]
         else:
-            lines.append(f"{pad}{_flow(key)}: {_flow(value)}")
+            lines.append(f"{pad}{flow_text(key)}: {flow_text(value)}")
     return lines
 
 
-def _flow(value: object) -> str:
+def flow_text(value: object) -> str:
+    """A plain value on one line."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_flow(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
+        return "{" + ", ".join(f"{flow_text(key)}: {flow_text(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(map(_flow, value)) + "]"
+        return "[" + ", ".join(map(flow_text, value)) + "]"
     if isinstance(value, str) and _PLAIN.fullmatch(value) and value.lower() not in ("null", "true", "false"):
         return value
     return json.dumps(value, ensure_ascii=False)

@@ -5,7 +5,7 @@ The way of a connection:
     gate         takes connections; `Gate.authorize` decides whether a key is let in and what it may; ends them
     zap          libzmq's question whose key it is, once in each handshake; passes it to `Gate.authorize`
     accounts     the clients that the configuration names, and what each of them has taken
-    limits       how fast a client may be, and how often a line is logged
+    limits       how often a line is logged
     relay        requests on their way to the daemon, one at a time for each connection
     daemon_link  the daemon's status, and its telemetry, passed on to `Gate.publish`
 

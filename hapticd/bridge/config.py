@@ -41,6 +41,9 @@ class BridgeLimits(Model):
     """What one client, by its key, may take of the bridge."""
 
     requests_per_s: float = Field(default=500.0, ge=1, le=1e6, description="Requests of a client; more wait.")
+    streams_per_s: float = Field(
+        default=2500.0, ge=1, le=1e6, description="Streamed targets and forces of a client; more are dropped."
+    )
     bytes_per_s: float = Field(default=2.0**20, ge=1024, le=1e9, description="Bytes from a client; more wait.")
     message_bytes: int = Field(default=MAX_BODY, ge=1024, le=MAX_BODY, description="Largest request.")
     connections_per_client: int = Field(

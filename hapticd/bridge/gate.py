@@ -30,10 +30,11 @@ import zmq.asyncio
 
 from hapticd.base import codec
 from hapticd.base.errors import quoted
+from hapticd.base.token_bucket import Bucket
 from hapticd.bridge import zap
 from hapticd.bridge.accounts import Account, Accounts
 from hapticd.bridge.daemon_link import DaemonLink
-from hapticd.bridge.limits import Bucket, Teller
+from hapticd.bridge.limits import Teller
 from hapticd.bridge.relay import Relay
 from hapticd.protocol.keys import Certificate
 from hapticd.protocol.messages import MAX_BODY

@@ -1,4 +1,4 @@
-"""How fast a client may be, and how often a line is logged."""
+"""How often a line is logged."""
 
 from __future__ import annotations
 
@@ -6,27 +6,13 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from hapticd.base.token_bucket import Bucket
 from hapticd.system.repeated_lines import Repeats
 
 Clock = Callable[[], float]
 
 _LINES: Final = 20.0
 _LINES_PER_S: Final = 1.0
-
-
-class Bucket:
-    """A token bucket that may be overdrawn: who took too much waits until it is even again."""
-
-    def __init__(self, per_s: float, burst: float, now: Clock = time.monotonic) -> None:
-        self._per_s, self._burst, self._now = per_s, burst, now
-        self._level, self._at = burst, now()
-
-    def take(self, amount: float) -> float:
-        """Takes it; returns how long to wait before anything more is taken, s."""
-        now = self._now()
-        self._level = min(self._burst, self._level + (now - self._at) * self._per_s) - amount
-        self._at = now
-        return max(0.0, -self._level / self._per_s)
 
 
 class Teller:

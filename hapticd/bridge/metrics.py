@@ -112,6 +112,13 @@ class Metrics:
 
         yield each("client_connections", "gauge", "Connections of a client.", lambda a: a.connections)
         yield each("requests_total", "counter", "Requests of a client.", lambda a: a.asked)
+        yield each("streamed_total", "counter", "Targets and forces that a client streamed.", lambda a: a.streamed)
+        yield each(
+            "streams_dropped_total",
+            "counter",
+            "Targets and forces over the limit, or without a daemon.",
+            lambda a: a.streams_dropped,
+        )
         yield each("received_bytes_total", "counter", "Bytes that came from a client.", lambda a: a.taken_bytes)
         yield each(
             "telemetry_dropped_total",

@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from hapticd.base import memory, threads
 from hapticd.base.errors import HapticdError, InvalidError
 from hapticd.base.model import problems_of
+from hapticd.base.tasks import ended
 from hapticd.bridge import zap
 from hapticd.bridge.accounts import Accounts
 from hapticd.bridge.config import BridgeConfig, load_bridge, metrics_place
@@ -120,7 +121,7 @@ class _Bridge:
                 asyncio.create_task(stop.wait(), name="stop"),
             ]
             for task in tasks:
-                stack.push_async_callback(_ended, task)
+                stack.push_async_callback(ended, task)
             place = await self._listen(gate, stack)
             metrics = ""
             if self._config.metrics is not None:
@@ -205,11 +206,6 @@ class _Bridge:
             names,
             ended,
         )
-
-
-async def _ended(task: asyncio.Task[Any]) -> None:
-    task.cancel()
-    await asyncio.gather(task, return_exceptions=True)
 
 
 def _name(listening: socket.socket) -> str:

@@ -1,7 +1,8 @@
 """The requests of one connection on their way to the daemon, one at a time.
 
 A client that sends more than it may, or faster than the daemon answers, is not read from meanwhile: libzmq and TCP hold
-it back. Nothing waits for it: every connection has a separate socket towards the daemon.
+it back. Nothing waits for it: every connection has a separate socket towards the daemon. Messages of streams pass at
+once, or are dropped: late they are worth nothing.
 """
 
 from __future__ import annotations
@@ -19,13 +20,15 @@ import zmq
 from hapticd.base.errors import quoted
 from hapticd.bridge.accounts import Account
 from hapticd.bridge.daemon_link import DaemonLink
-from hapticd.protocol import messages
+from hapticd.protocol import messages, streams
 
 ANSWER_S: Final = 30.0
 """A daemon that says nothing for so long has lost the request."""
 _CONNECT_S: Final = 1.0
 """A daemon that restarts has this long to take a request."""
 _GRACE_S: Final = 0.1
+_STEPS: Final = 64
+"""So many at once for one client."""
 _LONGEST_ID: Final = 256
 _PEEKED: Final = 64
 _ID_KEYS: Final = (b"\xa2id", b"\xd9\x02id", b"\xda\x00\x02id", b"\xdb\x00\x00\x00\x02id")
@@ -96,8 +99,11 @@ class Relay:
 
     def _look(self) -> None:
         try:
-            while not self._closed and self._step():
-                pass
+            for _ in range(_STEPS):
+                if self._closed or not self._step():
+                    return
+            # Who streams without end must not keep the others waiting.
+            self._loop.call_soon(self._look)
         except Exception:
             # A defect of ours costs this connection, nobody else's.
             _log.exception("%s: a connection failed", self._account.name)
@@ -142,11 +148,24 @@ class Relay:
             message = f"the message has {size} bytes: at most {self._largest()} are taken by the bridge"
             self._refuse(_Request(frames, True, None), messages.Code.PARSE, message)
             return True
+        if body is not None and streams.is_stream(body):
+            self._stream(frames)
+            return True
         wait_s = self._account.take_request()
         if wait_s:
             self._resting = True
             self._wait(wait_s, self._rested)
         return True
+
+    def _stream(self, frames: list[bytes]) -> None:
+        """Passes a message of a stream on, if the client may and a daemon takes it."""
+        self._done()
+        if self._account.take_stream():
+            try:
+                self._back.send_multipart(frames, zmq.NOBLOCK)
+                self._account.streamed += 1
+            except zmq.Again:
+                self._account.streams_dropped += 1
 
     def _rested(self) -> None:
         self._resting = False

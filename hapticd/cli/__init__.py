@@ -6,12 +6,20 @@ not be done (output that nobody takes among it), 2 for a command that was not un
 `_HOMES` says in which file a command stands. Beside the commands:
 
     common      options that commands share, finding the daemon, printing results
+    engine      options and progress of commands that compute many pieces on dask
     failure     what a command that fails prints
+    listening   options of what serves pages: where it listens, a browser, a daemon of its own
     misplaced   hints for what is typed in the wrong place
     names       what a shell completes where a command takes a name
     shell       the protocol's words as those of the command line
     streams     standard output and error that cannot be written
     synthesize  `hapticd fit synthesize`, which fit takes in
+    fit_batch   `hapticd fit batch`, which fit takes in
+    experiment_analyze  `hapticd experiment analyze`, which experiment takes in
+    experiment_run      `hapticd experiment run` and `resume`, which experiment takes in
+    sweep_show          `hapticd sweep show`, which sweep takes in
+    experiment_bulk     many simulated participants side by side, for `hapticd experiment run`
+    experiment_pages    the options of the pages of a session, and where its daemon is
 
 Questions, and where to begin:
 
@@ -66,6 +74,10 @@ _HOMES: Final = {
     "calibrate": "calibrate",
     "verify": "verify",
     "fit": "fit",
+    "experiment": "experiment",
+    "sweep": "sweep",
+    "lsl": "lsl",
+    "web": "web",
     "bridge": "bridge",
     "key": "key",
     "doctor": "doctor",
@@ -89,6 +101,7 @@ _HERE_ALONE: Final = frozenset(
         "calibrate",
         "verify",
         "fit",
+        "sweep",
         "bridge",
         "key",
         "doctor",

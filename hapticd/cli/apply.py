@@ -8,7 +8,7 @@ from hapticd.cli import names
 from hapticd.cli.common import change, change_options, yaml_file
 
 
-@click.command("apply", short_help="Change materials and scene at once.")
+@click.command("apply", short_help="Change materials and scene together.")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", shell_complete=names.scenes)
 @change_options
 @click.pass_context

@@ -26,7 +26,7 @@ _DEFAULT = "/etc/hapticd/bridge.yaml"
 def bridge_command(ctx: click.Context, config: str, listen: str | None, metrics: str | None, log_level: str) -> int:
     """Let clients in over TCP, encrypted, by their keys, to the daemon of this machine.
 
-    SIGHUP takes the file anew, and ends the connections of keys that were revoked.
+    SIGHUP reads the file again, and ends the connections of keys that were revoked.
     """
     from hapticd.bridge.process import run
 

@@ -36,7 +36,7 @@ DEFAULT_FORCE_N = 1.0
     "--accelerometer",
     type=click.Path(),
     metavar="FILE",
-    help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2).",
+    help="Recording of an accelerometer on the handle (.npz or .csv: time_s, acceleration_m_per_s2).",
 )
 @click.option("--axis", type=Choice(["x", "y"]), default="x", show_default=True, help="The axis that is driven.")
 @click.option(

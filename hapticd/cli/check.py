@@ -20,14 +20,15 @@ _NUMBER: Final = 9
 """As wide as 1,234,567."""
 
 
-@click.command("check", short_help="Say what of a configuration can be shown.")
+@click.command("check", short_help="Check what can be displayed, and what may oscillate.")
 @config_option
 @json_option
 def check_command(configs: tuple[str, ...], as_json: bool) -> int:
-    """Say which materials and surfaces device, rate and grip can carry. Nothing moves, and no daemon is needed.
+    """Check which materials and surfaces can be displayed with this device, rate and grip. Nothing moves,
+    and no daemon is needed.
 
-    The exit code is 0 if all of the scene can be shown as it is meant and nothing of it oscillates, otherwise 1. What
-    is not known, as of a joystick without device.handle, or not proved, is said and does not count.
+    The exit code is 0 if all of the scene can be displayed as written and nothing of it oscillates, otherwise 1. If the
+    stability is unknown, as of a joystick without device.handle, or not proved, this is printed and does not count.
     """
     from hapticd.analysis.check import check
     from hapticd.config.configuration import config_of
@@ -42,7 +43,7 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
     if report.faults == 0:
         return 0
     things = "one thing" if report.faults == 1 else f"{report.faults} things"
-    note(f"{things} of the scene cannot be shown as meant, or may oscillate")
+    note(f"{things} of the scene cannot be displayed as written, or may oscillate")
     return 1
 
 

@@ -8,7 +8,7 @@ import click
 
 from hapticd.base import wording
 from hapticd.cli import names
-from hapticd.cli.common import Choice, Finite, daemon, json_option, operator_file, print_result
+from hapticd.cli.common import Choice, Finite, daemon, json_option, note, operator_file, print_result
 
 
 @click.command("play", short_help="Strike a material's tap, or a mode.")
@@ -129,4 +129,7 @@ def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:
     source = operator_file(file)
     with daemon(ctx) as client:
         result = client.set_operator(source)
+        forces = client.get_status()["forces"]
+    if forces != "on":
+        note("forces are off: the hand moves, and nothing pushes it; `hapticd status` says why")
     print_result(result, as_json, f"takes {wording.duration(result['duration_s'])}")

@@ -55,17 +55,23 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     """A client of the daemon that the command line names; raises DaemonNotRunning where there is none."""
     from hapticd.client.blocking import connect
     from hapticd.protocol.calls import TIMEOUT_S
+
+    named, key, server_key = place_words(ctx)
+    return connect(named, TIMEOUT_S if timeout_s is None else timeout_s, key=key, server_key=server_key)
+
+
+def place_words(ctx: click.Context) -> tuple[str | None, str | None, str | None]:
+    """Where the command line says that the daemon is, for `connect` and `place_of`: place, key and the bridge's key."""
     from hapticd.protocol.remote import PORT, host_and_port
 
     root = ctx.find_root()
-    timeout_s = TIMEOUT_S if timeout_s is None else timeout_s
     # What stands in the environment is taken from there by `connect`, which names the variable in its errors.
     place, key, server_key = (
         root.params.get(name) if root.get_parameter_source(name) == ParameterSource.COMMANDLINE else None
         for name in ("connect", "key", "server_key")
     )
     if place is None:
-        return connect(cast("str | None", root.obj), timeout_s, key=key, server_key=server_key)
+        return cast("str | None", root.obj), key, server_key
     try:
         host_and_port(place, PORT)
     except ValueError as error:
@@ -75,7 +81,7 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
         raise click.UsageError(
             f"--connect needs {' and '.join(missing)}, or the variables HAPTICD_KEY and HAPTICD_SERVER_KEY", root
         )
-    return connect(place, timeout_s, key=key, server_key=server_key)
+    return place, key, server_key
 
 
 def config_option(command: _F) -> _F:
@@ -101,7 +107,7 @@ def json_option(command: _F) -> _F:
 def log_options(command: _F) -> _F:
     """The options of what runs until it is ended: how much stands in its log, as the parameter `log_level`."""
 
-    @click.option("-q", "--quiet", is_flag=True, help="Log warnings and errors alone.")
+    @click.option("-q", "--quiet", is_flag=True, help="Log only warnings and errors.")
     @click.option("-v", "--verbose", is_flag=True, help="Log each request and each event, too.")
     @click.option("--log-level", type=Choice(LEVELS), help="The least important line of the log [default: info].")
     @functools.wraps(command)

@@ -26,7 +26,7 @@ def run_command(ctx: click.Context, configs: tuple[str, ...], log_level: str) ->
     return run(configs, ctx.find_root().obj, log_level)
 
 
-@click.command("reload", short_help="Read the configuration anew.")
+@click.command("reload", short_help="Read the configuration files again.")
 @change_options
 @click.pass_context
 def reload_command(ctx: click.Context, expect_revision: int | None, wait: bool, as_json: bool) -> None:
@@ -41,7 +41,7 @@ def reload_command(ctx: click.Context, expect_revision: int | None, wait: bool, 
 @json_option
 @click.pass_context
 def status_command(ctx: click.Context, as_json: bool) -> None:
-    """Say what the daemon is and does."""
+    """Show the state of the daemon."""
     with daemon(ctx) as client:
         status = client.get_status(detail=True)
     if as_json:

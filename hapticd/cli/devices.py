@@ -254,7 +254,7 @@ def calibrate_command(
         write_whole(output, text + "\n", overwrite)
 
 
-@devices_command.command("parse", short_help="Say what of a report descriptor is driven.")
+@devices_command.command("parse", short_help="Show which axes and forces of a report descriptor are driven.")
 @click.argument("file", metavar="FILE", type=click.Path(dir_okay=False))
 @config_option
 @json_option

@@ -13,15 +13,16 @@ from hapticd.cli.common import config_option, json_option, note, print_json
 _ANSWER_S = 2.0
 
 
-@click.command("doctor", short_help="Say what of this machine is ready.")
+@click.command("doctor", short_help="Check whether this machine is ready.")
 @config_option
 @json_option
 @click.pass_context
 def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> int:
-    """Say what of this machine is ready for the daemon, and what to do about the rest.
+    """Check whether this machine is ready for the daemon, and say what to do about each problem.
 
-    The rights are those of whoever asks; nothing is changed. It waits at most 5 s for systemd and 2 s for a daemon that
-    runs and does not answer. The exit code is 1 if something fails that the configuration needs.
+    The rights shown are those of the user who runs the command; nothing is changed. It waits at most 5 s
+    for systemd and 2 s for a daemon that runs and does not answer. The exit code is 1
+    if something fails that the configuration needs.
     """
     from hapticd._version import __version__
     from hapticd.base.errors import HapticdError

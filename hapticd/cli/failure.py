@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import click
 
-from hapticd.base.errors import HapticdError, InvalidError, Problem, lines_of
+from hapticd.base.errors import HapticdError, InvalidError, Problem, lines_of, on_one_line
 from hapticd.cli.shell import in_shell_words, shell_words
 
 
@@ -26,7 +26,7 @@ def asks_for_json(arguments: Sequence[str]) -> bool:
 
 def tell(error: BaseException | str, exit_code: int, as_json: bool) -> int:
     """Says on stderr what went wrong; returns the exit code."""
-    message = _one_line(_message(error, as_json))
+    message = on_one_line(_message(error, as_json))
     found = _problems(error)
     if as_json:
         problems = [{"where": each.where, "problem": each.problem} for each in found]
@@ -34,14 +34,10 @@ def tell(error: BaseException | str, exit_code: int, as_json: bool) -> int:
         print(json.dumps({"error": told}, ensure_ascii=False), file=sys.stderr)
         return exit_code
     on_terminal = sys.stderr is not None and sys.stderr.isatty()
-    several = [_one_line(shell_words(line)) for line in lines_of(found)] if len(found) > 1 and on_terminal else []
+    several = [on_one_line(shell_words(line)) for line in lines_of(found)] if len(found) > 1 and on_terminal else []
     for line in several or [message]:
         print("hapticd:", line, file=sys.stderr)
     return exit_code
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def _message(error: BaseException | str, as_json: bool) -> str:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import datetime
-import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -25,29 +23,30 @@ from hapticd.cli.common import (
     overwrite_option,
     print_json,
 )
+from hapticd.cli.fit_batch import batch_command
 from hapticd.cli.synthesize import synthesize_command
+from hapticd.fit.assumptions import STIFFNESS_N_PER_M
+from hapticd.fit.options import FitOptions
 
 if TYPE_CHECKING:
     from hapticd.config.modes import Attack
-    from hapticd.fit.from_files import Fitting
     from hapticd.fit.provenance import Fit, Kind
     from hapticd.fit.tap_kind import TapKind
     from hapticd.fit.taps.amplitude import LawKind
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-STIFFNESS_N_PER_M: Final = 800.0
-"""As most of the library's."""
 
 
 @click.group("fit", no_args_is_help=False, short_help="Make a material from recordings.")
 def fit_command() -> None:
     """Make a material from recordings of a stylus: acceleration, force and position, as CSV, npz or WAV.
 
-    Beside each FILE stands FILE.yaml, which names columns, units and rate.
+    Columns may have other names and units than the known ones: FILE.yaml beside FILE describes them.
     """
 
 
 fit_command.add_command(synthesize_command)
+fit_command.add_command(batch_command)
 
 
 def _options(command: _F) -> _F:
@@ -61,7 +60,7 @@ def _options(command: _F) -> _F:
             "stiffness_n_per_m",
             type=Finite(min=0, max=1e5),
             metavar="N/M",
-            help=f"Stiffness of the material where the recordings do not tell it [default: {STIFFNESS_N_PER_M:g}].",
+            help=f"Stiffness of the material if the recordings do not determine it [default: {STIFFNESS_N_PER_M:g}].",
         ),
         click.option(
             "--report", type=click.Path(), metavar="FILE.html|.png", help="Draw recording and model (needs matplotlib)."
@@ -84,7 +83,7 @@ def _options(command: _F) -> _F:
 @click.option(
     "--law",
     type=Choice(["line", "power", "table"]),
-    help="How the amplitude of the material follows the speed [default: as the taps have it, by AICc].",
+    help="How the amplitude of the material follows the speed [default: the law with the lowest AICc].",
 )
 @click.option("--table", is_flag=True, help="The same as --law table: amplitudes over speed, instead of a slope.")
 @click.option(
@@ -96,12 +95,12 @@ def _options(command: _F) -> _F:
     "--as",
     "form",
     type=Choice(["auto", "mode", "waveform"]),
-    help="A mode that rings, a waveform of a pulse, or what says more of the taps [default: auto].",
+    help="A mode that rings, a waveform of a pulse, or the one that explains the taps better [default: auto].",
 )
 @click.option(
     "--mode-table/--no-mode-table",
     default=None,
-    help="Frequency and decay over the speed, or one of each [default: as the taps have it].",
+    help="Frequency and decay over the speed, or one of each [default: a table if they change].",
 )
 def tap_command(
     attack: Attack | None,
@@ -116,40 +115,25 @@ def tap_command(
     if table and law not in (None, "table"):
         raise click.UsageError(f"--table and --law {law} do not go together: leave out one")
     taken: LawKind | None = "table" if table else law
-    of_modes = {
-        "--table": table,
-        "--law": law is not None,
-        "--two-modes": two_modes is True,
-        "--one-mode": two_modes is False,
-        "--mode-table": mode_table is True,
-        "--no-mode-table": mode_table is False,
-        "--attack": attack is not None,
+    words = {
+        "form": "--as",
+        "law": "--table" if table else f"--law {law}",
+        "two_modes": "--two-modes" if two_modes else "--one-mode",
+        "mode_table": "--mode-table" if mode_table else "--no-mode-table",
+        "attack": "--attack",
     }
-    given_modes = [option for option, given in of_modes.items() if given]
-    if form == "waveform" and given_modes:
-        raise click.UsageError(f"{given_modes[0]} is of modes, and --as waveform makes none: leave out one")
-    as_form: TapKind = form if form is not None else "mode" if given_modes else "auto"
-    bent = taken not in (None, "line")
-    for option, given in (("--table" if table else f"--law {law}", bent), ("--two-modes", two_modes)):
-        if given and attack == "first_peak":
-            raise click.UsageError(
-                f"{option} and --attack do not go together: leave out one, {option} is of coefficients"
-            )
-
-    from hapticd.fit.from_files import of_taps
-
-    _run("tap", of_taps(as_form, attack, taken, two_modes, mode_table), per_file=2, **options)
+    given = FitOptions(form, attack, taken, two_modes, mode_table)
+    fault = given.fault(words.__getitem__)
+    if fault is not None:
+        raise click.UsageError(fault[1])
+    _run("tap", given, per_file=2, **options)
 
 
 @fit_command.command("grooves")
 @_options
 def grooves_command(**options: Any) -> None:
     """Spacing, mode and gains of grooves, from strokes over them."""
-
-    from hapticd.fit.from_files import of_one_kind
-    from hapticd.fit.grooves import fit_grooves
-
-    _run("grooves", of_one_kind(fit_grooves), **options)
+    _run("grooves", FitOptions(), **options)
 
 
 @fit_command.command("texture")
@@ -157,27 +141,19 @@ def grooves_command(**options: Any) -> None:
 @click.option("--ar", "autoregressive", is_flag=True, help="Autoregressive models over speed and force.")
 def texture_command(autoregressive: bool, **options: Any) -> None:
     """Spectrum and loudness of a texture, from strokes over it."""
-
-    from hapticd.fit.from_files import of_one_kind
-    from hapticd.fit.texture import fit_texture
-
-    _run("texture", of_one_kind(partial(fit_texture, autoregressive=autoregressive)), **options)
+    _run("texture", FitOptions(autoregressive=autoregressive), **options)
 
 
 @fit_command.command("puncture", short_help="Stiffness, rupture and mode of a membrane.")
 @_options
 def puncture_command(**options: Any) -> None:
     """Stiffness, rupture and mode of a membrane, from recordings of punctures."""
-
-    from hapticd.fit.from_files import of_one_kind
-    from hapticd.fit.puncture import fit_puncture
-
-    _run("puncture", of_one_kind(fit_puncture), **options)
+    _run("puncture", FitOptions(), **options)
 
 
 def _run(
     kind: Kind,
-    fit: Fitting,
+    asked: FitOptions,
     files: tuple[str, ...],
     output: str | None,
     name: str | None,
@@ -190,9 +166,10 @@ def _run(
     per_file: int = 1,
 ) -> None:
     from hapticd.analysis.statistics import require_scipy
-    from hapticd.fit import provenance
     from hapticd.fit import report as drawing
+    from hapticd.fit.contribution import added, contribution_of
     from hapticd.fit.from_files import fitted_files, materials_of
+    from hapticd.fit.plain_data import finite
 
     require_scipy()
     if merge and output is None:
@@ -205,27 +182,14 @@ def _run(
     onto = library.get(name)
 
     with _progress(len(files) * per_file + (per_file == 1)) as step:
-        recordings, unused, fitted = fitted_files(files, fit, step, strict)
+        recordings, unused, fitted = fitted_files(files, asked.fitting(kind), step, strict)
     notes = list(fitted.notes)
-    given = stiffness_n_per_m
-    if given is None:
-        given = STIFFNESS_N_PER_M if onto is None else onto.stiffness_n_per_m
-        if "stiffness_n_per_m" not in fitted.figures and onto is None:
-            notes.append(f"the stiffness, {given:g} N/m, is not in the recordings; --stiffness sets it")
-    if onto is not None:
-        before = onto.to_dict()
-        notes += [f"{key} of {name} in {output} is replaced" for key in fitted.figures if key in before]
-    material = provenance.material(
-        fitted.fit,
-        fitted.figures,
-        recordings,
-        name,
-        given,
-        datetime.date.today(),
-        kind=kind,
-        onto=onto,
-        without=fitted.without,
-    )
+    part = contribution_of(kind, fitted, recordings)
+    found = added(part, name, datetime.date.today(), onto=onto, stiffness_n_per_m=stiffness_n_per_m)
+    material = found.material
+    if found.assumed_n_per_m is not None:
+        notes.append(f"the stiffness, {found.assumed_n_per_m:g} N/m, is not in the recordings; --stiffness sets it")
+    notes += [f"{key} of {name} in {output} is replaced" for key in found.replaced]
     picture = None
     if report is not None:
         from hapticd.fit.panels import page_of
@@ -243,7 +207,7 @@ def _run(
     if report is not None and picture is not None:
         write_whole(report, picture, overwrite)
     if as_json:
-        print_json({"kind": kind, "fit": _finite(fitted.fit.to_dict()), "notes": notes, **fresh})
+        print_json({"kind": kind, "fit": finite(fitted.fit.to_dict()), "notes": notes, **fresh})
         return
     # The material is what is read on, where it goes to no file: then the table is beside it.
     _tell(kind, fitted.fit, beside=output is None)
@@ -312,14 +276,3 @@ def _tell(kind: Kind, found: Fit, beside: bool) -> None:
     click.echo(found.verdict, err=beside)
     for warning in found.warnings:
         note(warning)
-
-
-def _finite(value: object) -> object:
-    """JSON has no number for what is none: null."""
-    if isinstance(value, Mapping):
-        return {str(key): _finite(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -37,6 +37,16 @@ def operators(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
     return _files(incomplete, "operators")
 
 
+def experiments(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
+    """As scenes, of studies."""
+    return _files(incomplete, "experiments")
+
+
+def sweeps(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
+    """As scenes, of sweeps."""
+    return _files(incomplete, "sweeps")
+
+
 def materials(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
     """Materials of the daemon, or the shipped ones where none answers."""
     return _beginning(

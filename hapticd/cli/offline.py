@@ -107,7 +107,7 @@ def replay_command(file: str, output: str | None, overwrite: bool, max_memory: i
     """Render FILE (.npz, .csv or .mcap of `record`, `simulate` or `flight`) again, without daemon and clock, and
     compare the forces.
 
-    Ends with 1 where they are not the recorded ones, bit for bit.
+    Ends with 1 if they differ from the recorded ones in any bit.
     """
     from hapticd.recording.formats import check_target
     from hapticd.recording.replay import replay
@@ -124,9 +124,17 @@ def replay_command(file: str, output: str | None, overwrite: bool, max_memory: i
     return 0 if again.identical == len(again.samples) else 1
 
 
-@click.command("schema", short_help="Print the configuration's JSON Schema.")
-def schema_command() -> None:
-    """Print the JSON Schema of the configuration, for editors."""
+@click.command("schema", short_help="Print the schema of the configuration or the protocol.")
+@click.option(
+    "--protocol",
+    type=click.Choice(["openrpc", "asyncapi"]),
+    help="Of the protocol instead: OpenRPC of the requests, or AsyncAPI of telemetry and streams.",
+)
+def schema_command(protocol: str | None) -> None:
+    """Print the JSON Schema of the configuration, for editors; or a description of the protocol, for programs."""
     from hapticd.config.schema import config_schema
+    from hapticd.daemon.described.asyncapi import asyncapi_document
+    from hapticd.daemon.described.openrpc import openrpc_document
 
-    click.echo(json.dumps(config_schema(), indent=2, ensure_ascii=False))
+    documents = {None: config_schema, "openrpc": openrpc_document, "asyncapi": asyncapi_document}
+    click.echo(json.dumps(documents[protocol](), indent=2, ensure_ascii=False))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TypedDict
+from typing import Final, Literal, TypedDict
 
 import click
 
@@ -19,10 +19,22 @@ class _Paths(TypedDict):
     scenes: dict[str, object]
     operators: dict[str, object]
     materials: dict[str, object]
+    experiments: dict[str, object]
+    sweeps: dict[str, object]
     units: str
 
 
-@click.command("paths", short_help="Say where everything is.")
+_SHIPPED: Final[dict[str, Literal["scenes", "operators", "materials", "experiments", "sweeps"]]] = {
+    "scenes": "scenes",
+    "operators": "operators",
+    "materials": "materials",
+    "studies": "experiments",
+    "sweeps": "sweeps",
+}
+"""Folders of what ships, by the word for what is in them."""
+
+
+@click.command("paths", short_help="List the places of files and sockets.")
 @config_option
 @json_option
 @click.pass_context
@@ -60,6 +72,8 @@ def paths_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -
         "scenes": {"folder": str(folder_of("scenes")), "names": list(shipped("scenes"))},
         "operators": {"folder": str(folder_of("operators")), "names": list(shipped("operators"))},
         "materials": {"folder": str(folder_of("materials")), "names": list(shipped("materials"))},
+        "experiments": {"folder": str(folder_of("experiments")), "names": list(shipped("experiments"))},
+        "sweeps": {"folder": str(folder_of("sweeps")), "names": list(shipped("sweeps"))},
         "units": str(units_folder()),
     }
     if as_json:
@@ -82,8 +96,8 @@ def _print(found: _Paths, configuration: str) -> None:
         ("telemetry socket", _place(found["telemetry_socket"])),
         ("flight files", "not known" if found["flight_files"] is None else _place(found["flight_files"])),
     ]
-    for name in ("scenes", "operators", "materials"):
-        shipped = found[name]
+    for name, key in _SHIPPED.items():
+        shipped = found[key]
         names = shipped["names"]
         assert isinstance(names, list)
         lines.append((f"shipped {name}", f"{shipped['folder']}: {', '.join(names)}"))

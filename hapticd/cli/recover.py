@@ -10,7 +10,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.cli.common import json_option, note, print_json
 
 
-@click.command("recover", short_help="Make a file of what a killed recording left.")
+@click.command("recover", short_help="Make a file from the parts of a killed recording.")
 @click.argument("file", type=click.Path(dir_okay=False))
 @json_option
 def recover_command(file: str, as_json: bool) -> int:

@@ -11,7 +11,8 @@ from typing import Final
 from hapticd.base.errors import HapticdError
 
 PHRASES: Final = (
-    ("set_forces with enabled: true", "`hapticd force on`"),
+    ("set_forces turns them on", "`hapticd force on` turns them on"),
+    ("set_scene changes it", "`hapticd scene set` changes it"),
     ("set_operator moves", "`hapticd operator` moves"),
     ("expect_revision:", "--expect-revision:"),
 )

@@ -49,20 +49,43 @@ def _stylus_options(command: _F) -> _F:
     for option in (
         json_option,
         overwrite_option,
-        click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of what is random."),
+        click.option(
+            "--seed",
+            type=click.IntRange(min=0),
+            default=1,
+            show_default=True,
+            help="Seed of noise, tremor and scatter.",
+        ),
         _number("--position-step", "position_step_m", 0.0, 1.0, "M", "Step of the positions; 0: exact.", 0.0),
         _number("--drift", "drift_m_per_s3", -1e3, 1e3, "M/S^3", "Drift of the acceleration.", 0.0),
         _number("--tremor", "tremor_m_per_s2", 0.0, 1e3, "M/S^2", "Amplitude of the hand's tremor.", 0.0),
-        _number("--full-scale", "full_scale_m_per_s2", 1e-3, 1e9, "M/S^2", "Beyond it, it is clipped."),
-        click.option("--filter-order", type=click.IntRange(1, 8), default=2, show_default=True, help="Of the filter."),
+        _number("--full-scale", "full_scale_m_per_s2", 1e-3, 1e9, "M/S^2", "The sensor clips larger accelerations."),
+        click.option(
+            "--filter-order", type=click.IntRange(1, 8), default=2, show_default=True, help="Order of the filter."
+        ),
         _number("--filter", "filter_hz", 1.0, 1e6, "HZ", "Corner of a low-pass filter, Butterworth's."),
-        _number("--mounting-damping", "mounting_damping", 1e-4, 0.999, "PART", "Of the mounting; 1: critical.", 0.05),
+        _number(
+            "--mounting-damping",
+            "mounting_damping",
+            1e-4,
+            0.999,
+            "PART",
+            "Damping ratio of the mounting; 1: critical.",
+            0.05,
+        ),
         _number("--mounting", "mounting_hz", 1.0, 1e6, "HZ", "Resonance of the sensor on its mounting."),
-        _number("--noise", "noise_rms", 0.0, 10.0, "PART", "RMS of the noise, of the largest acceleration.", 0.02),
+        _number(
+            "--noise", "noise_rms", 0.0, 10.0, "PART", "RMS of the noise, as a part of the largest acceleration.", 0.02
+        ),
         _number("--rate", "rate_hz", 100.0, 1e6, "HZ", "Samples a second.", 25_000.0),
         config_option,
         click.option(
-            "-o", "--output", required=True, type=click.Path(), metavar=f"FILE{ENDING}", help="Where it goes."
+            "-o",
+            "--output",
+            required=True,
+            type=click.Path(),
+            metavar=f"FILE{ENDING}",
+            help="Write the recording there; several get numbers.",
         ),
     ):
         command = option(command)
@@ -92,7 +115,7 @@ def _material_option(default: str) -> Callable[[_F], _F]:
         show_default=True,
         metavar="NAME",
         shell_complete=names.shipped_materials,
-        help="Of what.",
+        help="A material of the library, or of a file that is given with -c.",
     )
 
 
@@ -135,7 +158,7 @@ def tap_command(name: str, speeds: tuple[float, ...], **options: Any) -> None:
 @_material_option("comb")
 @_stroke_options[0]
 @_stroke_options[1]
-@_number("--duration", "duration_s", 0.05, 600.0, "S", "Of a stroke.", 1.0)
+@_number("--duration", "duration_s", 0.05, 600.0, "S", "Duration of a stroke.", 1.0)
 @_stylus_options
 def grooves_command(
     name: str, speeds: tuple[float, ...], forces: tuple[float, ...], duration_s: float, **options: Any
@@ -168,7 +191,7 @@ def grooves_command(
 @_material_option("sandpaper_100")
 @_stroke_options[0]
 @_stroke_options[1]
-@_number("--duration", "duration_s", 0.05, 600.0, "S", "Of a stroke.", 10.0)
+@_number("--duration", "duration_s", 0.05, 600.0, "S", "Duration of a stroke.", 10.0)
 @_stylus_options
 def texture_command(
     name: str, speeds: tuple[float, ...], forces: tuple[float, ...], duration_s: float, **options: Any
@@ -256,7 +279,8 @@ def _run(
         raise HapticdError(f"{output}: is no recording: must end in {ENDING}")
     materials: Mapping[str, Material] = config_of(configs).materials
     if name not in materials:
-        raise HapticdError(f"unknown material {quoted(name)}; {known_names(name, materials)}")
+        known = known_names(name, materials)
+        raise HapticdError(f"unknown material {quoted(name)}; {known}; a material of your own is given with -c FILE")
     made = Stylus(**stylus, full_scale_m_per_s2=math.inf if full_scale_m_per_s2 is None else full_scale_m_per_s2)
     try:
         recordings, truth = make(materials[name], made)

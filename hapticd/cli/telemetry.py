@@ -52,7 +52,7 @@ def record_command(
     `hapticd replay`. FILE is there once the recording is complete.
 
     With .csv the events go into a second file, NAME.events.csv, and scene and materials into a third, NAME.about.json.
-    What a recording into FILE left that was killed is told; `hapticd recover FILE` makes a file of it.
+    If an earlier recording into FILE was killed, the command says so; `hapticd recover FILE` recovers it.
     """
     from dataclasses import asdict
 

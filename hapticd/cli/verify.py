@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     "--recording",
     type=click.Path(),
     metavar="FILE",
-    help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2); a real "
+    help="Recording of an accelerometer on the handle (.npz or .csv: time_s, acceleration_m_per_s2); a real "
     "device needs one.",
 )
 @click.option(
@@ -52,8 +52,9 @@ def verify_command(
     A tap is struck as at --speed, a groove as at that speed under 1 N. The error is the RMS of the difference over the
     RMS of the library's, from 30 Hz to 0.4 of the rate.
 
-    The simulated handle is known as it is, and each tap is told on a wall of its material, too. On a real one an
-    accelerometer must record while they are struck, half a second apart, the handle held as it will be used.
+    The motion of the simulated handle is known exactly; each tap is also measured on a wall of its material. With a
+    real device an accelerometer must record meanwhile; strikes are half a second apart. Hold the handle as it will
+    be used.
     """
     from hapticd.analysis.calibration import verify
     from hapticd.analysis.calibration.accelerometer import load_recording

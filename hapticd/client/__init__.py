@@ -4,6 +4,7 @@
     base            what both clients share, without I/O
     blocking        `hapticd.connect`: methods as ordinary calls
     asynchronous    `hapticd.aio.connect`: methods as coroutines
+    streams         the connection over which a client streams targets and forces
     feed            telemetry without I/O: what a subscription subscribes to, and what it makes of each message
     samples         batches of samples as numpy arrays, and what was lost on the way
     record          records a running daemon into a file

@@ -10,9 +10,9 @@ import asyncio
 import contextlib
 import os
 import threading
-from collections.abc import AsyncIterator, Callable, Coroutine, Generator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Generator, Mapping
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, Self, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Concatenate, Final, Generic, ParamSpec, Self, TypeAlias, TypeVar, cast
 
 import zmq
 import zmq.asyncio
@@ -22,8 +22,9 @@ from hapticd.base.errors import HapticdError
 from hapticd.client import methods
 from hapticd.client.base import ClientBase, operator_tick, token_of
 from hapticd.client.feed import Feed, FeedSocket, gesture_end
-from hapticd.client.methods import Call, Listen, documented
-from hapticd.protocol import calls, places
+from hapticd.client.methods import Call, Listen, Send, documented
+from hapticd.client.streams import StreamBase
+from hapticd.protocol import calls, messages, places
 from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning, RemoteError, TelemetryLoss, TimedOut
 from hapticd.protocol.places import KeySource, Place
 from hapticd.protocol.remote import Remote
@@ -32,7 +33,16 @@ from hapticd.protocol.results import GestureEnd
 if TYPE_CHECKING:
     from hapticd.client.background import Recorder
 
-__all__ = ["Client", "Connecting", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
+__all__ = [
+    "Client",
+    "Connecting",
+    "DaemonNotRunning",
+    "RemoteError",
+    "Stream",
+    "Subscription",
+    "TelemetryLoss",
+    "connect",
+]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -118,6 +128,24 @@ def _stream(described: Callable[P, Listen[T]]) -> Callable[Concatenate[Client, P
     return documented(method, described, "Subscription[{}]")
 
 
+class _Sent:
+    """What was sent already; whoever awaits it lets others run."""
+
+    def __await__(self) -> Generator[Any, None, None]:
+        return asyncio.sleep(0).__await__()
+
+
+_SENT: Final = _Sent()
+
+
+def _sent(described: Callable[P, Send]) -> Callable[Concatenate[Stream, P], Awaitable[None]]:
+    def method(self: Stream, /, *args: P.args, **kwargs: P.kwargs) -> Awaitable[None]:
+        self._send(described(*args, **kwargs))
+        return _SENT
+
+    return documented(method, described, "Awaitable[None]", "Stream")
+
+
 class Client(ClientBase):
     """The daemon's methods, by their names in the protocol; each returns the protocol's result as a
     dictionary.
@@ -166,6 +194,7 @@ class Client(ClientBase):
             await asyncio.gather(self._reader, return_exceptions=True)
         if self._socket is not None:
             self._socket.close()
+        self._sender.close()
         for future in self._waiting.values():
             future.cancel()
         for subscription in self._subscriptions:
@@ -195,6 +224,13 @@ class Client(ClientBase):
         finally:
             self._waiting.pop(id, None)
         return self._result(response, params)
+
+    async def notify(self, method: str, params: Mapping[str, object] | None = None) -> None:
+        """Has a method carried out without an answer: nobody learns whether it was."""
+        self._refuse_closed()
+        socket = await self._opened()
+        async with asyncio.timeout(self.timeout_s):
+            await socket.send(messages.notification(method, params))
 
     async def _ask(self, call: Call[T]) -> T:
         result = cast(T, await self.call(call.method, call.params))
@@ -242,6 +278,12 @@ class Client(ClientBase):
             while end is None:
                 end = gesture_end(started_tick, *await anext(messages))
             return end
+
+    def stream(self) -> Stream:
+        self._refuse_closed()
+        return Stream(self._sender)
+
+    stream = documented(stream, methods.stream, "Stream")
 
     lease = _method(methods.lease)
     reload = _method(methods.reload)
@@ -312,6 +354,29 @@ class Client(ClientBase):
     events = _stream(methods.events)
     statuses = _stream(methods.statuses)
     telemetry = _stream(methods.telemetry)
+
+
+class Stream(StreamBase):
+    """Targets and forces, in `async with daemon.stream() as stream`. A message is sent when the method is called: to
+    await it lets other tasks run, and is not needed."""
+
+    target = _sent(methods.target)
+    force = _sent(methods.force)
+
+    async def __aenter__(self) -> Self:
+        await asyncio.to_thread(self._sender.open)
+        self._sender.begin()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self._end()
+            await asyncio.to_thread(self._sender.settle)
+        else:
+            with contextlib.suppress(HapticdError):  # what went wrong in the block is reported
+                self._end()
 
 
 class Subscription(FeedSocket[T], Generic[T]):

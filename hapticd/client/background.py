@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from hapticd.base import arguments, wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import displaced
-from hapticd.client.record import STOPPED, Daemon, RecordSummary, record
+from hapticd.client.record import Daemon, RecordSummary, ended_early, record
 from hapticd.protocol.calls import MissedPeriods, TelemetryLoss
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class Recorder:
         result = self.result
         if result.displaced is not None:
             raise HapticdError(displaced(result.displaced, result.file))
-        if result.ended_because not in (None, STOPPED):
+        if ended_early(result.ended_because) is not None:
             raise HapticdError(f"{result.ended_because}; {result.file} holds what came before")
         if result.lost:
             lost = wording.count(result.lost, "sample")

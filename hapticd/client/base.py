@@ -13,6 +13,7 @@ from hapticd.base import arguments
 from hapticd.base.errors import HapticdError
 from hapticd.client.feed import Feed, FeedSocket
 from hapticd.client.methods import Listen
+from hapticd.client.streams import Sender
 from hapticd.protocol import calls
 from hapticd.protocol.calls import DaemonNotRunning, ForcesOff, RemoteError
 from hapticd.protocol.places import Place, place_name
@@ -21,6 +22,16 @@ from hapticd.protocol.results import LeaseResult
 
 T = TypeVar("T")
 S = TypeVar("S", bound=FeedSocket[Any])
+
+
+def connect_commands(socket: zmq.Socket[Any], place: Place) -> None:
+    """Connects a DEALER socket to the commands of a daemon."""
+    socket.setsockopt(zmq.LINGER, 0)
+    # Nothing waits in a queue for a daemon that is not there: what was meant for a dead one must not reach the next.
+    socket.setsockopt(zmq.IMMEDIATE, 1)
+    if isinstance(place, Remote):
+        place.secure(socket)
+    socket.connect(place.command_endpoint)
 
 
 class ClientBase:
@@ -33,6 +44,7 @@ class ClientBase:
         self._last_id = 0
         self._subscriptions: list[FeedSocket[Any]] = []
         self._closed = False
+        self._sender = Sender(place, timeout_s, self._connect)
         self._operator_tick: int | None = None
         """At which the last operator was set here."""
 
@@ -51,14 +63,7 @@ class ClientBase:
         return calls.result_of(response, params, place_name(self.paths))
 
     def _connect(self, socket: zmq.Socket[Any]) -> None:
-        """Connects a DEALER socket to the daemon's commands."""
-        socket.setsockopt(zmq.LINGER, 0)
-        # Nothing waits in a queue for a daemon that is not there: what was meant for a dead one must not reach the
-        # next.
-        socket.setsockopt(zmq.IMMEDIATE, 1)
-        if isinstance(self.paths, Remote):
-            self.paths.secure(socket)
-        socket.connect(self.paths.command_endpoint)
+        connect_commands(socket, self.paths)
 
     def _listen(self, listen: Listen[T], subscription: Callable[[Place, Feed[T], float], S]) -> S:
         """A subscription that is closed with the client."""

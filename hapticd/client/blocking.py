@@ -22,8 +22,9 @@ from hapticd.base.errors import HapticdError
 from hapticd.client import methods
 from hapticd.client.base import ClientBase, operator_tick, token_of
 from hapticd.client.feed import Feed, FeedSocket, gesture_end
-from hapticd.client.methods import Call, Listen, documented
-from hapticd.protocol import calls, places
+from hapticd.client.methods import Call, Listen, Send, documented
+from hapticd.client.streams import StreamBase
+from hapticd.protocol import calls, messages, places
 from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning, RemoteError, TelemetryLoss, TimedOut
 from hapticd.protocol.places import KeySource, Place
 from hapticd.protocol.remote import Remote
@@ -32,7 +33,7 @@ from hapticd.protocol.results import GestureEnd
 if TYPE_CHECKING:
     from hapticd.client.background import Recorder
 
-__all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
+__all__ = ["Client", "DaemonNotRunning", "RemoteError", "Stream", "Subscription", "TelemetryLoss", "connect"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -72,6 +73,13 @@ def _stream(described: Callable[P, Listen[T]]) -> Callable[Concatenate[Client, P
         return self._listen(described(*args, **kwargs), Subscription[T])
 
     return documented(method, described, "Subscription[{}]")
+
+
+def _sent(described: Callable[P, Send]) -> Callable[Concatenate[Stream, P], None]:
+    def method(self: Stream, /, *args: P.args, **kwargs: P.kwargs) -> None:
+        self._send(described(*args, **kwargs))
+
+    return documented(method, described, "None", "Stream")
 
 
 class Client(ClientBase):
@@ -131,6 +139,7 @@ class Client(ClientBase):
             self._closed = True
             if self._socket is not None:
                 self._socket.close()
+            self._sender.close()
             subscriptions, self._subscriptions = self._subscriptions, []
         for subscription in subscriptions:
             subscription.close()
@@ -159,6 +168,16 @@ class Client(ClientBase):
                 self._socket = None
                 raise places.no_answer(self.paths, self.timeout_s) from None
         return self._result(response, params)
+
+    def notify(self, method: str, params: Mapping[str, object] | None = None) -> None:
+        """Has a method carried out without an answer: nobody learns whether it was."""
+        with self._lock:
+            self._refuse_closed()
+            socket = self._socket = self._socket or self._open()
+            try:
+                socket.send(messages.notification(method, params))
+            except zmq.Again:
+                raise places.no_answer(self.paths, self.timeout_s) from None
 
     def _ask(self, call: Call[T]) -> T:
         result = cast(T, self.call(call.method, call.params))
@@ -216,6 +235,12 @@ class Client(ClientBase):
                 else:
                     raise places.no_telemetry(self.paths, self.timeout_s)
         return end
+
+    def stream(self) -> Stream:
+        self._refuse_closed()
+        return Stream(self._sender)
+
+    stream = documented(stream, methods.stream, "Stream")
 
     lease = _method(methods.lease)
     reload = _method(methods.reload)
@@ -291,6 +316,28 @@ class Client(ClientBase):
     telemetry = _stream(methods.telemetry)
 
 
+class Stream(StreamBase):
+    """Targets and forces, in `with daemon.stream() as stream`. For any thread."""
+
+    target = _sent(methods.target)
+    force = _sent(methods.force)
+
+    def __enter__(self) -> Self:
+        self._sender.open()
+        self._sender.begin()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self._end()
+            self._sender.settle()
+        else:
+            with suppress(HapticdError):  # what went wrong in the block is reported
+                self._end()
+
+
 class Subscription(FeedSocket[T], Generic[T]):
     """An endless iterator over telemetry, in effect from its creation until `close` or the end of `with`."""
 
@@ -333,7 +380,11 @@ class Subscription(FeedSocket[T], Generic[T]):
                 self._socket.recv_multipart(zmq.NOBLOCK)
 
     def receive(self, timeout_s: float) -> T | None:
-        """The next item, or None where none comes within `timeout_s`."""
+        """The next item, or None where none comes within `timeout_s`, in seconds. 0: only what has come already.
+
+        Raises InvalidError for a `timeout_s` that is negative or not finite. Unlike the iterator it raises nothing
+        where the daemon is silent.
+        """
         timeout_s = arguments.seconds("timeout_s", timeout_s, zero=True)
         if self._first:
             return self._first.pop(0)

@@ -31,6 +31,7 @@ from hapticd.protocol.results import (
     Status,
     TickResult,
 )
+from hapticd.protocol.streams import MOST, Kind
 
 if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
@@ -72,8 +73,17 @@ class Listen(Generic[R]):
     timeout_s: float | None
 
 
-def documented(method: F, described: Callable[..., object], result: str) -> F:
-    """`method` of a client, with the name, the parameters and the documentation of a function here.
+@dataclass(slots=True)
+class Send:
+    """A message of a stream."""
+
+    kind: Kind
+    x: float
+    y: float
+
+
+def documented(method: F, described: Callable[..., object], result: str, owner: str = "Client") -> F:
+    """`method` of `owner`, a client, with the name, the parameters and the documentation of a function here.
 
     `result` is what `inspect.signature` says of the result, `{}` standing for R.
     """
@@ -84,7 +94,7 @@ def documented(method: F, described: Callable[..., object], result: str) -> F:
     made.__signature__ = signature.replace(parameters=parameters, return_annotation=returns)
     made.__annotations__ = {**described.__annotations__, "return": returns}
     made.__name__, made.__doc__ = described.__name__, described.__doc__
-    made.__qualname__ = f"Client.{described.__name__}"
+    made.__qualname__ = f"{owner}.{described.__name__}"
     return method
 
 
@@ -230,6 +240,31 @@ def reload(expect_revision: int | None = None, wait: bool = False) -> Call[Revis
 def dump_flight() -> Call[FlightResult]:
     """Has the last seconds of telemetry written to a file on the daemon's machine; its name."""
     return Call("dump_flight")
+
+
+# ---- Streams -------------------------------------------------------------------------------------------------------
+
+
+def stream() -> None:
+    """Streams targets of the simulated hand, or forces, while the block runs: up to 1,000 a second of each.
+
+    The servo goes from one to the next in a straight line. Without a message for the time-out (20 ms by default) a
+    force fades to zero and the hand stays; the end of the block sends a force of zero. No message waits for an answer.
+    The first one of each kind, and one in half a second, asks for one all the same: what the daemon refuses is raised
+    (RemoteError) by a later message or at the end of the block, and forces that are off are warned of (ForcesOff).
+    """
+
+
+def target(x: float, y: float) -> Send:
+    """Where the simulated hand wants to be, m. Raises DaemonNotRunning, and RemoteError for a message before."""
+    most = MOST["target"]
+    return Send("target", arguments.within("x", x, most, "m"), arguments.within("y", y, most, "m"))
+
+
+def force(fx: float, fy: float) -> Send:
+    """A force that is added to the rendered one, N. Raises DaemonNotRunning, and RemoteError for a message before."""
+    most = MOST["force"]
+    return Send("force", arguments.within("fx", fx, most, "N"), arguments.within("fy", fy, most, "N"))
 
 
 # ---- Telemetry -----------------------------------------------------------------------------------------------------

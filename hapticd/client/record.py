@@ -21,6 +21,7 @@ import numpy.typing as npt
 from hapticd.base import wording
 from hapticd.base.clock import Moment, moment_of
 from hapticd.base.errors import HapticdError
+from hapticd.base.merge_patch import replace_members
 from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.protocol.calls import DaemonNotRunning, Topic
 from hapticd.protocol.places import Place, has_ended, no_telemetry
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
 
 LAST_CHANGE_S: Final = 1.0
-"""How long, at the end, is waited for what was before it: the last tick, and the change that it was rendered with."""
+"""How long without news, at the end, what was before it is waited for: the last tick, and the change that it was
+rendered with."""
 
 STOPPED: Final = "stopped"
 """Why a recording ended that somebody stopped."""
@@ -46,6 +48,12 @@ ENDED_AFTER_S: Final = 0.2
 
 _ATTEMPTS: Final = 10
 """Attempts to read scene and materials while somebody changes the materials."""
+
+
+def ended_early(because: str | None) -> str | None:
+    """Why a recording ended before it was to end, by its `ended_because`; None where it did not: who stops one ends it
+    when it is to end."""
+    return None if because == STOPPED else because
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,16 +132,19 @@ def record(
     notes: Mapping[str, Json] | None = None,
     stop: threading.Event | None = None,
     progress: Callable[[float], None] = lambda recorded_s: None,
+    opened: Callable[[RecordingWriter], None] = lambda writer: None,
 ) -> RecordSummary:
     """Records every tick and every event into `target`, for `duration_s` of the daemon's time or until
     `stop` is set; then what the daemon had rendered by that time is in it.
 
     What was recorded is kept when it is stopped, when the daemon goes away and when the disk is full. `notes` are kept
-    in it. `progress` is called with the time recorded so far, which is 0 until the first sample was taken. Raises
-    HapticdError where the target cannot be written, or is there already and `overwrite` does not say that it is to be
-    replaced, before anything is recorded.
+    in it. `progress` is called with the time recorded so far, which is 0 until the first sample was taken; `opened`
+    with the writer, before anything is recorded: another thread may ask it how much it wrote. Raises HapticdError where
+    the target cannot be written, or is there already and `overwrite` does not say that it is to be replaced, before
+    anything is recorded.
     """
     with open_writer(target, overwrite) as writer:
+        opened(writer)
         session = _Session(client, writer, duration_s, dict(notes or {}))
         try:
             ended = session.run(stop or threading.Event(), progress)
@@ -370,9 +381,9 @@ class _Scenes:
             return
         ahead = (change["revision"] - self.revision) & 0xFFFFFFFF
         if ahead == 1 and not change.get("large"):
-            _merge(self._scene, change.get("scene", {}))
-            _merge(self._objects, change.get("objects", {}))
-            _merge(self._materials, change.get("materials", {}))
+            replace_members(self._scene, change.get("scene", {}))
+            replace_members(self._objects, change.get("objects", {}))
+            replace_members(self._materials, change.get("materials", {}))
             self._rate_hz = change.get("rate_hz", self._rate_hz)
             self._write(change)
         elif 0 < ahead < 0x80000000:
@@ -413,14 +424,6 @@ class _Scenes:
     def _materials_and_status(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """What else a scene is rendered with: the materials, and the status, which has the rate."""
         return dict(self._client.get_materials()["materials"]), dict(self._client.get_status(detail=True))
-
-
-def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
-    for name, value in changes.items():
-        if value is None:
-            into.pop(name, None)
-        else:
-            into[name] = value
 
 
 def _changes(before: Mapping[str, object], after: Mapping[str, object]) -> dict[str, object]:
@@ -477,6 +480,7 @@ class _Interval:
         if len(batch) == 0:
             return batch
         times = batch["time_ns"]
+        self._give_up_at = time.monotonic() + LAST_CHANGE_S  # what comes late is waited for as long as something comes
         if self._first_tick is None:
             self._first_tick = int(batch["tick"][0])
             self._first_ns = int(times[0])

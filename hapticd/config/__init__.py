@@ -21,6 +21,7 @@ Files:
 
     locations            which files the configuration is taken from
     shipped_files        shipped scenes, operators and materials, by name
+    key_paths            changes of a configuration by the paths of its keys
     document_kinds       tells a scene, materials, a configuration and an operator apart by their keys
     change_files         materials and a scene from files, for one change of a running daemon
     file_faults          places a daemon's complaint about what was sent at file, line and column

@@ -24,7 +24,9 @@ class Actuator(Model):
     """How fast the actuator follows; without it, at once."""
 
     bandwidth_hz: float = Field(ge=LEAST_HZ, le=MOST_HZ, description="Where a sine of force has fallen by 3 dB.")
-    order: Literal[1, 2] = Field(default=1, description="Of its lag: 1 is one time constant, 2 a resonance or two.")
+    order: Literal[1, 2] = Field(
+        default=1, description="Order of its lag: 1 is one time constant, 2 a resonance or two time constants."
+    )
     damping_ratio: float = Field(
         default=math.sqrt(0.5), ge=0.1, le=2, description="Order 2: damping over that which just does not overshoot."
     )

@@ -42,8 +42,13 @@ def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
     Whether the scene's materials exist is for the daemon to say, which knows more of them. Raises InvalidError, which
     names every fault with file and line, HapticdError for a file that cannot be read.
     """
+    return change_of(load_all([file_of(os.fspath(path), "scenes") for path in paths]))
+
+
+def change_of(documents: Sequence[Document]) -> ChangeFiles:
+    """As load_change, of documents that were read. Raises InvalidError."""
     merged = Merged()
-    for document in map(_whole, load_all([file_of(os.fspath(path), "scenes") for path in paths])):
+    for document in map(_whole, documents):
         assert isinstance(document.data, dict)
         merged.add(document, document.data)
     try:

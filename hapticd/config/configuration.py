@@ -31,11 +31,11 @@ class Overruns(Model):
     """How many periods may be missed before something is done about it."""
 
     threshold: float = Field(
-        default=0.1, ge=0.001, le=1, description="Part of a second's periods that may be missed; 1: any."
+        default=0.1, ge=0.001, le=1, description="Fraction of a second's periods that may be missed; 1: all."
     )
     action: Literal["warn", "step_down", "fault"] = Field(
         default="warn",
-        description="What becomes of more: an event, half the rate (a fault where that is not possible), or a fault.",
+        description="If more are missed: an event, half the rate (a fault if that is not possible), or a fault.",
     )
 
 
@@ -56,6 +56,13 @@ class Servo(Model):
         default="timer", description="What leads the ticks: the clock, or the reports of a HID device."
     )
     overruns: Overruns = Field(default=Overruns(), description="Periods that are missed.")
+    stream_timeout_s: float = Field(
+        default=0.02,
+        ge=0.002,
+        le=1,
+        description="A stream of targets or forces ends when none came for this long: the force goes to zero over "
+        "`ramp_s`, the hand stays.",
+    )
 
 
 class Hand(Model):
@@ -186,20 +193,20 @@ class Device(Model):
         default=0.0,
         ge=0,
         le=0.01,
-        description="A surface that was let go is tapped again only after the probe was so far from it: the noise of "
-        "positions, the step of their encoder; 0: at every contact.",
+        description="Distance that the probe must leave a surface before the next contact is a tap again; choose the "
+        "noise of positions or the encoder's step. 0: every contact is a tap.",
     )
     undisplayable: Literal["mute", "lower"] = Field(
         default_factory=_muted_or_lowered,
-        description="What becomes of a mode above 0.4 of the rate, the link's if that is lower.",
+        description="A mode above 0.4 of the rate (the link's, if that is lower) is silent, or lowered in frequency.",
     )
     frozen_after_s: Annotated[float, Field(ge=0.1, le=60)] | None = Field(
         default=None,
-        description="Reports that say the very same position for this long, under a tenth of max_force_n or more, are "
-        "a fault; null: a handle may be held still.",
+        description="Exactly the same position for this long, under a force of a tenth of max_force_n or more, is a "
+        "fault; null: it is not, because a hand may hold a handle still.",
     )
     sim: Sim = Field(default=Sim(), description="The simulated joystick.")
-    hid: Hid = Field(default=Hid(), description="A HID joystick; of a replay, how its reports are understood.")
+    hid: Hid = Field(default=Hid(), description="A HID joystick; of a replay, how its reports are decoded.")
     replay: Replay | None = Field(default=None, description="The recording that is played.")
     handle: Handle | None = Field(
         default=None, description="The handle, of a real joystick; by default the simulated one's."
@@ -210,8 +217,8 @@ class Device(Model):
     )
     compensation: Compensation = Field(
         default="off",
-        description="Whether a strike makes up for what handle and hand do to it: not, for their mass and the hold of "
-        "the force, or for all of it.",
+        description="Correction of strikes for handle and hand: none, for their mass and the hold of the force, or for "
+        "mass, spring, damper and hold.",
     )
     # After those which its default is taken from.
     effective_mass_kg: float = Field(
@@ -293,14 +300,14 @@ def load_config(source: ConfigSource) -> Config:
     if isinstance(source, Config):
         return source
     if isinstance(source, Mapping):
-        return _load([Document(plain(source))])
+        return config_of_documents([Document(plain(source))])
     if isinstance(source, str | os.PathLike):
-        return _load([load_path(source)])
+        return config_of_documents([load_path(source)])
     if not isinstance(source, Sequence) or not all(isinstance(path, str | os.PathLike) for path in source):
         raise InvalidError(
             [Problem("", f"a configuration is a mapping, a path or a list of paths, not {shown(source)}")]
         )
-    return _load(load_all(source))
+    return config_of_documents(load_all(source))
 
 
 def load_all(paths: Sequence[str | os.PathLike[str]]) -> list[Document]:
@@ -320,7 +327,7 @@ def load_all(paths: Sequence[str | os.PathLike[str]]) -> list[Document]:
 @cache
 def default_config() -> Config:
     """What the daemon runs where no configuration file is found: `config/default.yaml`."""
-    return _load([shipped_document(DEFAULT)])
+    return config_of_documents([shipped_document(DEFAULT)])
 
 
 def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
@@ -336,7 +343,8 @@ def chosen_config(chosen: Chosen) -> Config:
     return load_config(files) if files else default_config()
 
 
-def _load(documents: Sequence[Document]) -> Config:
+def config_of_documents(documents: Sequence[Document]) -> Config:
+    """As load_config, of documents that were read."""
     merged = Merged()
     for given in documents:
         document = _whole(given)

@@ -22,6 +22,8 @@ Kind: TypeAlias = Literal[
     "waypoints",
     "gesture",
     "bridge",
+    "study",
+    "sweep",
 ]
 
 CONFIGURATION: Final = ("servo", "device", "flight")
@@ -34,6 +36,8 @@ MATERIAL: Final = (
 OPERATOR: Final = ("waypoints", "interpolation", "gesture")
 GESTURE_KINDS: Final = ("tap", "stroke", "puncture")
 BRIDGE: Final = ("listen", "server_key", "metrics", "limits", "clients")
+STUDY: Final = ("experiment", "factors", "trial", "questions")
+SWEEP: Final = ("vary", "measure", "refine")
 
 _HOLDS: Final[dict[Kind, str]] = {
     "configuration": "a configuration",
@@ -46,6 +50,8 @@ _HOLDS: Final[dict[Kind, str]] = {
     "waypoints": "waypoints",
     "gesture": "a gesture",
     "bridge": "the configuration of a bridge",
+    "study": "a study",
+    "sweep": "a sweep",
 }
 _TAKER: Final[dict[Kind, str]] = {
     "configuration": "run -c",
@@ -58,6 +64,8 @@ _TAKER: Final[dict[Kind, str]] = {
     "waypoints": "operator",
     "gesture": "operator",
     "bridge": "bridge -c",
+    "study": "experiment check",
+    "sweep": "sweep run",
 }
 _KEYS: Final[dict[Kind, tuple[str, ...]]] = {
     "configuration": (*CONFIGURATION, "materials", "scene"),
@@ -65,6 +73,8 @@ _KEYS: Final[dict[Kind, tuple[str, ...]]] = {
     "waypoints": ("waypoints", "interpolation"),
     "gesture": ("gesture",),
     "bridge": BRIDGE,
+    "study": STUDY,
+    "sweep": SWEEP,
 }
 
 _KEY_ABOVE: Final[dict[Kind, tuple[str, Kind]]] = {

@@ -178,7 +178,7 @@ class VendorReport(Model):
         default=(), description="Output reports that switch it off."
     )
     renew_s: float = Field(
-        default=0.04, ge=0.001, le=10, description="The force is sent again so often, changed or not."
+        default=0.04, ge=0.001, le=10, description="Interval at which the force is sent again, changed or not."
     )
 
     @model_validator(mode="after")
@@ -217,15 +217,16 @@ class Hid(Model):
     effect_duration_s: float = Field(
         default=0.1, ge=0.01, le=10, description="An effect ends by itself after this time, unless it is renewed."
     )
-    renew_s: float = Field(default=0.04, ge=0.005, le=5, description="Effects are started again so often.")
+    renew_s: float = Field(default=0.04, ge=0.005, le=5, description="Interval at which effects are started again.")
     max_rate_hz: Annotated[float, Field(ge=10, le=10000)] | None = Field(
-        default=None, description="Most force reports per second; null: what the link takes."
+        default=None, description="Most forces per second, however many reports each takes; null: what the link takes."
     )
     offload: Literal["off", "auto"] = Field(
-        default="off", description="auto: taps and ruptures that the device can play nearer than the link carries them."
+        default="off",
+        description="auto: the device plays taps and ruptures, if that is more accurate than to stream them.",
     )
     quirks: Annotated[tuple[Quirk, ...], Field(max_length=16, strict=False)] = Field(
-        default=(), description="What this device needs otherwise than the specification has it."
+        default=(), description="Deviations of this device from the specification."
     )
     report: VendorReport | None = Field(
         default=None, description="The reports of a device that is not of the PID class; null: it is."

@@ -44,8 +44,8 @@ from hapticd.config.mode_table import ModeTable
 from hapticd.config.modes import Attack as Attack
 from hapticd.config.modes import Mode as Mode
 from hapticd.config.modes import ModeKeys as ModeKeys
-from hapticd.config.modes import one_of
-from hapticd.config.texture import Grooves, Texture
+from hapticd.config.modes import absent, given, one_of
+from hapticd.config.texture import WITHOUT_MODE, Grooves, Texture
 from hapticd.config.vibration_direction import ONE_DIRECTION, AimedKeys
 from hapticd.config.waveform import Waveform
 
@@ -120,7 +120,7 @@ class Tap(AimedKeys):
             "allOf": [
                 one_of("frequency_hz", "angular_frequency_rad_per_s", "waveform", "mode_table"),
                 one_of("decay_time_s", "decay_rate_per_s", "waveform", "mode_table"),
-                {"not": {"required": ["second", "waveform"]}},
+                {"not": given("second", "waveform")},
                 one_of("attack_slope_per_s", "amplitudes"),
                 ONE_DIRECTION,
             ]
@@ -303,6 +303,13 @@ class Provenance(Model):
 
 class Material(Model):
     """What a surface is made of."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "if": {"required": ["texture"], "properties": {"texture": WITHOUT_MODE}},
+            "then": {"allOf": [given("tap"), {"properties": {"tap": absent("mode_table", "waveform")}}]},
+        }
+    )
 
     stiffness_n_per_m: Stiffness = Field(description="Force per penetration or deflection.")
     damping_n_s_per_m: Damping = Field(default=0.0, description="Force per speed along the normal.")

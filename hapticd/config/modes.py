@@ -53,9 +53,25 @@ class Mode:
         return amplitude if attack == "coefficient" else amplitude / self.peak
 
 
+def given(*names: str) -> JsonDict:
+    """JSON Schema of keys that all have a value; null is none."""
+    return {"required": [*names], "properties": {name: {"not": {"type": "null"}} for name in names}}
+
+
+def absent(*names: str) -> JsonDict:
+    """JSON Schema of keys of which none has a value."""
+    return {"properties": {name: {"type": "null"} for name in names}}
+
+
 def one_of(*names: str) -> JsonDict:
     """JSON Schema of exactly one of these keys; `a b` is both of them together."""
-    return {"oneOf": [{"required": [*name.split()]} for name in names]}
+    together = [name.split() for name in names]
+    return {
+        "oneOf": [
+            {"allOf": [given(*keys), absent(*(key for other in together if other is not keys for key in other))]}
+            for keys in together
+        ]
+    }
 
 
 ONE_OF_EACH_PAIR: JsonDict = {

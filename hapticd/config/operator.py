@@ -24,12 +24,13 @@ from typing import Annotated, Final, Literal, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text, quoted, shown
-from hapticd.base.model import Coordinate, Model, Name, faults_of, plain
+from hapticd.base.model import Coordinate, DescribedAs, Model, Name, faults_of, plain
 from hapticd.base.yaml_source import Document, load_path, load_text, one_line, read_file, refuse_recording
 from hapticd.config.document_kinds import refuse_other_kinds
+from hapticd.config.modes import given, one_of
 
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 Point: TypeAlias = tuple[float, float]
@@ -152,12 +153,26 @@ class PunctureGesture(Model):
 Gesture: TypeAlias = Annotated[TapGesture | StrokeGesture | PunctureGesture, Field(discriminator="kind")]
 
 
+Waypoint: TypeAlias = tuple[Annotated[float, Field(ge=0, le=MAX_TIME_S)], Coordinate, Coordinate]
+"""[t_s, x_m, y_m]."""
+_WAYPOINTS: Final = DescribedAs(Annotated[list[Waypoint], Field(min_length=1, max_length=MAX_WAYPOINTS)])
+
+
 class OperatorParams(Model):
     """What a message or a file says of the operator; the waypoints are checked by `_check_waypoints`."""
 
-    waypoints: list[object] | None = None
-    interpolation: Interpolation | None = None
-    gesture: Gesture | None = None
+    model_config = ConfigDict(
+        json_schema_extra={"allOf": [one_of("waypoints", "gesture"), {"not": given("gesture", "interpolation")}]}
+    )
+
+    waypoints: Annotated[list[object], _WAYPOINTS] | None = Field(
+        default=None,
+        description="times from 0 to 86400, each at least 1e-5 after the one before; coordinates -10 to 10",
+    )
+    interpolation: Interpolation | None = Field(
+        default=None, description="with waypoints: `linear` (the default) or `minimum_jerk`"
+    )
+    gesture: Gesture | None = Field(default=None, description="a tap, a stroke or a puncture")
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:

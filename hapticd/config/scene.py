@@ -89,7 +89,9 @@ class Box(Model):
     kind: Literal["box"]
     center_m: Position = Field(description="Its middle, [x, y].")
     size_m: Size = Field(description="Its sides, [width, height].")
-    angle_rad: float = Field(default=0.0, ge=-1000, le=1000, description="Turned so far, counterclockwise.")
+    angle_rad: float = Field(
+        default=0.0, ge=-1000, le=1000, description="Angle by which it is turned counterclockwise."
+    )
     material: Name = Field(description="Name of a material.")
 
 

@@ -36,9 +36,25 @@ def unit_of(key: str) -> str | None:
     return next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), None)
 
 
+def unit_suffix_of(key: str) -> str:
+    """The ending of a key that names its unit: `_n_per_m` of `stiffness_n_per_m`; empty without one."""
+    return next((ending for ending in _UNITS if key.endswith(ending)), "")
+
+
+def closed(schema: Json) -> Json:
+    """A JSON Schema in which a mapping by names takes no others; pydantic leaves names open that its pattern
+    excludes."""
+    if isinstance(schema, list):
+        return [closed(each) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    found = {key: closed(value) for key, value in schema.items()}
+    return {**found, "additionalProperties": False} if isinstance(found.get("patternProperties"), dict) else found
+
+
 def config_schema() -> dict[str, Json]:
     """JSON Schema of a configuration file, with descriptions, units, limits and defaults."""
-    schema = cast(dict[str, Json], Config.model_json_schema())
+    schema = cast(dict[str, Json], closed(cast(Json, Config.model_json_schema())))
     schema = {"$schema": DIALECT, **schema, "title": "hapticd configuration"}
     definitions = schema["$defs"]
     assert isinstance(definitions, dict)

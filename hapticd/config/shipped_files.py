@@ -1,7 +1,7 @@
-"""The scenes, operators and materials that ship with hapticd, and how a person names them.
+"""The scenes, operators, materials, studies and sweeps that ship with hapticd, and how a person names them.
 
-A scene or an operator that ships is named without folder and ending: `comb`. A file of that name in the current folder
-comes first.
+A scene, an operator, a study or a sweep that ships is named without folder and ending: `comb`. A file of that name in
+the current folder comes first.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Final, Literal, TypeAlias
 from hapticd.base.errors import HapticdError, near_names
 from hapticd.base.yaml_source import one_line
 
-Folder: TypeAlias = Literal["scenes", "operators", "materials"]
+Folder: TypeAlias = Literal["scenes", "operators", "materials", "experiments", "sweeps"]
 
 _ENDINGS: Final = (".yaml", ".csv")
 _MOST_NEAR: Final = 3
@@ -25,7 +25,7 @@ _MOST_NEAR: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class ShippedScene:
-    """A scene that ships, as its first comment describes it."""
+    """A scene that ships, or another file, as its first comment describes it."""
 
     name: str
     shows: str
@@ -40,7 +40,7 @@ class ShippedScene:
 
 
 def folder_of(name: str) -> Path:
-    """A folder of what ships: `scenes`, `operators`, `materials`."""
+    """A folder of what ships: `scenes`, `operators`, `materials`, `experiments`, `sweeps`."""
     return Path(str(resources.files("hapticd.shipped").joinpath(name)))
 
 
@@ -58,7 +58,12 @@ def shipped(folder: Folder) -> dict[str, str]:
 
 def shipped_scenes() -> list[ShippedScene]:
     """The scenes that ship, by name."""
-    return [_described(name, file) for name, file in shipped("scenes").items()]
+    return described("scenes")
+
+
+def described(folder: Folder) -> list[ShippedScene]:
+    """The files of a folder that ship, by name, as their first comments describe them."""
+    return [_described(name, file) for name, file in shipped(folder).items()]
 
 
 def _described(name: str, file: str) -> ShippedScene:

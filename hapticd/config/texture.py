@@ -21,10 +21,20 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
-from pydantic.config import JsonDict
+from pydantic.config import JsonDict, JsonValue
 
 from hapticd.base.model import MAX_FAULTS, CheckedTogether, Damping, Model, one_of_two
-from hapticd.config.modes import AngularFrequency, DecayRate, DecayTime, Frequency, Mode, ModeKeys, one_of
+from hapticd.config.modes import (
+    AngularFrequency,
+    DecayRate,
+    DecayTime,
+    Frequency,
+    Mode,
+    ModeKeys,
+    absent,
+    given,
+    one_of,
+)
 from hapticd.config.rising_points import MAX_POINTS, around, rising_faults
 from hapticd.config.vibration_direction import Direction
 
@@ -52,8 +62,32 @@ _KEYS_OF: Final[dict[Display, tuple[str, ...]]] = {
 }
 
 
-def _needs(display: str, key: str) -> JsonDict:
-    return {"if": {"properties": {"display": {"const": display}}}, "then": {"required": [key]}}
+def _displayed(display: Display) -> JsonDict:
+    """JSON Schema of what goes with a display: no keys of the others, and those that it needs."""
+    others = (key for other, keys in _KEYS_OF.items() if other != display for key in keys)
+    rules: list[JsonValue] = [absent(*others)]
+    if display == "vibration":
+        mode: JsonDict = {
+            "allOf": [one_of(*_ONE_FREQUENCY, "frequency_table"), one_of("decay_time_s", "decay_rate_per_s")]
+        }
+        rules += [_ABOVE_0, {"anyOf": [absent(*_MODE_KEYS, "frequency_table"), mode]}]
+    else:
+        rules += map(given, _KEYS_OF[display])
+    return {"if": {"properties": {"display": {"const": display}}}, "then": {"allOf": rules}}
+
+
+_ABOVE_0: Final[JsonDict] = {
+    "anyOf": [{"required": [key], "properties": {key: {"exclusiveMinimum": 0}}} for key in _GAINS]
+}
+"""JSON Schema of a texture of which anything is felt."""
+WITHOUT_MODE: Final[JsonDict] = {
+    "allOf": [
+        {"type": "object", "required": ["kind", "display"]},
+        {"properties": {"kind": {"const": "grooves"}, "display": {"const": "vibration"}}},
+        absent(*_MODE_KEYS, "frequency_table"),
+    ]
+}
+"""JSON Schema of grooves that ring with the mode of the material's tap."""
 
 
 class FrequencyTable(CheckedTogether):
@@ -100,16 +134,7 @@ class Grooves(CheckedTogether):
     """Grooves at equal distances, felt as strikes, as a shape or as drag."""
 
     model_config = ConfigDict(
-        json_schema_extra={
-            "allOf": [
-                _needs("geometry", "depth_m"),
-                _needs("damping", "damping_n_s_per_m"),
-                {
-                    "if": {"required": ["frequency_table"], "properties": {"frequency_table": {"type": "object"}}},
-                    "then": one_of("decay_time_s", "decay_rate_per_s"),
-                },
-            ]
-        }
+        json_schema_extra={"allOf": [_displayed("vibration"), _displayed("geometry"), _displayed("damping")]}
     )
 
     kind: Literal["grooves"] = Field(description="Which kind of texture this is.")
@@ -207,6 +232,8 @@ class Grooves(CheckedTogether):
 
 class Stochastic(Model):
     """Coloured noise with a spectrum of the material's own, louder with speed and force."""
+
+    model_config = ConfigDict(json_schema_extra=_ABOVE_0)
 
     kind: Literal["stochastic"] = Field(description="Which kind of texture this is.")
     peak_hz: Frequency = Field(description="Where its spectrum is highest.")
@@ -312,7 +339,7 @@ class Autoregressive(CheckedTogether):
     models: Annotated[
         tuple[AutoregressiveModel, ...], Strict(False), BeforeValidator(_one_by_one), BeforeValidator(_not_too_many)
     ] = Field(
-        min_length=1, max_length=MAX_MODELS, description="Each at a speed and a force of its own: a grid or scattered."
+        min_length=1, max_length=MAX_MODELS, description="Each at a different speed and force, on a grid or scattered."
     )
     threshold_m_per_s: Threshold = Field(
         default=0.002, description="Tangential speed below which it fades to silence at rest."

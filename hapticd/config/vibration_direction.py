@@ -6,11 +6,11 @@ from typing import Final, Literal, TypeAlias
 from pydantic import Field
 from pydantic.config import JsonDict
 
-from hapticd.config.modes import ModeKeys
+from hapticd.config.modes import ModeKeys, given
 
 Direction: TypeAlias = Literal["tangent", "normal"]
 
-ONE_DIRECTION: Final[JsonDict] = {"not": {"required": ["direction", "angle_rad"]}}
+ONE_DIRECTION: Final[JsonDict] = {"not": given("direction", "angle_rad")}
 """JSON Schema of at most one of the two keys."""
 
 

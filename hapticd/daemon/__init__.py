@@ -11,6 +11,8 @@ From a request to the servo, and back:
     intake           the intake thread: one long change at a time
     methods          the protocol's methods: what each does and answers, and the code of each error
     params           what the methods take
+    described/       the protocol as OpenRPC and AsyncAPI documents, made of params, results and records
+    streams          streamed targets and forces: who sends, in which order, and what became of every message
     lease            forces stay on only while somebody renews the lease
     reload           reads the configuration again, and says what needs a restart
     engine           scene, compiled table and servo: what the methods act on

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
-from hapticd.base.core import HISTOGRAM_EDGES_NS, CData, Fault, ffi, lib
+from hapticd.base.core import HISTOGRAM_EDGES_NS, CData, Fault, StreamKind, ffi, lib
 from hapticd.config.configuration import Servo
 from hapticd.hid.signs import SignsStatus
 
@@ -139,6 +139,23 @@ class Counters(NamedTuple):
         return Energy(self.energy_j, self.largest_j, self.contacts, self.restrained, self.acted)
 
 
+class StreamCounters(NamedTuple):
+    """Of a stream of targets or forces; all that were sent are used or superseded."""
+
+    used: int
+    superseded: int
+    """Those that a newer one took the place of before a tick could take them."""
+    limited: int
+    """Of those used, those that could not be followed as they were meant: too large, too fast."""
+    timeouts: int
+    """Times that none came for `servo.stream_timeout_s`."""
+    seq: int
+    """Of the last one that was used, by the tick `tick`; both 0 before the first."""
+    tick: int
+    active: bool
+    """One came within `servo.stream_timeout_s`."""
+
+
 TOTALS: Final = Counters._fields[: Counters._fields.index("suspends") + 1]
 """Those that only grow, as `get_status` names them."""
 
@@ -153,6 +170,18 @@ def read_counters(servo: CData) -> Counters:
     raw = ffi.new("struct hd_counters *")
     lib.hd_servo_counters(servo, raw)
     return Counters._make(_RECORD.unpack(ffi.buffer(raw)))
+
+
+_STREAM: Final = struct.Struct("<6Q?7x")
+if _STREAM.size != ffi.sizeof("struct hd_stream_counters"):
+    raise ImportError("the record of hapticd.daemon.counters is not that of csrc/api/hd_api_servo.h")
+
+
+def read_stream_counters(servo: CData, kind: StreamKind) -> StreamCounters:
+    """Those of one stream of a `struct hd_servo`. For any thread."""
+    raw = ffi.new("struct hd_stream_counters *")
+    lib.hd_servo_stream_counters(servo, kind, raw)
+    return StreamCounters._make(_STREAM.unpack(ffi.buffer(raw)))
 
 
 def read_faults(servo: CData) -> Fault:

@@ -21,7 +21,7 @@ from hapticd.base import codec
 from hapticd.base.errors import quoted
 from hapticd.daemon.intake import GivenUpError, Work
 from hapticd.daemon.methods import CHANGES, Changed, Done, MethodError, Methods, TakesLongError
-from hapticd.protocol import messages
+from hapticd.protocol import messages, streams
 from hapticd.system import notify
 from hapticd.system.repeated_lines import Repeats
 
@@ -75,11 +75,14 @@ class Dispatch:
         self._reload.set()
         self._methods.intake.wake()
 
-    def take(self, body: bytes | None, reply: Reply) -> None:
+    def take(self, body: bytes | None, reply: Reply, sender: object = None) -> None:
         """Answers a body by `reply`, now or in a later `turn`; a notification not at all. Never raises for what was
-        sent."""
-        if body is not None and len(body) > LARGE_BODY and self._take_large(body, reply):
-            return
+        sent. `sender`: the connection that it came over, which is whose a stream is."""
+        if body is not None:
+            if self._methods.streams.take_body(sender, body):
+                return
+            if len(body) > LARGE_BODY and self._take_large(body, reply):
+                return
         try:
             if body is None:
                 raise messages.WireError(
@@ -87,9 +90,13 @@ class Dispatch:
                 )
             request = messages.parse_request(messages.decode(body))
         except messages.WireError as error:
+            if error.method in streams.METHODS:
+                self._methods.streams.refused(error.method)
             _answer_error(error, reply)
             return
-        if request.method not in CHANGES:
+        if request.method in streams.METHODS:
+            self._answer(request, lambda: self._methods.stream(request.method, request.params, sender), reply)
+        elif request.method not in CHANGES:
             self._answer(request, lambda: self._methods.perform(request.method, request.params), reply)
         elif self._methods.intake.work is None and not self._waiting:
             self._change(request, len(body), reply)

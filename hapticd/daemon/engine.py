@@ -32,6 +32,7 @@ from hapticd.base.core import (
     OverrunAction,
     Realtime,
     Status,
+    StreamKind,
     ffi,
     invalid_reason,
     lib,
@@ -47,10 +48,12 @@ from hapticd.daemon.counters import (
     Counters,
     Granted,
     Histogram,
+    StreamCounters,
     missing_of,
     read_counters,
     read_faults,
     read_histograms,
+    read_stream_counters,
 )
 from hapticd.daemon.plays import Play
 from hapticd.daemon.stability import Snapshot, StabilityEvaluation
@@ -201,6 +204,7 @@ class Engine:
         settings.clock = ClockSource[servo.clock.upper()]
         settings.overrun_threshold = servo.overruns.threshold
         settings.overrun_action = self._overrun_action(servo.rate_hz)
+        settings.stream_timeout_s = servo.stream_timeout_s
         settings.frozen_s = config.device.frozen_after_s or 0.0
         settings.frozen_force_n = FROZEN_FORCE * config.device.max_force_n
         # A real device pushes once somebody says so.
@@ -567,13 +571,27 @@ class Engine:
         Raises HapticdError where there is no simulated hand.
         """
         if self._sim is None:
-            raise HapticdError(f"the device is of kind {self.config.device.kind}: its handle has a hand of its own")
+            raise HapticdError(
+                f"the device is of kind {self.config.device.kind}: only a simulated joystick has a hand to move"
+            )
         path = new_operator(waypoints.tolist(), interpolation)
         command = self._command(CommandKind.OPERATOR)
         command.path = path
         tick = self._ring.send([command])
         self._operator_tick = tick
         return tick
+
+    def stream(self, kind: StreamKind, seq: int, x: float, y: float) -> None:
+        """A newer target of the simulated hand, m, or force, N, which the servo goes to; there is always room.
+
+        Raises HapticdError for what is no finite number, a target beyond 1000 m, or one without a simulated hand.
+        """
+        if lib.hd_servo_stream(self._servo, kind, seq, ffi.new("double[2]", (x, y))) != Status.OK:
+            raise HapticdError(invalid_reason())
+
+    def stream_counters(self, kind: StreamKind) -> StreamCounters:
+        """What became of what was streamed. For any thread."""
+        return read_stream_counters(self._servo, kind)
 
     def operator(self) -> dict[str, object] | None:
         """The tick that took the last operator, and the last gestures that ended; None without a simulated hand. For

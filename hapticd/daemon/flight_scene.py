@@ -7,17 +7,15 @@ at the beginning moves forward, and samples from before it are in the file, but 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import chain
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
+from hapticd.base.merge_patch import replace_members
 from hapticd.base.model import Model
 from hapticd.config.materials import Material, Materials
 from hapticd.config.scene import Scene, SceneObject
 from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES, Change, Played, Reset, Revised, change_map, pieces
-
-T = TypeVar("T")
 
 MOST_CHANGED: Final = 4000
 """Changes that are kept, each counted once and for each of the `pieces` in it."""
@@ -131,8 +129,8 @@ class FlightScene:
         if change.rate_hz is not None:
             self._rate_hz = change.rate_hz
         self._base.shown.update(change.scene)
-        _merge(self._base.objects, change.objects)
-        _merge(self._base.materials, change.materials)
+        replace_members(self._base.objects, change.objects)
+        replace_members(self._base.materials, change.materials)
 
 
 def _base_of(scene: Scene, materials: Materials) -> _Base:
@@ -160,11 +158,3 @@ def _ahead(one: int, other: int) -> int:
     """By how many revisions, which go round at 2^32."""
     ahead = (one - other) & 0xFFFFFFFF
     return ahead if ahead < 0x80000000 else ahead - 0x100000000
-
-
-def _merge(into: dict[str, T], changes: Mapping[str, T | None]) -> None:
-    for name, value in changes.items():
-        if value is None:
-            into.pop(name, None)
-        else:
-            into[name] = value

@@ -54,17 +54,21 @@ from hapticd.daemon.params import (
     SetForcesParams,
     SetMaterialsParams,
     SetSceneParams,
+    StreamForceParams,
+    StreamTargetParams,
     UpdateMaterialsParams,
     UpdateSceneParams,
 )
 from hapticd.daemon.reload import needing_restart, read_again
 from hapticd.daemon.status import Status
+from hapticd.daemon.streams import HeldError, LateError, Streams
 from hapticd.hid.signs import CORRECT
 from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.protocol.encoded_scene import EncodedScene
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
 from hapticd.protocol.messages import Code, decode_trusted
+from hapticd.protocol.streams import Kind
 from hapticd.protocol.validation import faults_beside, patched_materials, patched_objects, whole_materials
 from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
@@ -93,6 +97,10 @@ class MethodError(Exception):
         self.code = code
         self.message = message
         self.data = data
+
+
+class NotInTurnError(MethodError):
+    """A message of a stream that is sound, and counted, but was not taken."""
 
 
 class Changed(NamedTuple):
@@ -151,7 +159,9 @@ class Methods:
         self.repeats = Repeats()
         """What clients cause in the log. Whoever calls also flushes it."""
         self._lease = Lease(engine.set_lease, monotonic_ns)
-        self._status = Status(engine, self._lease, self.intake, flight)
+        self.streams = Streams(engine, engine.connection is None, round(1e9 * engine.config.servo.stream_timeout_s))
+        self._sender: object = None
+        self._status = Status(engine, self._lease, self.intake, flight, self.streams)
         self._reference_m = engine.config.device.sim.start_m
         self._brief = False
 
@@ -231,6 +241,17 @@ class Methods:
             raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
         except worker_process.ApartError as error:
             raise MethodError(Code.INTERNAL, f"{error}; nothing of this was done: send it again") from None
+
+    def stream(self, method: str, params: Mapping[str, object], sender: object) -> dict[str, object]:
+        """Does one of the methods that stream, for this sender; what is not taken is counted. Raises MethodError."""
+        self._sender = sender
+        try:
+            return cast("dict[str, object]", self.perform(method, params))
+        except NotInTurnError:
+            raise
+        except MethodError:
+            self.streams.refused(method)
+            raise
 
     def status(self) -> dict[str, object]:
         """The body of the status topic: the result of get_status with every detail."""
@@ -360,6 +381,8 @@ class Methods:
         if not problems:
             sent = {name: materials[name] for name in params.materials or ()}
             problems = rate_faults(scene.objects, sent, engine.output)
+            # The objects of the scene before still have the material while the filters of the new one are designed.
+            problems = problems or rate_faults(engine.scene.objects, sent, engine.output)
         if not problems:
             problems = self._problems_of(scene.objects, ("scene",), materials)
         if problems:
@@ -557,12 +580,48 @@ class Methods:
         operator = parse_operator(params)
         engine.beat()
         grip = grip_of(engine.config.device.sim)
-        waypoints = operator.waypoints_for(self._target, grip, self._reference_m, engine.scene.objects)
+        reference_m = self.streams.target_m or self._reference_m
+        waypoints = operator.waypoints_for(self._target, grip, reference_m, engine.scene.objects)
         tick = engine.set_operator(waypoints, operator.interpolation)
         self._reference_m = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
+        self.streams.target_m = None
         where = None if operator.gesture is None else "gesture"
         warnings = operator_warnings(waypoints, engine.config.device.sim.workspace_m, where)
         return _with_warnings({"duration_s": float(waypoints[-1, 0]), "tick": tick}, warnings)
+
+    def _stream_target(self, params: StreamTargetParams) -> dict[str, object]:
+        if self._engine.connection is not None:
+            raise MethodError(
+                Code.NO_OPERATOR,
+                "stream_target moves the simulated joystick's hand; this device is of kind "
+                f"{self._engine.config.device.kind}, whose hand is a person's",
+            )
+        self._stream("target", params.seq, params.position_m)
+        return {}
+
+    def _stream_force(self, params: StreamForceParams) -> dict[str, object]:
+        self._stream("force", params.seq, params.force_n)
+        counters = self._engine.counters()
+        if counters.faults:
+            return {"forces": "faulted", "warning": self._off_because(counters.faults)}
+        if not counters.forces_on:
+            warning = "nothing of it is felt while forces are off: set_forces turns them on"
+            return {"forces": "off", "warning": warning}
+        return {"forces": "on"}
+
+    def _stream(self, kind: Kind, seq: int, vector: tuple[float, float]) -> None:
+        try:
+            self.streams.take(self._sender, kind, seq, *vector)
+        except HeldError as error:
+            raise NotInTurnError(
+                Code.STREAM_HELD,
+                f"another client streams a {kind}; send again once it has stopped for {1e3 * error.timeout_s:g} ms",
+                {"free_s": error.free_s},
+            ) from None
+        except LateError as error:
+            problem = Problem("seq", f"must be above {error.last}, the last of this stream, is {seq}")
+            refused = _faulty([problem])
+            raise NotInTurnError(refused.code, refused.message, refused.data) from None
 
     def _target(self, id: str) -> Target | None:
         item = self._engine.scene.objects.get(id)
@@ -575,7 +634,7 @@ class Methods:
                 Code.FORCES_OFF, self._off_because(counters.faults), {"faults": fault_names(counters.faults)}
             )
         if not counters.forces_on:
-            raise MethodError(Code.FORCES_OFF, "forces are off: set_forces with enabled: true turns them on")
+            raise MethodError(Code.FORCES_OFF, "forces are off: set_forces turns them on")
         if counters.signs.holds_back:
             waits = counters.signs.line() or "they come in once that is done"
             raise MethodError(Code.FORCES_OFF, f"forces are held back, the signs of the device are checked: {waits}")
@@ -586,7 +645,7 @@ class Methods:
         reasons = " and ".join(words[fault] for fault in Fault if fault in faults)
         if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
             return f"forces are off because {reasons}: {CORRECT}"
-        return f"forces are off because {reasons}: set_forces with enabled: true turns them on again"
+        return f"forces are off because {reasons}: set_forces turns them on again"
 
 
 # `set_operator` takes what an operator file holds, which hapticd.config.operator validates.
@@ -606,7 +665,11 @@ _METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "mark": (MarkParams, Methods._mark),
     "set_forces": (SetForcesParams, Methods._set_forces),
     "set_operator": (None, Methods._set_operator),
+    "stream_target": (StreamTargetParams, Methods._stream_target),
+    "stream_force": (StreamForceParams, Methods._stream_force),
     "lease": (LeaseParams, Methods._lease_request),
     "reload": (ReloadParams, Methods._reload),
     "dump_flight": (NoParams, Methods._dump_flight),
 }
+METHOD_PARAMS: Final[Mapping[str, type[Model] | None]] = {name: model for name, (model, _) in _METHODS.items()}
+"""What validates the params of each method; None: hapticd.config.operator."""

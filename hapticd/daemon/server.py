@@ -50,5 +50,5 @@ def serve(
         if request.too_long:
             reply(messages.too_long(request.size))
         else:
-            dispatch.take(request.body, reply)
+            dispatch.take(request.body, reply, request.peer)
     repeats.finish()

@@ -28,7 +28,8 @@ class Snapshot(NamedTuple):
     loop: Loop
 
     def evaluated(self) -> Stability:
-        return evaluate(self.surfaces, self.names.__getitem__, lambda: field_ids(self.scene.objects), self.loop)
+        names, fields = self.names.__getitem__, lambda: field_ids(self.scene.objects)
+        return evaluate(self.surfaces, names, fields, self.loop, unsafe=False)
 
     @property
     def size(self) -> int:

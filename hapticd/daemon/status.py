@@ -19,6 +19,7 @@ from hapticd.daemon.engine import Engine
 from hapticd.daemon.flight_recorder import Flight
 from hapticd.daemon.intake import Intake
 from hapticd.daemon.lease import Lease
+from hapticd.daemon.streams import Streams
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.messages import PROTOCOL
 from hapticd.rendering.scene_stability import Stability
@@ -27,8 +28,9 @@ from hapticd.rendering.scene_stability import Stability
 class Status:
     """Reports one engine's status. For any thread."""
 
-    def __init__(self, engine: Engine, lease: Lease, intake: Intake, flight: Flight | None) -> None:
+    def __init__(self, engine: Engine, lease: Lease, intake: Intake, flight: Flight | None, streams: Streams) -> None:
         self._engine, self._lease, self._intake, self._flight = engine, lease, intake, flight
+        self._streams = streams
         self._started_ns = monotonic_ns()
         self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
         self._encoded: tuple[tuple[object, ...], Members] = ((), Members(0, b""))
@@ -65,6 +67,7 @@ class Status:
             0 if flight is None else flight.version,
             engine.granted,
             stability,
+            self._streams.received > 0,
         )
 
     def _lasting(self, counters: Counters, stability: Stability) -> dict[str, object]:
@@ -82,12 +85,16 @@ class Status:
             **self._find_limits(),
             "stability": stability.to_dict(),
             "operator": engine.operator(),
+            **({} if self._streams.received else {"streams": self._streams.status()}),
         }
 
     def _changing(self, counters: Counters) -> dict[str, object]:
         engine, taken_in = self._engine, self._intake.work
         connection, moment = engine.connection, clock.read()
+        # As long as nobody streams, it is among what lasts.
+        streams = {"streams": self._streams.status()} if self._streams.received else {}
         return {
+            **streams,
             "clock": {"monotonic_ns": moment.monotonic_ns, "realtime_ns": moment.realtime_ns},
             "state": "running" if counters.running else "stopped",
             "connection": None if connection is None else {**connection.status(), "signs": counters.signs.to_dict()},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from hapticd.base import wording
 from hapticd.hid.device_texts import offload_text, unseen_text
@@ -11,7 +11,7 @@ from hapticd.rendering.stability_text import stability_words
 from hapticd.rendering.undisplayable_text import undisplayable_text
 
 if TYPE_CHECKING:
-    from hapticd.protocol.results import Status
+    from hapticd.protocol.results import Status, StreamStatus
 
 Line = tuple[str, str]
 """What it is about, and what is said of it. Without a name it goes on with the line before."""
@@ -46,6 +46,7 @@ def lines(status: Status) -> Iterator[Line]:
     yield "scene", f"revision {status['revision']:,}"
     lease = status["lease_s"]
     yield "lease", "none" if lease is None else f"held, {wording.duration(lease)} left"
+    yield from _streams(status.get("streams", {}))
     for name, histogram in status.get("histograms", {}).items():
         yield name.removesuffix("_ns"), _times(histogram)
     counters = status["counters"]
@@ -106,6 +107,15 @@ def _signs(status: Status) -> dict[str, Any]:
     connection = status.get("connection")
     signs = connection.get("signs") if isinstance(connection, dict) else None
     return signs if isinstance(signs, dict) else {}
+
+
+def _streams(streams: Mapping[Literal["target", "force"], StreamStatus]) -> Iterator[Line]:
+    """Of each kind of which messages came."""
+    for kind, counted in streams.items():
+        if counted["received"]:
+            came = f"{wording.count(counted['received'], 'message')} received, {counted['used']:,} used"
+            ended = wording.count(counted["timeouts"], "time")
+            yield f"{kind} stream", f"{'active' if counted['active'] else 'ended'}: {came}; ended {ended} so far"
 
 
 def _real_time(granted: Mapping[str, Any] | None) -> Iterator[Line]:

@@ -13,6 +13,7 @@ Reading:
 The fits, each of one kind of recording:
 
     from_files          reads files, runs a fit, says what goes into the material: begin here
+    options             what may be asked of a fit, and the fit that does it
     tap                 taps that ring: slope, frequency, decay
     waveform            taps that are pulses
     tap_kind            which of these two a set of taps is
@@ -33,7 +34,9 @@ Spectra:
 Results:
 
     verdict             good, fair or poor, with the thresholds of all fits
-    provenance          the material as the loader takes it, and where its figures come from
+    contribution        what a fit gives to a material, and the material as the loader takes it
+    provenance          where its figures come from
+    assumptions         the stiffness of a material whose recordings do not determine it
     plain_data          fits as plain data for JSON
     report              the report: an HTML page
     panels              what the report of each kind of fit draws

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -99,15 +100,16 @@ def _without(found: TapFit, kind: LawKind, two: bool, figures: Mapping[str, obje
 
 
 def fitted_files(
-    files: Sequence[str], fit: Fitting, step: Step, strict: bool
+    files: Sequence[str], fit: Fitting, step: Step, strict: bool, folder: str = ""
 ) -> tuple[list[Recording], list[Recording], Fitted]:
-    """The recordings that were used, those that were left out, and what was made of them."""
+    """The recordings that were used, those that were left out, and what was made of them. Files are known by their
+    names in the folder."""
     excluded = Exclusions(strict)
     recordings: list[Recording] = []
     for file in files:
         step(f"reading {Path(file).name}")
         try:
-            recordings.append(load(file))
+            recordings.append(load(os.path.join(folder, file), file))
         except RecordingError as error:
             if len(files) == 1 or isinstance(error, NoRecordingError):
                 raise

@@ -60,6 +60,12 @@ def page_of(
     return Page(title, fit.verdict, fit.warnings, estimates(fit), plain_figures(fit), tuple(sources.items()), rows)
 
 
+def first_row(kind: Kind, fit: Fit, recordings: Sequence[Recording]) -> Row:
+    """The first row of the report: what the events of all recordings have in common."""
+    rows = _ROWS[kind](fit, [_kept(each, kind) for each in recordings])
+    return next((row for row in rows if row), ())
+
+
 def _kept(recording: Recording, kind: Kind) -> Recording:
     """As it was fitted: without samples that cannot be."""
     try:

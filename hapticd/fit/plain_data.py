@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -23,6 +25,17 @@ def plain(value: object) -> object:
         return [plain(each) for each in value]
     if isinstance(value, np.generic):
         return value.item()
+    return value
+
+
+def finite(value: object) -> object:
+    """Plain data with null for each number that JSON does not have."""
+    if isinstance(value, Mapping):
+        return {str(key): finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
     return value
 
 

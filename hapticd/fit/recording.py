@@ -97,19 +97,22 @@ class Recording:
     lines there."""
 
 
-def load(path: str | os.PathLike[str]) -> Recording:
-    """Reads a recording. Raises RecordingError (one line), or InvalidError for faults in the YAML beside it
-    and for a YAML file that is for another command."""
+def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording:
+    """Reads a recording. `known_as` stands for its path in the result and in errors, instead of the path itself.
+
+    Raises RecordingError (one line), or InvalidError for faults in the YAML beside it and for a YAML file that is for
+    another command."""
     name = os.fspath(path)
-    shown = one_line(name)
+    own_name = name if known_as is None else known_as
+    shown = one_line(own_name)
     refuse_documents(name)
     try:
         content = file_bytes(name, MAX_BYTES)
     except ValueError as error:
         raise NoRecordingError(shown, str(error)) from None
     try:
-        beside = _beside(name)
-        table = _table(name, content, bool(beside.columns))
+        beside = _beside(name, own_name)
+        table = _table(own_name, content, bool(beside.columns))
         found, rounding_s, rate_hz = _quantities(table, beside, f"{shown}.yaml")
         if rate_hz is not None and beside.rate_hz is not None and abs(rate_hz / beside.rate_hz - 1) > RATES_ALIKE:
             raise ValueError(f"the file says {rate_hz:g} Hz, the YAML says {beside.rate_hz:g} Hz: which is right?")
@@ -132,7 +135,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
         position_m=even.get("position"),
         tangential_position_m=even.get("tangential_position"),
         speed_m_per_s=speed,
-        source=Source(name, hashlib.sha256(content).hexdigest()),
+        source=Source(own_name, hashlib.sha256(content).hexdigest()),
         sensor=beside.sensor,
         gaps=gaps,
     )
@@ -163,16 +166,16 @@ def save(recording: Recording, path: str | os.PathLike[str]) -> None:
 # ---- The YAML beside it ---------------------------------------------------------------------------------------------
 
 
-def _beside(name: str) -> RecordingSidecar:
-    path = f"{name}.yaml"
+def _beside(name: str, own_name: str) -> RecordingSidecar:
+    path, shown = f"{name}.yaml", f"{own_name}.yaml"
     # A link that leads nowhere is a YAML that cannot be read, and not none.
     if not os.path.lexists(path):
         return RecordingSidecar()
     try:
         content = file_bytes(path, MAX_YAML_BYTES)
     except ValueError as error:
-        raise HapticdError(f"{one_line(path)}: {error}") from None
-    document = load_bytes(content, path)
+        raise HapticdError(f"{one_line(shown)}: {error}") from None
+    document = load_bytes(content, shown)
     if document.data is None:
         return RecordingSidecar()
     try:

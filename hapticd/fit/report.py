@@ -21,7 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd._version import __version__
+from hapticd.analysis.drawing import literal, plain_decades, require_matplotlib
 from hapticd.analysis.statistics import Estimate
+from hapticd.base import html_page
 from hapticd.base.errors import HapticdError
 from hapticd.config.schema import unit_of
 
@@ -69,6 +71,8 @@ class Curve:
     crossed: bool = False
     """Points that are not used: crosses."""
     dashed: bool = False
+    color: str | None = None
+    """matplotlib's name; None: the next one."""
     low: Floats | None = None
     high: Floats | None = None
 
@@ -83,6 +87,8 @@ class Panel:
     curves: tuple[Curve, ...]
     logarithmic: bool = False
     """Both axes."""
+    counted: bool = False
+    """Along x are whole numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,10 +109,7 @@ class Page:
 
 def require(path: str) -> None:
     """Raises HapticdError (one line) where a report cannot be drawn, or not one with that ending."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise HapticdError("a report needs matplotlib: pip install 'hapticd[fit]'") from None
+    require_matplotlib("a report", "fit")
     if os.path.splitext(path)[1].lower() not in ENDINGS:
         raise HapticdError(f"{path}: is no kind of report: must end in {' or '.join(ENDINGS)}")
 
@@ -159,7 +162,7 @@ def _picture(rows: Sequence[Sequence[Panel]], title: str = "") -> bytes:
             for place in axes_row[len(row) :]:
                 place.set_axis_off()
         if title:
-            figure.suptitle(_literal(title), y=1 - _MARGINS[1] / 2 / height, va="top")
+            figure.suptitle(literal(title), y=1 - _MARGINS[1] / 2 / height, va="top")
         content = io.BytesIO()
         with warnings.catch_warnings():
             # The font has not every letter that a file's name may have.
@@ -170,13 +173,8 @@ def _picture(rows: Sequence[Sequence[Panel]], title: str = "") -> bytes:
     return content.getvalue()
 
 
-def _literal(text: str) -> str:
-    """Text that matplotlib takes for no formula."""
-    return text.replace("$", r"\$")
-
-
 def _short(text: str) -> str:
-    return _literal(text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]}…{text[-_LONGEST // 2 :]}")
+    return literal(text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]}…{text[-_LONGEST // 2 :]}")
 
 
 def _draw(axes: Axes, panel: Panel) -> None:
@@ -184,7 +182,7 @@ def _draw(axes: Axes, panel: Panel) -> None:
         axes.set_xscale("log")
         axes.set_yscale("log")
     for place, curve in enumerate(panel.curves):
-        color = f"C{place}"
+        color = curve.color or f"C{place}"
         if curve.points:
             size = 4 if len(curve.x) <= _MANY else 2
             if curve.low is not None and curve.high is not None:
@@ -205,6 +203,10 @@ def _draw(axes: Axes, panel: Panel) -> None:
         if largest > 0:
             axes.set_ylim(largest * _DEEPEST, largest * 3)
         _label_logarithmic(axes)
+    if panel.counted:
+        from matplotlib.ticker import MaxNLocator
+
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     axes.grid(alpha=0.3)
@@ -226,18 +228,14 @@ def _draw(axes: Axes, panel: Panel) -> None:
 
 def _label_logarithmic(axes: Axes) -> None:
     """As many labels as have room: of less than a decade 1, 2, 5 and so on as plain numbers, of more only decades."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+    from matplotlib.ticker import NullLocator
 
     axes.yaxis.set_minor_locator(NullLocator())  # hundreds of them, and each takes its time
     low, high = axes.get_xlim()
     decades = math.log10(high / low) if low > 0 else math.inf
     if decades > MANY_DECADES:
         return
-    steps = next(steps for most, steps in STEPS if decades <= most)
-    axes.xaxis.set_major_locator(LogLocator(subs=steps))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    plain_decades(axes.xaxis, next(steps for most, steps in STEPS if decades <= most))
     # matplotlib adds what it has beyond either end, which would stretch the axis.
     axes.set_xlim(low, high)
 
@@ -253,37 +251,38 @@ def figure_rows(
     return rows + [(name, f"{value:.6g}", "", unit_of(name) or "") for name, value in plain.items()]
 
 
-_STYLE: Final = (
-    "body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em}"
-    "table{border-collapse:collapse}td,th{padding:.2em .8em;border-bottom:1px solid #ccc;text-align:left}"
-    "img{max-width:100%}.warning{color:#a40}code{font-size:12px}"
-)
+def fit_page(title: str, body: str) -> str:
+    """A page of fits: below its heading this text of HTML, and by which version it was made."""
+    return html_page.page(title, f"{body}\n<p>hapticd {html.escape(__version__)}</p>")
+
+
+def html_figures(figures: Mapping[str, Estimate], plain: Mapping[str, float]) -> str:
+    """The figures of a fit as a table."""
+    heads, of_text = ("figure", "value", "95 % interval", "unit"), (True, False, False, True)
+    return html_page.table(heads, figure_rows(figures, plain), of_text)
+
+
+def html_picture(row: Sequence[Panel]) -> str:
+    """A row of pictures, in the page itself."""
+    return (
+        f'<p><img alt="{html.escape("; ".join(panel.title for panel in row))}" src="data:image/png;base64,'
+        f'{base64.b64encode(_picture([row])).decode()}"></p>'
+    )
+
+
+def html_warnings(warnings: Sequence[str]) -> str:
+    """One paragraph each."""
+    return "\n".join(f'<p class="warning">{html.escape(text)}</p>' for text in warnings)
 
 
 def _html(page: Page) -> str:
-    def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-        head = "".join(f"<th>{html.escape(text)}</th>" for text in heads)
-        body = "".join("<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in row) + "</tr>\n" for row in rows)
-        return f"<table>\n<tr>{head}</tr>\n{body}</table>"
-
-    pictures = "\n".join(
-        f'<p><img alt="{html.escape("; ".join(panel.title for panel in row))}" src="data:image/png;base64,'
-        f'{base64.b64encode(_picture([row])).decode()}"></p>'
-        for row in page.rows
-    )
-    warned = "\n".join(f'<p class="warning">{html.escape(text)}</p>' for text in page.warnings)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head><meta charset="utf-8"><title>{html.escape(page.title)}</title><style>{_STYLE}</style></head>
-<body>
-<h1>{html.escape(page.title)}</h1>
-<p><b>{html.escape(page.verdict)}</b></p>
-{warned}
-{table(("figure", "value", "95 % interval", "unit"), figure_rows(page.figures, page.plain))}
+    pictures = "\n".join(html_picture(row) for row in page.rows)
+    return fit_page(
+        page.title,
+        f"""<p><b>{html.escape(page.verdict)}</b></p>
+{html_warnings(page.warnings)}
+{html_figures(page.figures, page.plain)}
 {pictures}
 <h2>Recordings</h2>
-{table(("file", "SHA-256"), page.sources)}
-<p>hapticd {html.escape(__version__)}</p>
-</body>
-</html>
-"""
+{html_page.table(("file", "SHA-256"), page.sources, (True, True))}""",
+    )

@@ -12,6 +12,7 @@ import os
 import select
 from typing import Final, Protocol
 
+from hapticd.base.errors import on_one_line
 from hapticd.hid.plan import DeviceError, Plan
 
 RULE: Final = "install systemd/70-hapticd.rules into /etc/udev/rules.d and plug it in again, or run as its owner"
@@ -155,4 +156,4 @@ def _last(hidapi: object) -> str:
         reason = hidapi.error()  # type: ignore[attr-defined]
     except (OSError, ValueError):
         return "the device is gone"
-    return " ".join(str(reason).split()) or "no reason given"
+    return on_one_line(str(reason)) or "no reason given"

@@ -4,6 +4,7 @@ The wire:
 
     zmtp                     bytes of ZeroMQ's protocol to messages, and back
     messages                 JSON-RPC 2.0 in msgpack: requests, answers, error codes, the frames around them
+    streams                  streamed targets and forces: one short notification each, written and read
     calls                    the client's side of a call: what it sends, what an answer says, which exception it is
 
 What messages say:

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from hapticd.base.core import MARKS
 from hapticd.base.errors import InvalidError, Path, Problem, path_text
-from hapticd.base.model import Model
+from hapticd.base.model import DescribedAs, Model
 from hapticd.base.yaml_source import Json
 
 MOST_DATA_BYTES: Final = 8192
@@ -22,8 +22,10 @@ MOST_DATA_BYTES: Final = 8192
 class MarkParams(Model):
     """Params of `mark`."""
 
-    text: Annotated[str, Field(min_length=1, max_length=1000)]
-    data: object = None
+    text: Annotated[str, Field(min_length=1, max_length=1000)] = Field(description="what the mark says")
+    data: Annotated[object, DescribedAs(None | bool | float | str | list[object] | dict[str, object])] = Field(
+        default=None, description=f"stored with the mark; at most {MOST_DATA_BYTES} bytes as JSON"
+    )
 
 
 class Mark(NamedTuple):

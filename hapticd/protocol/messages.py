@@ -65,21 +65,25 @@ class Code(enum.IntEnum):
     LEASE_LAPSED = -32007
     NO_OPERATOR = -32008
     DAEMON_AWAY = -32009
+    STREAM_HELD = -32010
 
 
 class WireError(HapticdError):
     """A message that is not what the protocol says.
 
     `id` is the id that the answer carries (None where none could be read), `silent` is true where the
-    message was a notification, which is never answered.
+    message was a notification, which is never answered. `method` is what it asked for, where that could be read.
     """
 
-    def __init__(self, code: int, message: str, *, id: Id = None, silent: bool = False) -> None:
+    def __init__(
+        self, code: int, message: str, *, id: Id = None, silent: bool = False, method: str | None = None
+    ) -> None:
         super().__init__(message)
         self.code = code
         self.message = message
         self.id = id
         self.silent = silent
+        self.method = method
 
 
 # ---- bodies ------------------------------------------------------------------------------------------------
@@ -233,7 +237,7 @@ def parse_request(message: object) -> Request:
         raise WireError(Code.INVALID_REQUEST, f"unknown member {unknown:.80}", id=id)
     params = message.get("params", {})
     if type(params) is not dict:
-        raise WireError(Code.INVALID_PARAMS, "params: must be a map", id=id, silent=not has_id)
+        raise WireError(Code.INVALID_PARAMS, "params: must be a map", id=id, silent=not has_id, method=method)
     return Request(id, has_id, method, params)
 
 
@@ -265,6 +269,11 @@ def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> 
     if params:
         message["params"] = params
     return encode(message)
+
+
+def notification(method: str, params: Mapping[str, object] | None = None) -> bytes:
+    """The body of a call that nobody answers."""
+    return encode({"jsonrpc": "2.0", "method": method, "params": params or {}})
 
 
 def result_reply(id: Id, result: object) -> bytes | Encoded:

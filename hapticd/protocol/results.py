@@ -26,6 +26,24 @@ class OperatorStatus(TypedDict):
     ends: list[GestureEnd]
 
 
+class StreamStatus(TypedDict):
+    """What became of the messages of one kind of stream. Each that was received is used, superseded, late, held or
+    refused, or about to be used."""
+
+    active: bool
+    seq: int | None
+    tick: int | None
+    received: int
+    used: int
+    superseded: int
+    late: int
+    lost: int
+    refused: int
+    held: int
+    limited: int
+    timeouts: int
+
+
 class Status(TypedDict):
     """What the daemon is and does."""
 
@@ -53,6 +71,8 @@ class Status(TypedDict):
     offload: list[dict[str, Json]]
     stability: dict[str, Json]
     operator: OperatorStatus | None
+    connection: dict[str, Json] | None
+    streams: dict[Literal["target", "force"], StreamStatus]
 
 
 class ConfigResult(TypedDict):
@@ -123,6 +143,13 @@ class ForcesResult(TickResult):
     signs: NotRequired[SignsCheck]
 
 
+class StreamedForceResult(TypedDict):
+    """What the forces are now, and, unless they are on, why nothing of the streamed force is felt."""
+
+    forces: Literal["on", "off", "faulted"]
+    warning: NotRequired[str]
+
+
 class OperatorResult(TickResult):
     """Also how long the hand will be under way."""
 
@@ -166,5 +193,49 @@ class State(TypedDict):
     flag_names: list[str]
 
 
+class Revised(TypedDict):
+    """A change of scene or materials: all that is other than at the revision before, None for what is gone. `large`:
+    more than is listed; `get_scene` and `get_materials` list it. `rate_hz`: the servo stepped down."""
+
+    revision: int
+    objects: NotRequired[dict[str, dict[str, Json] | None]]
+    scene: NotRequired[dict[str, Json]]
+    materials: NotRequired[dict[str, dict[str, Json] | None]]
+    rate_hz: NotRequired[float]
+    large: NotRequired[bool]
+
+
+class StruckMode(TypedDict):
+    """The mode, and what `play` was told of it."""
+
+    angular_frequency_rad_per_s: float
+    decay_rate_per_s: float
+    attack: Literal["coefficient", "first_peak"]
+    direction: list[float]
+    amplitude_m_per_s2: float
+
+
+class Played(TypedDict):
+    """A mode that `play` struck, and the tick that took it."""
+
+    tick: int
+    play: StruckMode
+
+
+class ResetObjects(TypedDict):
+    """Ids, where the command named them."""
+
+    objects: NotRequired[list[str]]
+
+
+class ResetDone(TypedDict):
+    """Contacts that `reset` cleared, and the tick that took it."""
+
+    tick: int
+    reset: ResetObjects
+
+
+Change: TypeAlias = Revised | Played | ResetDone
+"""What a command changed."""
 Event: TypeAlias = "dict[str, Json]"
 """One event; `event` says which, `tick` and `time_ns` when, the other members depend on it."""

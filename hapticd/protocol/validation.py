@@ -65,9 +65,7 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> dict[str, Scen
         old = None if before is None else before.to_dict() if kept is None else before.to_dict({"patches"})
         merged = merge_patch(old, cast(Any, patch))
         if before is None and isinstance(merged, dict) and "kind" not in merged:
-            told = known_names(id, scene.objects) if scene.objects else "the scene has none"
-            where = path_text(("objects", id))
-            problems.append(Problem(where, f"there is no object of this id, and a new one needs a kind; {told}"))
+            problems.append(Problem(path_text(("objects", id)), _no_object(id, scene)))
             continue
         try:
             item = validate_object(id, merged)
@@ -77,6 +75,14 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> dict[str, Scen
     if problems:
         raise InvalidError(problems)
     return changes
+
+
+def _no_object(id: str, scene: Scene) -> str:
+    """Why nothing can be merged into the object: there is none."""
+    if id in Scene.model_fields:
+        return "there is no object of this id: it is a key of the scene; set_scene changes it, with the whole scene"
+    told = known_names(id, scene.objects) if scene.objects else "the scene has none"
+    return f"there is no object of this id, and a new one needs a kind; {told}"
 
 
 def whole_materials(given: Mapping[str, object], before: Materials, working: _Working) -> dict[str, Material]:

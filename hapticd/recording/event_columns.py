@@ -46,6 +46,9 @@ MEMBERS: Final[dict[str, Kind]] = {
 }
 """Members of events as docs/protocol.md lists them."""
 
+ALWAYS: Final = ("event", "tick", "time_ns")
+"""Members that every event has."""
+
 MAY_BE_NONE: Final = frozenset(("object", "true_speed_m_per_s", "data"))
 
 
@@ -71,7 +74,8 @@ def _text(kind: Kind, value: object) -> str:
 
 
 def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
-    """How many events there are, and the columns that hold them: one for each member that occurs.
+    """How many events there are, and the columns that hold them: one for each member that occurs. Without events there
+    are the columns of `ALWAYS`, so that a file in which nothing happened is read like any other.
 
     - truth values: i1, 0 or 1; -1
     - whole numbers: i8; 0, or NO_TIME where the name ends in `_ns`
@@ -89,7 +93,7 @@ def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
             if value is not None and (kind in (Kind.TEXT, Kind.JSON) or not isinstance(value, int | float)):
                 widths[name] = max(widths.get(name, 1), len(_text(kind or Kind.TEXT, value)))
     columns = []
-    for name, types in found.items():
+    for name, types in (found or {name: set() for name in ALWAYS}).items():
         kind = MEMBERS.get(name) or _guessed(types - {type(None)})
         forms: dict[Kind, tuple[str, object]] = {
             Kind.TRUTH: ("|i1", -1),

@@ -3,8 +3,9 @@
 A tick is a function of scene, state and input. Samples hold the input (position, velocity, time, whether forces were
 on), a recording holds the scenes and what was played and reset, and the state is that of a servo as long as it began
 from the same. So a replay begins where nothing was left of what had been before: at tick 0, or at a tick at which
-nothing is touched, rings or ramps. It begins again where ticks are missing, after a fault, and at another rate. What it
-renders should be the recorded forces, bit for bit. Where it is not, something was not as the recording says it.
+nothing is touched, rings or ramps. It begins again where ticks are missing, after a fault, at another rate, and after a
+streamed force, which no recording holds. What it renders should be the recorded forces, bit for bit. Where it is not,
+something was not as the recording says it.
 
 Files of the flight recorder tell the scene at their beginning and what changed since, as recordings do. What was before
 the first change that such a file tells is not rendered.
@@ -51,6 +52,7 @@ NEEDED: Final = ("config", "scene", "materials", "changes")
 _LEFT_OUT: Final = {
     "fault": "with a fault latched",
     "scene": "whose scene is not in the file",
+    "streamed": "with a streamed force",
     "begun_before": "until nothing was touched, rang or ramped",
 }
 _LEFT_OVER: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
@@ -93,7 +95,8 @@ class Replay:
     """Revisions whose scene is not in the recording; their ticks were not rendered again."""
     left_out: Mapping[str, int]
     """Why ticks were not rendered again, and how many: `fault` (one was latched), `scene` (it is not in the recording),
-    `begun_before` (what was touched, rang or ramped began before, or what was played before is not in the file)."""
+    `streamed` (a force was streamed, which is not in the recording), `begun_before` (what was touched, rang or ramped
+    began before, or what was played before is not in the file)."""
     doubts: tuple[str, ...]
     """What the recording does not say, and may be why forces are others; none where all are as recorded."""
     settled: bool
@@ -111,9 +114,8 @@ class Replay:
             force = self.differences["force_n"]
             text += f"{ticks - self.identical:,} not as recorded, the first is tick {self.first_different}; "
             text += f"the force differs by {force.largest_n:.3g} N at most, {force.rms_n:.3g} N RMS"
-        left_out = [f"{count:,} {_LEFT_OUT[why]}" for why, count in self.left_out.items()]
-        if left_out:
-            text += f"; left out: {', '.join(left_out)}"
+        if self.left_out:
+            text += f"; left out: {_left_out_text(self.left_out)}"
         if not self.settled:
             text += "; something is touched, rings or ramps in each of them"
         if self.missing_revisions:
@@ -227,7 +229,7 @@ def _replay(recorded: Recorded, memory: Memory) -> Replay:
             at += len(rendered)
             events += [memory.event(event_map(event, rerun.name_of(event))) for event in happened]
     if not count:
-        raise HapticdError("no tick of it can be rendered again: there is a fault in each, or its scene is missing")
+        raise HapticdError(f"no tick of it can be rendered again: {_left_out_text(_left_out(samples, known, 0))}")
     before = samples
     if count < len(samples):
         before = np.concatenate([samples[stretch] for stretch, _ in stretches])
@@ -236,12 +238,6 @@ def _replay(recorded: Recorded, memory: Memory) -> Replay:
         different |= (again[name].view(np.uint64) != before[name].view(np.uint64)).any(axis=1)
     first = int(before["tick"][np.argmax(different)]) if different.any() else None
     missing = sorted(set(np.unique(samples["revision"]).tolist()) - set(known))
-    faults = samples["flags"] & Flag.FAULT != 0
-    counts = {
-        "fault": int(faults.sum()),
-        "scene": int((~np.isin(samples["revision"], known) & ~faults).sum()),
-    }
-    counts["begun_before"] = len(samples) - len(again) - sum(counts.values())
     return Replay(
         again,
         before,
@@ -251,11 +247,25 @@ def _replay(recorded: Recorded, memory: Memory) -> Replay:
         first,
         {name: _difference(again[name] - before[name]) for name in FORCES},
         tuple(missing),
-        {why: count for why, count in counts.items() if count},
+        _left_out(samples, known, len(again)),
         _doubts(configs[rate_hz].device, revisions) if different.any() else (),
         settled,
         texts,
     )
+
+
+def _left_out(samples: Samples, known: list[int], rendered: int) -> dict[str, int]:
+    """Why ticks were not rendered again, and how many: see `Replay.left_out`."""
+    faults = samples["flags"] & Flag.FAULT != 0
+    unknown = ~np.isin(samples["revision"], known) & ~faults
+    streamed = (samples["flags"] & Flag.STREAMED != 0) & ~faults & ~unknown
+    counts = {"fault": int(faults.sum()), "scene": int(unknown.sum()), "streamed": int(streamed.sum())}
+    counts["begun_before"] = len(samples) - rendered - sum(counts.values())
+    return {why: count for why, count in counts.items() if count}
+
+
+def _left_out_text(left_out: Mapping[str, int]) -> str:
+    return ", ".join(f"{count:,} {_LEFT_OUT[why]}" for why, count in left_out.items())
 
 
 def _difference(between: npt.NDArray[np.float64]) -> Difference:
@@ -366,7 +376,7 @@ def _stretches(
     """Ticks that can be rendered one after the other, and whether the command is zero when they begin; and whether
     they begin where nothing is left of what was before."""
     flags = samples["flags"]
-    usable = known & (flags & Flag.FAULT == 0)
+    usable = known & (flags & (Flag.FAULT | Flag.STREAMED) == 0)
     follows = np.diff(samples["tick"].astype(np.int64), prepend=-2) == 1
     follows &= np.diff(rates_hz, prepend=rates_hz[:1]) == 0.0
     begins = np.flatnonzero(usable & ~(follows & np.roll(usable, 1)))

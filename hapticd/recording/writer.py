@@ -154,6 +154,11 @@ class RecordingWriter(ABC):
 
     # ---- What they share -------------------------------------------------------------------------------------------
 
+    @property
+    def written_bytes(self) -> int:
+        """On the disk so far; another thread may ask."""
+        return self._partial.size + self._notes.size
+
     def begin(self, texts: Mapping[str, object], about: Mapping[str, object] | None = None) -> None:
         """What is known at the start, by name, and of the text `recording`; it is in the file also where the recording
         is killed."""

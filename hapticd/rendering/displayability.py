@@ -24,6 +24,7 @@ from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
 from hapticd.rendering.compensation import LARGEST, Load, Shape, shapes_of
 from hapticd.rendering.device_output import Output
+from hapticd.rendering.displayed_error import displayed_error
 from hapticd.rendering.filter_design import power_above, stochastic_filter
 from hapticd.rendering.resampling import resampled
 from hapticd.rendering.undisplayable_text import Undisplayable, Use
@@ -54,6 +55,23 @@ def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
         return None, 1.0
     lowered = Mode(decay_rate_per_s=mode.decay_rate_per_s, angular_frequency_rad_per_s=highest)
     return lowered, mode.peak / lowered.peak
+
+
+def strike_error(mode: Mode, output: Output) -> float | None:
+    """Displayed error of a strike that begins at a tick (hapticd.rendering.displayed_error).
+
+    None where the mode is muted or lowered, or where mass and damping of the handle are not known.
+    """
+    if output.dynamics is None or displayed_mode(mode, output)[0] is not mode:
+        return None
+    return displayed_error(
+        mode,
+        output.dynamics,
+        output.carried_hz,
+        output.compensation,
+        output.effective_mass_kg,
+        output.actuator,
+    )
 
 
 @dataclass(frozen=True, slots=True)

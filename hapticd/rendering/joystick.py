@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, assert_never
 
 import numpy as np
+import numpy.typing as npt
 
 from hapticd.base.core import CData, Interpolation, Status, ffi, invalid_reason, lib, pointer
 from hapticd.base.errors import HapticdError
-from hapticd.config.configuration import Sim
+from hapticd.config.configuration import Config, Sim
 from hapticd.config.materials import Material
-from hapticd.config.operator import Grip, Target
+from hapticd.config.operator import Grip, Operator, Target
 from hapticd.config.scene import SURFACES, Box, Disc, Membrane, SceneObject, Wall
 
 
@@ -81,6 +82,20 @@ def grip_of(sim: Sim) -> Grip:
         stiffness_n_per_m=sim.hand.stiffness_n_per_m,
         damping_n_s_per_m=sim.hand.damping_n_s_per_m + sim.handle_damping_n_s_per_m,
         moving_mass_kg=sim.handle_mass_kg + sim.hand.mass_kg,
+    )
+
+
+def way_of(operator: Operator, config: Config) -> npt.NDArray[np.float64]:
+    """The way of the hand of the simulated joystick from its start, rows [t_s, x_m, y_m], shape (n, 3).
+
+    Raises InvalidError for a gesture that the scene does not fit.
+    """
+    objects = config.scene.objects
+    return operator.waypoints_for(
+        lambda id: target_of(objects.get(id), config.materials),
+        grip_of(config.device.sim),
+        config.device.sim.start_m,
+        objects,
     )
 
 

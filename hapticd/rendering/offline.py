@@ -39,7 +39,7 @@ from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import Output, loop_of, output_of
 from hapticd.rendering.displayability import materials_in, rate_faults, undisplayable, warnings
-from hapticd.rendering.joystick import grip_of, new_operator, new_sim, target_of
+from hapticd.rendering.joystick import new_operator, new_sim, way_of
 from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.undisplayable_text import Undisplayable
 
@@ -97,12 +97,13 @@ class _Scene:
         return evaluate(self._compiler.surfaces(), self._compiler.names().__getitem__, lambda: field_ids(objects), loop)
 
     def new_state(self, resolution_m: float) -> CData:
-        state = _new_state(len(self.objects))
+        state = new_state_of(len(self.objects))
         lib.hd_state_set_resolution(state, resolution_m)
         return state
 
 
-def _new_state(slots: int) -> CData:
+def new_state_of(slots: int) -> CData:
+    """A `struct hd_state *` with room for so many objects at once, freed with the last reference to it."""
     state = lib.hd_state_new(max(1, slots))
     if state == ffi.NULL:
         raise MemoryError("no memory for the state of a run")
@@ -174,7 +175,7 @@ class Rerun:
 
     def restart(self, muted: bool) -> None:
         """From here on as if nothing had been before; `muted`: the command comes in over the ramp."""
-        self._state = _new_state(self._slots)
+        self._state = new_state_of(self._slots)
         if muted:
             lib.hd_state_mute(self._state)
 
@@ -357,19 +358,18 @@ def simulate_run(
     rate_hz: float | None = None,
     *,
     interpolation: Literal["linear", "minimum_jerk"] | None = None,
+    check_stability: bool = True,
 ) -> Run:
-    """As `simulate`, with the events and the handle's true motion."""
+    """As `simulate`, with the events and the handle's true motion.
+
+    Without `check_stability`, which may take longer than the run, the warnings say nothing of what may oscillate.
+    """
     scene = _Scene(config, rate_hz)
     operator = _operator(waypoints, interpolation)
     device = scene.config.device.sim
-    path = operator.waypoints_for(
-        lambda id: target_of(scene.config.scene.objects.get(id), scene.config.materials),
-        grip_of(device),
-        device.start_m,
-        scene.config.scene.objects,
-    )
+    path = way_of(operator, scene.config)
     count = _ticks(float(path[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
-    stability = scene.stability()
+    unstable = scene.stability().problems() if check_stability else ()
     sim = new_sim(device, scene.rate_hz)
     hand = new_operator(path.tolist(), operator.interpolation)
     lib.hd_sim_operate(sim, hand)
@@ -391,8 +391,7 @@ def simulate_run(
             found,
         ),
     )
-    reported = (*scene.warnings, *stability.problems())
-    return Run(samples, events, scene.objects, truth, scene.undisplayable, reported, scene.rate_hz)
+    return Run(samples, events, scene.objects, truth, scene.undisplayable, (*scene.warnings, *unstable), scene.rate_hz)
 
 
 def _operator(

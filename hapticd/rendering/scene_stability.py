@@ -6,7 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from hapticd.base.errors import Problem, path_text
+from hapticd.config.configuration import Config
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.contact_sets import MOST_LINES, MOST_REPORTED, ContactSets
+from hapticd.rendering.device_output import loop_of, output_of
 from hapticd.rendering.stability import Loop, Margin
 from hapticd.rendering.stability_remedy import with_remedy
 from hapticd.rendering.surface_table import SurfaceTable
@@ -58,6 +61,17 @@ def place_of(objects: Sequence[str]) -> str:
         return place
     more = f" and {len(others) - 2} more" if len(others) > 3 else ""
     return f"{place} with {', '.join(others[: 2 if more else 3])}{more}"
+
+
+def sets_of(config: Config) -> ContactSets | None:
+    """The contact sets of a configuration's scene, with the simulated joystick or with `device.handle`; None: mass and
+    damping of the handle are not known."""
+    loop = loop_of(config, config.servo.rate_hz)
+    if loop is None:
+        return None
+    compiler = Compiler(output_of(config, config.servo.rate_hz))
+    compiler.update(config.scene, config.scene.objects, config.materials, 1)
+    return ContactSets(compiler.surfaces(), loop)
 
 
 def evaluate(

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from hapticd._version import __version__
-from hapticd.base.errors import HapticdError, quoted
+from hapticd.base.errors import HapticdError, on_one_line, quoted
 from hapticd.config.locations import user_config
 from hapticd.system.rooted_files import Rooted
 
@@ -87,6 +87,8 @@ class _Target:
 
     path: Path
     body: str
+    packaged: Path | None = None
+    """Where a distribution's package would have put it."""
 
 
 class Service:
@@ -169,15 +171,19 @@ class Service:
                 _Target(home / "systemd" / "user" / "hapticd.service", unit),
                 _Target(home / "hapticd" / "config.yaml", default),
             ]
-        etc = (self._root or Path("/")) / "etc"
-        units = ("hapticd.service", "hapticd-bridge.service")
-        rules = ("70-hapticd.rules", "70-hapticd-idle.rules")
+        root = self._root or Path("/")
+        bodies = {
+            "systemd/system/hapticd.service": self._adapted(_shipped("units", "hapticd.service")),
+            "systemd/system/hapticd-bridge.service": self._adapted(_shipped("units", "hapticd-bridge.service")),
+            "systemd/system/hapticd-web.service": self._adapted(_shipped("units", "hapticd-web.service")),
+            "sysusers.d/hapticd.conf": _shipped("units", "sysusers.conf"),
+            "tmpfiles.d/hapticd.conf": _shipped("units", "tmpfiles.conf"),
+            "udev/rules.d/70-hapticd.rules": _shipped("units", "70-hapticd.rules"),
+            "udev/rules.d/70-hapticd-idle.rules": _shipped("units", "70-hapticd-idle.rules"),
+        }
         return [
-            *(_Target(etc / "systemd" / "system" / name, self._adapted(_shipped("units", name))) for name in units),
-            _Target(etc / "sysusers.d" / "hapticd.conf", _shipped("units", "sysusers.conf")),
-            _Target(etc / "tmpfiles.d" / "hapticd.conf", _shipped("units", "tmpfiles.conf")),
-            *(_Target(etc / "udev" / "rules.d" / name, _shipped("units", name)) for name in rules),
-            _Target(etc / "hapticd" / "config.yaml", default),
+            *(_Target(root / "etc" / name, body, root / "usr/lib" / name) for name, body in bodies.items()),
+            _Target(root / "etc" / "hapticd" / "config.yaml", default),
         ]
 
     def _adapted(self, unit: str) -> str:
@@ -194,9 +200,11 @@ class Service:
     def _put(self, target: _Target) -> Step:
         path, text = target.path, _signed(target.body)
         if not self._files.exists(path):
+            if target.packaged is not None and self._brought(target.packaged, target.body):
+                return Step("unchanged", str(target.packaged))
             return self._write(path, text, "wrote")
         old = self._files.read(path)
-        if old is not None and old == text:
+        if old is not None and old in (text, target.body):
             return Step("unchanged", str(path))
         if old is not None and _is_ours(old):
             return self._write(path, text, "updated")
@@ -205,6 +213,10 @@ class Service:
         beside = _beside(path)
         self._write(beside, text, "wrote")
         return Step("kept", str(path), f"changed by hand; what hapticd ships now is beside it, as {beside.name}")
+
+    def _brought(self, path: Path, body: str) -> bool:
+        """Whether a package has put this very text there."""
+        return self._files.exists(path) and self._files.read(path) == body
 
     def _write(self, path: Path, text: str, kind: Kind) -> Step:
         if not self._dry:
@@ -292,10 +304,10 @@ def _run(words: Sequence[str]) -> str | None:
     try:
         done = subprocess.run(words, capture_output=True, text=True, timeout=_COMMAND_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return " ".join(str(error).split())
+        return on_one_line(str(error))
     if done.returncode == 0:
         return None
-    return " ".join(done.stderr.split()) or f"exit code {done.returncode}"
+    return on_one_line(done.stderr) or f"exit code {done.returncode}"
 
 
 def _shipped(folder: str, name: str) -> str:

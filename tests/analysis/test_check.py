@@ -77,6 +77,17 @@ def test_link_and_steps_are_the_daemons(
     assert assumed.encoder_step_m == pytest.approx(TRAVEL_M / stick.axis_range[1])
 
 
+@pytest.mark.parametrize(("hid", "noted"), [({}, True), ({"max_rate_hz": 250}, False)])
+def test_an_unknown_link_is_reported_once_the_joystick_is_away(
+    monkeypatch: pytest.MonkeyPatch, hid: dict[str, Any], noted: bool
+) -> None:
+    monkeypatch.setattr("hapticd.analysis.check.find", list)
+    report = check(load_config(source(**hid)))
+    assert [note.where for note in report.notes] == ["device.hid.max_rate_hz"] * noted
+    plugged(monkeypatch, bytes(Joystick()), 1e-3)
+    assert check(load_config(source(**hid))).notes == ()
+
+
 def test_a_joystick_that_cannot_be_driven_has_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     config = load_config(source(max_rate_hz=500, axes={"x": {"usage": "Rx"}}))
     plugged(monkeypatch, bytes(Joystick()), 1e-3)

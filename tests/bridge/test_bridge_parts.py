@@ -22,12 +22,13 @@ from hypothesis import strategies as st
 from prometheus_client.parser import text_string_to_metric_families
 
 from hapticd.base.errors import HapticdError, InvalidError
+from hapticd.base.token_bucket import Bucket
 from hapticd.bridge import gate, http
 from hapticd.bridge.accounts import Account, Accounts
 from hapticd.bridge.config import BridgeClient, BridgeConfig, BridgeLimits, load_bridge
 from hapticd.bridge.daemon_link import DaemonLink
 from hapticd.bridge.gate import Gate
-from hapticd.bridge.limits import Bucket, Teller
+from hapticd.bridge.limits import Teller
 from hapticd.bridge.metrics import Metrics
 from hapticd.bridge.relay import method_in, peek
 from hapticd.config.configuration import default_config

@@ -4,6 +4,7 @@
  * With HD_LIBFUZZER this is a libFuzzer target (`make fuzz`). Without, main runs seeded random cases of the same kind
  * and takes a first seed and a count, so that a failure can be repeated. */
 #include "api/hd_core.h"
+#include "device/hd_sim.h"
 #include "hd_fuzz.h"
 #include "hd_test.h"
 
@@ -13,7 +14,7 @@
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 static struct {
-    uint64_t refused, simulated, paths, bad_paths, moved;
+    uint64_t refused, simulated, paths, bad_paths, led, moved;
 } outcome;
 
 static double take_choice(struct source *source, double low, double high, double otherwise) {
@@ -109,6 +110,14 @@ static void act(struct source *source, struct hd_sim *sim, struct hd_operator **
         if (hd_sim_place(sim, force, other) != HD_OK)
             CHECK(hd_invalid_reason()[0] != '\0');
         break;
+    case 3: /* what hd_servo_stream lets through */
+        other[0] = take_number(source, -0.1, 0.1);
+        other[1] = take_number(source, -0.1, 0.1);
+        if (fabs(other[0]) <= 1000.0 && fabs(other[1]) <= 1000.0) {
+            hd_sim_step_lead(sim, other, 1e-5 * (double)(1 + take_bytes(source, 2)));
+            outcome.led++;
+        }
+        break;
     default:
         hd_sim_put(sim, force);
         break;
@@ -166,7 +175,7 @@ int main(int argc, char **argv) {
            (unsigned long long)outcome.paths, (unsigned long long)outcome.bad_paths);
     CHECK(argc > 2 || test_run() > 0 ||
           (outcome.refused > count / 20 && outcome.simulated > count / 10 && outcome.paths > count / 100 &&
-           outcome.bad_paths > count / 100 && outcome.moved > count));
+           outcome.bad_paths > count / 100 && outcome.led > count && outcome.moved > count));
     return 0;
 }
 #endif

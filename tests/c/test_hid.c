@@ -53,6 +53,28 @@ static void close_pair(int fds[2]) {
     close(fds[DEVICE]);
 }
 
+static void *listener_main(void *argument) {
+    const int *fd = argument;
+    uint8_t bytes[HD_HID_REPORT_BYTES];
+
+    while (recv(*fd, bytes, sizeof bytes, 0) > 0) {
+    }
+    return NULL;
+}
+
+/* The end of a connection that renews what it sent: somebody has to listen meanwhile, or its write() would wait for
+ * ever once the socket is full. */
+static void end_listening(struct hd_hid *hid, int fds[2]) {
+    pthread_t listener;
+
+    CHECK(pthread_create(&listener, NULL, listener_main, &fds[DEVICE]) == 0);
+    CHECK(hd_hid_disconnect(hid, 1) == 0);
+    hd_hid_free(hid);
+    close(fds[OURS]);
+    CHECK(pthread_join(listener, NULL) == 0);
+    close(fds[DEVICE]);
+}
+
 static int try_tell(int fd, int x, int y) {
     const uint8_t report[5] = {1, (uint8_t)x, (uint8_t)(x >> 8), (uint8_t)y, (uint8_t)(y >> 8)};
 
@@ -602,8 +624,7 @@ static void effects_that_end(void) {
         hear_renewals(fds[DEVICE], MANY);
         CHECK(!status_of(hid).reset); /* it was answered, whatever the device says since */
     }
-    hd_hid_free(hid);
-    close_pair(fds);
+    end_listening(hid, fds);
 }
 
 /* A pause that begins while the device is watched holds the force back; one that was there says nothing. */
@@ -631,8 +652,7 @@ static void paused(void) {
         CHECK(hear_renewals(fds[DEVICE], MANY) == 0 && !status_of(hid).reset);
         tell_effect(fds[DEVICE], 3, 1);
     }
-    hd_hid_free(hid);
-    close_pair(fds);
+    end_listening(hid, fds);
 }
 
 /* A hand that lets go opens the safety switch, and no effect plays until it closes; then they have to. */
@@ -657,8 +677,7 @@ static void safety_switch(void) {
     while (hd_hid_wait(hid, 0) == 0)
         hear_renewals(fds[DEVICE], 1);
     CHECK(status_of(hid).reset);
-    hd_hid_free(hid);
-    close_pair(fds);
+    end_listening(hid, fds);
 }
 
 static void renewal(void) {
@@ -688,9 +707,7 @@ static void renewal(void) {
         CHECK(message.id == 11 && message.value >= value);
     }
     CHECK(value == 200);
-    CHECK(hd_hid_disconnect(hid, 1) == 0);
-    hd_hid_free(hid);
-    close_pair(fds);
+    end_listening(hid, fds);
 }
 
 /* What another program may have changed: reports 12 to 14 in turn, with the force as it is, and a pass of the forces
@@ -731,8 +748,7 @@ static void restoring(void) {
         CHECK(value == 0 || value == 500);
     }
     CHECK(!status_of(hid).effects_told);
-    hd_hid_free(hid);
-    close_pair(fds);
+    end_listening(hid, fds);
 }
 
 /* A device that says that an effect of ours plays would say that it is gone: nothing is restored, from then on. */
@@ -758,8 +774,7 @@ static void restoring_is_not_for_those_that_tell(void) {
     for (int i = 0; i < MANY; i++)
         heard += hear(fds[DEVICE]).id >= 12;
     CHECK(heard == 0);
-    hd_hid_free(hid);
-    close_pair(fds);
+    end_listening(hid, fds);
 }
 
 /* ---- Ends -------------------------------------------------------------------------------------------------------- */
@@ -990,7 +1005,8 @@ static void await_force(struct joystick *joystick, int wanted) {
 }
 
 static void with_servo(uint32_t clock) {
-    struct hd_servo_config config = {.device_timeout_s = 60.0, /* nothing that this test is about */
+    struct hd_servo_config config = {.stream_timeout_s = 0.02,
+                                     .device_timeout_s = 60.0, /* nothing that this test is about */
                                      .rate_hz = RATE_HZ,
                                      .cpu = -1,
                                      .slot_capacity = 1,
@@ -1067,7 +1083,8 @@ static void with_servo(uint32_t clock) {
 static void led_out_of_phase(void) {
     const double rate_hz = 20.0;
     const int64_t period_ns = 50000000;
-    const struct hd_servo_config config = {.device_timeout_s = 60.0,
+    const struct hd_servo_config config = {.stream_timeout_s = 0.02,
+                                           .device_timeout_s = 60.0,
                                            .rate_hz = rate_hz,
                                            .cpu = -1,
                                            .slot_capacity = 1,

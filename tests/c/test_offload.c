@@ -508,7 +508,8 @@ static void without_vibration(void) {
                  {.field = {16, 16, 1, 0}, .report_id = 1, .m_per_count = -1e-5}},
         .on_change = 1,
     };
-    const struct hd_servo_config config = {.device_timeout_s = PATIENCE_S,
+    const struct hd_servo_config config = {.stream_timeout_s = 0.02,
+                                           .device_timeout_s = PATIENCE_S,
                                            .rate_hz = 1.0 / PERIOD_S,
                                            .cpu = -1,
                                            .slot_capacity = 1,

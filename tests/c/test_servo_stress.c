@@ -42,6 +42,7 @@ static const struct hd_sim_config joystick = {
 };
 
 static const struct hd_servo_config config = {
+    .stream_timeout_s = 0.02,
     .device_timeout_s = 0.1,
     .rate_hz = RATE_HZ,
     .cpu = -1,
@@ -545,6 +546,25 @@ static void retunes(struct hd_servo *servo, uint64_t sent, const struct hd_mode 
     CHECK(hd_servo_retune(servo, sent - 1, mode) == HD_OK);
 }
 
+/* One more of each stream, whatever the thread does. */
+static void send_streams(struct hd_servo *servo, uint64_t *streamed) {
+    const double value[2] = {0.01 * (double)(*streamed % 7), 0.01};
+
+    ++*streamed;
+    for (uint32_t kind = 0; kind < HD_STREAMS; kind++)
+        CHECK(hd_servo_stream(servo, kind, *streamed, value) == HD_OK);
+}
+
+/* All that was sent is used, or was overtaken, also while no thread ran. */
+static void streams_were_taken(const struct hd_servo *servo, uint64_t streamed) {
+    struct hd_stream_counters counters;
+
+    for (uint32_t kind = 0; kind < HD_STREAMS; kind++) {
+        hd_servo_stream_counters(servo, kind, &counters);
+        CHECK(counters.used + counters.superseded == streamed && counters.seq == streamed);
+    }
+}
+
 /* A rate that no machine keeps: the servo ends by itself, and goes on at another one over the same state. */
 static uint32_t steps_down(void) {
     struct hd_servo_config fast = config;
@@ -560,6 +580,7 @@ static uint32_t steps_down(void) {
     uint64_t ended;
     uint64_t sent;
     uint64_t tick;
+    uint64_t streamed = 0;
     uint64_t counted = 0;
 
     make_commands(waiting, 2);
@@ -579,9 +600,12 @@ static uint32_t steps_down(void) {
     CHECK(hd_servo_restart(servo, 0, &grant) == HD_ERR_INVALID);
     do {
         hd_servo_beat(servo);
+        send_streams(servo, &streamed);
         sched_yield();
         hd_servo_counters(servo, &counters);
     } while (counters.running);
+    send_streams(servo, &streamed);
+    send_streams(servo, &streamed);
     CHECK(counters.overloaded && counters.overloads == 1 && counters.missed_share > 0.0);
     ended = counters.ticks;
     CHECK(hd_servo_send(servo, waiting, 2, &sent) == HD_OK);
@@ -603,6 +627,7 @@ static uint32_t steps_down(void) {
         sched_yield();
         hd_servo_counters(servo, &counters);
     } while (counters.ticks < ended + 100);
+    streams_were_taken(servo, streamed);
     CHECK(counters.running && !counters.overloaded && !counters.forces_on);
     /* The machine may have kept this thread from its beats. */
     CHECK((counters.faults | HD_FAULT_CONTROL) == (HD_FAULT_OVERRUN | HD_FAULT_CONTROL));

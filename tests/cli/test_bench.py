@@ -27,3 +27,9 @@ def test_an_installed_hapticd_says_where_the_benchmarks_are(
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "the benchmarks are not installed with hapticd: run this in a source tree" in said
+
+
+def test_quick_figures_do_not_replace_those_of_docs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench.main(["noise", "--quick", "--overwrite"]) == 1
+    told = "bench: --quick measures too little for docs: give another folder with --out, or no --overwrite\n"
+    assert capsys.readouterr().err == told

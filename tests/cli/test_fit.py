@@ -549,6 +549,7 @@ def test_what_cannot_be_synthesized_is_told_in_one_line(
         ("must end in .npz", 1, ("tap", "-o", "x.csv")),
         ("is there already", 1, ("tap", "-o", "old.npz")),
         ("there is no folder", 1, ("tap", "-o", "no/x.npz")),
+        ("a material of your own is given with -c", 1, ("tap", "-o", "x.npz", "--material", "cork")),
         ('unknown material "wod"', 1, ("tap", "-o", "x.npz", "--material", "wod")),
         ("it has no tap", 1, ("tap", "-o", "x.npz", "--material", "cellophane")),
         ("it has two", 1, ("tap", "-o", "x.npz", "--material", "two", "-c", "two.yaml")),

@@ -98,6 +98,13 @@ def test_what_is_wrong_comes_first_with_what_to_do() -> None:
     assert ("forces", "off: `hapticd force on` turns them on") in list(lines(status(forces="off")))
 
 
+def test_the_status_counts_the_messages_of_streams_that_came() -> None:
+    streams = {"target": {"received": 0}, "force": {"received": 300, "used": 222, "timeouts": 12, "active": False}}
+    told = dict(lines(status(streams=streams)))
+    assert told["force stream"] == "ended: 300 messages received, 222 used; ended 12 times so far"
+    assert "target stream" not in told
+
+
 def with_signs(forces: str, word: SignsState, problem: SignsProblem = SignsProblem.FINE) -> list[tuple[str, str]]:
     connection = {
         "name": None,
@@ -311,12 +318,12 @@ def test_faults_that_the_daemon_finds_are_told_by_line(tmp_path: Path) -> None:
     [
         (
             Code.FORCES_OFF,
-            "forces are off: set_forces with enabled: true turns them on",
+            "forces are off: set_forces turns them on",
             "forces are off: `hapticd force on` turns them on",
         ),
         (
             Code.FORCES_OFF,
-            "forces are off because a lease lapsed: set_forces with enabled: true turns them on again",
+            "forces are off because a lease lapsed: set_forces turns them on again",
             "forces are off because a lease lapsed: `hapticd force on` turns them on again",
         ),
         (
@@ -342,7 +349,8 @@ def test_the_daemons_words_in_those_of_the_shell(code: int, message: str, told: 
 
 
 def test_what_is_replaced_is_what_the_daemon_says() -> None:
-    source = (Path(__file__).parents[2] / "hapticd" / "daemon" / "methods.py").read_text()
+    package = Path(__file__).parents[2] / "hapticd"
+    source = (package / "daemon" / "methods.py").read_text() + (package / "protocol" / "validation.py").read_text()
     for phrase, _ in PHRASES:
         assert phrase in source
 
@@ -350,7 +358,7 @@ def test_what_is_replaced_is_what_the_daemon_says() -> None:
 def test_warnings_of_a_result(capsys: pytest.CaptureFixture[str]) -> None:
     result = {
         "revision": 2,
-        "warning": "forces are off: set_forces with enabled: true turns them on",
+        "warning": "forces are off: set_forces turns them on",
         "warnings": [{"where": "materials.x.tap", "problem": "50 kHz is above 0.4 of the rate"}],
     }
     print_result(result, as_json=False, text="revision 2")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -117,7 +118,14 @@ def test_paths(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert found["runtime_directory"] == found["flight_files"] == str(runtime)
     assert found["command_socket"] == f"{runtime}/hapticd.command"
     assert found["telemetry_socket"] == f"{runtime}/hapticd.telemetry"
-    for name, one in (("scenes", "comb"), ("operators", "stroke"), ("materials", "okamura1998")):
+    shipped = {
+        "scenes": "comb",
+        "operators": "stroke",
+        "materials": "okamura1998",
+        "experiments": "jnd_frequency",
+        "sweeps": "wall_stability",
+    }
+    for name, one in shipped.items():
         assert one in found[name]["names"]
         assert os.path.isfile(f"{found[name]['folder']}/{one}.yaml")
     assert os.path.isfile(f"{found['units']}/hapticd.service")
@@ -131,6 +139,7 @@ def test_paths_in_words(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
         f"configuration      built in; there is no {home}/.config/hapticd/config.yaml and no {locations.SYSTEM_CONFIG}"
     )
     assert f"command socket     {home.parent}/hapticd/hapticd.command (not there now)" in rest
+    assert any(re.match(r"shipped studies    /.*/experiments: .*\bjnd_frequency\b", line) for line in rest)
     user = written(home / ".config/hapticd/config.yaml", 1002)
     Path(user).write_text("flight: {directory: /var/tmp/flights}\n")
     assert main(["paths"]) == 0
@@ -150,7 +159,7 @@ def test_paths_with_a_configuration_that_cannot_be_read(home: Path, capsys: pyte
     captured = capsys.readouterr()
     first, second, *rest = captured.out.splitlines()
     assert (first, second) == (f"configuration      {user}", f"its fault          {fault}")
-    assert "flight files       not known" in rest and len(rest) == 8
+    assert "flight files       not known" in rest and len(rest) == 10
     assert captured.err == "hapticd: the configuration is faulty\n"
 
 

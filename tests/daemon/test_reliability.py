@@ -46,6 +46,8 @@ ELSEWHERE = {
     "effects-forgotten",
     # In test_signs_live.py.
     "signs",
+    # In tests/integration/test_lease.py.
+    "client-killed",
 }
 
 

@@ -6,14 +6,19 @@ import ctypes
 import gc
 import os
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hapticd.base.core import SAMPLE_DTYPE, CommandKind, Fault, ffi, lib, records
+from hapticd.base.core import SAMPLE_DTYPE, CommandKind, Fault, Flag, StreamKind, ffi, lib, records
+from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import load_config
 from hapticd.daemon.engine import Engine
+from hapticd.recording.formats import open_writer
+from hapticd.recording.replay import replay
 
 PUSH = {"objects": {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}}
 
@@ -60,6 +65,84 @@ def test_device_that_reports_as_rarely_as_it_says_is_not_lost() -> None:
         assert servo.counters().faults == Fault(0)
     finally:
         servo.stop()
+
+
+class Drained:
+    """An engine that runs, and all of its samples."""
+
+    def __init__(self, servo: Engine) -> None:
+        self.servo = servo
+        self.room = records(SAMPLE_DTYPE, 16384)
+        self.parts: list[np.ndarray] = []
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        pause, until_s = threading.Event(), time.monotonic() + 60.0
+        while not condition():
+            assert time.monotonic() < until_s
+            self.servo.beat()
+            count, _ = self.servo.read_samples(self.room)
+            self.parts.append(self.room[:count].copy())
+            pause.wait(0.001)
+
+    def ticks(self, more: int) -> None:
+        last = self.servo.counters().ticks + more
+        self.until(lambda: self.servo.counters().ticks >= last)
+
+    def samples(self) -> np.ndarray:
+        return np.concatenate(self.parts)
+
+
+@pytest.mark.slow
+def test_streams_are_followed_until_none_comes(tmp_path: Path) -> None:
+    """The hand goes where it is told and stays, the force comes and goes; and what was not streamed can be replayed."""
+    config = load_config({"servo": {"realtime": "off", "rate_hz": 1000, "stream_timeout_s": 0.03}, "scene": PUSH})
+    servo = Engine(config)
+    run = Drained(servo)
+    servo.start()
+    try:
+        run.ticks(50)
+        for seq in range(1, 41):
+            servo.stream(StreamKind.TARGET, seq, 0.0002 * seq, -0.0001 * seq)
+            servo.stream(StreamKind.FORCE, 10 * seq, 0.2, 0.0)
+            run.ticks(2)
+        force, target = (servo.stream_counters(kind) for kind in (StreamKind.FORCE, StreamKind.TARGET))
+        assert force.used + force.superseded == target.used + target.superseded == 40
+        assert (force.seq, target.seq) == (400, 40) and 50 < target.tick < servo.counters().ticks
+        run.until(lambda: not any(servo.stream_counters(kind).active for kind in StreamKind))
+        run.ticks(200)
+        assert all(servo.stream_counters(kind).timeouts >= 1 for kind in StreamKind)
+    finally:
+        servo.stop()
+    samples = run.samples()
+    streamed = samples["flags"] & Flag.STREAMED != 0
+    assert samples["contact_force_n"][streamed, 0].max() == pytest.approx(0.2)
+    assert samples["force_n"][-1].tolist() == [0.0, 0.5] and not streamed[-1]
+    # The grip holds the handle against the field.
+    assert samples["position_m"][-1] == pytest.approx(
+        [0.008, -0.004 + 0.5 / config.device.sim.hand.stiffness_n_per_m], abs=3e-4
+    )
+    with open_writer(tmp_path / "run.npz") as writer:
+        texts = {"servo": config.servo.to_dict(), "device": config.device.to_dict()}
+        writer.begin(
+            {
+                "config": texts,
+                "scene": config.scene.to_dict(),
+                "materials": {"wood": {"stiffness_n_per_m": 800}},
+                "status": {"rate_hz": 1000.0},
+            }
+        )
+        writer.write_change({"revision": 1})
+        writer.write(samples)
+        writer.finish()
+    again = replay(tmp_path / "run.npz")
+    assert again.left_out["streamed"] == streamed.sum()
+    assert again.identical == len(again.samples) > 100
+
+
+@pytest.mark.parametrize(("kind", "x", "told"), [("FORCE", float("nan"), "force_n"), ("TARGET", 1e4, "position_m")])
+def test_what_cannot_be_followed_is_refused(kind: str, x: float, told: str) -> None:
+    with pytest.raises(HapticdError, match=told):
+        engine().stream(StreamKind[kind], 1, x, 0.0)
 
 
 @pytest.fixture

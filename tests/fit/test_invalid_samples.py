@@ -1,4 +1,4 @@
-"""Samples that cannot be, in each column and each fit: named with their place, and left out or refused."""
+"""Impossible samples, in each column and each fit: reported with their place, and left out or refused."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from hapticd.analysis.statistics import Floats
 from hapticd.base.yaml_source import load_text
 from hapticd.base.yaml_text import yaml_text
 from hapticd.config.materials import Material, shipped_materials, validate_materials
-from hapticd.fit import provenance
+from hapticd.fit import contribution
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.tap import TABLE, TapFit, fit_tap
 from tests.support.rig import FLOOR, Rig
@@ -46,7 +46,7 @@ def rendered(material: Material, seed: int, speeds: Floats = SPEEDS) -> Recordin
 
 def through_yaml(fit: TapFit, recording: Recording, table: bool) -> Material:
     figures = fit.material(law="table" if table else None)
-    made = provenance.material(fit, figures, [recording], "m", 800.0, datetime.date(2026, 1, 31))
+    made = contribution.material(fit, figures, [recording], "m", 800.0, datetime.date(2026, 1, 31))
     data: Any = load_text(yaml_text({"materials": {"m": made.to_dict()}}), "m.yaml").data
     return validate_materials(data["materials"])["m"]
 

@@ -15,7 +15,7 @@ from hapticd.base.yaml_source import load_text
 from hapticd.base.yaml_text import yaml_text
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive
-from hapticd.fit import provenance
+from hapticd.fit import contribution
 from hapticd.fit.grooves import fit_grooves
 from hapticd.fit.provenance import Fit
 from hapticd.fit.puncture import fit_puncture
@@ -78,7 +78,7 @@ def ruptured(material: Material, seed: int) -> list[Recording]:
 
 def again(fit: Fit, recordings: Sequence[Recording]) -> Material:
     """The fitted material, written and read."""
-    made = provenance.material(fit, fit.material(), recordings, "m", STIFFNESS, datetime.date(2026, 1, 31))
+    made = contribution.material(fit, fit.material(), recordings, "m", STIFFNESS, datetime.date(2026, 1, 31))
     data: Any = load_text(yaml_text({"materials": {"m": made.to_dict()}}), "m.yaml").data
     return validate_materials(data["materials"])["m"]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hapticd.analysis.statistics import Floats
-from hapticd.fit.provenance import material
+from hapticd.fit.contribution import material
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.spectrum_peak import Peak, peak_of
 from hapticd.fit.texture import fit_texture

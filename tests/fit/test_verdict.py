@@ -16,7 +16,7 @@ from hapticd.base.yaml_source import load_text
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
-from hapticd.fit.provenance import material
+from hapticd.fit.contribution import material
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.synthesize import Stylus
 from hapticd.fit.synthesize_strokes import puncture

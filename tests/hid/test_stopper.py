@@ -162,7 +162,8 @@ def test_without_another_thread_it_is_stopped_all_the_same(
 
     monkeypatch.setattr(threading.Thread, "start", start)
     assert "force zero, effects stopped" in str(stop_device(record, sysfs=node.sysfs))
-    assert node.written() == b"".join([*ZERO, *STOP])
+    whole = b"".join([*ZERO, *STOP])
+    assert node.written(len(whole)) == whole
 
 
 def refuses(*refused: bytes) -> dict[str, Any]:

@@ -59,6 +59,11 @@ class Shell:
         assert captured.err.startswith("hapticd: ") and captured.err.count("\n") == 1
         return captured.err
 
+    def noted(self, *arguments: str) -> str:
+        """What a command that must succeed says on stderr."""
+        assert main(["--runtime-dir", str(self._directory), *arguments]) == 0
+        return self._capsys.readouterr().err
+
 
 @pytest.fixture
 def shell(daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Shell:
@@ -309,7 +314,10 @@ def test_play_force_reset_operator(shell: Shell) -> None:
     assert shell("force", "off") == "forces off\n"
     off = "hapticd: forces are off: `hapticd force on` turns them on\n"
     assert shell.fails("play", "wood", "--amplitude", "2") == off
+    noted = shell.noted("operator", "operator.yaml")
+    assert noted == "hapticd: forces are off: the hand moves, and nothing pushes it; `hapticd status` says why\n"
     assert json.loads(shell("force", "on", "--json"))["forces"] == "on"
+    assert shell.noted("operator", "operator.yaml") == ""
     assert shell("reset", "skin").startswith("reset at tick ")
     assert shell("reset").startswith("reset at tick ")
     assert 'no object "nothing"' in shell.fails("reset", "nothing")

@@ -505,6 +505,20 @@ def test_receive_waits_no_longer_than_it_is_told(fake: FakeDaemon) -> None:
         assert events.receive(30.0) == {"event": "x"}
 
 
+def test_asyncio_s_timeout_loses_nothing_that_comes_after_it(fake: FakeDaemon) -> None:
+    async def listen(client: hapticd.aio.Client) -> None:
+        async with client.events() as events:
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(0.0):
+                    await anext(events)
+            for name in ("x", "y"):
+                fake.publish("event", {"event": name})
+                async with asyncio.timeout(30.0):
+                    assert await anext(events) == {"event": name}
+
+    in_asyncio(listen, fake.directory, 60.0)
+
+
 def test_a_lease_needs_a_duration(fake: FakeDaemon) -> None:
     fake.answer = lambda request: [result(request, {"token": None})]
     with connect(fake.directory) as client, pytest.raises(HapticdError, match="duration_s"), client.hold_lease(0):

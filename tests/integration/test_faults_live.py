@@ -129,7 +129,8 @@ def test_setting_the_clock_changes_nothing(tmp_path: Path, clocks: Clocks) -> No
 
 
 def test_nothing_goes_by_the_time_of_day() -> None:
-    """The daemon's own sources; what a library does with it is tested above. clock.py only tells it to recordings."""
+    """The daemon's own sources; what a library does with it is tested above. clock.py only tells it to recordings
+    and to the logs of experiments' sessions."""
     asks = re.compile(
         r"CLOCK_REALTIME|CLOCK_TAI|gettimeofday|time\.time\b|localtime|gmtime|(date|datetime)\.(now|today|utcnow)\b"
     )
@@ -137,7 +138,7 @@ def test_nothing_goes_by_the_time_of_day() -> None:
     assert len(sources) > 60
     assert [source.name for source in sources if asks.search(source.read_text())] == ["clock.py"]
     using = {source.name for source in sources if re.search(r"\bclock\.read\b", source.read_text())}
-    assert using == {"flight_recorder.py", "status.py"}
+    assert using == {"flight_recorder.py", "status.py", "session.py", "session_folders.py", "runner.py"}
 
 
 # ---- Flight recorder -------------------------------------------------------------------------------------------------
@@ -223,7 +224,7 @@ def test_a_disk_that_takes_no_more_is_told_and_changes_nothing(tmp_path: Path) -
             assert str(told["problem"]) == f"{file}: cannot be written: File too large"
             assert (told["written"], told["under_way"], told["last"]) == (0, 0, None)
             assert not [path for path in daemon.directory.iterdir() if "flight" in path.name]
-            assert client.get_status()["forces"] == "on"
+            until(lambda: client.get_status()["forces"] == "on")  # a servo that waits for a processor has said nothing
             command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "flight"]
             refused = subprocess.run(command, capture_output=True, text=True, check=False)
             assert refused.returncode == 1
@@ -387,3 +388,5 @@ def test_an_object_that_is_not_there_is_guessed_at() -> None:
         client.set_scene({"objects": PUSH})
         with pytest.raises(hapticd.RemoteError, match=r"objects\.pusch: there is no object of this id.*mean push"):
             client.update_scene({"pusch": {"force_n": [0, 1]}})
+        with pytest.raises(hapticd.RemoteError, match=r"objects\.display: .* a key of the scene; set_scene changes it"):
+            client.update_scene({"display": {"force": False}})

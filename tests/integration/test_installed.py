@@ -103,6 +103,14 @@ def test_a_wheel_made_of_the_sdist_is_whole(tmp_path: Path) -> None:
         wanted = {path.relative_to(ROOT / folder) for path in (ROOT / folder).rglob("*") if path.is_file()}
         found = {path.relative_to(package / link) for path in (package / link).rglob("*") if path.is_file()}
         assert found == wanted, link
+    for folder in ("web/static", "experiment/published", "experiment/pages/static"):
+        wanted = {
+            path.relative_to(ROOT / "hapticd") for path in (ROOT / "hapticd" / folder).rglob("*") if path.is_file()
+        }
+        assert wanted and {name for name in wanted if not (package / name).is_file()} == set(), folder
+    licences = next(environment.packages.glob("hapticd-*.dist-info")) / "licenses"
+    wanted = {Path("LICENSE"), *(ROOT / "hapticd/web/static/vendor").glob("*/LICENSE")}
+    assert len(wanted) == 3 and all((licences / (ROOT / name).relative_to(ROOT)).is_file() for name in wanted)
     assert (package / "py.typed").exists() and (package / "_core.pyi").exists()
     assert not [name for name in ("tests", "bench", "config", "csrc") if (environment.packages / name).exists()]
     with tarfile.open(sdist) as archive:

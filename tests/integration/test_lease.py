@@ -69,6 +69,34 @@ def test_kill_of_the_holder_fades_the_force_within_the_lease(daemon: Daemon, wir
         assert client.get_status()["faults"] == ["lease"]
 
 
+@pytest.mark.slow
+def test_kill_of_a_client_without_a_lease_changes_nothing(daemon: Daemon, wire: Wire) -> None:
+    """Its scene stays, and pushes on."""
+    program = (
+        "import hapticd, sys\n"
+        f"with hapticd.connect({str(daemon.directory)!r}, 60) as d:\n"
+        "    d.update_scene({'push': {'kind': 'constant', 'force_n': [0.0, 0.25]}}, wait=True)\n"
+        "    print('set', flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+    with (
+        subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other,
+        connect(daemon.directory) as client,
+        client.samples() as samples,
+    ):
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"set\n"
+        other.send_signal(signal.SIGKILL)
+        other.wait()
+        killed_ns = time.monotonic_ns()
+        # Longer than the daemon takes to notice a command thread that stands still, and a ramp.
+        batch = next(batch for batch in samples if batch["time_ns"][-1] > killed_ns + 2e9)
+        assert batch["force_n"][-1, 1] == pytest.approx(0.25, abs=0.01)
+        status = client.get_status()
+        assert (status["forces"], status["faults"]) == ("on", [])
+        assert client.get_scene()["scene"]["objects"]["push"]["force_n"] == [0.0, 0.25]
+
+
 def test_second_holder_is_refused_and_a_token_survives_a_reconnection(daemon: Daemon, wire: Wire) -> None:
     token = wire.result("lease", duration_s=30)["token"]
     with wired(daemon) as other:

@@ -3,6 +3,7 @@ refuse the rest."""
 
 from __future__ import annotations
 
+import asyncio
 import ctypes
 import errno
 import functools
@@ -21,6 +22,7 @@ import pytest
 from hapticd.client.blocking import connect
 from hapticd.protocol.keys import new_certificate, write_certificate
 from tests.support.daemon_process import PATIENCE_S, running_daemon
+from tests.web.served import asked
 
 ROOT = Path(__file__).parents[2]
 NUMBERS = Path("/usr/include/x86_64-linux-gnu/asm/unistd_64.h")
@@ -123,7 +125,7 @@ def service(unit: str, ready: str, *words: str) -> Iterator[re.Match[str]]:
 def test_a_filter_refuses() -> None:
     """Or nothing below would say anything."""
     code = "import os\ntry: os.chroot('/')\nexcept PermissionError: print('refused')"
-    for unit in ("hapticd.service", "hapticd-bridge.service"):
+    for unit in ("hapticd.service", "hapticd-bridge.service", "hapticd-web.service"):
         done = subprocess.run(
             [sys.executable, "-c", code],
             capture_output=True,
@@ -172,3 +174,22 @@ def test_the_bridge(tmp_path: Path) -> None:
             assert client.get_status()["protocol"] == 1
             with client.states() as states:
                 next(states)
+
+
+def test_the_page_server() -> None:
+    """It lets somebody in, passes a call on, and ends."""
+    with running_daemon() as daemon:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "web", "--port", "0"],
+            stdout=subprocess.PIPE,
+            text=True,
+            preexec_fn=restricted("hapticd-web.service"),
+        )
+        assert process.stdout is not None
+        try:
+            address = process.stdout.readline().strip()
+            assert asyncio.run(asked(address, "get_status"))["result"]["protocol"] == 1
+        finally:
+            process.terminate()
+            process.stdout.close()
+            assert process.wait(PATIENCE_S) == 0

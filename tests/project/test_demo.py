@@ -9,11 +9,11 @@ import numpy.typing as npt
 import pytest
 import scipy.signal
 
-from examples.demo.comb import passages
+from examples.demo.comb import Combing, joined, passages
 from examples.demo.marks import Marks
-from examples.demo.perform import MASS_KG, Recorded
+from examples.demo.perform import MASS_KG, Recorded, Unseen
 from examples.demo.sandpaper import SEGMENT, peak_of
-from examples.demo.strikes import strikes_of
+from examples.demo.strikes import Strikes, strikes_of
 from hapticd.base.core import SAMPLE_DTYPE
 
 Floats = npt.NDArray[np.float64]
@@ -34,7 +34,7 @@ def telemetry(time_s: Floats, vibration: Floats | float = 0.0, x: Floats | float
     samples: npt.NDArray[Any] = np.zeros(len(time_s), SAMPLE_DTYPE)
     samples["vibration_force_n"][:, 0] = MASS_KG * np.asarray(vibration)
     samples["position_m"][:, 0] = x
-    samples["contact_force_n"][:, 1] = 1.0
+    samples["position_m"][:, 1] = -0.001
     return Recorded(time_s, samples, (), 0, RATE)
 
 
@@ -73,6 +73,16 @@ def test_a_sine_that_is_exactly_zero_on_a_sample_goes_on() -> None:
     assert found.left_over == 0
 
 
+def test_a_strike_one_sample_after_the_end_of_another_is_found() -> None:
+    onsets, amplitudes = np.array([0.01003, 0.02515]), np.array([8.0, -5.0])
+    time_s = np.arange(450) / RATE
+    vibration = rung(time_s, onsets, amplitudes)
+    assert vibration[250] != 0.0 == vibration[251] and vibration[252] != 0.0
+    found = strikes_of(telemetry(time_s, vibration), 0, onsets)
+    np.testing.assert_allclose(found.amplitude, amplitudes, rtol=1e-6)
+    assert found.left_over == 0
+
+
 def test_missed_periods_hide_the_strikes_near_to_them_and_no_others() -> None:
     onsets, amplitudes = some_strikes()
     whole = np.arange(round(0.45 * RATE)) / RATE
@@ -102,6 +112,37 @@ def test_passages(trace: list[float], expected: list[int]) -> None:
     groove, at_s = passages(telemetry(np.arange(len(trace)) / RATE, x=np.array(trace)), 1.0)
     assert groove.tolist() == expected
     assert np.interp(at_s, np.arange(len(trace)) / RATE, trace) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("periods", "expected"), [(200, [1, 2, 3]), (201, [1, 3])])
+def test_nothing_is_passed_in_a_stall_that_is_longer_than_the_ramp(periods: int, expected: list[int]) -> None:
+    time_s = np.array([0, 1, 1 + periods, 2 + periods]) / RATE
+    groove, _ = passages(telemetry(time_s, x=np.array([0.5, 1.5, 2.5, 3.5])), 1.0)
+    assert groove.tolist() == expected
+
+
+def test_a_groove_that_is_passed_before_the_force_has_come_in_again_counts() -> None:
+    recorded = telemetry(np.arange(3) / RATE, x=np.array([0.5, 0.9, 1.1]))
+    recorded.samples["contact_force_n"][:, 1] = [1.0, 0.0, 0.01]
+    assert passages(recorded, 1.0)[0].tolist() == [1]
+    recorded.samples["position_m"][:, 1] = [-0.001, 0.001, -0.001]
+    assert passages(recorded, 1.0)[0].tolist() == []
+
+
+def combing(whole: int, scaled: int = 0) -> Combing:
+    count = whole + scaled
+    each = np.ones(count)
+    strikes = Strikes(tuple(range(count)), 0.01 * np.arange(count), 8.0 * each, 200.0, 0.003, 1, 0)
+    cells = np.arange(count)
+    return Combing(strikes, cells, 0.0024 * cells, 0.1 * each, each, cells < whole, each, cells >= 0, count + 1, count)
+
+
+def test_strikes_of_several_performances_count_together() -> None:
+    with pytest.raises(Unseen, match="60 strikes of the comb came through whole, 100 are wanted"):
+        joined([combing(60, 5)])
+    found = joined([combing(60, 5), combing(70)])
+    assert found.whole.sum() == 130 and len(found.strikes.number) == 135
+    assert (found.passed, found.told, found.strikes.hidden) == (137, 135, 2)
 
 
 def test_the_peak_of_two_poles_is_found() -> None:

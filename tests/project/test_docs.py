@@ -24,12 +24,14 @@ from hapticd.config.hid import Quirk
 from hapticd.config.materials import ModeKeys
 from hapticd.config.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
 from hapticd.daemon.counters import Granted
+from hapticd.daemon.described.error_codes import CODES
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import _METHODS, Methods
 from hapticd.doctor import diagnose
 from hapticd.doctor.machine import Machine, Needs
 from hapticd.protocol import messages
 from hapticd.protocol.events import event_map, fault_names
+from hapticd.protocol.messages import Code
 from hapticd.protocol.results import State
 from hapticd.recording.event_columns import NO_TIME
 from hapticd.recording.formats import open_writer
@@ -70,6 +72,11 @@ def names(cell: str) -> list[str]:
     return re.findall(r"`([^`]+)`", cell)
 
 
+def without_links(text: str) -> str:
+    """The code has none."""
+    return re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", text)
+
+
 def first_names(rows: Rows) -> list[str]:
     return [name for row in rows for name in names(row[0])]
 
@@ -105,6 +112,8 @@ def test_parameters(method: str) -> None:
         (name,) = names(row[0])
         optional = not model.model_fields[name].is_required()
         assert row[0].startswith("[") == optional, name
+        if not row[2].startswith("as in `"):
+            assert model.model_fields[name].description == without_links(row[2]), name
 
 
 def test_the_keys_of_a_mode() -> None:
@@ -127,6 +136,9 @@ def test_gestures(model: type[BaseModel]) -> None:
 
 def test_error_codes() -> None:
     rows = tables(section(PROTOCOL, "## Errors"))["code"]
+    assert {
+        Code(int(row[0])): (row[2], row[3]) for row in ([without_links(cell) for cell in row] for row in rows)
+    } == CODES
     assert {(int(row[0]), *names(row[1])) for row in rows} == {(int(code), code.name) for code in messages.Code}
 
 
@@ -315,7 +327,7 @@ def test_the_lines_of_the_doctor_are_told() -> None:
 
 def test_the_directives_that_the_page_names_stand_in_the_unit() -> None:
     unit = (ROOT / "systemd" / "hapticd.service").read_text().splitlines()
-    needs = tables(section(SERVICE, "## The sandbox"))["what"]
+    needs = tables(section(SERVICE, "## The sandbox"))["right"]
     for directive in (name for row in needs for name in names(row[1]) if "=" in name):
         assert directive in unit
     for name in re.findall(r"`([A-Z]\w+)(?:=[^`]*)?`", section(SERVICE, "## The sandbox")):

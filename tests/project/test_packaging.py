@@ -32,8 +32,8 @@ def test_messages_and_pages_name_extras_that_exist() -> None:
         for names in re.findall(r"hapticd\[([a-z,]+)\]", path.read_text())
         for extra in names.split(",")
     }
-    assert {extra for extra, _ in told} == {"fit", "mcap", "pandas"}
-    assert {"fit", "mcap"} < EXTRAS.keys()
+    assert {extra for extra, _ in told} == {"cluster", "experiment", "fit", "lsl", "mcap", "pandas", "web"}
+    assert {"experiment", "fit", "lsl", "mcap", "web"} < EXTRAS.keys()
 
 
 def test_the_extra_for_fits_keeps_its_first_name() -> None:

@@ -298,6 +298,26 @@ def test_it_begins_anew_after_a_gap_and_after_a_fault(tmp_path: Path) -> None:
     assert {2600 + 7000, 5200 + 4000} < ticks
 
 
+def test_ticks_with_a_streamed_force_are_left_out_and_told(tmp_path: Path) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    samples = render_run(config, strokes(1.0), RATE_HZ).samples
+    end = 4000 + 10 + int(np.argmax(samples["flags"][4000:] & Flag.CONTACT != 0))
+    assert (samples["flags"][[end - 1, end]] & Flag.CONTACT).all(), "it ends while something is pressed"
+    samples["flags"][end - 1000 : end] |= np.uint32(Flag.STREAMED)
+    samples["contact_force_n"][end - 1000 : end] += 0.1
+    samples["force_n"][end - 1000 : end] += 0.1
+    write(tmp_path / "run.npz", samples, config)
+    again = replay(tmp_path / "run.npz")
+    assert again.identical == len(again.samples) == 9000 - again.left_out["begun_before"]
+    assert again.left_out["streamed"] == 1000 and 0 < again.left_out["begun_before"] < 2000
+    assert set(range(end - 1000)) < set(again.samples["tick"].tolist())
+    assert "1,000 with a streamed force" in again.summary()
+    samples["flags"] |= np.uint32(Flag.STREAMED)
+    write(tmp_path / "run.npz", samples, config)
+    with pytest.raises(HapticdError, match="no tick of it can be rendered again: 10,000 with a streamed force"):
+        replay(tmp_path / "run.npz")
+
+
 def test_forces_that_were_off_are_off(tmp_path: Path) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     samples = render_run(config, strokes(0.6), RATE_HZ).samples
@@ -359,7 +379,7 @@ def test_what_does_not_say_what_it_was_rendered_with(tmp_path: Path, left_out: s
         ("config", {"servo": {}}, "KeyError"),
         ("scene", {"objects": {"floor": {**FLOOR, "material": "nothing"}}}, "nothing"),
         ("scene", {"objects": {"floor": {"kind": "cube"}}}, "cube"),
-        ("changes", [{"revision": 9}], "no tick of it can be rendered again"),
+        ("changes", [{"revision": 9}], "no tick of it can be rendered again: 1,000 whose scene is not in the file"),
         ("changes", [7], "TypeError"),
     ],
 )

@@ -124,6 +124,7 @@ def test_without_events(tmp_path: Path) -> None:
             writer.finish()
     with np.load(tmp_path / "run.npz") as archive:
         assert len(archive["events"]) == 0
+        assert archive["events"].dtype == np.dtype([("event", "<U1"), ("tick", "<i8"), ("time_ns", "<i8")])
 
 
 @pytest.mark.parametrize("name", ["run.npz", "run.csv", "run.mcap"])

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from bench.end_state import EndState, end_state
-from bench.stability import LIGHT, Simulation, _configuration
+from bench.stability import LIGHT, on_wall
+from bench.swept import STUDIES
+from hapticd.base.yaml_source import load_path
 from hapticd.config.dynamics import Dynamics
+from hapticd.rendering.end_state import EndState, end_state
+from hapticd.rendering.endless_simulation import EndlessSimulation
 from hapticd.rendering.stability import Loop, spectral_radius, timing
 
 Floats = npt.NDArray[np.float64]
@@ -71,9 +75,10 @@ def test_a_constant_speed_is_rest() -> None:
 @pytest.mark.parametrize(("stiffness", "fate"), [(3500.0, "rests"), (4050.0, "cycles"), (8000.0, "cycles")])
 def test_a_free_handle_rests_up_to_its_exact_limit_and_not_beyond(stiffness: float, fate: str) -> None:
     """0.04 kg with 0.2 N s/m at 10 kHz: of the exact sampled loop the radius passes 1 at 4,000.1 N/m."""
-    config = _configuration("rate", 10_000.0, LIGHT, stiffness)
+    base: Any = load_path(STUDIES / "stability_rate.yaml").data
+    config = on_wall(base["base"], LIGHT, stiffness)
     loop = Loop(timing(10_000.0), Dynamics(0.04, 0.2, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 100.0, 0.075)
     assert (float(spectral_radius(np.diag([stiffness, 0.0]), np.zeros((2, 2)), loop)) < 1.0 + 1e-9) == (fate == "rests")
-    simulation = Simulation(config, [[0.0, 0.0, 0.005], [0.08, 0.0, 0.005]])
+    simulation = EndlessSimulation(config, [[0.0, 0.0, 0.005], [0.08, 0.0, 0.005]])
     simulation.go_on(0.3)
     assert end_state(simulation.go_on).fate == fate

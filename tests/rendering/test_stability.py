@@ -474,14 +474,18 @@ def test_the_status_tells_what_is_not_safe_and_follows_the_scene() -> None:
     json.dumps(told, allow_nan=False)
     daemon.call("update_materials", {"materials": {"wood": {"stiffness_n_per_m": 70}}})
     told = daemon.status()["stability"]
-    assert (told["sets"], told["unsafe"], told["worst"]) == (1, 0, [])
+    assert (told["sets"], told["unsafe"]) == (1, 0)
+    (safe,) = told["worst"]
+    assert (safe["objects"], safe["verdict"], safe["remedy"]) == (["floor"], "safe", "")
+    assert safe["limit_n_per_m"] == pytest.approx(0.2 / 2.5e-3)
+    assert safe["margin"] == pytest.approx(80 / 70)
     second = {**FLOOR, "point_m": [0, -0.001], "material": "wood"}
     daemon.call("update_scene", {"objects": {"second": second}})
     told = daemon.status()["stability"]
     assert [margin["objects"] for margin in told["worst"]] == [["floor", "second"]]
     assert told["worst"][0]["stiffness_n_per_m"] == pytest.approx(140)
     daemon.call("update_scene", {"objects": {"second": None}})
-    assert daemon.status()["stability"]["worst"] == []
+    assert [margin["verdict"] for margin in daemon.status()["stability"]["worst"]] == ["safe"]
 
 
 def test_many_sets_are_counted_and_few_told() -> None:
@@ -506,10 +510,10 @@ def test_nobody_waits_until_a_large_scene_is_evaluated(monkeypatch: pytest.Monke
     go_on, done = threading.Event(), threading.Event()
     evaluate = stability_module.evaluate
 
-    def held(*args: Any) -> Any:
+    def held(*args: Any, **options: Any) -> Any:
         assert go_on.wait(60)
         try:
-            return evaluate(*args)
+            return evaluate(*args, **options)
         finally:
             done.set()
 
@@ -544,7 +548,7 @@ def test_virtual_damping_is_unproved_until_it_shakes_the_handle() -> None:
         scene = {"objects": {"honey": {"kind": "viscous", "damping_n_s_per_m": damping}}}
         engine = Engine(load_config({"servo": {"rate_hz": 1000}, "scene": scene}))
         stability = engine.stability()
-        assert [margin.verdict for margin in stability.worst] == ([] if verdict == "safe" else [verdict])
+        assert [margin.verdict for margin in stability.worst] == [verdict]
         assert len(stability.problems()) == (verdict == "unsafe")
 
 
@@ -594,7 +598,7 @@ def test_check_says_what_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[st
     printed = capsys.readouterr()
     assert "tap of steel, 1682 Hz: silent" in printed.out
     assert "up to 80 N/m would be safe" in printed.out
-    assert printed.err == "hapticd: 2 things of the scene cannot be shown as meant, or may oscillate\n"
+    assert printed.err == "hapticd: 2 things of the scene cannot be displayed as written, or may oscillate\n"
     assert main(["check", "--json", "-c", written(tmp_path, source)]) == 1
     told = json.loads(capsys.readouterr().out)
     assert told["can_be_shown"] is False

@@ -116,6 +116,7 @@ class Daemon:
         environment = {
             **os.environ,
             **run.sanitizer.environment,
+            "PYTHONFAULTHANDLER": "1",
             "PYTHONPATH": os.pathsep.join(dict.fromkeys(path for path in paths if path)),
         }
         pinned = [] if self.processor is None else ["taskset", "-c", str(self.processor)]
@@ -157,6 +158,11 @@ class Daemon:
         finally:
             self.process.kill()
 
+    def abort(self) -> None:
+        """SIGABRT, for which Python writes into the log what each of its threads is doing."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGABRT)
+
     def findings(self, code: int) -> str | None:
         """What is wrong with how it ended; None: nothing."""
         said = self.said()
@@ -196,10 +202,12 @@ def clean(run: Run, config: str, *program: str, on_one_processor: bool = False) 
 class Load:
     """Clients in threads of their own, and what they met."""
 
-    def __init__(self, daemon: Daemon, run: Run, timeout_s: float = 60.0) -> None:
+    def __init__(self, daemon: Daemon, run: Run, timeout_s: float = PATIENCE_S, *, to_the_end: bool = False) -> None:
+        """`to_the_end`: of the daemon, whom clients then miss."""
         self.daemon = daemon
         self.dice = run.dice
         self.timeout_s = timeout_s
+        self.to_the_end = to_the_end
         self.over = threading.Event()
         self.failures: list[BaseException] = []
         self.methods: set[str] = set()
@@ -219,6 +227,10 @@ class Load:
                 with hapticd.connect(self.daemon.runtime, self.timeout_s) as client:
                     while not self.over.is_set():
                         work(client, dice)
+            except hapticd.DaemonNotRunning as error:
+                if not self.to_the_end:
+                    self.failures.append(error)
+                    self.daemon.abort()
             except BaseException as error:
                 self.failures.append(error)
 
@@ -252,8 +264,7 @@ class Load:
             next(states)
 
     @contextmanager
-    def running(self, *, to_the_end: bool = False) -> Iterator[None]:
-        """`to_the_end`: of the daemon, whom clients then miss."""
+    def running(self) -> Iterator[None]:
         for thread in self._threads:
             thread.start()
         try:
@@ -263,8 +274,7 @@ class Load:
             for thread in self._threads:
                 thread.join()
             for failure in self.failures:
-                if not (to_the_end and isinstance(failure, hapticd.DaemonNotRunning)):
-                    raise failure
+                raise failure
 
     def last(self, seconds: float, what: Callable[[], bool]) -> None:
         """For so long at the least, and until that holds."""
@@ -375,6 +385,25 @@ def commands(load: Load) -> Callable[[Client, random.Random], None]:
     return work
 
 
+def streams(load: Load) -> Callable[[Client, random.Random], None]:
+    """Targets of the hand, then forces: messages without an answer."""
+
+    def work(client: Client, dice: random.Random) -> None:
+        for kind, most in (("target", 0.04), ("force", 2.0)):
+            load.methods.add(f"stream_{kind}")
+            try:
+                with client.stream() as stream:
+                    for _ in range(dice.randrange(1, 100)):
+                        getattr(stream, kind)(dice.uniform(-most, most), dice.uniform(-most, most))
+                        load.over.wait(0.001)
+            except RemoteError as error:
+                assert error.code != Code.INTERNAL, error
+                load.codes.add(Code(error.code))
+            load.over.wait(0.5)
+
+    return work
+
+
 # ---- Daemons and what befalls them -----------------------------------------------------------------------------------
 
 
@@ -389,7 +418,15 @@ def sim(run: Run) -> None:
     text = head(run)
     with clean(run, text, *program) as daemon:
         load = Load(daemon, run)
-        works = (scenes(load), taps(load), commands(load), commands(load), load.listen, *[load.come_and_go] * 3)
+        works = (
+            scenes(load),
+            taps(load),
+            commands(load),
+            commands(load),
+            streams(load),
+            load.listen,
+            *[load.come_and_go] * 3,
+        )
         for work in works:
             load.client(work)
 
@@ -408,10 +445,10 @@ def sim(run: Run) -> None:
             load.last(0.45 * run.seconds, lambda: wanted <= load.events and methods <= load.methods)
         assert load.methods == methods, methods ^ load.methods
         # And taken down in the middle of it.
-        load = Load(daemon, run, timeout_s=5.0)
+        load = Load(daemon, run, timeout_s=5.0, to_the_end=True)
         load.client(load.come_and_go)
         load.client(scenes(load))
-        with load.running(to_the_end=True):
+        with load.running():
             load.last(0.05 * run.seconds, lambda: True)
             daemon.process.send_signal(signal.SIGTERM)
             daemon.process.wait(PATIENCE_S)

@@ -83,6 +83,8 @@ PARAMETERS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
         ("mark", "text", "data"),
         ("set_forces", "enabled", ""),
         ("set_operator", "", "waypoints interpolation gesture"),
+        ("stream_target", "seq position_m", ""),
+        ("stream_force", "seq force_n", ""),
         ("lease", "duration_s", "token"),
         ("reload", "", "expect_revision wait"),
         ("dump_flight", "", ""),
@@ -111,6 +113,8 @@ RESULTS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
         ("mark", "tick", ""),
         ("set_forces", "forces tick", "signs"),
         ("set_operator", "duration_s tick", "warnings"),
+        ("stream_target", "", ""),
+        ("stream_force", "forces", "warning"),
         ("lease", "token", "warning"),
         ("reload", "revision", "tick warning warnings"),
         ("dump_flight", "file", ""),
@@ -129,6 +133,8 @@ ERRORS: Final[dict[str, frozenset[int]]] = {
     "reset": frozenset((-32005, -32006)),
     "set_forces": frozenset((-32003, -32005, -32006)),
     "set_operator": frozenset((-32005, -32006)),
+    "stream_target": frozenset((-32010,)),
+    "stream_force": frozenset((-32010,)),
     "lease": frozenset((-32004, -32007)),
 }
 """What each method may answer beside INVALID_PARAMS."""
@@ -400,6 +406,8 @@ def seeds() -> dict[str, list[bytes]]:
         ("set_forces", {"enabled": False}),
         ("set_forces", {"enabled": True}),
         *(("set_operator", item) for item in GESTURES),
+        *(("stream_target", {"seq": seq, "position_m": [0.001 * seq, 0.01]}) for seq in (0, 7, 200, 2**40)),
+        *(("stream_force", {"seq": seq, "force_n": [0.5, 0.0]}) for seq in (0, 7, 200, 2**63 - 1)),
         ("lease", {"duration_s": 0.05}),
         ("lease", {"duration_s": 0, "token": "me"}),
         ("reload", {}),
@@ -429,6 +437,8 @@ WEIGHTS: Final = {
     "play": 12,
     "set_operator": 10,
     "reset": 6,
+    "stream_target": 4,
+    "stream_force": 4,
     "set_forces": 5,
     "lease": 6,
     "get_scene": 3,
@@ -720,6 +730,8 @@ def _check_data(code: int, error: Tree) -> None:
         assert data is None or type(data["faults"]) is list
     elif code == -32004:
         assert data["lease_s"] >= 0
+    elif code == -32010:
+        assert 0 < data["free_s"] <= 0.02
     elif code == -32005 and data is not None:
         assert data.keys() == {"intake"}
         assert data["intake"].keys() == {"method", "started_ns", "filters", "filters_done"}

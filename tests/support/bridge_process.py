@@ -36,18 +36,29 @@ class Bridge:
         self.keys = {name: new_certificate() for name in ("server", "stranger", *clients)}
         write_certificate(self.keys["server"], "server", folder / "keys")
         self.config = {"listen": "tcp://127.0.0.1:0", "metrics": "127.0.0.1:0", **config}
+        self._daemon = daemon
+        self._lines: list[str] = []
+        self._said = threading.Condition()
+        self._start()
+
+    def _start(self) -> None:
         self.write(self.clients)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon), "bridge", "-c", str(self.file)],
+            [sys.executable, "-m", "hapticd", "--runtime-dir", str(self._daemon), "bridge", "-c", str(self.file)],
             stderr=subprocess.PIPE,
             text=True,
         )
-        self._lines: list[str] = []
-        self._said = threading.Condition()
+        self._lines.clear()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         ready = self.hears(r"ready: commands at tcp://(.*):(\d+),")
         self.host, self.port = ready[1], int(ready[2])
+
+    def start_again(self) -> None:
+        """After its end: at the same address, with the same keys."""
+        self.close()
+        self.config["listen"] = self.address
+        self._start()
 
     def write(self, clients: Mapping[str, str]) -> None:
         entries = {name: {"public_key": self.keys[name].public_key, "may": may} for name, may in clients.items()}

@@ -57,7 +57,10 @@ class FakeDaemon:
                 self._publisher.send_multipart(self._queue.recv_multipart())
             if self._router in ready:
                 identity, body = self._router.recv_multipart()
-                request = msgpack.unpackb(body)
+                try:
+                    request = msgpack.unpackb(body)
+                except ValueError:
+                    request = {"undecodable": body}
                 self.requests.append(request)
                 for reply in self.answer(request):
                     self._router.send_multipart([identity, reply])

@@ -21,10 +21,11 @@ from hapticd.system.service_files import Installation, Service, unit_word
 
 ROOT = Path(__file__).parents[2]
 HERE = Installation(Path("/opt/hapticd/bin/hapticd"), (Path("/opt/hapticd"),))
-UNITS = ("hapticd.service", "hapticd-bridge.service")
+UNITS = ("hapticd.service", "hapticd-bridge.service", "hapticd-web.service")
 FILES = {
     "etc/systemd/system/hapticd.service",
     "etc/systemd/system/hapticd-bridge.service",
+    "etc/systemd/system/hapticd-web.service",
     "etc/sysusers.d/hapticd.conf",
     "etc/tmpfiles.d/hapticd.conf",
     "etc/udev/rules.d/70-hapticd.rules",
@@ -139,9 +140,10 @@ def test_lines_behind_the_checksum_do_not_hide_what_a_file_was_made_from(system:
 
 
 def test_clients_are_told_the_directory_of_the_units() -> None:
-    daemon, bridge = ((ROOT / "systemd" / name).read_text() for name in UNITS)
+    daemon, bridge, page = ((ROOT / "systemd" / name).read_text() for name in UNITS)
     assert f"\nRuntimeDirectory={SYSTEM_DIRECTORY.relative_to('/run')}\n" in daemon
     assert f" --runtime-dir {SYSTEM_DIRECTORY} bridge\n" in bridge
+    assert f" --runtime-dir {SYSTEM_DIRECTORY} web\n" in page
 
 
 @pytest.mark.parametrize("name", [*UNITS, "hapticd.user.service"])
@@ -150,6 +152,26 @@ def test_a_service_that_cannot_start_is_never_given_up(name: str) -> None:
     unit = dict(line.split("=", 1) for line in (ROOT / "systemd" / name).read_text().splitlines() if "=" in line)
     assert unit["Restart"] == "on-failure"
     assert float(unit["StartLimitIntervalSec"]) / float(unit["RestartSec"]) < float(unit["StartLimitBurst"])
+
+
+def test_what_a_package_has_put_in_place_is_not_repeated(system: System) -> None:
+    """As the Debian package does: the units' own paths, below /usr/lib, unsigned, and a configuration of its own."""
+    system.installation = replace(HERE, executable=Path("/usr/bin/hapticd"), folders=(Path("/usr"),))
+    brought = {name.replace("etc/", "usr/lib/", 1): ROOT / "systemd" / name.rpartition("/")[2] for name in FILES}
+    brought["usr/lib/sysusers.d/hapticd.conf"] = ROOT / "systemd" / "sysusers.conf"
+    brought["usr/lib/tmpfiles.d/hapticd.conf"] = ROOT / "systemd" / "tmpfiles.conf"
+    del brought["usr/lib/hapticd/config.yaml"]
+    for name, source in (*brought.items(), ("etc/hapticd/config.yaml", ROOT / "config" / "default.yaml")):
+        (system.root / name).parent.mkdir(parents=True, exist_ok=True)
+        (system.root / name).write_text(source.read_text())
+    before = system.files()
+    assert system.install() == dict.fromkeys((*brought, "etc/hapticd/config.yaml"), "unchanged")
+    assert system.files() == before
+    assert set(system.uninstall().values()) == {"absent", "kept"}
+    assert system.files() == before
+    other = system.root / "usr/lib/tmpfiles.d/hapticd.conf"
+    other.write_text("d /etc/hapticd 0700 root root -\n")
+    assert system.install()["etc/tmpfiles.d/hapticd.conf"] == "wrote"
 
 
 @pytest.mark.parametrize("what", ["link", "binary", "unsigned"])
@@ -309,7 +331,7 @@ def test_uninstall_asks_of_the_system_only_what_runs(
     assert [step.kind for step in steps].count("removed") == len(FILES)
     assert (["udevadm", "control", "--reload"] in ran) == udev
     assert (["systemctl", "disable", "--now", *UNITS] in ran) == (["systemctl", "daemon-reload"] in ran) == booted
-    told = "systemd does not run here, so no service is stopped: hapticd.service, hapticd-bridge.service"
+    told = f"systemd does not run here, so no service is stopped: {', '.join(UNITS)}"
     assert (told in [step.what for step in steps]) == (not booted)
 
 
@@ -465,7 +487,9 @@ def test_the_units_are_valid(tmp_path: Path, home: bool) -> None:
 
 
 @analyze
-@pytest.mark.parametrize(("name", "most"), [("hapticd.service", 1.0), ("hapticd-bridge.service", 1.6)])
+@pytest.mark.parametrize(
+    ("name", "most"), [("hapticd.service", 1.0), ("hapticd-bridge.service", 1.6), ("hapticd-web.service", 1.6)]
+)
 def test_the_units_are_exposed_as_little_as_promised(name: str, most: float) -> None:
     path = str(ROOT / "systemd" / name)
     words = ["systemd-analyze", "security", "--offline=true", f"--threshold={round(10 * most)}", "--no-pager", path]

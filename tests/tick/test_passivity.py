@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.passivity import GROUPS, Group, draw, energy_of, simulated, work
+from bench.passivity import GROUPS, Group, draw, energy_of, simulated
 from bench.stability import evaluated
 from hapticd.base.core import Flag, lib
 from hapticd.config.configuration import default_config, load_config
@@ -18,6 +18,7 @@ from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import Methods
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import simulate_run
+from hapticd.sweeps.measures.energy import given_j
 from tests.support.rig import FLOOR, Rig, line, still
 
 STIFFNESS = 800.0
@@ -253,8 +254,8 @@ def test_the_benchmarks_sum_against_a_loop() -> None:
         if inside:
             total += float(force[tick] @ (position[tick + 1] - position[tick]))
             largest = max(largest, total)
-    assert work(force, position, touched) == pytest.approx(largest, rel=1e-12)
-    assert work(force, position, np.zeros(200, bool)) == 0
+    assert given_j(force, position, touched) == pytest.approx(largest, rel=1e-12)
+    assert given_j(force, position, np.zeros(200, bool)) == 0
 
 
 def test_an_update_keeps_the_energy_and_switching_on_begins_anew() -> None:

@@ -104,7 +104,7 @@ def installed() -> None:
     scenario("hapticd install-service")
     said = succeeds("install-service", HAPTICD, "install-service")
     print("    " + said.replace("\n", "\n    ").rstrip())
-    for user in ("hapticd", "hapticd-bridge"):
+    for user in ("hapticd", "hapticd-bridge", "hapticd-web"):
         check(pwd.getpwnam(user).pw_shell.endswith("nologin"), f"sysusers made {user}", pwd.getpwnam(user))
     keys = Path("/etc/hapticd/keys").stat()
     check(
@@ -344,7 +344,7 @@ def main() -> None:
         check(not joystick.faults, "nothing that the device refuses", joystick.faults[:3])
     unplugged()
     of_a_user()
-    for unit in ("hapticd", "hapticd-bridge"):
+    for unit in ("hapticd", "hapticd-bridge", "hapticd-web"):
         print("    " + run("systemd-analyze", "security", "--no-pager", f"{unit}.service").stdout.splitlines()[-1])
     rig.done()
 

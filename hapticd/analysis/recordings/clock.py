@@ -44,7 +44,7 @@ def uniform(
     _check_columns(found)
     columns: dict[Quantity, Floats] = {quantity: values for quantity, values in found.items() if quantity != "time"}
     if rate_hz is not None and not LOWEST_HZ <= rate_hz <= HIGHEST_HZ:
-        raise ValueError(f"a rate of {rate_hz:g} Hz is none of a recording: it has {LOWEST_HZ:g} Hz to 1 MHz")
+        raise ValueError(f"a rate of {rate_hz:g} Hz is out of range: recordings have {LOWEST_HZ:g} Hz to 1 MHz")
     if "time" not in found:
         if rate_hz is None:
             raise ValueError("has neither a column time_s nor a rate: say rate_hz in the YAML beside it")

@@ -1,0 +1,195 @@
+"""The drawings of docs/images that explain the workspace, walls, the proxy and gestures: `python -m docs.figures`.
+
+Those of gestures show what the simulated joystick does, computed by `hapticd.simulate`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("svg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import hapticd
+
+IMAGES = Path(__file__).parent / "images"
+INK, QUIET, SOLID, TEAL, ORANGE = "#263238", "#78909c", "#eceff1", "#00796b", "#d84315"
+STYLE: Mapping[str, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "hapticd",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Arial", "Helvetica", "sans-serif"],
+    "font.size": 11,
+    "text.color": INK,
+    "axes.edgecolor": QUIET,
+    "axes.labelcolor": INK,
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+RATE_HZ = 10_000
+"""Of the default configuration."""
+Point = tuple[float, float]
+
+
+def save(figure: Figure, name: str) -> None:
+    figure.savefig(
+        IMAGES / f"{name}.svg", metadata={"Date": None}, facecolor="white", bbox_inches="tight", pad_inches=0.15
+    )
+    plt.close(figure)
+
+
+def arrow(axes: Axes, begin: Point, end: Point, colour: str, width: float = 2.0) -> None:
+    axes.annotate(
+        "", end, begin, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": width, "shrinkA": 0, "shrinkB": 0}
+    )
+
+
+def bare(width: float, height: float, x: Point, y: Point) -> tuple[Figure, Axes]:
+    """A drawing to scale, without axes."""
+    figure, axes = plt.subplots(figsize=(width, height))
+    axes.set(xlim=x, ylim=y, aspect="equal")
+    axes.axis("off")
+    return figure, axes
+
+
+def ground(axes: Axes, corners: Sequence[Point]) -> None:
+    """The inside of a solid."""
+    axes.fill(*zip(*corners, strict=True), facecolor=SOLID, edgecolor="#cfd8dc", hatch="////", linewidth=0)
+
+
+# ---- The drawings ----------------------------------------------------------------------------------------------------
+
+
+def workspace() -> None:
+    """Axes, units, and what is drawn of a hand and of a wall."""
+    figure, axes = plt.subplots(figsize=(7.2, 4.2))
+    axes.set(
+        xlim=(-0.065, 0.065),
+        ylim=(-0.022, 0.047),
+        aspect="equal",
+        xlabel="x (m), to the right",
+        ylabel="y (m), upwards",
+    )
+    axes.set_xticks([-0.06, -0.04, -0.02, 0, 0.02, 0.04, 0.06])
+    axes.set_yticks([-0.02, 0, 0.02, 0.04])
+    ground(axes, [(-0.065, 0), (0.065, 0), (0.065, -0.022), (-0.065, -0.022)])
+    axes.axhline(0, color=INK, lw=2)
+    axes.text(-0.062, -0.009, "a wall: solid below y = 0", bbox={"facecolor": "white", "edgecolor": "none", "pad": 2})
+    axes.plot(0, 0, "+", color=INK, ms=12, mew=2)
+    axes.text(0.002, -0.0075, "origin [0, 0]", bbox={"facecolor": "white", "edgecolor": "none", "pad": 2})
+    axes.plot(0, 0.01, "o", color=TEAL, ms=12)
+    axes.text(0.004, 0.0075, "handle at [0, 0.01]: 1 cm above the wall", color=TEAL)
+    arrow(axes, (0, 0.012), (0, 0.032), ORANGE, 2.5)
+    axes.text(0.003, 0.027, "force on the hand (N): positive y pushes upwards", color=ORANGE, va="center")
+    save(figure, "workspace")
+
+
+def wall() -> None:
+    """A wall's point and normal, its two sides, and where arc length begins."""
+    figure, axes = bare(7.2, 3.7, (-4.3, 4.5), (-2.2, 2.4))
+    along, normal = np.array([np.cos(0.3), np.sin(0.3)]), np.array([-np.sin(0.3), np.cos(0.3)])
+    left, right = -4.2 * along, 4.4 * along
+    ground(axes, [tuple(left), tuple(right), tuple(right - 1.4 * normal), tuple(left - 1.4 * normal)])
+    axes.plot(*zip(left, right, strict=True), color=INK, lw=2.5)
+    tip = 1.5 * normal
+    arrow(axes, (0, 0), (tip[0], tip[1]), ORANGE, 2.5)
+    axes.text(tip[0] + 0.2, tip[1] + 0.15, "normal: points out of the solid", color=ORANGE)
+    axes.plot(0, 0, "o", color=TEAL, ms=10)
+    axes.text(
+        0.25,
+        -0.42,
+        "point_m: any point of the surface",
+        color=TEAL,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 2},
+    )
+    end = 2.4 * along + 0.22 * normal
+    start = 0.35 * along + 0.22 * normal
+    arrow(axes, (start[0], start[1]), (end[0], end[1]), QUIET, 1.6)
+    axes.text(
+        *(1.1 * along + 0.42 * normal),
+        "along it (m)",
+        color=QUIET,
+        rotation=np.degrees(0.3),
+        rotation_mode="anchor",
+    )
+    axes.text(-3.6, 0.6, "free: no force")
+    axes.text(-3.4, -1.75, "solid: pushes out", bbox={"facecolor": "white", "edgecolor": "none", "pad": 2})
+    save(figure, "wall")
+
+
+def proxy() -> None:
+    """The probe and the proxy, in the air and pressed in."""
+    figure, axes = bare(7.2, 3.4, (-4.6, 4.6), (-2.0, 2.2))
+    ground(axes, [(-4.5, 0), (4.5, 0), (4.5, -1.9), (-4.5, -1.9)])
+    axes.plot([-4.5, 4.5], [0, 0], color=INK, lw=2.5)
+    axes.plot(-2.7, 1.0, "o", color=TEAL, ms=13)
+    axes.plot(-2.7, 1.0, "o", mfc="none", mec=ORANGE, ms=19, mew=2)
+    axes.text(-2.7, 1.5, "in the air:\nprobe and proxy are one", ha="center", va="bottom")
+    axes.plot(1.2, -1.1, "o", color=TEAL, ms=13)
+    axes.plot(1.2, 0, "o", mfc="white", mec=ORANGE, ms=15, mew=2.5)
+    arrow(axes, (1.2, 0.25), (1.2, 1.75), ORANGE, 2.5)
+    axes.text(1.45, 1.2, "force = stiffness x depth", color=ORANGE)
+    axes.text(1.45, 0.3, "proxy: stays on the surface", color=ORANGE)
+    axes.text(
+        1.55, -1.22, "probe: where the hand is", color=TEAL, bbox={"facecolor": "white", "edgecolor": "none", "pad": 2}
+    )
+    axes.annotate(
+        "",
+        (0.75, -1.1),
+        (0.75, 0),
+        arrowprops={"arrowstyle": "<->", "color": INK, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
+    )
+    axes.text(0.6, -0.65, "depth (m)", ha="right", bbox={"facecolor": "white", "edgecolor": "none", "pad": 2})
+    save(figure, "proxy")
+
+
+FLOOR = {"objects": {"floor": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}}}
+COMB = {"objects": {"floor": {**FLOOR["objects"]["floor"], "material": "comb_4800um_vibration"}}}
+MEMBRANE = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.04, "material": "cellophane"}
+SKIN = {"objects": {"skin": MEMBRANE}}
+TAP = {"kind": "tap", "object": "floor", "speed_m_per_s": 0.2}
+STROKE = {"kind": "stroke", "object": "floor", "from_m": -0.02, "to_m": 0.02, "speed_m_per_s": 0.1, "press_n": 0.8}
+PUNCTURE = {"kind": "puncture", "object": "skin", "speed_m_per_s": 0.05}
+GESTURES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
+    "tap: down, and back": (FLOOR, TAP),
+    "stroke: along a comb": (COMB, STROKE),
+    "press: into a membrane until it breaks": (SKIN, PUNCTURE),
+}
+
+
+def gestures() -> None:
+    """Where the handle goes, and the force that the hand feels meanwhile."""
+    figure, grid = plt.subplots(2, 3, figsize=(10, 4.6), layout="constrained")
+    for column, (title, (scene, gesture)) in enumerate(GESTURES.items()):
+        path, force = grid[0, column], grid[1, column]
+        start_m = [gesture.get("from_m", 0), 0.01]
+        samples = hapticd.simulate({"device": {"sim": {"start_m": start_m}}, "scene": scene}, {"gesture": gesture})
+        time_s = np.arange(len(samples)) / RATE_HZ
+        position_mm, along = 1e3 * samples["position_m"], gesture["kind"] == "stroke"
+        path.plot(time_s, position_mm[:, 0 if along else 1], color=TEAL, lw=1.8)
+        if not along:
+            path.axhline(0, color=INK, lw=1.2)
+        path.set(title=title, ylabel="x of the handle (mm)" if along else "y of the handle (mm)")
+        force.plot(time_s, samples["force_n"][:, 0 if along else 1], color=ORANGE, lw=0.9)
+        force.set(xlabel="time (s)", ylabel="force along x (N)" if along else "force along y (N)")
+    save(figure, "gestures")
+
+
+def main() -> None:
+    """Draws all of them anew."""
+    with matplotlib.rc_context(STYLE):
+        for draw in (workspace, wall, proxy, gestures):
+            draw()
+
+
+if __name__ == "__main__":
+    main()

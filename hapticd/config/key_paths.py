@@ -1,0 +1,123 @@
+"""Changes of a configuration that is plain data, by the paths of its keys: `materials.wood.tap.frequency_hz`.
+
+A change of a shipped material's key starts from that material. A text where a material's keys are expected,
+`materials.left: wood`, stands for the keys of the material of that name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Final
+
+from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text
+from hapticd.base.merge_patch import merge_patch
+from hapticd.base.yaml_source import Json
+from hapticd.config.materials import shipped_materials
+
+_ELEMENT: Final = re.compile(r"([^.\[\]]+)((?:\[[0-9]{1,5}\])*)")
+
+
+def path_of(text: str) -> Path:
+    """`scene.objects.floor.patches[0].material` as keys and indices. Raises ValueError."""
+    found: list[str | int] = []
+    for part in text.split("."):
+        match = _ELEMENT.fullmatch(part)
+        if match is None:
+            raise ValueError("must be keys with dots between them, as materials.wood.tap.frequency_hz")
+        found += [match[1], *(int(index) for index in re.findall(r"[0-9]+", match[2]))]
+    return tuple(found)
+
+
+@cache
+def _shipped() -> dict[str, Json]:
+    """The shipped materials as plain data."""
+    return {name: material.to_dict() for name, material in shipped_materials().items()}
+
+
+def expanded(document: Mapping[str, Json]) -> dict[str, Json]:
+    """A configuration whose materials that are names of others are replaced by the keys of these.
+
+    Raises InvalidError, `where` is materials.NAME, for a name that nobody defines.
+    """
+    materials = document.get("materials")
+    if not isinstance(materials, dict) or not any(isinstance(value, str) for value in materials.values()):
+        return dict(document)
+    shipped = _shipped()
+    found: dict[str, Json] = {}
+    for name, value in materials.items():
+        if isinstance(value, str):
+            meant = materials.get(value)
+            if isinstance(meant, dict):
+                value = meant
+            elif value in shipped:
+                value = shipped[value]
+            else:
+                known = known_names(value, [*(each for each in materials if each != name), *shipped])
+                problem = f"no material is called {value}; {known}"
+                raise InvalidError([Problem(path_text(("materials", name)), problem)])
+        found[name] = value
+    return {**document, "materials": found}
+
+
+def with_patch(document: Mapping[str, Json], patch: Mapping[str, Json]) -> dict[str, Json]:
+    """A configuration with a merge patch applied. Raises InvalidError as `expanded` does."""
+    changed = patch.get("materials")
+    if isinstance(changed, dict):
+        document = _with_shipped(document, (name for name, value in changed.items() if isinstance(value, dict)))
+    merged = merge_patch(dict(document), dict(patch))
+    assert isinstance(merged, dict)
+    return expanded(merged)
+
+
+def with_value(document: Mapping[str, Json], path: Path, value: Json, *, make: bool = False) -> dict[str, Json]:
+    """A configuration with one key set. Raises InvalidError, `where` is the path, where nothing has such a key.
+
+    `make`: mappings on the way that are left out are made, as all keys of a configuration have defaults.
+    """
+    if path[0] == "materials" and len(path) > 2:
+        document = _with_shipped(document, (str(path[1]),))
+    found = _set(dict(document), path, 0, value, make)
+    assert isinstance(found, dict)
+    return expanded(found)
+
+
+def _with_shipped(document: Mapping[str, Json], names: Iterable[str]) -> Mapping[str, Json]:
+    """A configuration that holds the shipped materials of these names itself."""
+    own = document.get("materials")
+    own = own if isinstance(own, dict) else {}
+    shipped = _shipped()
+    missing: dict[str, Json] = {
+        name: shipped[name] for name in names if name in shipped and not isinstance(own.get(name), dict | str)
+    }
+    return {**document, "materials": {**missing, **own}} if missing else document
+
+
+def _set(node: Json, path: Path, depth: int, value: Json, make: bool) -> Json:
+    """A copy of `node` along the path alone."""
+    if depth == len(path):
+        return value
+    key = path[depth]
+    last = depth == len(path) - 1
+    node = {} if node is None and make else node
+    if isinstance(node, dict) and isinstance(key, str) and (last or make or key in node):
+        return {**node, key: _set(node.get(key), path, depth + 1, value, make)}
+    if isinstance(node, list) and isinstance(key, int) and key < len(node):
+        return [*node[:key], _set(node[key], path, depth + 1, value, make), *node[key + 1 :]]
+    known = f"; {known_names(str(key), node)}" if isinstance(node, dict) else ""
+    raise InvalidError([Problem(path_text(path), f"there is no {path_text(path[: depth + 1])}{known}")])
+
+
+def difference(old: Mapping[str, Json], new: Mapping[str, Json]) -> dict[str, Json]:
+    """The merge patch that makes `new` of `old`."""
+    patch: dict[str, Json] = {key: None for key in old if key not in new}
+    for key, value in new.items():
+        before = old.get(key)
+        if isinstance(value, dict) and isinstance(before, dict):
+            inner = difference(before, value)
+            if inner:
+                patch[key] = inner
+        elif key not in old or value != before or isinstance(value, bool) != isinstance(before, bool):
+            patch[key] = value
+    return patch
