@@ -19,9 +19,11 @@ CHANGES ?= 50000
 TICKS ?= 10000000
 
 VENV := .venv
+# Exact versions of everything that is installed, for pip and for the environment in which pip builds hapticd.
+CONSTRAINTS := constraints.txt
 BIN := $(VENV)/bin
 BUILT := $(VENV)/.built
-SETUP := pyproject.toml setup.py hapticd/_version.py
+SETUP := pyproject.toml setup.py hapticd/_version.py $(CONSTRAINTS)
 C_SOURCES := $(wildcard csrc/*/*.c)
 C_FILES := $(wildcard csrc/*/*.[ch] tests/c/*.[ch] tests/model/*.[ch] tests/sanitized/*.[ch] tests/vm/*.[ch] bench/peers/*.[ch])
 JOBS := $(shell nproc 2>/dev/null || echo 1)
@@ -41,9 +43,17 @@ help: ## this list
 .PHONY: build
 build: $(BUILT) ## set up .venv and compile the C core
 
+# `make PYTHON=...` sets up .venv again where it has another version of Python.
+ifeq ($(origin PYTHON),command line)
+ifneq ($(shell $(PYTHON) -V 2>&1),$(shell $(BIN)/python -V 2>&1))
+OTHER_PYTHON := other-python
+.PHONY: other-python
+endif
+endif
+
 # A change of the packaging installs anew; a change of the C core alone only recompiles.
-$(BUILT): $(SETUP) hapticd/_build.py hapticd/_stub.py $(wildcard csrc/*/*.[ch])
-	@if [ ! -x $(BIN)/hapticd ] || [ -n "$(filter $(SETUP),$?)" ]; then \
+$(BUILT): $(SETUP) $(OTHER_PYTHON) hapticd/_build.py hapticd/_stub.py $(wildcard csrc/*/*.[ch])
+	@if [ ! -x $(BIN)/hapticd ] || [ -n "$(filter $(SETUP) $(OTHER_PYTHON),$?)" ]; then \
 		$(MAKE) --no-print-directory install; \
 	else \
 		echo "compiling the C core"; \
@@ -57,9 +67,21 @@ $(BUILT): $(SETUP) hapticd/_build.py hapticd/_stub.py $(wildcard csrc/*/*.[ch])
 .PHONY: install
 install: prerequisites
 	@echo "setting up $(VENV) (a minute or two, once)"
-	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(PYTHON) -m venv $(if $(OTHER_PYTHON),--clear) $(VENV)
+	@PIP_CONSTRAINT=$(CONSTRAINTS) PIP_BUILD_CONSTRAINT=$(CONSTRAINTS) \
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@$(share)
+
+# The build's own requirements stand in pyproject.toml; pipx is in .venv.
+.PHONY: lock
+lock: build ## write constraints.txt: today's newest versions of all dependencies, for every Python from 3.11 on
+	@mkdir -p build
+	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' \
+		>build/build-requires.txt
+	@$(BIN)/pipx run uv pip compile --quiet --universal --python-version 3.11 --all-extras --no-annotate --no-header \
+		pyproject.toml build/build-requires.txt >build/constraints.txt
+	@{ echo "# Versions of $$(date +%F), written by make lock; what make build installs."; cat build/constraints.txt; } >$(CONSTRAINTS)
+	@echo "wrote $(CONSTRAINTS); try it: make test"
 
 # setuptools leaves out of an editable install what a wheel puts below the prefix.
 share = $(BIN)/python setup.py -q build_share && cp -R build/share $(VENV)
