@@ -1,6 +1,6 @@
 """README's installation from a wheel, in every Python of this machine: `python packaging/try_wheel.py WHEEL`.
 
-With `--ends` only the newest and the oldest of them are taken.
+With `--list` it lists those Pythons, one of each minor version.
 
 The block of README.md that installs a wheel runs as it stands there, in a folder with nothing but the wheel. It runs
 once for each CPython that `requires-python` allows and that can make virtual environments. The package findpython finds
@@ -110,10 +110,10 @@ def able() -> Iterator[Path]:
             print(f"Python {version} ({interpreter}): skipped, it has no venv")
 
 
-def main(wheel: Path, ends: bool) -> None:
+def main(wheel: Path) -> None:
     """Each Python, then pipx; a line for each."""
     found = list(able())
-    for interpreter in dict.fromkeys((found[0], found[-1])) if ends and found else found:
+    for interpreter in found:
         with tempfile.TemporaryDirectory(prefix="hapticd-") as folder:
             print(f"{try_block(interpreter, wheel, Path(folder))} ({interpreter})", flush=True)
     if not found:
@@ -123,7 +123,9 @@ def main(wheel: Path, ends: bool) -> None:
 
 
 if __name__ == "__main__":
-    names = [word for word in sys.argv[1:] if word != "--ends"]
-    if len(names) != 1 or not Path(names[0]).is_file():
-        sys.exit("usage: try_wheel.py [--ends] WHEEL")
-    main(Path(names[0]).resolve(), "--ends" in sys.argv)
+    if sys.argv[1:] == ["--list"]:
+        print(*{interpreter.name: interpreter for interpreter in able()}.values(), sep="\n")
+    elif len(sys.argv) == 2 and Path(sys.argv[1]).is_file():
+        main(Path(sys.argv[1]).resolve())
+    else:
+        sys.exit("usage: try_wheel.py --list | WHEEL")

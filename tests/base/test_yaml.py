@@ -26,7 +26,7 @@ def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
 ONE_PARSER = pytest.mark.parametrize(
     "parser", rest_slow(reversed(PARSERS)), ids=lambda parser: parser.__name__, indirect=True
 )
-"""Of a test that takes long: `make test` has it with the parser that is used, `make check` with both."""
+"""Of a test that takes long: `make test` has it with the parser that is used, `make test-slow` with both."""
 
 
 def refusal(text: str | bytes) -> Problem:

@@ -47,6 +47,8 @@ from tests.support.cli import HAPTICD
 from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon, until
 from tests.support.fake_daemon import fake_daemon, result
 
+pytestmark = pytest.mark.slow
+
 CLIENTS = {"alice": "command", "carol": "command", "bob": "watch"}
 ROOT = Path(__file__).parents[2]
 FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}

@@ -19,6 +19,8 @@ from tests.support.bridge_process import Bridge, running_bridge
 from tests.support.daemon_process import connect, running_daemon
 from tests.support.fake_daemon import fake_daemon, result
 
+pytestmark = pytest.mark.slow
+
 CLIENTS = {"alice": "command", "bob": "watch"}
 
 

@@ -30,6 +30,8 @@ from hapticd.sweeps.cluster import client_of
 from hapticd.sweeps.store import Store
 from tests.sweeps.test_engine import WORKER, connected, scheduler, threads
 
+pytestmark = pytest.mark.slow
+
 SPEEDS = (0.1, 0.15, 0.2, 0.25, 0.3)
 
 

@@ -21,6 +21,8 @@ from hapticd.sweeps.store import Store
 from tests.sweeps.external import OTHER_VERSION, WORKER, connected, scheduler
 from tests.sweeps.works import BAD, Roots, id_of
 
+pytestmark = pytest.mark.slow
+
 
 def ran(
     work: Roots, folder: Path, opened: AbstractContextManager[Any], again: bool = False

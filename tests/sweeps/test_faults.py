@@ -27,6 +27,8 @@ from tests.sweeps.external import OTHER_VERSION, WITHOUT_HAPTICD, WORKER, connec
 from tests.sweeps.test_engine import ran, threads
 from tests.sweeps.works import BAD, Fault, Roots
 
+pytestmark = pytest.mark.slow
+
 
 def told(words: list[str], environment: dict[str, str] | None = None, **started: Any) -> tuple[int, list[str], str]:
     """Exit code, lines on stderr without the dashboard's and progress, and stdout of a command."""

@@ -23,6 +23,8 @@ from hapticd.sweeps.plan import Plan
 from hapticd.sweeps.study import load_sweep
 from tests.support.marks import rest_slow
 
+pytestmark = pytest.mark.slow
+
 MODULE = """
 import ctypes, os, sys, time
 import numpy as np
