@@ -485,10 +485,15 @@ def test_any_data_is_taken_or_refused(data: dict[str, Json]) -> None:
 
 # ---- what ships -----------------------------------------------------------------------------------
 
+SHIPPED_FOLDER = resources.files("hapticd.shipped")
 SHIPPED = [
-    f"{folder}{file.name}"
-    for folder in ("", "materials/", "scenes/")
-    for file in resources.files("hapticd.shipped").joinpath(folder).iterdir()
+    f"{below}{file.name}"
+    for below, folder in (
+        ("", SHIPPED_FOLDER),
+        ("materials/", SHIPPED_FOLDER.joinpath("materials")),
+        ("scenes/", SHIPPED_FOLDER.joinpath("scenes")),
+    )
+    for file in folder.iterdir()
     if file.name.endswith(".yaml")
 ]
 
@@ -504,9 +509,7 @@ def test_shipped_files_are_valid(name: str) -> None:
         assert config.scene.objects
 
 
-@pytest.mark.parametrize(
-    "name", [file.name for file in resources.files("hapticd.shipped").joinpath("operators").iterdir()]
-)
+@pytest.mark.parametrize("name", [file.name for file in SHIPPED_FOLDER.joinpath("operators").iterdir()])
 def test_shipped_operators_are_valid_and_stay_in_the_workspace(name: str) -> None:
     operator = parse_operator(mapping(shipped_document(f"operators/{name}").data))
     assert operator.waypoints is not None

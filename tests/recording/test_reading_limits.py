@@ -29,19 +29,27 @@ from hapticd.recording.reading_limits import LEAST_LIMIT, TIMES_SIZE, default_li
 from hapticd.recording.replay import replay
 from tests.recording.test_writer import FORMS, noisy
 from tests.soak import fuzz_recordings
+from tests.support.loading_memory import memory_of_loading
 
 LIMIT = 32 << 20
 MEBI = bytes(1 << 20)
 
 
 def peak(act: Callable[[], object]) -> int:
-    """The most memory that was in use meanwhile, bytes."""
+    """The most memory that was in use meanwhile, bytes; too much where an array grows (see memory_of_loading)."""
     tracemalloc.start()
     try:
         act()
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
+
+
+def short_recording(folder: Path, ending: str) -> Path:
+    """A recording of a few samples."""
+    for name, content in fuzz_recordings.whole(f".{ending}").items():
+        (folder / f"short{name}").write_bytes(content)
+    return folder / f"short.{ending}"
 
 
 def refusal(path: Path) -> str:
@@ -160,7 +168,7 @@ def test_rows_take_what_samples_do(tmp_path: Path) -> None:
     short = b",".join(b"0" for _ in row.split(b",")) + b"\n"
     path = csv(tmp_path, csv=names + short * 200_000)
     assert path.stat().st_size < 8 << 20
-    assert peak(lambda: load_recorded(path, LIMIT)) < LIMIT, "22 MiB of samples, and a quarter"
+    assert memory_of_loading(short_recording(tmp_path, "csv"), path, LIMIT) < LIMIT, "22 MiB of samples, and a quarter"
     csv(tmp_path, csv=names + short * 400_000)
     for attempt in (load_recorded, replay):
         with pytest.raises(HapticdError, match="of memory with its samples"):
@@ -351,7 +359,7 @@ def test_what_hapticd_records_is_read_by_default(tmp_path: Path, ending: str, mo
             writer.write(still)
         writer.finish({})
     size = 100_000 * (SAMPLE_DTYPE.itemsize * 5 // 4)
-    assert peak(lambda: load_recorded(path, size + (4 << 20))) < size + (8 << 20)
+    assert memory_of_loading(short_recording(tmp_path, ending), path, size + (4 << 20)) < size + (8 << 20)
     monkeypatch.setattr(reading_limits, "LEAST_LIMIT", 0)
     assert len(load_recorded(path).samples) == 100_000
 

@@ -17,14 +17,20 @@ __attribute__((constructor)) static void begin(void) {
     const int fd = open(getenv("HAPTICD_CLOCKS"), O_RDONLY | O_CLOEXEC);
     void *mapped = mmap(NULL, 2 * sizeof *ahead, PROT_READ, MAP_SHARED, fd, 0);
     close(fd);
-    real = (int (*)(clockid_t, struct timespec *))dlsym(RTLD_NEXT, "clock_gettime");
-    if (mapped == MAP_FAILED || real == NULL) {
+    if (mapped == MAP_FAILED) {
         abort();
     }
     ahead = mapped;
 }
 
 int clock_gettime(clockid_t clock, struct timespec *now) {
+    /* Found by whoever asks first: other libraries begin before this one, and that of Python 3.13 asks as it does. */
+    if (real == NULL) {
+        real = (int (*)(clockid_t, struct timespec *))dlsym(RTLD_NEXT, "clock_gettime");
+    }
+    if (real == NULL) {
+        abort();
+    }
     const int result = real(clock, now);
     const int which = clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE ? 0 : clock == CLOCK_BOOTTIME ? 1 : -1;
     if (result == 0 && which >= 0 && ahead != NULL) {
