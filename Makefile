@@ -337,20 +337,23 @@ ctest:
 
 # ---- Sanitizers --------------------------------------------------------------------------------------------------
 
-# $(call sanitized,VARIANT,SANITIZERS): the C tests under them, if this clang has their run-time library.
+# C tests with threads: the others have no races to find.
+THREADED = C_TESTS='$(patsubst tests/c/%.c,build/c/$(1)/%,$(shell grep -l pthread.h tests/c/test_*.c))'
+
+# $(call sanitized,VARIANT,SANITIZERS[,WHICH]): the C tests under them, if this clang has their run-time library.
 define sanitized
 	@command -v $(CLANG) >/dev/null && \
 		echo 'int main(void) { return 0; }' | $(CLANG) -fsanitize=$(2) -x c - -o /dev/null 2>/dev/null || \
 		{ echo "make $(1) needs $(CLANG) with its sanitizers: install clang-22 and libclang-rt-22-dev" \
 			"(Debian), or make $(1) CLANG=..." >&2; exit 1; }
 	@echo "C tests with -fsanitize=$(2)"
-	@$(MAKE) --no-print-directory -j$(JOBS) c-run VARIANT=$(1) CC=$(CLANG) \
+	@$(MAKE) --no-print-directory -j$(JOBS) c-run VARIANT=$(1) CC=$(CLANG) $(3) \
 		CHECKS='-fsanitize=$(2) -fno-sanitize-recover=all -fno-omit-frame-pointer'
 endef
 
 .PHONY: tsan asan ubsan msan rtsan
-tsan: ## C tests under ThreadSanitizer, C_RUNS=1 times each, as with the next five
-	$(call sanitized,tsan,thread)
+tsan: ## C tests with threads under ThreadSanitizer, C_RUNS=1 times each, as with the next five
+	$(call sanitized,tsan,thread,$(call THREADED,tsan))
 asan: ## C tests under AddressSanitizer
 	$(call sanitized,asan,address)
 ubsan: ## C tests under UndefinedBehaviorSanitizer
@@ -362,8 +365,7 @@ rtsan: ## C tests under RealtimeSanitizer: the servo never blocks
 
 .PHONY: jitter
 jitter: ## C tests with threads, with random delays wherever threads meet
-	@$(MAKE) --no-print-directory -j$(JOBS) c-run VARIANT=jitter CHECKS='-include tests/c/hd_jitter.h' \
-		C_TESTS='$(patsubst tests/c/%.c,build/c/jitter/%,$(shell grep -l pthread.h tests/c/test_*.c))'
+	@$(MAKE) --no-print-directory -j$(JOBS) c-run VARIANT=jitter CHECKS='-include tests/c/hd_jitter.h' $(call THREADED,jitter)
 
 comma := ,
 
