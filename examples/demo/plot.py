@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from examples.demo import comb, puncture, sandpaper
 from examples.demo.comb import Combing
+from examples.demo.parts import Seen
 from examples.demo.perform import Floats, Recorded
-from examples.demo.sandpaper import Sanding
+from examples.demo.sandpaper import Sanded
 from examples.demo.taps import Tapped
 from hapticd.config.materials import Material, Materials, Mode
 from hapticd.config.texture import Grooves, Stochastic
@@ -18,21 +20,14 @@ from hapticd.config.texture import Grooves, Stochastic
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PLOT: Final = "demo.png"
+PLOT: Final = Path(__file__).parents[2] / "demo.png"
+"""Which git ignores, wherever the demo was started."""
 THERE_AND_BACK: Final = (4, 3)
 """The strokes over the comb that are drawn, neighbours in `comb.STROKES`: even ones go to the right."""
 
 
-def save(
-    tapped: Mapping[str, Recorded],
-    fits: Mapping[str, Tapped],
-    library: Materials,
-    combed: Recorded,
-    combing: Combing,
-    sanding: Sanding,
-    torn: Recorded,
-) -> None:
-    """Draws everything into `demo.png`."""
+def save(seen: Mapping[str, Seen], sanded: Sanded | None, library: Materials) -> None:
+    """Draws everything of which enough was seen."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -40,13 +35,29 @@ def save(
 
     figure, axes = plt.subplots(4, 3, figsize=(13, 12.5), constrained_layout=True)
     panels = iter(axes.flat)
-    for name, recorded in tapped.items():
-        _tap(next(panels), name, recorded, fits[name], library[name])
+
+    def panel_of(name: str) -> Axes | None:
+        """The next panel; None where not enough of the part was seen, as the panel then says."""
+        panel: Axes = next(panels)
+        if seen[name].enough:
+            return panel
+        panel.set_title(f"{name}: not enough seen", fontsize=10)
+        panel.set_axis_off()
+        return None
+
+    fits = {name: each.measured for name, each in seen.items() if isinstance(each.measured, Tapped) and each.enough}
+    for name, each in seen.items():
+        if library[name].tap is not None and (panel := panel_of(name)):
+            _tap(panel, name, *each.best, library[name])
     _slopes(next(panels), fits, library)
-    _puncture(next(panels), torn, library[puncture.MATERIAL])
-    _strokes(next(panels), combed, library[comb.MATERIAL])
-    _strikes(next(panels), combing, library[comb.MATERIAL])
-    _spectrum(next(panels), sanding, library[sandpaper.MATERIAL])
+    if panel := panel_of(puncture.MATERIAL):
+        _puncture(panel, seen[puncture.MATERIAL].best[0], library[puncture.MATERIAL])
+    if panel := panel_of(comb.MATERIAL):
+        _strokes(panel, seen[comb.MATERIAL].best[0], library[comb.MATERIAL])
+    if panel := panel_of(comb.MATERIAL):
+        _strikes(panel, seen[comb.MATERIAL].measured, library[comb.MATERIAL])
+    if (panel := panel_of(sandpaper.MATERIAL)) and sanded is not None:
+        _spectrum(panel, sanded, library[sandpaper.MATERIAL])
     figure.savefig(PLOT, dpi=100)
     plt.close(figure)
 
@@ -77,6 +88,9 @@ def _tap(panel: Axes, name: str, recorded: Recorded, found: Tapped, material: Ma
 
 
 def _slopes(panel: Axes, fits: Mapping[str, Tapped], library: Materials) -> None:
+    if not fits:
+        panel.set_axis_off()
+        return
     for name, found in fits.items():
         tap = library[name].tap
         assert tap is not None
@@ -104,7 +118,7 @@ def _strokes(panel: Axes, combed: Recorded, material: Material) -> None:
     for number in THERE_AND_BACK:
         begin, end = comb.WAYS[number][1:]
         window = (combed.time_s > begin) & (combed.time_s < end)
-        way = "→" if x[window][-1] > x[window][0] else "←"
+        way = "→" if number % 2 == 0 else "←"
         panel.plot(x[window], force[window], lw=1, label=f"{way} {comb.STROKES[number][0]:g} m/s")
     for groove in range(-2, 4):
         panel.axvline(groove * spacing, color="grey", lw=0.6, label="grooves" if groove == 0 else None)
@@ -123,6 +137,8 @@ def _strikes(panel: Axes, combing: Combing, material: Material) -> None:
     ends = np.array([0, 1.05 * abs(combing.speed_m_per_s).max()])
     for press in presses:
         here = (nearest == press) & combing.whole
+        if not here.any():
+            continue
         amplitude = abs(combing.strikes.amplitude[here])
         (dots,) = panel.plot(abs(combing.speed_m_per_s[here]), amplitude, "o", ms=3, label=f"{press:g} N")
         law = grooves.velocity_gain_per_s * ends + grooves.force_gain_m_per_s2_per_n * combing.force_n[here].mean()
@@ -131,22 +147,22 @@ def _strikes(panel: Axes, combing: Combing, material: Material) -> None:
     _dress(panel, "comb over the estimated speed; lines: library", "m/s", "m/s²")
 
 
-def _spectrum(panel: Axes, sanding: Sanding, material: Material) -> None:
+def _spectrum(panel: Axes, sanded: Sanded, material: Material) -> None:
     from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
     law = material.texture
     assert isinstance(law, Stochastic)
-    rate_hz = 2 * float(sanding.frequency_hz[-1])
+    rate_hz = 2 * float(sanded.frequency_hz[-1])
     fine = np.linspace(0, 1000, 1001)
     asked = power_spectrum(stochastic_filter(law.peak_hz, law.mean_hz, rate_hz), fine, rate_hz)
     # At 0 a one-sided spectrum is half of what it is beside it.
-    shown = (sanding.frequency_hz > 0) & (sanding.frequency_hz <= fine[-1])
+    shown = (sanded.frequency_hz > 0) & (sanded.frequency_hz <= fine[-1])
     # In the same unit: the power that the spectrum holds up to there.
-    step = float(sanding.frequency_hz[1])
-    asked *= sanding.spectrum[shown].sum() * step / np.trapezoid(asked, fine)
-    panel.plot(sanding.frequency_hz[shown], 1e3 * sanding.spectrum[shown], ".-", ms=4, lw=0.6, label="rendered")
+    step = float(sanded.frequency_hz[1])
+    asked *= sanded.spectrum[shown].sum() * step / np.trapezoid(asked, fine)
+    panel.plot(sanded.frequency_hz[shown], 1e3 * sanded.spectrum[shown], ".-", ms=4, lw=0.6, label="rendered")
     panel.plot(fine, 1e3 * asked, lw=1, label="library")
     panel.axvline(law.peak_hz, color="grey", lw=0.6, label="peak")
     panel.axvline(law.mean_hz, color="grey", lw=0.6, ls="--", label="mean")
-    title = f"{sandpaper.MATERIAL}: peak {sanding.peak_hz:.0f} Hz, mean {sanding.fit.mean_hz.value:.0f} Hz"
+    title = f"{sandpaper.MATERIAL}: peak {sanded.peak_hz:.0f} Hz, mean {sanded.fit.mean_hz.value:.0f} Hz"
     _dress(panel, title, "Hz", "power over the law's, 1/kHz")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from rich.table import Table
 
 from examples.demo.marks import Marks
-from examples.demo.perform import HOVER_M, Recorded, Unseen
+from examples.demo.perform import HOVER_M, Floats, Recorded
 from examples.demo.strikes import Strikes, strikes_of
 from hapticd.config.materials import Material
 
@@ -24,44 +25,82 @@ PATH: Final = [
 """Waypoints of a hand that presses through the membrane slowly, and comes back through the hole for a second try."""
 
 
-def measured(recorded: Recorded) -> Strikes:
-    """The ringing of the rupture. Raises Unseen where missed periods hide it: just before its tick, its strike, or the
-    whole way down, so that it broke on the way back."""
-    if not recorded.told("puncture") and len(recorded.gaps()):
-        raise Unseen("the membrane was passed while periods were missed")
-    (event,) = recorded.told("puncture")
-    at = tick_of(recorded, event)
-    if at in recorded.gaps() or recorded.samples["velocity_m_per_s"][at - 1, 1] > 0:
-        raise Unseen("the membrane broke while periods were missed")
-    return strikes_of(recorded, 1, [recorded.onset_s(event)])
+WANTED: Final = 1
+"""Ruptures."""
 
 
-def tick_of(recorded: Recorded, event: dict[str, Any]) -> int:
-    """The sample of an event's tick."""
-    return int(np.searchsorted(recorded.time_s, (event["time_ns"] - recorded.start_ns) / 1e9 - 1e-9))
+@dataclass(frozen=True, slots=True)
+class Torn:
+    """Arrays have one element for each rupture that can be seen."""
+
+    strikes: Strikes
+    """Those that cannot be seen whole are among them."""
+    amplitude: Floats
+    """m/s^2."""
+    force_before_n: Floats
+    force_after_n: Floats
+    """The largest from the tick of the rupture on."""
+    past_m: Floats
+    """How far beyond the rupture deflection that tick is."""
+    travelled_m: Floats
+    """In that tick."""
+    unreported: int
+    """Times that the deflection was exceeded, away from missed periods, without the event of a rupture."""
+
+    @property
+    def count(self) -> int:
+        return len(self.amplitude)
 
 
-def table(recorded: Recorded, torn: Strikes, material: Material, marks: Marks) -> Table:
-    """The membrane's force at the tick of rupture, how far past its limit it came, and the ringing."""
-    rupture = material.rupture
-    assert rupture is not None
-    (event,) = recorded.told("puncture")
-    at = tick_of(recorded, event)
+def measured(recorded: Recorded, material: Material) -> Torn:
+    """The rupture, and its ringing. Missed periods hide it just before the tick in which the deflection is exceeded,
+    and shortly after that."""
+    assert material.rupture is not None
     force = recorded.samples["contact_force_n"][:, 1]
     deflection = -recorded.samples["position_m"][:, 1]
-    before, after = float(force[at - 1]), float(abs(force[at:]).max())
-    past, travel = float(deflection[at] - rupture.rupture_depth_m), float(deflection[at] - deflection[at - 1])
-    marks.expect(after == 0.0, "the membrane still pushed at the tick of rupture")
-    marks.expect(0 < past <= travel, "the rupture came later than a tick's travel")
+    beyond = np.flatnonzero(deflection > material.rupture.rupture_depth_m)[:1]
+    at = np.setdiff1d(beyond, recorded.gaps())
+    events = recorded.reported("puncture")
+    strikes = strikes_of(recorded, 1, [recorded.onset_s(event) for event in events])
+    ticks = recorded.samples["tick"][at]
+    seen = [event["tick"] in ticks and event["scale"] == 1.0 for event in (events[n] for n in strikes.number.tolist())]
+    reported = np.isin(ticks, [event["tick"] for event in events])
+    at = at[: sum(seen)]
+    return Torn(
+        strikes=strikes,
+        amplitude=strikes.amplitude[np.array(seen, dtype=np.bool_)],
+        force_before_n=force[at - 1],
+        force_after_n=np.array([abs(force[n:]).max() for n in at.tolist()]),
+        past_m=deflection[at] - material.rupture.rupture_depth_m,
+        travelled_m=deflection[at] - deflection[at - 1],
+        unreported=int((~reported).sum()),
+    )
 
+
+def table(torn: Torn, material: Material, marks: Marks) -> Table:
+    """The membrane's force at the tick of rupture, how far past its limit it came, and the ringing."""
+    rupture, strikes = material.rupture, torn.strikes
+    assert rupture is not None
     rows = Table(title=f"Puncture of {MATERIAL}", show_header=False)
+    marks.expect(torn.unreported == 0, "the membrane did not break at its depth")
+    marks.expect(strikes.left_over == 0, f"puncture: {strikes.left_over} samples ring otherwise")
+    marks.expect(bool((torn.force_after_n == 0.0).all()), "the membrane still pushed at the tick of rupture")
+    in_time = (torn.past_m > 0) & (torn.past_m <= torn.travelled_m)
+    marks.expect(bool(in_time.all()), "the rupture came later than a tick's travel")
+    if torn.count < WANTED:
+        rows.add_row("ruptures that were seen", f"{torn.count} of {WANTED}")
+        return rows
+    before, after, past, travelled = (
+        float(each[-1]) for each in (torn.force_before_n, torn.force_after_n, torn.past_m, torn.travelled_m)
+    )
     rows.add_row("force before, and from the tick of rupture on", f"{before:.3f} N, {after:g} N")
-    rows.add_row("past the rupture deflection", f"{1e6 * past:.0f} um, of {1e6 * travel:.0f} um travelled in that tick")
-    marks.expect(torn.left_over == 0, f"puncture: {torn.left_over} samples ring otherwise")
+    rows.add_row(
+        "past the rupture deflection", f"{1e6 * past:.0f} um, of {1e6 * travelled:.0f} um travelled in that tick"
+    )
     for what, measured, wanted, unit in (
-        ("amplitude", float(torn.amplitude[0]), rupture.amplitude_m_per_s2, "m/s^2"),
-        ("angular frequency", 2 * np.pi * torn.frequency_hz, rupture.mode.angular_frequency_rad_per_s, "rad/s"),
-        ("decay rate", 1 / torn.decay_time_s, rupture.mode.decay_rate_per_s, "1/s"),
+        ("amplitude", float(torn.amplitude[-1]), rupture.amplitude_m_per_s2, "m/s^2"),
+        ("angular frequency", 2 * np.pi * strikes.frequency_hz, rupture.mode.angular_frequency_rad_per_s, "rad/s"),
+        ("decay rate", 1 / strikes.decay_time_s, rupture.mode.decay_rate_per_s, "1/s"),
     ):
         difference = marks.off(f"puncture: {what}", measured, wanted, 0.01)
         rows.add_row(what, f"{measured:.2f} {unit} (library {wanted:g}: {difference})")

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from rich.table import Table
 
 from examples.demo.marks import Marks
-from examples.demo.perform import Floats, Recorded, Unseen, stroking
-from hapticd.analysis.statistics import FitError
+from examples.demo.perform import Floats, Recorded, stroking
+from hapticd.base.core import Flag
 from hapticd.config.materials import Material
 from hapticd.config.texture import Stochastic
 from hapticd.fit.recording import Recording, Source
@@ -27,20 +28,42 @@ from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 MATERIAL: Final = "sandpaper_100"
 STROKES: Final = ((0.05, 1.0, 1), (0.1, 0.5, 3), (0.1, 1.5, 3), (0.2, 1.0, 5))
 """Each a speed, m/s, the force that is pressed with, N, and how often to or fro."""
-HALF_M: Final = 0.0645
-PATH, WAYS = stroking(HALF_M, STROKES)
+HALF_STROKE_M: Final = 0.0645
+PATH, WAYS = stroking(HALF_STROKE_M, STROKES)
+WANTED_OF_STROKE: Final = 2
+"""Blocks of half a second, at least."""
+WANTED: Final = WANTED_OF_STROKE * len(STROKES)
+MIN_PART_OF_SPEED: Final = 0.25
+"""A block in which the handle is slower than this part of the stroke's speed does not count: missed periods held it."""
 SETTLED_S: Final = 0.06
-"""After the hand set off the handle follows."""
-DEVIATIONS: Final = 4.0
+"""After the hand set off, or after the force came in over a ramp, the handle follows."""
+LIMIT_DEVIATIONS: Final = 4.0
 PEAK_DEVIATION: Final = 0.11
 """Standard deviation of the peak frequency, a part of it, times the root of the seconds; from 60 seeded recordings."""
-SEGMENT: Final = 1024
+SEGMENT_SAMPLES: Final = 1024
 PEAK_BELOW_HZ: Final = 1000.0
 """Where two poles are fitted: beyond it there is nothing that could move a peak."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sanding:
+    """What was recorded: arrays (n, samples) of blocks of half a second, and (m,) of all noise over its law's RMS."""
+
+    stroke: npt.NDArray[np.int64]
+    """(n,) which of STROKES each block is of."""
+    noise_m_per_s2: Floats
+    speed_m_per_s: Floats
+    force_n: Floats
+    over_law: Floats
+
+    @property
+    def count(self) -> int:
+        """Blocks, at most as many of each stroke as are wanted."""
+        return int(np.minimum(np.bincount(self.stroke, minlength=len(STROKES)), WANTED_OF_STROKE).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Sanded:
     """What was measured; the spectrum is that of the noise over its law's RMS, 1/Hz, one-sided."""
 
     fit: TextureFit
@@ -50,33 +73,42 @@ class Sanding:
 
 
 def measured(recorded: Recorded, material: Material) -> Sanding:
-    """RMS over speed and force, and the spectrum by Welch's method.
+    """The noise of every stroke. It is a sequence of ticks: a missed period makes no gap in it."""
+    law, rate_hz = _stochastic(material), recorded.rate_hz
+    block, settling = round(BLOCK_S * rate_hz), round(SETTLED_S * rate_hz)
+    ramped = np.flatnonzero(recorded.flagged(Flag.RAMPING | Flag.SATURATED))
+    blocks: list[tuple[int, Floats]] = []
+    over_law: list[Floats] = [np.empty(0)]
+    for number, begin_s, end_s in WAYS:
+        begin, end = np.searchsorted(recorded.time_s, (begin_s + SETTLED_S, end_s)).tolist()
+        here = ramped[(ramped >= begin - settling) & (ramped < end)].tolist()
+        for start, stop in zip([begin, *(max(begin, n + settling) for n in here)], [*here, end], strict=True):
+            speed = abs(recorded.samples["velocity_m_per_s"][start:stop, 0])
+            rows = np.array(
+                [recorded.vibration(0)[start:stop], speed, recorded.samples["contact_force_n"][start:stop, 1]]
+            )
+            over_law.append(rows[0] / np.maximum(_rms(law, rows[1], rows[2]), 1e-9))
+            parts = [rows[:, n : n + block] for n in range(0, stop - start - block + 1, block)]
+            blocks += [(number, part) for part in parts if part[1].min() > MIN_PART_OF_SPEED * STROKES[number][0]]
+    noise, speed, force = np.array([rows for _, rows in blocks]).reshape(-1, 3, block).swapaxes(0, 1)
+    stroke = np.array([number for number, _ in blocks], dtype=np.int64)
+    return Sanding(stroke, noise, speed, force, np.concatenate(over_law))
 
-    The noise is a sequence of ticks: a missed period makes no gap in it. Raises Unseen where so many were missed that
-    no block of a stroke is left.
-    """
+
+def fitted(found: Sanding, rate_hz: float) -> Sanded:
+    """RMS over speed and force, and the spectrum by Welch's method. Raises FitError where it is no texture's."""
     from scipy.signal import welch
 
-    law = _stochastic(material)
-    recordings, pieces = [], []
-    for number, (_, begin, end) in enumerate(WAYS):
-        inside = slice(*np.searchsorted(recorded.time_s, (begin + SETTLED_S, end)).tolist())
-        noise = recorded.vibration(0)[inside]
-        speed: Floats = abs(recorded.samples["velocity_m_per_s"][inside, 0])
-        force = np.ascontiguousarray(recorded.samples["contact_force_n"][inside, 1])
-        recordings.append(Recording(f"{number}", recorded.rate_hz, noise, force, None, None, speed, Source("", "")))
-        pieces.append(noise / np.maximum(_rms(law, speed, force), 1e-9))
-    frequency, spectrum = welch(np.concatenate(pieces), recorded.rate_hz, nperseg=SEGMENT, detrend=False)
-    try:
-        fit = fit_texture(recordings)
-    except FitError as error:
-        if len(recorded.gaps()):
-            raise Unseen(f"between missed periods too little of the strokes is left: {error}") from None
-        raise
-    seen = {WAYS[int(block.recording)][0] for block in fit.blocks}
-    if len(seen) < len(STROKES) and len(recorded.gaps()):
-        raise Unseen(f"missed periods hid {len(STROKES) - len(seen)} of {len(STROKES)} strokes")
-    return Sanding(fit, frequency, spectrum, peak_of(frequency, spectrum, recorded.rate_hz))
+    fit = fit_texture(
+        [
+            Recording(f"{stroke}", rate_hz, noise, force, None, None, speed, Source("", ""))
+            for stroke, noise, speed, force in zip(
+                found.stroke.tolist(), found.noise_m_per_s2, found.speed_m_per_s, found.force_n, strict=True
+            )
+        ]
+    )
+    frequency, spectrum = welch(found.over_law, rate_hz, nperseg=SEGMENT_SAMPLES, detrend=False)
+    return Sanded(fit, frequency, spectrum, peak_of(frequency, spectrum, rate_hz))
 
 
 def _stochastic(material: Material) -> Stochastic:
@@ -110,7 +142,7 @@ def peak_of(frequency_hz: Floats, spectrum: Floats, rate_hz: float) -> float:
     return float(np.arcsin(np.sqrt(peak)) * rate_hz / np.pi)
 
 
-def table(found: Sanding, material: Material, rate_hz: float, marks: Marks) -> Table:
+def table(found: Sanded, material: Material, rate_hz: float, marks: Marks) -> Table:
     """A line for each stroke, then all of them together."""
     law, fit = _stochastic(material), found.fit
     fine = np.arange(0.0, rate_hz / 2)
@@ -122,16 +154,16 @@ def table(found: Sanding, material: Material, rate_hz: float, marks: Marks) -> T
         rows.add_column(heading, justify="left" if heading == "" else "right")
 
     def row(what: str, measured: float, wanted: float, deviation: float, digits: int) -> None:
-        limit = DEVIATIONS * deviation
+        limit = LIMIT_DEVIATIONS * deviation
         difference = marks.off(f"sandpaper: {what}", measured, wanted, limit)
         rows.add_row(what, f"{measured:.{digits}f}", f"{wanted:.{digits}f}", difference, f"{100 * limit:.1f}%")
 
     speed, force, rms = np.array([(b.speed_m_per_s, b.force_n, b.rms_m_per_s2) for b in fit.blocks]).T
     wanted = _rms(law, speed, force)
-    strokes = np.array([WAYS[int(block.recording)][0] for block in fit.blocks])
+    strokes = np.array([int(block.recording) for block in fit.blocks])
     for number in range(len(STROKES)):
         here = strokes == number
-        marks.expect(bool(here.any()), f"sandpaper: stroke {number + 1} cannot be seen")
+        marks.expect(bool(here.any()), f"sandpaper: stroke {number + 1} is no texture's")
         if here.any():
             what = f"RMS at {speed[here].mean():.3f} m/s, {force[here].mean():.2f} N, m/s^2"
             deviation = 0.5 / float(np.sqrt(here.sum() * BLOCK_S * bandwidth_hz))

@@ -1,0 +1,107 @@
+"""The parts of the demo: what is done to which surface, until enough of it was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+from rich.progress import Progress
+
+from examples.demo import comb, puncture, sandpaper, taps
+from examples.demo.perform import Disturbed, Recorded, Waypoints, joined, perform
+from hapticd.client.blocking import Client
+from hapticd.config.materials import Materials
+
+MAX_REPETITIONS: Final = 10
+"""Of a part of which too little was seen so far."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Something that is done to a surface, and measured."""
+
+    material: str
+    surface: Mapping[str, object]
+    path: Waypoints
+    measured: Callable[[Recorded], Any]
+    wanted: int
+    unit: str
+
+
+@dataclass(slots=True)
+class Seen:
+    """What was seen of a part in all repetitions together."""
+
+    part: Part
+    measured: Any = None
+    """None: every repetition was disturbed."""
+    best: tuple[Any, Any] = (None, None)
+    """The repetition that shows most, as a Recorded, and what was measured in it."""
+    disturbed: bool = False
+    """Whether periods were missed, or something was lost."""
+
+    @property
+    def enough(self) -> bool:
+        return self.measured is not None and self.measured.count >= self.part.wanted
+
+    def __str__(self) -> str:
+        count = 0 if self.measured is None else self.measured.count
+        return f"{self.part.material}: {count} of {self.part.wanted} {self.part.unit}"
+
+    def add(self, recorded: Recorded) -> None:
+        one = self.part.measured(recorded)
+        self.measured = one if self.measured is None else joined([self.measured, one])
+        self.disturbed |= len(recorded.gaps()) > 0
+        if self.best[1] is None or one.count >= self.best[1].count:
+            self.best = recorded, one
+
+
+def all_parts(library: Materials) -> list[Part]:
+    floors = [
+        *((name, taps, "taps") for name, material in library.items() if material.tap is not None),
+        (comb.MATERIAL, comb, "strikes"),
+        (sandpaper.MATERIAL, sandpaper, "half seconds"),
+    ]
+    return [
+        *(
+            Part(
+                name,
+                {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": name},
+                how.PATH,
+                how.measured if how is taps else partial(how.measured, material=library[name]),
+                how.WANTED,
+                unit,
+            )
+            for name, how, unit in floors
+        ),
+        Part(
+            puncture.MATERIAL,
+            puncture.SKIN,
+            puncture.PATH,
+            partial(puncture.measured, material=library[puncture.MATERIAL]),
+            puncture.WANTED,
+            "ruptures",
+        ),
+    ]
+
+
+def repeat(daemon: Client, progress: Progress, part: Part) -> Seen:
+    """Does a part until enough of it was seen, MAX_REPETITIONS times at most."""
+    task = progress.add_task(part.material, total=1.0)
+    seen = Seen(part)
+    for repetition in range(1, MAX_REPETITIONS + 1):
+        daemon.set_scene({"objects": {"surface": part.surface}}, wait=True)
+        daemon.reset()
+        try:
+            seen.add(perform(daemon, part.path, lambda done: progress.update(task, completed=done)))
+            found = f"{seen} so far"
+        except Disturbed as disturbed:
+            seen.disturbed = True
+            found = f"{part.material}: {disturbed}"
+        if seen.enough or repetition == MAX_REPETITIONS:
+            break
+        progress.update(task, description=f"{part.material}, again")
+        progress.console.print(f"{found}; once more")
+    return seen
