@@ -61,7 +61,7 @@ class Claims:
     def names(self) -> list[str]:
         """Those that are claimed and still there, as /sys/bus/hid/devices has them."""
         try:
-            text = self._rules.read_text(encoding="utf-8")
+            text = self._rules.read_text(encoding="utf-8") if self._rules.is_file() else ""
         except OSError:
             return []
         named = dict.fromkeys(re.findall(r'KERNELS=="([0-9A-F:.]+)"', text))
