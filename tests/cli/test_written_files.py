@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.cli import said
-from tests.support.special_files import KINDS, refused, seen, special
+from tests.support.special_files import KINDS, refused, special, untouched
 
 COMMANDS = {
     "record": ("record", "out.npz", "--for", "1s"),
@@ -41,12 +41,11 @@ def test_what_is_no_regular_file_is_left_alone(
     Path(name).symlink_to("second")
     Path("direct").mkdir()
     special(Path("direct", name), kind)
-    before = seen(tmp_path)
     for place in (name, f"direct/{name}"):
         asked = [place if word == name else word for word in words]
         for overwrite in ([], ["--overwrite"]):
-            assert said(capsys, 1, *asked, *overwrite) == f"hapticd: {refused(place, kind)}\n"
-    assert seen(tmp_path) == before
+            with untouched(tmp_path):
+                assert said(capsys, 1, *asked, *overwrite) == f"hapticd: {refused(place, kind)}\n"
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -55,6 +54,5 @@ def test_keys_leave_it_alone_and_write_neither(
     ending: str, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = special(tmp_path / f"alice.{ending}", kind)
-    before = seen(tmp_path)
-    assert said(capsys, 1, "key", "new", "alice", "--dir", str(tmp_path)) == f"hapticd: {told}\n"
-    assert seen(tmp_path) == before
+    with untouched(tmp_path):
+        assert said(capsys, 1, "key", "new", "alice", "--dir", str(tmp_path)) == f"hapticd: {told}\n"

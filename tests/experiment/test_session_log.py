@@ -16,7 +16,7 @@ import pytest
 from hapticd.base.errors import HapticdError
 from hapticd.experiment.session_folder import ABOUT, LOG, PLAN, STUDY, SessionFolder, folder_of
 from hapticd.experiment.session_log import SessionLog, decoded, read_log
-from tests.support.special_files import KINDS, refused, seen, special
+from tests.support.special_files import KINDS, refused, special, untouched
 
 _WRITER = """
 import sys
@@ -188,16 +188,15 @@ def test_a_session_leaves_what_is_no_regular_file_alone(name: str, kind: str, tm
     (tmp_path / "end").mkdir()
     special(tmp_path / "end" / name, kind)
     (path / name).symlink_to(tmp_path / "end" / name)
-    before = seen(tmp_path / "end")
-    with pytest.raises(HapticdError) as caught:
+    with untouched(tmp_path / "end"), pytest.raises(HapticdError) as caught:
         SessionFolder.create(tmp_path, b"", {}, {"participant": "P07", "session": 1})
     assert str(caught.value) == refused(path / name, kind)
-    assert seen(tmp_path / "end") == before and (path / name).is_symlink()
+    assert (path / name).is_symlink()
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_log_is_a_regular_file(kind: str, tmp_path: Path) -> None:
     told = special(tmp_path / "log.jsonl", kind)
-    with pytest.raises(HapticdError) as caught:
+    with untouched(tmp_path), pytest.raises(HapticdError) as caught:
         SessionLog(tmp_path / "log.jsonl")
     assert str(caught.value) == told

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -36,11 +39,28 @@ def refused(path: str | os.PathLike[str], kind: str) -> str:
     return f"{os.fspath(path)}: is there already and is {KINDS[kind]}, no regular file; give another name"
 
 
-def kept_open(path: Path) -> int:
-    """Somebody who has a FIFO open: whoever opens it, to write or to read, need not wait."""
-    return os.open(path, os.O_RDWR | os.O_NONBLOCK)
+@contextmanager
+def untouched(folder: Path, *made: str) -> Iterator[None]:
+    """All below `folder` is afterwards what it was before, with nothing beside it but what is `made`. Nobody waits for
+    a FIFO meanwhile, and nobody may write to one."""
+    before = _nodes(folder)
+    with ExitStack() as held:
+        ends = [os.open(path, os.O_RDWR | os.O_NONBLOCK) for path in folder.rglob("*") if _is_fifo(path)]
+        for end in ends:
+            held.callback(os.close, end)
+            fcntl.fcntl(end, fcntl.F_SETPIPE_SZ, 1 << 20)
+        yield
+        for end in ends:
+            with pytest.raises(BlockingIOError):
+                os.read(end, 1)
+    after = _nodes(folder)
+    assert after.keys() - before.keys() == {str(folder / name) for name in made}
+    assert before.items() <= after.items()
 
 
-def seen(folder: Path) -> dict[str, tuple[int, int]]:
-    """Everything below a folder: the same name stands for the same node before and after."""
+def _is_fifo(path: Path) -> bool:
+    return stat.S_ISFIFO(path.lstat().st_mode)
+
+
+def _nodes(folder: Path) -> dict[str, tuple[int, int]]:
     return {str(path): (path.lstat().st_ino, path.lstat().st_mode) for path in folder.rglob("*")}

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from hapticd.cli import main
-from tests.support.special_files import KINDS, seen, special
+from tests.support.special_files import KINDS, special, untouched
 from tests.sweeps.results_of import MASS, RATE, STIFFNESS, study_of
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -61,11 +61,10 @@ def test_a_page_and_figures_go_to_files_alone(
     ):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         told = special(tmp_path / name, kind)
-        before = seen(tmp_path)
         for overwrite in ([], ["--overwrite"]):
-            code, out, err = ran(capsys, folder, option, str(tmp_path / value), *overwrite)
+            with untouched(tmp_path):
+                code, out, err = ran(capsys, folder, option, str(tmp_path / value), *overwrite)
             assert (code, out, err) == (1, "", f"hapticd: {told}\n")
-        assert seen(tmp_path) == before
 
 
 def test_where_keeps_rows(folder: str, capsys: pytest.CaptureFixture[str]) -> None:

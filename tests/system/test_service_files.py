@@ -19,7 +19,7 @@ from hapticd.config.configuration import default_config, load_config
 from hapticd.system.paths import SYSTEM_DIRECTORY
 from hapticd.system.rooted_files import Rooted
 from hapticd.system.service_files import Installation, Service, unit_word
-from tests.support.special_files import KINDS, seen, special
+from tests.support.special_files import KINDS, special, untouched
 
 ROOT = Path(__file__).parents[2]
 HERE = Installation(Path("/opt/hapticd/bin/hapticd"), (Path("/opt/hapticd"),))
@@ -510,7 +510,5 @@ def test_what_is_no_regular_file_stays(kind: str, tmp_path: Path) -> None:
     place = tmp_path / "etc" / "unit.service"
     place.parent.mkdir()
     special(place, kind)
-    before = seen(tmp_path)
-    with pytest.raises(HapticdError, match=r"unit\.service: cannot be written: File exists"):
+    with untouched(tmp_path), pytest.raises(HapticdError, match=r"unit\.service: cannot be written: File exists"):
         Rooted(tmp_path).write(place, "text")
-    assert seen(tmp_path) == before

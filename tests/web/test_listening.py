@@ -12,7 +12,7 @@ import pytest
 from hapticd.base.errors import HapticdError
 from hapticd.web.listening import Listening, listen
 from hapticd.web.passwords import write_password
-from tests.support.special_files import KINDS, seen, special
+from tests.support.special_files import KINDS, special, untouched
 from tests.support.special_files import refused as no_regular_file
 
 
@@ -147,9 +147,7 @@ def test_names_that_are_none() -> None:
 def test_a_password_goes_to_nothing_but_a_new_file(kind: str, tmp_path: Path) -> None:
     special(tmp_path / "password", kind)
     (tmp_path / "link").symlink_to("password")
-    before = seen(tmp_path)
     for name in ("password", "link"):
-        with pytest.raises(HapticdError) as caught:
+        with untouched(tmp_path), pytest.raises(HapticdError) as caught:
             write_password(str(tmp_path / name), "rosewood comb")
         assert str(caught.value) == no_regular_file(tmp_path / name, kind)
-    assert seen(tmp_path) == before
