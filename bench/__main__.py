@@ -44,7 +44,7 @@ from bench import (
 )
 from bench.report import PICTURES, ROOT, Advance, Options, Section, machine
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import is_there
+from hapticd.base.files import check_regular, is_there
 
 DOCS = ROOT / "docs"
 ACCURACY, SPEED, DEVICES = "accuracy.md", "benchmarks.md", "devices.md"
@@ -257,9 +257,10 @@ def perform(names: Sequence[str], options: Options, out: Path | None, overwrite:
     if overwrite and out is None and options.quick:
         raise HapticdError("--quick measures too little for docs: give another folder with --out, or no --overwrite")
     folder = out or (DOCS if whole or overwrite else None)
-    if folder is not None and not overwrite:
+    if folder is not None:
         for page in sorted({page for name in chosen for page in MEASUREMENTS[name].pages} - {DEVICES}):
-            if (folder / page).exists():
+            check_regular(folder / page)
+            if not overwrite and (folder / page).exists():
                 raise is_there(folder / page)
     if folder is not None:
         try:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hapticd.base.files import check_regular
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
@@ -45,6 +47,7 @@ class Figure:
         self.draw(canvas)
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"{self.name}.png"
+        check_regular(path)
         canvas.savefig(path, metadata={"Software": None})
         return path
 

@@ -18,6 +18,7 @@ from click_man.man import ManPage
 
 import hapticd.cli
 from hapticd._version import __version__
+from hapticd.base.files import check_regular
 from hapticd.cli.completion import SHELLS, script
 
 _CHANGELOG: Final = Path(__file__).resolve().parent.parent / "CHANGELOG.md"
@@ -34,6 +35,7 @@ def write(folder: Path) -> list[str]:
     for name, text in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
+        check_regular(path)
         path.write_text(text, encoding="utf-8")
     return list(files)
 

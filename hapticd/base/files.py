@@ -1,15 +1,38 @@
-"""Giving a finished file its name, without replacing a file that somebody else put there meanwhile."""
+"""Where a file may be written, and giving a finished file its name: what somebody else put there stays."""
 
 from __future__ import annotations
 
 import errno
 import os
+import stat
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from hapticd.base.errors import HapticdError
 
 _NO_HARD_LINKS: Final = frozenset((errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL))
+_NOT_REGULAR: Final = {
+    stat.S_IFBLK: "a block device",
+    stat.S_IFCHR: "a character device",
+    stat.S_IFDIR: "a directory",
+    stat.S_IFIFO: "a FIFO (named pipe)",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def _not_regular(path: str | os.PathLike[str], folder: int | None = None) -> str | None:
+    """What is there, links followed to their end; None for a regular file, or nothing."""
+    with suppress(OSError):
+        return _NOT_REGULAR.get(stat.S_IFMT(os.stat(path, dir_fd=folder).st_mode))
+    return None
+
+
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Raises HapticdError where something is at `path`, links followed to their end, that is no regular file."""
+    found = _not_regular(path)
+    if found is not None:
+        raise HapticdError(f"{os.fspath(path)}: is there already and is {found}, no regular file; give another name")
 
 
 def is_there(name: str | os.PathLike[str]) -> HapticdError:
@@ -22,10 +45,10 @@ def is_there(name: str | os.PathLike[str]) -> HapticdError:
 def put(part: str, target: str, overwrite: bool, folder: int) -> None:
     """Renames `part`, a whole file in `folder` (a descriptor), to `target`, another name there.
 
-    Without `overwrite` it raises FileExistsError where there is a file of that name, also one that has appeared just
-    now; then `part` is as it was. Raises OSError.
+    It raises FileExistsError where the name is taken, also since just now: by anything, or with `overwrite` by what is
+    no regular file. Then `part` is as it was. Raises OSError.
     """
-    if overwrite:
+    if overwrite and _not_regular(target, folder) is None:
         os.replace(part, target, src_dir_fd=folder, dst_dir_fd=folder)
         return
     try:
@@ -44,6 +67,19 @@ def put(part: str, target: str, overwrite: bool, folder: int) -> None:
             raise
     else:
         os.unlink(part, dir_fd=folder)
+
+
+def create(path: str | os.PathLike[str], text: str, mode: int) -> None:
+    """A new file, on disk and whole, or none. Raises OSError; FileExistsError where the name is taken."""
+    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
+    try:
+        with os.fdopen(fd, "w") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError:
+        os.unlink(path)
+        raise
 
 
 def numbered(target: Path, number: int) -> Path:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Final
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import displaced, numbered, put
+from hapticd.base.files import check_regular, displaced, numbered, put
 
 _LONGEST: Final = 1 << 26
 """Bytes of a line; of ours, scene and materials together have some megabytes at most."""
@@ -66,8 +66,9 @@ class Folder:
 
 
 def resolved(target: str | os.PathLike[str]) -> Path:
-    """The place of a target that may be a link. Raises HapticdError where the link is another user's, in a folder that
-    others may write to: it leads where they please."""
+    """The place of a target that may be a link. Raises HapticdError where something is there that is no regular file,
+    or where the link is another user's, in a folder that others may write to: it leads where they please."""
+    check_regular(target)
     path = os.fspath(target)
     for _ in range(_LINKS):
         if not os.path.islink(path):
@@ -210,19 +211,21 @@ def partial_files_of(target: Path) -> PartialFiles:
     return PartialFiles(stems, others)
 
 
-def write_file(target: Path, data: bytes, overwrite: bool) -> Path:
-    """Writes a file whole, or leaves what is there as it is; where it is: without `overwrite`, and where the name is
-    taken, NAME-2.ENDING and so on. Raises OSError."""
+def write_file(target: Path, data: bytes, overwrite: bool, synced: bool = False) -> Path:
+    """Writes a file whole, or leaves what is there as it is; where it is: NAME-2.ENDING and so on where the name is
+    taken, with `overwrite` by what is no regular file. `synced`: it is on disk then. Raises OSError."""
     folder = Folder(target.parent)
     try:
         part = PartialFile(folder, f"{new_stem(target)}.part")
         try:
             part.append(data)
+            if synced:
+                os.fsync(part.fd)
             number = 1
             while True:
                 placed = numbered(target, number)
                 try:
-                    part.name_it(placed.name, overwrite)
+                    part.name_it(placed.name, overwrite and placed == target)
                 except FileExistsError:
                     number += 1
                 else:
@@ -235,29 +238,26 @@ def write_file(target: Path, data: bytes, overwrite: bool) -> Path:
 
 
 def check_new(target: str, overwrite: bool) -> None:
-    """Raises HapticdError for an output that would replace a file unasked, or has no folder to go to."""
-    if os.path.exists(target) and not overwrite and (os.path.isfile(target) or os.path.isdir(target)):
+    """Raises HapticdError for an output that would replace a file unasked or what is no regular file, or has no folder
+    to go to."""
+    check_regular(target)
+    if os.path.exists(target) and not overwrite:
         raise HapticdError(f"{target}: is there already; give another name, or --overwrite")
     folder = os.path.dirname(target) or "."
     if not os.path.isdir(folder):
         raise HapticdError(f"{target}: cannot be written: there is no folder {folder}")
 
 
-def write_whole(path: str, content: str | bytes, overwrite: bool) -> None:
-    """Writes a file, or leaves the one that is there as it is. Raises HapticdError.
+def write_whole(path: str, content: str | bytes, overwrite: bool, synced: bool = False) -> None:
+    """Writes a file, or leaves the one that is there as it is. `synced`: it is on disk then. Raises HapticdError.
 
-    A file that has appeared since `check_new` keeps its name without `overwrite`; what was to be written then gets the
-    next free one, which the error says.
+    The end of a link is written, and the link stays. A file that has appeared since `check_new` keeps its name without
+    `overwrite`; what was to be written then gets the next free one, which the error says.
     """
     data = content.encode() if isinstance(content, str) else content
     target = resolved(path)
     try:
-        if target.exists() and not target.is_file():
-            # A terminal or a pipe is written to: nothing takes its place. A folder says what it is.
-            with open(target, "wb") as file:
-                file.write(data)
-            return
-        placed = write_file(target, data, overwrite)
+        placed = write_file(target, data, overwrite, synced)
     except OSError as error:
         raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
     if placed != target:

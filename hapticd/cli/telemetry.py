@@ -39,7 +39,7 @@ def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -
 
 
 @click.command("record", short_help="Record telemetry to a file.")
-@click.argument("file", type=click.Path(dir_okay=False))
+@click.argument("file", type=click.Path())
 @for_option("until Ctrl-C")
 @notes_option
 @overwrite_option
@@ -90,7 +90,7 @@ def record_command(
 
 
 @click.command("flight", short_help="Write the last seconds to a file.")
-@click.argument("file", required=False, type=click.Path(dir_okay=False))
+@click.argument("file", required=False, type=click.Path())
 @overwrite_option
 @json_option
 @click.pass_context

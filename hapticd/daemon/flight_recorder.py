@@ -194,7 +194,7 @@ class Flight:
 
     def _ask(self, reason: str, tick: int | None, due_ns: int) -> Path:
         path = None
-        while path is None or path.exists():  # another daemon may write there, too
+        while path is None or os.path.lexists(path):  # another daemon may write there, too
             self._number += 1
             path = self._directory / f"flight-{self._number:06d}-{reason}.npz"
         self._asked.append(_Asked(path, reason, tick, due_ns))
@@ -291,7 +291,7 @@ class Flight:
         if not self._directory.is_dir():
             return []
         found = ((path, _NAME.fullmatch(path.name)) for path in self._directory.iterdir())
-        return [(path, match) for path, match in found if match is not None]
+        return [(path, match) for path, match in found if match is not None and path.is_file()]
 
 
 def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:

@@ -14,9 +14,10 @@ from typing import Any, Final, cast
 
 from hapticd._version import __version__
 from hapticd.base.errors import HapticdError, on_one_line
+from hapticd.base.partial_files import write_whole
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.measures import MEASURES
-from hapticd.experiment.session_folder import SessionFolder, Write, participant_label, write_synced
+from hapticd.experiment.session_folder import SessionFolder, participant_label
 from hapticd.experiment.session_log import Record
 
 BIDS_VERSION: Final = "1.9.0"
@@ -129,8 +130,9 @@ def write_tables(folder: SessionFolder) -> list[Path]:
     return [*write_session_tables(folder), *write_data_set(folder.root, str(folder.about["title"]))]
 
 
-def write_session_tables(folder: SessionFolder, write: Write = write_synced) -> list[Path]:
-    """Writes the tables of a session, `*_events.json` last; the files. Raises HapticdError."""
+def write_session_tables(folder: SessionFolder, synced: bool = True) -> list[Path]:
+    """Writes the tables of a session, `*_events.json` last; the files. `synced`: they are on disk then. Raises
+    HapticdError."""
     label = participant_label(folder.participant)
     stem = f"sub-{label}_ses-{folder.session:02d}_task-{task_label(str(folder.about['title']))}"
     beh = folder.path / "beh"
@@ -143,7 +145,7 @@ def write_session_tables(folder: SessionFolder, write: Write = write_synced) -> 
         beh / f"{stem}_events.tsv": table(["onset", "duration", "trial_type", "trial", "value"], events),
         beh / f"{stem}_events.json": _json({**task, **_EVENT_COLUMNS}),
     }
-    return _written(files, write)
+    return _written(files, synced)
 
 
 def write_data_set(root: Path, title: str) -> list[Path]:
@@ -162,13 +164,13 @@ def write_data_set(root: Path, title: str) -> list[Path]:
     return _written(files)
 
 
-def _written(files: Mapping[Path, str], write: Write = write_synced) -> list[Path]:
-    try:
-        for path, text in files.items():
+def _written(files: Mapping[Path, str], synced: bool = True) -> list[Path]:
+    for path, text in files.items():
+        try:
             path.parent.mkdir(exist_ok=True)
-            write(path, text.encode())
-    except OSError as error:
-        raise HapticdError(f"{error.filename or path}: cannot be written: {error.strerror}") from None
+        except OSError as error:
+            raise HapticdError(f"{path.parent}: cannot be made: {error.strerror}") from None
+        write_whole(str(path), text, overwrite=True, synced=synced)
     return list(files)
 
 

@@ -13,15 +13,15 @@ Whatever the process dies of, `SessionFolder.open` finds the same order and ever
 from __future__ import annotations
 
 import json
-import os
 import re
-import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, TypeAlias, cast
+from typing import Final, cast
 
 from hapticd.base.errors import HapticdError, quoted
+from hapticd.base.files import check_regular
+from hapticd.base.partial_files import write_whole
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.session_log import Contents, SessionLog, read_log, sync_folder
 
@@ -31,10 +31,6 @@ ABOUT: Final = "session.json"
 LOG: Final = "log.jsonl"
 SESSIONS: Final = 99
 _LABEL: Final = re.compile("[A-Za-z0-9]{1,32}")
-
-
-Write: TypeAlias = Callable[[Path, bytes], object]
-"""Writes a file whole. Raises OSError."""
 
 
 def participant_label(participant: str) -> str:
@@ -77,6 +73,7 @@ class SessionFolder:
         """
         participant, session = str(about["participant"]), cast(int, about["session"])
         path = folder_of(root, participant, session)
+        check_regular(path / LOG)
         if (path / LOG).exists():
             raise HapticdError(
                 f"{path}: this session exists; go on with `hapticd experiment resume {path}`, or give another --session"
@@ -87,7 +84,7 @@ class SessionFolder:
 
     def write(self) -> None:
         """Writes what does not change later, which is on disk then. Raises HapticdError."""
-        self._write({}, write_synced)
+        self._write({}, synced=True)
         try:
             for folder in (self.path, self.path.parent, self.root):
                 sync_folder(folder)
@@ -96,16 +93,16 @@ class SessionFolder:
 
     def write_with(self, log: bytes) -> None:
         """Writes a session that is over, with its log last; nothing waits for the disk. Raises HapticdError."""
-        self._write({LOG: log}, Path.write_bytes)
+        self._write({LOG: log}, synced=False)
 
-    def _write(self, more: Mapping[str, bytes], write: Write) -> None:
+    def _write(self, more: Mapping[str, bytes], synced: bool) -> None:
         files = {STUDY: self.study, PLAN: _json(self.plan), ABOUT: _json(self.about), **more}
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            for name, content in files.items():
-                write(self.path / name, content)
         except OSError as error:
             raise HapticdError(f"{error.filename or self.path}: cannot be written: {error.strerror}") from None
+        for name, content in files.items():
+            write_whole(str(self.path / name), content, overwrite=True, synced=synced)
 
     @classmethod
     def open(cls, path: Path) -> SessionFolder:
@@ -148,20 +145,6 @@ class SessionFolder:
             if not target.exists():
                 return target
             number += 1
-
-
-def write_synced(target: Path, data: bytes) -> None:
-    """Writes a file whole and has it on disk, or leaves the one that is there. Raises OSError."""
-    part = target.with_name(f".{target.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
-    try:
-        with open(part, "xb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, target)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def _json(value: object) -> bytes:

@@ -23,6 +23,7 @@ from types import TracebackType
 from typing import Final, Protocol, Self
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.files import check_regular
 from hapticd.base.yaml_source import Json
 
 _MARK: Final = b',"crc32":"'
@@ -158,6 +159,7 @@ class SessionLog:
         self.path = path
         self.dropped: str | None = None
         """One line that says what was cut off; None: nothing was."""
+        check_regular(path)
         try:
             self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
         except OSError as error:

@@ -28,6 +28,7 @@ from hapticd.analysis.recordings.table import MAX_BYTES, Table, short_name, show
 from hapticd.analysis.statistics import Floats
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names
 from hapticd.base.model import Model, faults_of
+from hapticd.base.partial_files import write_whole
 from hapticd.base.yaml_source import MAX_BYTES as MAX_YAML_BYTES
 from hapticd.base.yaml_source import load_bytes, one_line
 from hapticd.config.document_kinds import refuse_documents
@@ -155,12 +156,7 @@ def npz_of(recording: Recording) -> bytes:
 
 def save(recording: Recording, path: str | os.PathLike[str]) -> None:
     """Writes a recording as .npz, in place of a file that is there. Raises HapticdError where it cannot."""
-    name = os.fspath(path)
-    try:
-        with open(name, "wb") as stream:
-            stream.write(npz_of(recording))
-    except OSError as error:
-        raise HapticdError(f"{one_line(name)}: cannot be written: {error.strerror}") from None
+    write_whole(os.fspath(path), npz_of(recording), overwrite=True)
 
 
 # ---- The YAML beside it ---------------------------------------------------------------------------------------------

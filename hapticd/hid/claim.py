@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Final
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.files import check_regular
 from hapticd.hid.discovery import Found
 from hapticd.hid.event_nodes import event_nodes, is_for_others
 
@@ -60,7 +61,7 @@ class Claims:
     def names(self) -> list[str]:
         """Those that are claimed and still there, as /sys/bus/hid/devices has them."""
         try:
-            text = self._rules.read_text(encoding="utf-8")
+            text = self._rules.read_text(encoding="utf-8") if self._rules.is_file() else ""
         except OSError:
             return []
         named = dict.fromkeys(re.findall(r'KERNELS=="([0-9A-F:.]+)"', text))
@@ -129,6 +130,7 @@ class Claims:
         """The rule is about these devices from now on."""
         if names:
             self._rules.parent.mkdir(parents=True, exist_ok=True)
+            check_regular(self._rules)
             self._rules.write_text("".join(map(_rule, names)), encoding="utf-8")
         else:
             self._rules.unlink(missing_ok=True)

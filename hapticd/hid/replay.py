@@ -22,6 +22,7 @@ from itertools import pairwise
 from typing import Final, TextIO, cast
 
 from hapticd.base.errors import HapticdError, shown
+from hapticd.base.partial_files import write_whole
 from hapticd.config.hid import Replay
 from hapticd.hid.plan import DeviceError
 
@@ -65,9 +66,8 @@ def text_of(recording: Recording) -> str:
 
 
 def save(path: str | os.PathLike[str], recording: Recording) -> None:
-    """Writes a recording, in place of a file that is there. Raises OSError."""
-    with open(path, "w", encoding="utf-8") as file:
-        file.write(text_of(recording))
+    """Writes a recording, in place of a file that is there. Raises HapticdError."""
+    write_whole(os.fspath(path), text_of(recording), overwrite=True)
 
 
 def load(path: str | os.PathLike[str]) -> Recording:

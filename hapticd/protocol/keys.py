@@ -14,6 +14,7 @@ from typing import Final
 import zmq
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.files import check_regular, create
 from hapticd.base.yaml_source import one_line
 from hapticd.system.trusted_files import read_trusted
 
@@ -70,6 +71,7 @@ def write_certificate(certificate: Certificate, name: str, directory: Path) -> t
         raise HapticdError(f"{name}: a key's name has 1 to 64 letters, digits, - and _")
     public, secret = directory / f"{name}{PUBLIC}", directory / f"{name}{SECRET}"
     for path in (public, secret):
+        check_regular(path)
         if os.path.lexists(path):
             raise HapticdError(f"{path}: is there already; choose another name, or remove it")
     told = f'# hapticd: the %s of {name}.\nmetadata\n    name = "{name}"\ncurve\n'
@@ -77,28 +79,15 @@ def write_certificate(certificate: Certificate, name: str, directory: Path) -> t
     try:
         directory.mkdir(parents=True, exist_ok=True, mode=0o700)
         both = told % "secret key, for nobody else," + line + f'    secret-key = "{certificate.secret_key}"\n'
-        _create(secret, both, 0o600)
+        create(secret, both, 0o600)
         try:
-            _create(public, told % "public key" + line, 0o644)
+            create(public, told % "public key" + line, 0o644)
         except OSError:
             secret.unlink()
             raise
     except OSError as error:
         raise HapticdError(f"{error.filename or directory}: cannot be written: {error.strerror}") from None
     return public, secret
-
-
-def _create(path: Path, text: str, mode: int) -> None:
-    """A new file, whole or not at all."""
-    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, mode)
-    try:
-        with os.fdopen(fd, "w") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError:
-        path.unlink()
-        raise
 
 
 def load_certificate(path: str | os.PathLike[str]) -> Certificate:

@@ -33,7 +33,6 @@ def open_writer(target: str | os.PathLike[str], overwrite: bool = False) -> Reco
 
 
 def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
-    """Raises HapticdError for a target of another ending, and, without `overwrite`, for one that is there already."""
-    found = writer_class(target)
-    if not overwrite:
-        found.refuse_taken(target)
+    """Raises HapticdError for a target of another ending, one that is no regular file, and, without `overwrite`, one
+    that is there already."""
+    writer_class(target).check_files(target, overwrite)

@@ -34,7 +34,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import is_there, numbered
+from hapticd.base.files import check_regular, is_there, numbered
 from hapticd.base.partial_files import Folder, PartialFile, new_stem, resolved
 
 Samples: TypeAlias = npt.NDArray[np.void]
@@ -95,12 +95,10 @@ class RecordingWriter(ABC):
         self._keep_partial_files = resume is not None
         self.torn_bytes = 0
         """At the end of what was recovered: no whole sample or record."""
-        if self.target.is_dir():
-            raise HapticdError(f"{self._name}: is a directory")
         if resume is None and self.target.exists() and not os.access(self.target, os.W_OK):
             raise HapticdError(f"{self._name}: may not be overwritten")
-        if resume is None and not overwrite:
-            self.refuse_taken(target)
+        if resume is None:
+            self.check_files(target, overwrite)
         try:
             self._folder = Folder(self.target.parent)
         except OSError as error:
@@ -127,11 +125,13 @@ class RecordingWriter(ABC):
         return [target]
 
     @classmethod
-    def refuse_taken(cls, target: str | os.PathLike[str]) -> None:
-        """Raises HapticdError where a file of a recording of this name is there already."""
+    def check_files(cls, target: str | os.PathLike[str], overwrite: bool) -> None:
+        """Raises HapticdError where a file of a recording of this name is there already, with `overwrite` where what is
+        there is no regular file."""
         place = resolved(target)
         for path in reversed(cls.files_of(place)):
-            if os.path.lexists(path):
+            check_regular(path)
+            if not overwrite and os.path.lexists(path):
                 name = os.fspath(target)
                 raise is_there(name if path == place else os.path.join(os.path.dirname(name), path.name))
 
@@ -264,7 +264,7 @@ class RecordingWriter(ABC):
             try:
                 for path, file in files.items():
                     before = file.name
-                    file.name_it(names[path].name, self._overwrite)
+                    file.name_it(names[path].name, self._overwrite and number == 1)
                     renamed[before] = file
             except OSError as error:
                 for before, file in renamed.items():

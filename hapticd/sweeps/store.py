@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.files import check_regular
 from hapticd.base.partial_files import write_whole
 from hapticd.sweeps.columns import ERROR, POINT, Column, Row, Value
 from hapticd.sweeps.work import ID_DTYPE, Work
@@ -75,6 +76,7 @@ class Store:
         except OSError as error:
             raise HapticdError(f"{self._folder}: cannot be made: {error.strerror}") from None
         file = self._folder / LOCK
+        check_regular(file)
         try:
             descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
         except OSError as error:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.files import put
 
 _FOLDER: Final = os.O_DIRECTORY | os.O_CLOEXEC
 _MOST_BYTES: Final = 1 << 24
@@ -68,7 +69,7 @@ class Rooted:
                     with open(out, "w", encoding="utf-8") as file:
                         os.fchmod(out, 0o644)
                         file.write(text)
-                    os.replace(part, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+                    put(part, path.name, True, folder)
                 except OSError:
                     with suppress(OSError):
                         os.unlink(part, dir_fd=folder)

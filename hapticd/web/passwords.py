@@ -7,16 +7,15 @@ import base64
 import binascii
 import hashlib
 import hmac
-import os
 import re
 import secrets
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final, Literal
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.files import check_regular, create
 from hapticd.base.token_bucket import Bucket
 from hapticd.base.yaml_source import one_line
 from hapticd.system.trusted_files import read_trusted
@@ -92,10 +91,9 @@ def write_password(path: str, password: str) -> None:
     parts = (base64.b64encode(each).decode() for each in (salt, _scrypt(given, salt, _N, _R, _P)))
     line = ":".join(("scrypt", str(_N), str(_R), str(_P), *parts)) + "\n"
     try:
-        fd = os.open(Path(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        check_regular(path)
+        create(path, line, 0o600)
     except FileExistsError:
         raise HapticdError(f"{one_line(path)}: is there already; remove it first") from None
     except (OSError, ValueError) as error:
         raise HapticdError(f"{one_line(path)}: cannot be written: {getattr(error, 'strerror', error)}") from None
-    with os.fdopen(fd, "w") as file:
-        file.write(line)

@@ -9,6 +9,7 @@ import pytest
 from bench import __main__ as bench
 from hapticd import cli
 from hapticd.cli import bench as command
+from tests.support.special_files import KINDS, special
 
 
 def test_the_command_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
@@ -33,3 +34,14 @@ def test_quick_figures_do_not_replace_those_of_docs(capsys: pytest.CaptureFixtur
     assert bench.main(["noise", "--quick", "--overwrite"]) == 1
     told = "bench: --quick measures too little for docs: give another folder with --out, or no --overwrite\n"
     assert capsys.readouterr().err == told
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("overwrite", [[], ["--overwrite"]])
+def test_a_page_goes_to_a_file_alone(
+    kind: str, overwrite: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "_measure", lambda *_: pytest.fail("it would measure first"))
+    told = special(tmp_path / bench.ACCURACY, kind)
+    assert cli.main(["bench", "noise", "--quick", "--out", str(tmp_path), *overwrite]) == 1
+    assert capsys.readouterr().err == f"hapticd: {told}\n"

@@ -15,6 +15,7 @@ from hapticd.base.core import SAMPLE_DTYPE, records
 from hapticd.config.scene import Scene
 from hapticd.daemon.flight_recorder import AFTER_S, MOST_EVENTS, Flight, directory_of
 from hapticd.daemon.flight_scene import FlightScene
+from tests.support.special_files import KINDS, special, untouched
 
 RATE_HZ = 1000
 
@@ -185,3 +186,16 @@ def test_what_was_written_is_let_go(tmp_path: Path) -> None:
     finally:
         life.flight.wake()
         writer.join()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_no_recording_is_neither_replaced_nor_removed(tmp_path: Path, kind: str) -> None:
+    special(tmp_path / "flight-000001-fault.npz", kind)
+    (tmp_path / "flight-000002-fault.npz").symlink_to("nowhere")
+    life = Life(tmp_path, keep=1)
+    with untouched(tmp_path, "flight-000004-fault.npz"):
+        for _ in range(2):
+            life.fault("lease")
+            life.go_on(4000)
+        life.end()
+    assert life.flight.status()["problem"] is None

@@ -14,7 +14,9 @@ from pathlib import Path
 import pytest
 
 from hapticd.base.errors import HapticdError
+from hapticd.experiment.session_folder import ABOUT, LOG, PLAN, STUDY, SessionFolder, folder_of
 from hapticd.experiment.session_log import SessionLog, decoded, read_log
+from tests.support.special_files import KINDS, refused, special, untouched
 
 _WRITER = """
 import sys
@@ -176,3 +178,25 @@ def test_killed_at_random_moments_nothing_is_lost_and_nothing_doubled(tmp_path: 
         answers = [record["trial"] for record in contents.records if record["kind"] == "answer"]
         assert answers == list(range(len(answers)))
         assert said < len(answers) <= said + 2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", [STUDY, PLAN, ABOUT, LOG])
+def test_a_session_leaves_what_is_no_regular_file_alone(name: str, kind: str, tmp_path: Path) -> None:
+    path = folder_of(tmp_path, "P07", 1)
+    path.mkdir(parents=True)
+    (tmp_path / "end").mkdir()
+    special(tmp_path / "end" / name, kind)
+    (path / name).symlink_to(tmp_path / "end" / name)
+    with untouched(tmp_path / "end"), pytest.raises(HapticdError) as caught:
+        SessionFolder.create(tmp_path, b"", {}, {"participant": "P07", "session": 1})
+    assert str(caught.value) == refused(path / name, kind)
+    assert (path / name).is_symlink()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_log_is_a_regular_file(kind: str, tmp_path: Path) -> None:
+    told = special(tmp_path / "log.jsonl", kind)
+    with untouched(tmp_path), pytest.raises(HapticdError) as caught:
+        SessionLog(tmp_path / "log.jsonl")
+    assert str(caught.value) == told

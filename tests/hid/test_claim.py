@@ -12,6 +12,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.hid import claim as claim_module
 from hapticd.hid.claim import RULES, Claims
 from tests.support.hid_tree import Kernel
+from tests.support.special_files import KINDS, refused, special, untouched
 
 STICK = "0003:2341:8036.0007"
 OTHER = "0003:045E:001B.0008"
@@ -124,3 +125,14 @@ def test_a_device_that_no_driver_takes_again(kernel: Kernel, monkeypatch: pytest
     kernel.stubborn.add(STICK)
     assert refusal(kernel, "claim") == f"{STICK}: no driver took it again: unplug it and plug it in"
     assert not (kernel.root / RULES).exists()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rules_are_written_to_nothing_but_a_file(kernel: Kernel, kind: str, tmp_path: Path) -> None:
+    rules, end = kernel.root / RULES, tmp_path / "end"
+    rules.parent.mkdir(parents=True, exist_ok=True)
+    special(end, kind)
+    rules.symlink_to(end)
+    with untouched(tmp_path):
+        assert refusal(kernel, "claim") == refused(f"/{RULES}", kind)
+    assert kernel.log == []

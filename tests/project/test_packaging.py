@@ -15,9 +15,11 @@ import click
 import pytest
 
 from hapticd import __version__
-from hapticd._share import man_pages
+from hapticd._share import man_pages, write
+from hapticd.base.errors import HapticdError
 from hapticd.cli import cli
 from hapticd.cli.completion import SHELLS, script
+from tests.support.special_files import KINDS, special, untouched
 
 ROOT = Path(__file__).parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -127,3 +129,13 @@ def test_the_day_of_a_page_is_that_of_the_sources(monkeypatch: pytest.MonkeyPatc
     assert man_pages()["hapticd-run"].startswith(f'.TH "HAPTICD-RUN" "1" "{released[1]}" "hapticd {__version__}"')
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1789000000")
     assert man_pages()["hapticd-run"].startswith('.TH "HAPTICD-RUN" "1" "2026-09-10"')
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_made_for_share_is_written_to_files_alone(kind: str, tmp_path: Path) -> None:
+    place = tmp_path / "share" / "man" / "man1" / "hapticd.1"
+    place.parent.mkdir(parents=True)
+    told = special(place, kind)
+    with untouched(tmp_path), pytest.raises(HapticdError) as caught:
+        write(tmp_path)
+    assert str(caught.value) == told

@@ -25,12 +25,13 @@ from hapticd.base.errors import HapticdError
 from hapticd.cli import main
 from hapticd.protocol.events import event_map
 from hapticd.recording.event_columns import NO_TIME, columns_of, dtype_of, rows_of
-from hapticd.recording.formats import open_writer
+from hapticd.recording.formats import check_target, open_writer
 from hapticd.recording.mcap_format import EVENT_MEMBERS
 from hapticd.recording.mcap_writer import CHUNK_BYTES
 from hapticd.recording.reader import load_recorded
 from hapticd.recording.recovery import recover
 from hapticd.recording.writer import DiskFullError
+from tests.support.special_files import KINDS, refused, special, untouched
 
 FORMS = ["npz", "csv", "mcap"]
 
@@ -206,6 +207,44 @@ def test_the_target_of_a_link_is_replaced_not_the_link(tmp_path: Path) -> None:
     assert (tmp_path / "link.npz").is_symlink()
     with np.load(tmp_path / "real" / "run.npz") as archive:
         assert len(archive["samples"]) == 2
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("name", "there"),
+    [
+        ("run.npz", "run.npz"),
+        ("run.mcap", "run.mcap"),
+        ("run.csv", "run.csv"),
+        ("run.csv", "run.events.csv"),
+        ("run.csv", "run.about.json"),
+    ],
+)
+def test_what_is_no_regular_file_is_refused(tmp_path: Path, name: str, there: str, kind: str, overwrite: bool) -> None:
+    (tmp_path / "linked").mkdir()
+    special(tmp_path / there, kind)
+    (tmp_path / "linked" / there).symlink_to(tmp_path / there)
+    for folder in (tmp_path, tmp_path / "linked"):
+        for check in (check_target, open_writer):
+            with untouched(tmp_path), pytest.raises(HapticdError) as caught:
+                check(folder / name, overwrite)
+            assert str(caught.value) == refused(folder / there, kind)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("ending", FORMS)
+def test_what_is_no_regular_file_and_appears_meanwhile_keeps_its_name(tmp_path: Path, kind: str, ending: str) -> None:
+    target, next_free = tmp_path / f"run.{ending}", tmp_path / f"run-3.{ending}"
+    with open_writer(target, overwrite=True) as writer:
+        writer.write(some(3))
+        special(target, kind)
+        before = target.lstat()
+        (tmp_path / f"run-2.{ending}").write_text("precious")
+        writer.finish({"scene": {}})
+        assert writer.displaced and writer.target == next_free
+    assert os.path.samestat(target.lstat(), before) and (tmp_path / f"run-2.{ending}").read_text() == "precious"
+    assert load_recorded(next_free).samples.tobytes() == some(3).tobytes()
 
 
 def test_unwritable_targets_are_told_before_anything_is_written(tmp_path: Path) -> None:

@@ -9,8 +9,13 @@ import pytest
 
 from hapticd.base.errors import HapticdError, InvalidError
 from hapticd.fit.options import FitOptions
+from hapticd.materials import shipped_materials
 from hapticd.sweeps.batches.batch import Batch
+from hapticd.sweeps.batches.output import write_materials, write_tables
+from hapticd.sweeps.batches.page import write_page
+from hapticd.sweeps.batches.ranking import MaterialResult
 from hapticd.sweeps.batches.tree import read_tree
+from tests.support.special_files import KINDS, special, untouched
 
 
 def grown(root: Path, files: dict[str, str]) -> str:
@@ -175,3 +180,18 @@ def test_a_fit_is_known_by_content_options_and_names_not_by_where_the_tree_is(tm
         after = ids(one)
         assert len(after) == 2 and len(after & before) == 1, change
         before = after
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_results_are_written_to_files_alone(kind: str, tmp_path: Path) -> None:
+    wood = MaterialResult("wood", "good", (), shipped_materials()["wood"], ())
+    for name, write in (
+        ("ranking.csv", lambda: write_tables(tmp_path, [], {})),
+        ("report.html", lambda: write_page("", [], {}, tmp_path, False, print)),
+        ("materials/wood.yaml", lambda: write_materials(tmp_path, [wood])),
+    ):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        told = special(tmp_path / name, kind)
+        with untouched(tmp_path), pytest.raises(HapticdError) as caught:
+            write()
+        assert str(caught.value) == told

@@ -23,6 +23,7 @@ from hapticd.sweeps.engine import Progress, run
 from hapticd.sweeps.store import Store
 from tests.soak.interrupt_sweeps import command, ended, study, wrong
 from tests.support.daemon_process import PATIENCE_S
+from tests.support.special_files import KINDS, special, untouched
 from tests.sweeps.external import OTHER_VERSION, WITHOUT_HAPTICD, WORKER, connected, scheduler
 from tests.sweeps.test_engine import ran, threads
 from tests.sweeps.works import BAD, Fault, Roots
@@ -339,3 +340,13 @@ def test_where_no_worker_comes_it_ends_with_one_line(tmp_path: Path, monkeypatch
         pytest.raises(HapticdError, match="cannot be used: it has no workers"),
     ):
         ran(Roots(10), tmp_path, nullcontext(client))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["lock", "points.npy", "study.json"])
+def test_a_folder_of_results_with_what_is_no_regular_file_is_refused(name: str, kind: str, tmp_path: Path) -> None:
+    told = special(tmp_path / name, kind)
+    others = {"lock": ["pieces"], "points.npy": ["pieces", "lock"], "study.json": ["pieces", "lock", "points.npy"]}
+    with untouched(tmp_path, *others[name]), pytest.raises(HapticdError) as caught:
+        ran(Roots(1), tmp_path, threads())
+    assert str(caught.value) == told

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from hapticd.cli import main
+from tests.support.special_files import KINDS, special, untouched
 from tests.sweeps.results_of import MASS, RATE, STIFFNESS, study_of
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -48,6 +49,22 @@ def test_figures_and_page_are_written_beside_the_table(
     assert code == 1 and err.startswith(f"hapticd: {page}: ") and len(err.splitlines()) == 1
     code, _, _ = ran(capsys, folder, "--html", str(page), "--overwrite")
     assert code == 0 and page.read_text() == text, "the same page, whenever it is drawn"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_page_and_figures_go_to_files_alone(
+    kind: str, folder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, option, value in (
+        ("page.html", "--html", "page.html"),
+        ("figures/1-stability-factor-over-rate.png", "--figures", "figures"),
+    ):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        told = special(tmp_path / name, kind)
+        for overwrite in ([], ["--overwrite"]):
+            with untouched(tmp_path):
+                code, out, err = ran(capsys, folder, option, str(tmp_path / value), *overwrite)
+            assert (code, out, err) == (1, "", f"hapticd: {told}\n")
 
 
 def test_where_keeps_rows(folder: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,7 +17,9 @@ from hapticd.base.errors import HapticdError
 from hapticd.cli import main
 from hapticd.config.configuration import default_config, load_config
 from hapticd.system.paths import SYSTEM_DIRECTORY
+from hapticd.system.rooted_files import Rooted
 from hapticd.system.service_files import Installation, Service, unit_word
+from tests.support.special_files import KINDS, special, untouched
 
 ROOT = Path(__file__).parents[2]
 HERE = Installation(Path("/opt/hapticd/bin/hapticd"), (Path("/opt/hapticd"),))
@@ -501,3 +503,12 @@ def test_the_units_are_exposed_as_little_as_promised(name: str, most: float) -> 
     # The page says the same.
     page = (ROOT / "docs" / "service.md").read_text()
     assert f"| `{name}` | {exposure:g} |" in page
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_no_regular_file_stays(kind: str, tmp_path: Path) -> None:
+    place = tmp_path / "etc" / "unit.service"
+    place.parent.mkdir()
+    special(place, kind)
+    with untouched(tmp_path), pytest.raises(HapticdError, match=r"unit\.service: cannot be written: File exists"):
+        Rooted(tmp_path).write(place, "text")

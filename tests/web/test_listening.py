@@ -12,6 +12,8 @@ import pytest
 from hapticd.base.errors import HapticdError
 from hapticd.web.listening import Listening, listen
 from hapticd.web.passwords import write_password
+from tests.support.special_files import KINDS, special, untouched
+from tests.support.special_files import refused as no_regular_file
 
 
 @pytest.fixture(scope="module")
@@ -139,3 +141,13 @@ def test_a_port_that_is_in_use() -> None:
 def test_names_that_are_none() -> None:
     assert "--host nowhere.invalid:" in refused("nowhere.invalid", None, None, None)
     assert "--host a b:" in refused("a b", None, None, None)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_password_goes_to_nothing_but_a_new_file(kind: str, tmp_path: Path) -> None:
+    special(tmp_path / "password", kind)
+    (tmp_path / "link").symlink_to("password")
+    for name in ("password", "link"):
+        with untouched(tmp_path), pytest.raises(HapticdError) as caught:
+            write_password(str(tmp_path / name), "rosewood comb")
+        assert str(caught.value) == no_regular_file(tmp_path / name, kind)

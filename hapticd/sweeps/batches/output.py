@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Final
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.files import check_regular
 from hapticd.base.partial_files import write_whole
 from hapticd.base.yaml_source import one_line
 from hapticd.base.yaml_text import yaml_text
@@ -55,6 +56,7 @@ def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[di
         if each.material is None:
             continue
         path = target / f"{each.name}.yaml"
+        check_regular(path)
         text = yaml_text({"materials": {each.name: each.material.to_dict()}}) + "\n"
         if _DAY.sub("", _read(path)) != _DAY.sub("", text):
             write_whole(str(path), text, overwrite=True)

@@ -16,6 +16,7 @@ import numpy as np
 
 from hapticd.analysis.statistics import Estimate
 from hapticd.base import html_page, wording
+from hapticd.base.files import check_regular
 from hapticd.base.partial_files import write_whole
 from hapticd.config.schema import unit_of
 from hapticd.fit.provenance import Kind
@@ -59,6 +60,7 @@ def write_page(
     `note` is called with a line when drawing begins. Raises HapticdError.
     """
     path = folder / PAGE
+    check_regular(path)
     content = repr([title, results, files, drawn, COMPARED]) + code_version()
     mark = f"<!-- {sha256(content.encode(errors='backslashreplace')).hexdigest()} -->\n"
     with suppress(OSError), path.open("rb") as file:  # without one, or with a shorter one, it is written

@@ -14,10 +14,11 @@ from typing import Final
 
 from hapticd.base import clock
 from hapticd.base.errors import HapticdError
+from hapticd.base.partial_files import write_whole
 from hapticd.experiment.bids import write_data_set, write_session_tables
 from hapticd.experiment.plan import plan
 from hapticd.experiment.session import about_of, plan_document
-from hapticd.experiment.session_folder import LOG, SessionFolder, folder_of, write_synced
+from hapticd.experiment.session_folder import LOG, SessionFolder, folder_of
 from hapticd.experiment.session_log import lines_of
 from hapticd.sweeps.columns import ERROR, POINT, Row
 from hapticd.sweeps.participants.bulk import PARTICIPANT, Participants
@@ -36,7 +37,7 @@ class SessionFolders:
         number of one of these."""
         self._root, self._work, self._source = root, work, source
         self._file = rows_folder / WRITTEN
-        self._on_disk = set(self._file.read_text().split()) if self._file.exists() else set()
+        self._on_disk = set(self._file.read_text().split()) if self._file.is_file() else set()
         self.present = frozenset(label for label, point in work.points.items() if self._has(label, point))
         """Labels whose folders are there."""
 
@@ -77,7 +78,7 @@ class SessionFolders:
         folder = SessionFolder(folder_of(self._root, label, work.session), self._source, plan_document(made), about)
         first, *others = records_of(row)
         folder.write_with(lines_of([{**first, CLOCK: about[CLOCK]}, *others]))
-        write_session_tables(folder, Path.write_bytes)
+        write_session_tables(folder, synced=False)
 
     def _settle(self, fresh: list[str]) -> None:
         """What was written is on disk, and is known to be."""
@@ -86,7 +87,5 @@ class SessionFolders:
         os.sync()
         self._on_disk.update(fresh)
         fresh.clear()
-        try:
-            write_synced(self._file, "".join(f"{each}\n" for each in sorted(self._on_disk)).encode())
-        except OSError as error:
-            raise HapticdError(f"{self._file}: cannot be written: {error.strerror}") from None
+        written = "".join(f"{each}\n" for each in sorted(self._on_disk))
+        write_whole(str(self._file), written, overwrite=True, synced=True)

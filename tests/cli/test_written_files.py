@@ -1,0 +1,58 @@
+"""Every command that writes a file leaves alone what is no regular file: a device, FIFO, socket, folder, or a link."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.cli import said
+from tests.support.special_files import KINDS, refused, special, untouched
+
+COMMANDS = {
+    "record": ("record", "out.npz", "--for", "1s"),
+    "record as csv": ("record", "out.csv", "--for", "1s"),
+    "record as mcap": ("record", "out.mcap", "--for", "1s"),
+    "flight": ("flight", "out.npz"),
+    "simulate": ("simulate", "none.yaml", "--operator", "none.yaml", "-o", "out.npz"),
+    "replay": ("replay", "none.npz", "-o", "out.npz"),
+    "fit": ("fit", "tap", "none.csv", "-o", "out.yaml"),
+    "fit, the report": ("fit", "tap", "none.csv", "--report", "out.png"),
+    "fit synthesize": ("fit", "synthesize", "tap", "-o", "out.npz"),
+    "calibrate": ("calibrate", "-o", "out.yaml"),
+    "calibrate, the plot": ("calibrate", "--plot", "out.png"),
+    "devices dump": ("devices", "dump", "1209:5aff", "-o", "out.jsonl"),
+    "devices calibrate": ("devices", "calibrate", "-o", "out.yaml", "--yes"),
+    "experiment analyze": ("experiment", "analyze", "none", "-o", "out.html"),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_what_is_no_regular_file_is_left_alone(
+    command: str, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = COMMANDS[command]
+    (name,) = (word for word in words if word.startswith("out."))
+    monkeypatch.chdir(tmp_path)
+    Path("elsewhere").mkdir()
+    special(Path("elsewhere", name), kind)
+    Path("second").symlink_to(Path("elsewhere", name))
+    Path(name).symlink_to("second")
+    Path("direct").mkdir()
+    special(Path("direct", name), kind)
+    for place in (name, f"direct/{name}"):
+        asked = [place if word == name else word for word in words]
+        for overwrite in ([], ["--overwrite"]):
+            with untouched(tmp_path):
+                assert said(capsys, 1, *asked, *overwrite) == f"hapticd: {refused(place, kind)}\n"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("ending", ["key", "key_secret"])
+def test_keys_leave_it_alone_and_write_neither(
+    ending: str, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = special(tmp_path / f"alice.{ending}", kind)
+    with untouched(tmp_path):
+        assert said(capsys, 1, "key", "new", "alice", "--dir", str(tmp_path)) == f"hapticd: {told}\n"
