@@ -108,7 +108,7 @@ play: build ## a page in the browser: drag the stylus with the mouse, see, hear 
 	@$(BIN)/hapticd web --demo --open
 
 .PHONY: demo
-demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s, with the first set-up 150 s, longer where periods are missed
+demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s, longer where periods are missed
 	@$(BIN)/python -m examples.demo
 
 PAPER_STUDIES := tapping texture puncture
