@@ -6,6 +6,7 @@ import asyncio
 import importlib.util
 import logging
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
@@ -114,7 +115,9 @@ def _threads(count: int) -> Iterator[Any]:
 
     cluster = client = None
     try:
-        with deferred_interrupts(), dask.config.set(_SEEN_LESS):
+        with deferred_interrupts(), dask.config.set(_SEEN_LESS), warnings.catch_warnings():
+            # Dask asks for an address even for threads of one process. A machine without a network has none.
+            warnings.filterwarnings("ignore", "Couldn't detect a suitable IP address", RuntimeWarning)
             cluster = LocalCluster(
                 n_workers=1,
                 threads_per_worker=count,
