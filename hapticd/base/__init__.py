@@ -27,7 +27,7 @@ What people and programs write, and what they read:
 
 Files and numbers:
 
-    files              gives a finished file its name without replacing another one
+    files              refuses what is no regular file, gives a finished file its name without replacing another one
     partial_files      hidden files beside the target, which get its name once they are whole
     lattice            filters as coefficients and as reflection coefficients
 
