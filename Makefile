@@ -271,7 +271,7 @@ lint: build
 	$(BIN)/mypy --strict hapticd
 	$(BIN)/lint-imports --no-logo --no-cache
 	@$(BIN)/python -m tests.project.check_includes
-	$(BIN)/clang-format --dry-run -Werror $(C_FILES)
+	@echo $(BIN)/clang-format --dry-run -Werror; $(BIN)/clang-format --dry-run -Werror $(C_FILES)
 
 # The extension as users build it, then every C file with all warnings; clang also proves that nothing marked HD_RT calls
 # anything that may block.

@@ -31,7 +31,7 @@ FLOOR_N_PER_M: Final = 800.0
 HOVER_M: Final = 0.012
 """Where the hand waits between two performances, above the surface y = 0."""
 PAUSE_BEFORE_STROKE_S: Final = 0.15
-ANSWER_TIMEOUT_S: Final = 60.0
+ANSWER_TIMEOUT_S: Final = 30.0
 """A daemon that does nothing for so long has failed, however busy the machine is."""
 
 

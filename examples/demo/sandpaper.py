@@ -76,6 +76,8 @@ def measured(recorded: Recorded, material: Material) -> Sanding:
     """The noise of every stroke. It is a sequence of ticks: a missed period makes no gap in it."""
     law, rate_hz = _stochastic(material), recorded.rate_hz
     block, settling = round(BLOCK_S * rate_hz), round(SETTLED_S * rate_hz)
+    moved, pressed = recorded.samples["velocity_m_per_s"][:, 0], recorded.samples["contact_force_n"][:, 1]
+    every: Floats = np.array([recorded.vibration(0), abs(moved), pressed])
     ramped = np.flatnonzero(recorded.flagged(Flag.RAMPING | Flag.SATURATED))
     blocks: list[tuple[int, Floats]] = []
     over_law: list[Floats] = [np.empty(0)]
@@ -83,10 +85,7 @@ def measured(recorded: Recorded, material: Material) -> Sanding:
         begin, end = np.searchsorted(recorded.time_s, (begin_s + SETTLED_S, end_s)).tolist()
         here = ramped[(ramped >= begin - settling) & (ramped < end)].tolist()
         for start, stop in zip([begin, *(max(begin, n + settling) for n in here)], [*here, end], strict=True):
-            speed = abs(recorded.samples["velocity_m_per_s"][start:stop, 0])
-            rows = np.array(
-                [recorded.vibration(0)[start:stop], speed, recorded.samples["contact_force_n"][start:stop, 1]]
-            )
+            rows = every[:, start:stop]
             over_law.append(rows[0] / np.maximum(_rms(law, rows[1], rows[2]), 1e-9))
             parts = [rows[:, n : n + block] for n in range(0, stop - start - block + 1, block)]
             blocks += [(number, part) for part in parts if part[1].min() > MIN_PART_OF_SPEED * STROKES[number][0]]
