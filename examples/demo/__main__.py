@@ -20,7 +20,6 @@ from examples.demo.marks import Marks
 from examples.demo.parts import Seen, all_parts, repeat
 from examples.demo.perform import running_daemon
 from examples.demo.plot import PLOT, save
-from hapticd.analysis.statistics import FitError
 from hapticd.base.errors import HapticdError
 from hapticd.cli.streams import guarded
 from hapticd.client.blocking import TelemetryLoss
@@ -73,16 +72,11 @@ def _compare(console: Console, seen: Mapping[str, Seen], library: Materials, rat
         console.print(taps.table(tapped, library, marks))
     if comb.MATERIAL in measured:
         console.print(comb.table(measured[comb.MATERIAL], library[comb.MATERIAL], marks))
-    sanded = None
-    if seen[sandpaper.MATERIAL].enough:
-        try:
-            sanded = sandpaper.fitted(measured[sandpaper.MATERIAL], rate_hz)
-            console.print(sandpaper.table(sanded, library[sandpaper.MATERIAL], rate_hz, marks))
-        except FitError as error:
-            marks.expect(False, f"sandpaper: {error}")
+    if sandpaper.MATERIAL in measured:
+        console.print(sandpaper.table(measured[sandpaper.MATERIAL], library[sandpaper.MATERIAL], rate_hz, marks))
     if puncture.MATERIAL in measured:
         console.print(puncture.table(measured[puncture.MATERIAL], library[puncture.MATERIAL], marks))
-    save(seen, sanded, library)
+    save(seen, library, rate_hz)
 
 
 if __name__ == "__main__":

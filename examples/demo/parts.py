@@ -62,7 +62,7 @@ def all_parts(library: Materials) -> list[Part]:
     floors = [
         *((name, taps, "taps") for name, material in library.items() if material.tap is not None),
         (comb.MATERIAL, comb, "strikes"),
-        (sandpaper.MATERIAL, sandpaper, "half seconds"),
+        (sandpaper.MATERIAL, sandpaper, "strokes"),
     ]
     return [
         *(

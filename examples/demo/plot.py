@@ -12,7 +12,7 @@ from examples.demo import comb, puncture, sandpaper
 from examples.demo.comb import Combing
 from examples.demo.parts import Seen
 from examples.demo.perform import Floats, Recorded
-from examples.demo.sandpaper import Sanded
+from examples.demo.sandpaper import peak_of
 from examples.demo.taps import Tapped
 from hapticd.config.materials import Material, Materials, Mode
 from hapticd.config.texture import Grooves, Stochastic
@@ -26,7 +26,7 @@ THERE_AND_BACK: Final = (4, 3)
 """The strokes over the comb that are drawn, neighbours in `comb.STROKES`: even ones go to the right."""
 
 
-def save(seen: Mapping[str, Seen], sanded: Sanded | None, library: Materials) -> None:
+def save(seen: Mapping[str, Seen], library: Materials, rate_hz: float) -> None:
     """Draws everything of which enough was seen."""
     import matplotlib
 
@@ -56,8 +56,8 @@ def save(seen: Mapping[str, Seen], sanded: Sanded | None, library: Materials) ->
         _strokes(panel, seen[comb.MATERIAL].best[0], library[comb.MATERIAL])
     if panel := panel_of(comb.MATERIAL):
         _strikes(panel, seen[comb.MATERIAL].measured, library[comb.MATERIAL])
-    if (panel := panel_of(sandpaper.MATERIAL)) and sanded is not None:
-        _spectrum(panel, sanded, library[sandpaper.MATERIAL])
+    if panel := panel_of(sandpaper.MATERIAL):
+        _spectrum(panel, seen[sandpaper.MATERIAL].measured.mean_spectrum(), library[sandpaper.MATERIAL], rate_hz)
     figure.savefig(PLOT, dpi=100)
     plt.close(figure)
 
@@ -147,22 +147,22 @@ def _strikes(panel: Axes, combing: Combing, material: Material) -> None:
     _dress(panel, "comb over the estimated speed; lines: library", "m/s", "m/s²")
 
 
-def _spectrum(panel: Axes, sanded: Sanded, material: Material) -> None:
+def _spectrum(panel: Axes, spectrum: Floats, material: Material, rate_hz: float) -> None:
     from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
     law = material.texture
     assert isinstance(law, Stochastic)
-    rate_hz = 2 * float(sanded.frequency_hz[-1])
+    frequency = np.linspace(0.0, rate_hz / 2, len(spectrum))
     fine = np.linspace(0, 1000, 1001)
     asked = power_spectrum(stochastic_filter(law.peak_hz, law.mean_hz, rate_hz), fine, rate_hz)
     # At 0 a one-sided spectrum is half of what it is beside it.
-    shown = (sanded.frequency_hz > 0) & (sanded.frequency_hz <= fine[-1])
+    shown = (frequency > 0) & (frequency <= fine[-1])
     # In the same unit: the power that the spectrum holds up to there.
-    step = float(sanded.frequency_hz[1])
-    asked *= sanded.spectrum[shown].sum() * step / np.trapezoid(asked, fine)
-    panel.plot(sanded.frequency_hz[shown], 1e3 * sanded.spectrum[shown], ".-", ms=4, lw=0.6, label="rendered")
+    asked *= spectrum[shown].sum() * frequency[1] / np.trapezoid(asked, fine)
+    panel.plot(frequency[shown], 1e3 * spectrum[shown], ".-", ms=4, lw=0.6, label="rendered")
     panel.plot(fine, 1e3 * asked, lw=1, label="library")
     panel.axvline(law.peak_hz, color="grey", lw=0.6, label="peak")
     panel.axvline(law.mean_hz, color="grey", lw=0.6, ls="--", label="mean")
-    title = f"{sandpaper.MATERIAL}: peak {sanded.peak_hz:.0f} Hz, mean {sanded.fit.mean_hz.value:.0f} Hz"
+    peak_hz, mean_hz = peak_of(frequency, spectrum, rate_hz), frequency @ spectrum / spectrum.sum()
+    title = f"{sandpaper.MATERIAL}: peak {peak_hz:.0f} Hz, mean {mean_hz:.0f} Hz"
     _dress(panel, title, "Hz", "power over the law's, 1/kHz")

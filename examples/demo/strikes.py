@@ -71,12 +71,14 @@ def strikes_of(recorded: Recorded, axis: int, due_s: Sequence[float] | Floats) -
     first = np.searchsorted(time_s, np.asarray(due_s) - ON_TICK_S).tolist()
     # One exact zero may be the sine's own, but for the one after which the next strike begins.
     silent = np.flatnonzero((rest[:-1] == 0.0) & ((rest[1:] == 0.0) | np.isin(np.arange(1, len(rest)), first)))
-    # In the tick of a strike the limit scales that strike, and later whatever rings: then it rings on otherwise.
-    scaled = np.zeros(len(rest), dtype=np.bool_)
-    for at in np.setdiff1d(np.flatnonzero(recorded.flagged(Flag.SATURATED)), first).tolist():
+    # In the tick of a strike the limit scales that strike. Later it scales what rings: after missed periods alone, in
+    # which the contact force grew more than the strike had left room for.
+    gaps, scaled = recorded.gaps(), np.zeros(len(rest), dtype=np.bool_)
+    limited = np.setdiff1d(np.flatnonzero(recorded.flagged(Flag.SATURATED)), first)
+    for at in limited[limited >= gaps.min(initial=len(rest))].tolist():
         scaled[at : _next(silent, at, len(rest))] = True
     rest[scaled] = 0.0
-    gaps = np.union1d(recorded.gaps(), np.flatnonzero(scaled))
+    gaps = np.union1d(gaps, np.flatnonzero(scaled))
     numbers: list[int] = []
     found: list[Ringing] = []
     onsets: list[float] = []
