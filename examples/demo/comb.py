@@ -41,6 +41,8 @@ class Combing:
     strikes: Strikes
     groove: npt.NDArray[np.int64]
     position_m: Floats
+    direction: Floats
+    """Of the motion in that tick, 1 or -1: where the hand turns, the estimated speed is late."""
     speed_m_per_s: Floats
     """As estimated: telemetry's velocity at the strike."""
     force_n: Floats
@@ -62,8 +64,9 @@ class Combing:
         return np.asarray(np.linalg.lstsq(columns, abs(self.strikes.amplitude[self.whole]), rcond=None)[0])
 
 
-def passages(recorded: Recorded, spacing_m: float) -> tuple[npt.NDArray[np.int64], Floats]:
-    """Which grooves were passed on the surface y = 0, and when they were struck; within a tick the way is straight.
+def passages(recorded: Recorded, spacing_m: float) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
+    """Which grooves were passed on the surface y = 0, when they were struck, and in which direction, 1 or -1. Within a
+    tick the way is straight.
 
     What was passed in missed periods is struck in the last of them. Where they are longer than the ramp, the surface is
     met anew, and nothing is struck on the way.
@@ -93,13 +96,13 @@ def passages(recorded: Recorded, spacing_m: float) -> tuple[npt.NDArray[np.int64
     at, groove = np.array(found, dtype=np.int64).reshape(-1, 2).T
     part = (groove * spacing_m - x[at]) / (x[at + 1] - x[at])
     passed_s = recorded.time_s[at] + part * (recorded.time_s[at + 1] - recorded.time_s[at])
-    return groove, np.maximum(passed_s, recorded.time_s[at + 1] - 1 / recorded.rate_hz)
+    return groove, np.maximum(passed_s, recorded.time_s[at + 1] - 1 / recorded.rate_hz), np.sign(x[at + 1] - x[at])
 
 
 def measured(recorded: Recorded, material: Material) -> Combing:
     """Everything about the comb that telemetry shows; the library says only where grooves should have been."""
     assert isinstance(material.texture, Grooves)
-    groove, due = passages(recorded, material.texture.spacing_m)
+    groove, due, direction = passages(recorded, material.texture.spacing_m)
     strikes = strikes_of(recorded, 0, due)
 
     def at_strikes(field: str, axis: int) -> Floats:
@@ -117,6 +120,7 @@ def measured(recorded: Recorded, material: Material) -> Combing:
         strikes=strikes,
         groove=groove[strikes.number],
         position_m=at_strikes("position_m", 0),
+        direction=direction[strikes.number],
         speed_m_per_s=at_strikes("velocity_m_per_s", 0),
         force_n=at_strikes("contact_force_n", 1),
         true_speed_m_per_s=np.array([np.nan, *(event["true_speed_m_per_s"] for event in events)])[nearest],
@@ -142,7 +146,7 @@ def table(found: Combing, material: Material, marks: Marks) -> Table:
     farthest = float(abs(found.position_m - found.groove * grooves.spacing_m).max(initial=0.0))
     marks.expect(strikes.left_over == 0, f"comb: {strikes.left_over} samples ring without a groove")
     marks.expect(reported == found.passed, f"comb: {found.passed} grooves passed, events report {reported}")
-    marks.expect(bool(np.all(strikes.amplitude * found.speed_m_per_s > 0)), "comb: a strike was not along the motion")
+    marks.expect(bool(np.all(strikes.amplitude * found.direction > 0)), "comb: a strike was not along the motion")
     marks.expect(farthest <= MAX_OFF_PLACE_M, f"comb: a strike was {1e6 * farthest:.3g} um away from its groove")
     rows.add_row("grooves reported by events, and passed", f"{reported}", f"{found.passed}", "")
     where = ", away from missed periods" if seen + strikes.hidden == found.passed > seen else ""

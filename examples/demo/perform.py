@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -17,7 +18,7 @@ import numpy.typing as npt
 
 from hapticd.base.core import Flag
 from hapticd.base.errors import HapticdError
-from hapticd.client.blocking import Client, connect
+from hapticd.client.blocking import Client, DaemonNotRunning, connect
 
 Floats = npt.NDArray[np.float64]
 Waypoints = list[list[float]]
@@ -31,6 +32,8 @@ FLOOR_N_PER_M: Final = 800.0
 HOVER_M: Final = 0.012
 """Where the hand waits between two performances, above the surface y = 0."""
 PAUSE_BEFORE_STROKE_S: Final = 0.15
+START_TIMEOUT_S: Final = 180.0
+"""A daemon that gets a hundredth of a processor needs so long to start."""
 ANSWER_TIMEOUT_S: Final = 30.0
 """A daemon that does nothing for so long has failed, however busy the machine is."""
 
@@ -148,16 +151,31 @@ def perform(daemon: Client, waypoints: Waypoints, advance: Callable[[float], Non
     return Recorded((data["time_ns"] - zero) / 1e9, data, reported, zero, rate_hz)
 
 
+def _connected(process: subprocess.Popen[bytes], directory: Path) -> Client:
+    """A client of a daemon that may still be starting. Raises DaemonNotRunning."""
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while True:
+        try:
+            return connect(directory, ANSWER_TIMEOUT_S, wait_s=1.0)
+        except DaemonNotRunning:
+            if process.poll() is not None or time.monotonic() > deadline:
+                raise
+
+
 @contextmanager
 def running_daemon(directory: Path) -> Iterator[Client]:
     """`hapticd run` in a process of its own, stopped (and checked to have stopped well) at the end."""
     command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(directory), "run"]
+    silent = False
     # In a pipe that nobody reads, a long log of a busy machine would stop the daemon.
     with tempfile.TemporaryFile("w+") as log:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log)
         try:
-            with connect(directory, ANSWER_TIMEOUT_S, wait_s=ANSWER_TIMEOUT_S) as daemon:
+            with _connected(process, directory) as daemon:
                 yield daemon
+        except DaemonNotRunning:
+            silent = process.poll() is None  # one that ended by itself says why
+            raise
         finally:
             process.send_signal(signal.SIGTERM)
             try:
@@ -166,6 +184,6 @@ def running_daemon(directory: Path) -> Iterator[Client]:
                 process.kill()
                 process.wait()
                 raise HapticdError(f"the daemon did not end within {ANSWER_TIMEOUT_S:g} s") from None
-            if process.returncode != 0:
+            if process.returncode != 0 and not silent:
                 log.seek(0)
                 raise HapticdError(f"the daemon ended with {process.returncode}: {log.read().strip()}")

@@ -158,27 +158,28 @@ def test_missed_periods_hide_the_strikes_near_to_them_and_no_others() -> None:
 
 
 @pytest.mark.parametrize(
-    ("trace", "expected"),
+    ("trace", "expected", "directions"),
     [
-        ([0.5, 1.5, 2.5], [1, 2]),
-        ([0.5, 3.5], [1, 2, 3]),
-        ([0.9, 1.1, 0.9, 1.1], [1]),  # to and fro on one groove
-        ([0.9, 1.1, 1.6, 1.1, 0.9], [1, 1]),  # half a spacing away meanwhile
-        ([0.9, 1.0, 1.1], [1]),  # on a groove is beyond it
-        ([1.1, 1.0, 0.9], [1]),
-        ([0.2, 0.4], []),
+        ([0.5, 1.5, 2.5], [1, 2], [1, 1]),
+        ([0.5, 3.5], [1, 2, 3], [1, 1, 1]),
+        ([0.9, 1.1, 0.9, 1.1], [1], [1]),  # to and fro on one groove
+        ([0.9, 1.1, 1.6, 1.1, 0.9], [1, 1], [1, -1]),  # half a spacing away meanwhile
+        ([0.9, 1.0, 1.1], [1], [1]),  # on a groove is beyond it
+        ([1.1, 1.0, 0.9], [1], [-1]),
+        ([0.2, 0.4], [], []),
     ],
 )
-def test_passages(trace: list[float], expected: list[int]) -> None:
-    groove, at_s = passages(telemetry(np.arange(len(trace)) / RATE, x=np.array(trace)), 1.0)
+def test_passages(trace: list[float], expected: list[int], directions: list[int]) -> None:
+    groove, at_s, direction = passages(telemetry(np.arange(len(trace)) / RATE, x=np.array(trace)), 1.0)
     assert groove.tolist() == expected
     assert np.interp(at_s, np.arange(len(trace)) / RATE, trace) == pytest.approx(expected)
+    assert direction.tolist() == directions
 
 
 @pytest.mark.parametrize(("periods", "expected"), [(200, [1, 2, 3]), (201, [1, 3])])
 def test_nothing_is_passed_in_a_stall_that_is_longer_than_the_ramp(periods: int, expected: list[int]) -> None:
     time_s = np.array([0, 1, 1 + periods, 2 + periods]) / RATE
-    groove, _ = passages(telemetry(time_s, x=np.array([0.5, 1.5, 2.5, 3.5])), 1.0)
+    groove, _, _ = passages(telemetry(time_s, x=np.array([0.5, 1.5, 2.5, 3.5])), 1.0)
     assert groove.tolist() == expected
 
 
@@ -206,11 +207,13 @@ def test_passages_are_those_of_the_daemon_where_the_hand_bounces_and_periods_are
     scene = {"objects": {"surface": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": COMB}}}
     run = render_run({"scene": scene}, np.stack([x, y], axis=1), periods=periods)
     recorded = rendered(run.samples, run.events, (tick - tick[0]) / RATE)
-    groove, due = passages(recorded, 0.0024)
+    groove, due, direction = passages(recorded, 0.0024)
     events = recorded.reported("groove")
     assert len(groove) == len(events) > 100
     np.testing.assert_allclose(due, [recorded.onset_s(event) for event in events], atol=1e-9)
-    assert strikes_of(recorded, 0, due).left_over == 0
+    strikes = strikes_of(recorded, 0, due)
+    assert strikes.left_over == 0
+    assert np.all(strikes.amplitude * direction[strikes.number] > 0)
 
 
 def test_the_peak_of_two_poles_is_found() -> None:
