@@ -102,12 +102,12 @@ def has_venv(interpreter: Path) -> bool:
 
 
 def able() -> Iterator[Path]:
-    """Those that can make virtual environments, the newest first; a line for each that cannot."""
+    """Those that can make virtual environments, the newest first; a line on stderr for each that cannot."""
     for version, interpreter in pythons():
         if has_venv(interpreter):
             yield interpreter
         else:
-            print(f"Python {version} ({interpreter}): skipped, it has no venv")
+            print(f"Python {version} ({interpreter}): skipped, it has no venv", file=sys.stderr)
 
 
 def main(wheel: Path) -> None:

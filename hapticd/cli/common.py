@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
@@ -20,6 +21,7 @@ from hapticd.system.journal import LEVELS
 
 if TYPE_CHECKING:
     from hapticd.client.blocking import Client
+    from hapticd.config.shipped_files import Folder
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -176,6 +178,30 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
         note(f"warning: {result['warning']}")
     for warned in cast("list[Mapping[str, str]]", result.get("warnings", [])):
         note(f"warning: {warned['where']}: {warned['problem']}")
+
+
+def print_shipped(folder: Folder, as_json: bool) -> None:
+    """The studies of a folder that ships, by name, each with the question that it asks."""
+    from hapticd.config.shipped_files import described
+
+    studies = described(folder)
+    if as_json:
+        print_json([{"name": each.name, "asks": each.shows, "file": each.file} for each in studies])
+        return
+    width = max(len(each.name) for each in studies)
+    for each in studies:
+        click.echo(f"{each.name:<{width}}  {each.shows}")
+
+
+def results_option(default: str) -> Callable[[_F], _F]:
+    """The option `-o`, as the parameter `output`: the folder of a command's results; `default` says which without."""
+    return click.option(
+        "-o",
+        "--output",
+        type=click.Path(file_okay=False, path_type=Path),
+        metavar="DIR",
+        help=f"Folder of the results [default: {default}].",
+    )
 
 
 def overwrite_option(command: _F) -> _F:

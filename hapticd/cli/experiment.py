@@ -8,7 +8,7 @@ import click
 
 from hapticd.base import wording
 from hapticd.cli import names
-from hapticd.cli.common import config_option, json_option, note, print_json
+from hapticd.cli.common import config_option, json_option, note, print_json, print_shipped
 from hapticd.cli.experiment_analyze import analyze_command
 from hapticd.cli.experiment_run import resume_command, run_command
 
@@ -25,15 +25,7 @@ def experiment_command() -> None:
 @json_option
 def list_command(as_json: bool) -> None:
     """List the studies that ship with hapticd: each name does where a command takes a study."""
-    from hapticd.config.shipped_files import described
-
-    studies = described("experiments")
-    if as_json:
-        print_json([{"name": each.name, "asks": each.shows, "file": each.file} for each in studies])
-        return
-    width = max(len(each.name) for each in studies)
-    for each in studies:
-        click.echo(f"{each.name:<{width}}  {each.shows}")
+    print_shipped("experiments", as_json)
 
 
 @click.command("check", short_help="Check what of a study can be displayed, its duration and its power.")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import click
 
 from hapticd.base import wording
-from hapticd.cli.common import json_option, note, print_json
+from hapticd.cli.common import json_option, note, print_json, results_option
 from hapticd.cli.engine import Where, computed, engine_options, outcome_dict, outcome_text, require_engine
 
 if TYPE_CHECKING:
@@ -27,13 +27,7 @@ _WIDEST: Final = 4096
 
 @click.command("batch", short_help="Fit a tree of folders, one a material, side by side.")
 @click.argument("tree", type=click.Path(), metavar="TREE")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="DIR",
-    help="Folder of the results [default: the tree's name with -fits].",
-)
+@results_option("the tree's name with -fits")
 @engine_options("fits")
 @json_option
 def batch_command(tree: str, output: Path | None, as_json: bool, **where: Any) -> int:

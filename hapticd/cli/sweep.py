@@ -9,7 +9,7 @@ import click
 
 from hapticd.base import wording
 from hapticd.cli import names
-from hapticd.cli.common import json_option, note, print_json
+from hapticd.cli.common import json_option, note, print_json, print_shipped, results_option
 from hapticd.cli.engine import Where, computed, engine_options, outcome_dict, outcome_text, require_engine
 from hapticd.cli.sweep_show import show_command
 
@@ -24,13 +24,7 @@ def sweep_command() -> None:
 
 @click.command("run", short_help="Compute the points of a study.")
 @click.argument("study", type=click.Path(), metavar="STUDY.yaml", shell_complete=names.sweeps)
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="DIR",
-    help="Folder of the results [default: the study's name without .yaml].",
-)
+@results_option("the study's name without .yaml")
 @engine_options("points")
 @json_option
 def run_command(study: str, output: Path | None, as_json: bool, **where: Any) -> int:
@@ -61,15 +55,7 @@ def run_command(study: str, output: Path | None, as_json: bool, **where: Any) ->
 @json_option
 def list_command(as_json: bool) -> None:
     """List the sweeps that ship with hapticd: `hapticd sweep run` takes each by its name."""
-    from hapticd.config.shipped_files import described
-
-    studies = described("sweeps")
-    if as_json:
-        print_json([{"name": each.name, "asks": each.shows, "file": each.file} for each in studies])
-        return
-    width = max(len(each.name) for each in studies)
-    for each in studies:
-        click.echo(f"{each.name:<{width}}  {each.shows}")
+    print_shipped("sweeps", as_json)
 
 
 for _command in (list_command, run_command, show_command):
