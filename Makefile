@@ -23,6 +23,7 @@ VENV := .venv
 CONSTRAINTS := constraints.txt
 BIN := $(VENV)/bin
 BUILT := $(VENV)/.built
+TOOLS := $(VENV)/.tools
 SETUP := pyproject.toml setup.py hapticd/_version.py $(CONSTRAINTS)
 C_SOURCES := $(wildcard csrc/*/*.c)
 C_FILES := $(wildcard csrc/*/*.[ch] tests/c/*.[ch] tests/model/*.[ch] tests/sanitized/*.[ch] tests/vm/*.[ch] bench/peers/*.[ch])
@@ -41,7 +42,10 @@ help: ## this list
 # ---- Set-up ------------------------------------------------------------------------------------------------------
 
 .PHONY: build
-build: $(BUILT) ## set up .venv and compile the C core
+build: $(BUILT) ## set up .venv with all that hapticd's commands use, and compile the C core
+
+.PHONY: tools
+tools: $(TOOLS) ## add to .venv what tests, checks, documentation and packages are made with
 
 # `make PYTHON=...` sets up .venv again where it has another version of Python.
 ifeq ($(origin PYTHON),command line)
@@ -64,17 +68,24 @@ $(BUILT): $(SETUP) $(OTHER_PYTHON) hapticd/_build.py hapticd/_stub.py $(wildcard
 	@touch $@
 	@echo "set up: $$($(BIN)/hapticd --version) in $(VENV); next: . $(VENV)/bin/activate, then hapticd run"
 
+pip_install = PIP_CONSTRAINT=$(CONSTRAINTS) PIP_BUILD_CONSTRAINT=$(CONSTRAINTS) \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check
+
 .PHONY: install
 install: prerequisites
-	@echo "setting up $(VENV) (a minute or two, once)"
+	@echo "setting up $(VENV) (about a minute, once)"
 	@$(PYTHON) -m venv $(if $(OTHER_PYTHON),--clear) $(VENV)
-	@PIP_CONSTRAINT=$(CONSTRAINTS) PIP_BUILD_CONSTRAINT=$(CONSTRAINTS) \
-		$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(pip_install) --editable '.[all]' setuptools click-man
 	@$(share)
+
+$(TOOLS): $(SETUP) $(OTHER_PYTHON) | $(BUILT)
+	@echo "adding the developers' tools to $(VENV) (a minute, once)"
+	@$(pip_install) 'hapticd[dev]'
+	@touch $@
 
 # The build's own requirements stand in pyproject.toml; pipx is in .venv.
 .PHONY: lock
-lock: build ## write constraints.txt: today's newest versions of all dependencies, for every Python from 3.11 on
+lock: tools ## write constraints.txt: today's newest versions of all dependencies, for every Python from 3.11 on
 	@mkdir -p build
 	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' \
 		>build/build-requires.txt
@@ -129,7 +140,7 @@ PYTEST_ALL = -n $(shell expr $(JOBS) + 1) --dist worksteal
 SECOND_RUN = PYTHONDONTWRITEBYTECODE= $(BIN)/python tests/second_run.py
 
 .PHONY: test
-test: build ## C tests and pytest without what is slow: about four minutes on two processors
+test: tools ## C tests and pytest without what is slow: about four minutes on two processors
 	@$(MAKE) --no-print-directory -j$(JOBS) c-build
 	@$(SECOND_RUN) $(C_TESTS) -- $(PYTEST_ALL) -m 'not slow'
 
@@ -140,19 +151,19 @@ QUICK_NOT := analysis/* fit/* *fuzz* *calibrat* cli/test_fit hid/test_descriptor
 QUICK := tests tests/integration/test_cli_live.py --ignore=tests/integration $(QUICK_NOT:%=--ignore-glob='tests/%*')
 
 .PHONY: quick
-quick: build ## the tests that take a minute at most: C tests, most of the unit tests, the commands against a daemon
+quick: tools ## the tests that take a minute at most: C tests, most of the unit tests, the commands against a daemon
 	@$(MAKE) --no-print-directory -j$(JOBS) c-build
 	@$(SECOND_RUN) $(C_TESTS) -- $(PYTEST_ALL) -q -m 'not slow' $(QUICK)
 
 .PHONY: test-browser
-test-browser: build ## the page opens in Chromium, and samples come
+test-browser: tools ## the page opens in Chromium, and samples come
 	@HAPTICD_BROWSER=required $(SECOND_RUN) -- -q tests/web/test_page.py::test_the_page_opens_and_samples_come
 
 # A missing browser, compiler or library of a client in another language fails this run; `make test` skips its tests.
 .PHONY: test-slow
 test-slow: export HAPTICD_BROWSER = required
 test-slow: export HAPTICD_CLIENTS = required
-test-slow: build ## the tests that make test leaves out: an hour
+test-slow: tools ## the tests that make test leaves out: an hour
 	@failed=0; \
 		$(SECOND_RUN) -- -n $(JOBS) --dist worksteal --durations=60 -m 'slow and not alone' || failed=1; \
 		$(SECOND_RUN) -- --durations=30 -m alone || failed=1; \
@@ -163,22 +174,22 @@ test-newest: ## make test with the newest version of every dependency, in an env
 	@$(MAKE) --no-print-directory test VENV=build/newest CONSTRAINTS=
 
 .PHONY: test-pythons
-test-pythons: build ## make test with every Python of this machine from 3.11 on, each in an environment of its own
+test-pythons: tools ## make test with every Python of this machine from 3.11 on, each in an environment of its own
 	@failed=0; for python in $$($(BIN)/python packaging/try_wheel.py --list); do \
 		echo "$$($$python --version) ($$python)"; \
 		$(MAKE) --no-print-directory test PYTHON=$$python VENV=build/python-$$(basename $$python) || failed=1; \
 	done; exit $$failed
 
 .PHONY: test-vm
-test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
+test-vm: tools ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
 	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh
 
 .PHONY: test-systemd
-test-systemd: build ## the installed service under systemd and udev, in a virtual machine: needs what test-vm needs, minutes
+test-systemd: tools ## the installed service under systemd and udev, in a virtual machine: needs what test-vm needs, minutes
 	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh -s
 
 .PHONY: deb
-deb: build ## dist/hapticd_VERSION_ARCH.deb, with what it needs of PyPI; DEB_VERSION=... names another version: two minutes
+deb: tools ## dist/hapticd_VERSION_ARCH.deb, with what it needs of PyPI; DEB_VERSION=... names another version: two minutes
 	@bash packaging/deb.sh $(BIN)/python $(DEB_VERSION)
 
 .PHONY: test-deb
@@ -187,7 +198,7 @@ test-deb: deb ## lintian on the Debian package; installed, upgraded and purged u
 	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh -d
 
 .PHONY: bench
-bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
+bench: tools ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
 	@$(BIN)/python -m bench --overwrite
 
 .PHONY: man
@@ -195,24 +206,24 @@ man: build ## man pages and completion scripts of the commands, into .venv/share
 	@$(share)
 
 .PHONY: vendor-check
-vendor-check: build ## compare the packages that the page uses with npm's
+vendor-check: tools ## compare the packages that the page uses with npm's
 	@$(BIN)/python -m tests.web.vendored
 
 .PHONY: screenshots
-screenshots: build ## take the pictures of the page that docs/ shows: needs Chromium
+screenshots: tools ## take the pictures of the page that docs/ shows: needs Chromium
 	@$(BIN)/python -m docs.screenshots
 
 .PHONY: docs
-docs: build ## the documentation as a site in build/site, to be opened without a server and without the network
+docs: tools ## the documentation as a site in build/site, to be opened without a server and without the network
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "open build/site/index.html"
 
 .PHONY: docs-tables
-docs-tables: build ## write the tables of docs/ that repeat code: keys, limits, defaults
+docs-tables: tools ## write the tables of docs/ that repeat code: keys, limits, defaults
 	@$(BIN)/python -m docs.tables
 
 .PHONY: format
-format: build ## lay out C and Python
+format: tools ## lay out C and Python
 	@$(BIN)/clang-format -i $(C_FILES)
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
@@ -227,7 +238,7 @@ clean: ## remove everything that was built, .venv too
 
 # The sdist, and the wheel of it. auditwheel gives the wheel the oldest glibc that it runs with, at most this machine's.
 .PHONY: wheel
-wheel: build ## sdist and wheel into dist/: of one wheel for every Python from 3.11 on, and this machine's glibc or newer
+wheel: tools ## sdist and wheel into dist/: of one wheel for every Python from 3.11 on, and this machine's glibc or newer
 	@rm -rf build/wheel dist/hapticd-* && mkdir -p build/wheel
 	@{ $(BIN)/python -m build --outdir build/wheel . && \
 		PATH="$(abspath $(BIN)):$$PATH" $(BIN)/auditwheel repair --wheel-dir dist build/wheel/hapticd-*.whl && \
@@ -240,13 +251,13 @@ wheel-test: wheel ## README's installation of that wheel in every Python of this
 	@$(BIN)/python packaging/try_wheel.py dist/hapticd-*.whl
 
 .PHONY: container-test
-container-test: build ## packaging/Containerfile built and run to a first tap: needs root, buildah and debootstrap or BASE=image; minutes
+container-test: tools ## packaging/Containerfile built and run to a first tap: needs root, buildah and debootstrap or BASE=image; minutes
 	@PYTHON=$(BIN)/python bash packaging/try_container.sh
 
 # ---- What CI runs, and what is run by hand ------------------------------------------------------------------------
 
 .PHONY: check
-check: build ## what .ci/run does, but for the fresh user: lint, C tests under three sanitizers, make test, the page in Chromium
+check: tools ## what .ci/run does, but for the fresh user: lint, C tests under three sanitizers, make test, the page in Chromium
 	@$(MAKE) --no-print-directory -j$(JOBS) --output-sync=target lint tsan asan ubsan
 	@$(MAKE) --no-print-directory test
 	@$(MAKE) --no-print-directory test-browser
@@ -255,7 +266,7 @@ VERIFIED = warnings analyze msan rtsan jitter verify-model rtsan-daemon tsan-dae
 	test-systemd test-pythons
 
 .PHONY: verify
-verify: build ## everything that check leaves out, before an issue is resolved that touches it; VERIFIED='...' for a part: hours
+verify: tools ## everything that check leaves out, before an issue is resolved that touches it; VERIFIED='...' for a part: hours
 	@mkdir -p build/verify; failed=; for each in $(VERIFIED); do \
 		begin=$$(date +%s); \
 		if $(MAKE) --no-print-directory $$each >build/verify/$$each.log 2>&1; then said=passed; \
@@ -265,7 +276,7 @@ verify: build ## everything that check leaves out, before an issue is resolved t
 	done; [ -z "$$failed" ] || { echo "failed:$$failed" >&2; exit 1; }
 
 .PHONY: lint
-lint: build
+lint: tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy --strict hapticd
@@ -287,7 +298,7 @@ warnings: build
 	fi
 
 .PHONY: verify-units
-verify-units: build ## systemd's own word on the units: valid, and exposed as little as docs/service.md says
+verify-units: tools ## systemd's own word on the units: valid, and exposed as little as docs/service.md says
 	@if command -v systemd-analyze >/dev/null; then \
 		$(BIN)/python -m pytest -q tests/system/test_service_files.py -k 'the_units_are' && \
 		for unit in hapticd hapticd-bridge hapticd-web; do \
@@ -302,7 +313,7 @@ analyze: ## gcc's static analyser over the C core
 	@for source in $(C_SOURCES); do gcc -fanalyzer -Werror $(C_FLAGS) -c $$source -o /dev/null || exit 1; done
 
 .PHONY: verify-model
-verify-model: build ## triple buffer and ring proved by spin, and the C code held to the models
+verify-model: tools ## triple buffer and ring proved by spin, and the C code held to the models
 	@$(BIN)/python -m tests.model.verify
 
 # ---- C tests -----------------------------------------------------------------------------------------------------
@@ -382,13 +393,13 @@ endef
 
 .PHONY: sanitize-daemon tsan-daemon asan-daemon ubsan-daemon rtsan-daemon
 sanitize-daemon: tsan-daemon asan-daemon ubsan-daemon rtsan-daemon ## the whole daemon under each of four sanitizers
-tsan-daemon: build ## the whole daemon under ThreadSanitizer, DAEMON_SECONDS=30
+tsan-daemon: tools ## the whole daemon under ThreadSanitizer, DAEMON_SECONDS=30
 	$(call sanitized_daemon,tsan,thread)
-asan-daemon: build ## the whole daemon under AddressSanitizer
+asan-daemon: tools ## the whole daemon under AddressSanitizer
 	$(call sanitized_daemon,asan,address)
-ubsan-daemon: build ## the whole daemon under UndefinedBehaviorSanitizer
+ubsan-daemon: tools ## the whole daemon under UndefinedBehaviorSanitizer
 	$(call sanitized_daemon,ubsan,undefined$(comma)float-cast-overflow)
-rtsan-daemon: build ## the whole daemon under RealtimeSanitizer
+rtsan-daemon: tools ## the whole daemon under RealtimeSanitizer
 	$(call sanitized_daemon,rtsan,realtime)
 
 # What cffi makes of csrc/api/, and how an executable is linked with this Python.
@@ -419,7 +430,7 @@ $(C_DIR)/launcher: tests/sanitized/launcher.c $(C_DIR)/_core.o $(C_OBJECTS) Make
 		$(PYTHON_LIBS) -lm -o $@
 
 .PHONY: fuzz
-fuzz: build ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, MESSAGES, DOCUMENTS=20000 and others
+fuzz: tools ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, MESSAGES, DOCUMENTS=20000 and others
 	@echo 'int LLVMFuzzerTestOneInput(const char *d, long s) { return !d && s; }' | \
 		$(CLANG) -fsanitize=fuzzer,address,undefined -x c - -o /dev/null 2>/dev/null || \
 		{ echo "make fuzz needs $(CLANG) with libFuzzer: install clang-22 and libclang-rt-22-dev (Debian)," \
@@ -439,7 +450,7 @@ fuzz: build ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, 
 	$(BIN)/python -m tests.soak.fuzz_recordings --runs $(RECORDINGS)
 
 .PHONY: torture
-torture: build ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000, CHANGES=50000, offline and live
+torture: tools ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000, CHANGES=50000, offline and live
 	@$(MAKE) --no-print-directory -j$(JOBS) $(C_DIR)/test_ramp
 	$(C_DIR)/test_ramp $(TICKS) $(CHANGES) 1
 	$(BIN)/python -m tests.soak.torture_live --ticks $(TICKS) --changes $(CHANGES)

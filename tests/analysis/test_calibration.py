@@ -166,6 +166,7 @@ def test_a_delay_is_told_from_damping() -> None:
     assert found.damping_n_s_per_m == pytest.approx(damping, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_drift_of_the_hand_does_no_harm() -> None:
     """A constant force that changes from burst to burst is not mistaken for anything."""
     rate, mass, damping, stiffness = 1000.0, 0.05, 5.0, 300.0

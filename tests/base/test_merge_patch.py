@@ -65,6 +65,7 @@ def test_cases_of_the_rfc(original: str, patch: str, result: str) -> None:
 
 
 @given(json_values, json_values)
+@pytest.mark.slow
 def test_equals_the_pseudocode_and_changes_neither_argument(target: Json, patch: Json) -> None:
     target_before, patch_before = copy.deepcopy(target), copy.deepcopy(patch)
     assert merge_patch(target, patch) == rfc_pseudocode(copy.deepcopy(target), patch)

@@ -53,6 +53,7 @@ def test_calibrate_writes_the_section(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_calibrate_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
     Path("old.yaml").write_text("old")
     assert main(["calibrate", "-c", "sim.yaml", "--json", "-o", "old.yaml", "--overwrite", "--axis", "y"]) == 0

@@ -112,6 +112,7 @@ def test_its_clock_is_the_daemons(lsl: Any) -> None:
     assert before - 1000 <= now_s * 1e9 <= time.clock_gettime_ns(time.CLOCK_MONOTONIC) + 1000
 
 
+@pytest.mark.slow
 def test_every_sample_arrives_once_in_order_with_the_daemons_times_and_numbers(
     lsl: Any, daemon: Daemon, client: Client
 ) -> None:
@@ -182,6 +183,7 @@ def test_codes_of_a_session_come_with_the_numbers_of_their_trials(
     assert np.max(np.abs(np.array(of_marks) * 1e9 - np.array(times_ns))) <= 1.0
 
 
+@pytest.mark.slow
 def test_what_is_touched_has_codes_too(lsl: Any, daemon: Daemon, client: Client) -> None:
     with bridged(daemon):
         client.set_scene({"objects": {"floor": FLOOR}}, wait=True)

@@ -77,6 +77,7 @@ def test_sides_are_balanced_for_each_pair_and_for_each_stimulus(seed: int) -> No
         assert abs(first[stimulus] - second[stimulus]) <= 1
 
 
+@pytest.mark.slow
 def test_no_order_effect_over_ten_thousand_seeds() -> None:
     """Seven stimuli as in the paper: each pair stands at each of 28 places equally often, in either order equally
     often, and follows each other pair equally often."""

@@ -164,6 +164,7 @@ def test_the_participants_page_may_ask_for_nothing_of_the_scene(tmp_path: Path, 
     assert told == [f"no method {method!r} for a page" for method in REFUSED]
 
 
+@pytest.mark.slow
 def test_a_session_that_was_stopped_goes_on_to_its_end_with_the_pages(
     tmp_path: Path, start: Callable[..., Running]
 ) -> None:

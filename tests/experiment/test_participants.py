@@ -46,6 +46,7 @@ def _answers(root: Path, plan: Plan, front: SimulatedFront | None = None) -> lis
     return [record["answer"] for record in read_log(folder.path / "log.jsonl").records if record["kind"] == "answer"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_answers_alike_and_another_one_otherwise(tmp_path: Path) -> None:
     document = {**STUDY, "repetitions": 3}
     plan = planned(document)
@@ -54,6 +55,7 @@ def test_the_same_seed_answers_alike_and_another_one_otherwise(tmp_path: Path) -
     assert _answers(tmp_path / "c", dataclasses.replace(plan, seed=99)) != first
 
 
+@pytest.mark.slow
 def test_memory_stays_flat_over_a_session(tmp_path: Path) -> None:
     """A trial leaves its number behind and nothing else: less than a record of the log, which has some 800 bytes."""
     plan = planned({**STUDY, "repetitions": 16})
@@ -306,6 +308,7 @@ def test_the_paper_s_order_is_that_of_the_model() -> None:
         assert spearmanr([right[pair] for pair in pairs], [table[other, one] for one, other in pairs])[0] > 0.6
 
 
+@pytest.mark.slow
 def test_gratings_of_vibration_are_told_apart_at_least_as_well_as_those_of_geometry() -> None:
     """In expectation over the noise, of what eight hands feel in the ten pairs of the texture study."""
     from itertools import combinations

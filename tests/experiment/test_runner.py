@@ -362,6 +362,7 @@ def test_a_stop_by_somebody_else_is_found_and_no_forces_come_without_a_lease(tmp
         assert other.get_status()["forces"] == "off"
 
 
+@pytest.mark.slow
 def test_a_daemon_that_is_killed_ends_the_run_in_one_line_and_another_goes_on(tmp_path: Path) -> None:
     with running_daemon("-c", str(_config(tmp_path))) as daemon, connect(daemon.directory, timeout_s=3.0) as client:
 

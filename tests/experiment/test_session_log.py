@@ -156,6 +156,7 @@ def test_a_full_disk_leaves_the_log_as_it_was(tmp_path: Path, monkeypatch: pytes
     assert [record["kind"] for record in read_log(path).records] == ["note", "answer"]
 
 
+@pytest.mark.slow
 def test_killed_at_random_moments_nothing_is_lost_and_nothing_doubled(tmp_path: Path) -> None:
     """What the process said it had appended is in the log, in order, once; at most one more, which it could not say."""
     path = tmp_path / "log.jsonl"

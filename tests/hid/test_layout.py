@@ -520,6 +520,7 @@ def check(descriptor: Descriptor, found: Layout) -> None:
     json.dumps(found.to_dict(), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_layouts_of_mutated_descriptors() -> None:
     source = random.Random(2)
     usable = 0

@@ -107,6 +107,7 @@ def test_who_gives_up_waiting_waits_no_longer(tmp_path: Path) -> None:
     assert isinstance(answer(), TimeoutError)
 
 
+@pytest.mark.slow
 def test_a_client_may_come_before_the_bridge(daemon: Daemon, tmp_path: Path) -> None:
     with running_bridge(tmp_path, daemon.directory, {"alice": "command"}) as bridge:
         address, keys = bridge.address, bridge.as_client("alice")
@@ -136,6 +137,7 @@ def test_asyncio_connects_in_both_ways(daemon: Daemon) -> None:
 # ---- Where the environment says --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_environment_names_a_bridge_and_its_keys(
     daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

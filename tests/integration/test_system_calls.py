@@ -159,6 +159,7 @@ def test_the_daemon(tmp_path: Path) -> None:
             next(states)
 
 
+@pytest.mark.slow
 def test_the_bridge(tmp_path: Path) -> None:
     server, alice = new_certificate(), new_certificate()
     write_certificate(server, "server", tmp_path / "keys")

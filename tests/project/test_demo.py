@@ -357,6 +357,7 @@ def test_too_little_without_a_missed_period_ends_with_1(run_demo: RunDemo, monke
     assert code == 1 and "wrong: wood: 26 of 27 taps, and no period was missed" in output
 
 
+@pytest.mark.slow
 def test_a_landing_without_a_tap_is_wrong_however_many_periods_are_missed(run_demo: RunDemo) -> None:
     code, output = run_demo(Machine(few_missed))
     assert code == 0 and "not enough seen: wood: 0 of 10 taps" in output

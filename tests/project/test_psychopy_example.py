@@ -82,6 +82,7 @@ def watched(daemon: Daemon, folder: Path, front: ScriptedFront) -> tuple[str, Sc
     return endings[0], screen
 
 
+@pytest.mark.slow
 def test_the_screen_follows_a_session(daemon: Daemon, tmp_path: Path) -> None:
     front = ScriptedFront()
     front.commands = {"ready": [Command("pause")]}

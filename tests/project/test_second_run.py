@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SCRIPT = Path(__file__).resolve().parent.parent / "second_run.py"
 FAILS_ONCE = """
 from pathlib import Path
@@ -53,6 +55,7 @@ def test_a_test_that_fails_twice_fails_the_run(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_failure_of_an_earlier_run_is_not_run_again(tmp_path: Path) -> None:
     (tmp_path / "test_once.py").write_text(FAILS_ONCE)
     (tmp_path / "test_twice.py").write_text(FAILS)

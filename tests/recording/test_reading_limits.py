@@ -97,6 +97,7 @@ def blocks(begin: bytes, mebis: int) -> Iterator[bytes]:
 SAMPLES = np.lib.format.dtype_to_descr(SAMPLE_DTYPE)
 
 
+@pytest.mark.slow
 def test_samples_that_were_compressed_take_what_they_may(tmp_path: Path) -> None:
     count = (100 << 20) // 112
     path = archive(tmp_path / "a.npz", samples=blocks(header((count,), SAMPLES), 100))
@@ -130,6 +131,7 @@ def test_a_directory_without_end(tmp_path: Path) -> None:
     assert refusal(path) == "a.npz: is no recording of hapticd: the directory of its archive is too long"
 
 
+@pytest.mark.slow
 def test_texts_take_what_they_may(tmp_path: Path) -> None:
     text = "[" + "[]," * 1_000_000 + "[]]"
     path = archive(tmp_path / "a.npz", scene=iter([header((), f"<U{len(text)}"), text.encode("utf-32-le")]))
@@ -163,6 +165,7 @@ def rows() -> tuple[bytes, bytes]:
     return names + b"\n", row + b"\n"
 
 
+@pytest.mark.slow
 def test_rows_take_what_samples_do(tmp_path: Path) -> None:
     names, row = rows()
     short = b",".join(b"0" for _ in row.split(b",")) + b"\n"
@@ -272,6 +275,7 @@ def test_events_of_all_kinds_keep_their_order_and_their_lines(tmp_path: Path) ->
         assert f"a.events.csv: line {lines + 1} {told}" in refusal(path)
 
 
+@pytest.mark.slow
 def test_short_texts_of_events_are_counted_as_what_they_take(tmp_path: Path) -> None:
     """A text of three letters takes 52 bytes, and its place in a map."""
     names = b"event" + b"".join(b",c%d" % at for at in range(500)) + b"\n"

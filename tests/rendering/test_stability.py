@@ -417,6 +417,7 @@ def test_a_set_is_no_larger_than_a_pair_and_what_meets_both() -> None:
 # ---- What must hold ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_nothing_that_is_called_safe_cycles_or_grows_and_what_grows_linearly_does() -> None:
     found = counted(SEED + 1, range(70), 128.0)
     assert found.broken == []
@@ -443,6 +444,7 @@ def test_walls_beyond_a_limit_cycle() -> None:
             assert fate_of(config, [[0, 0, 0.005], [0.01, 0, 0.005]], 64.0).fate == fate
 
 
+@pytest.mark.slow
 def test_the_linear_simulation_knows_what_decays() -> None:
     for index in range(60):
         trial = draw(np.random.default_rng((8, index)))

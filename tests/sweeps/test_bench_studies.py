@@ -59,6 +59,7 @@ def test_the_bench_computes_its_studies_as_the_functions_do() -> None:
     assert {key: row[key] for key in expected_fit} == expected_fit
 
 
+@pytest.mark.slow
 def test_a_point_without_a_result_ends_a_bench() -> None:
     with client_of(None, 1, threads=True) as client, pytest.raises(RuntimeError, match=r"fit_taps: bench.fit:fitted: "):
         swept(client, "fit_taps", lambda part: None, {"parameters.material": ["cheese"], "parameters.set": [0]})

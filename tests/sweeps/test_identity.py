@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,6 +31,7 @@ def normal(data: Json) -> object:
 
 
 @given(DOCUMENTS, DOCUMENTS)
+@pytest.mark.slow
 def test_the_same_sum_means_the_same_document(one: Json, other: Json) -> None:
     same = normal(one) == normal(other)
     assert (sum_of(one).tolist() == sum_of(other).tolist()) == same

@@ -40,6 +40,7 @@ def without_clock(log: Path) -> list[Any]:
     return [first, *others]
 
 
+@pytest.mark.slow
 def test_participants_in_bulk_are_those_that_are_simulated_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -70,6 +70,7 @@ def test_a_wall_below_the_line_rests_and_above_it_oscillates_with_the_handle_let
     assert just_above.sum() > 5 and decays[just_above].all() == (hand == "light hand")
 
 
+@pytest.mark.slow
 def test_the_errors_are_as_the_study_says() -> None:
     rows = rows_of(load_sweep("displayed_error"), lambda row: row["device.compensation"] == "mass")
     high = ["aluminum", "glass", "cast_iron", "steel"]

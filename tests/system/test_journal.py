@@ -182,6 +182,7 @@ def overrun(missed: int = 3, count: int = 2) -> dict[str, object]:
     return {"event": "overrun", "tick": 1, "time_ns": 0, "missed": missed, "count": count}
 
 
+@pytest.mark.slow
 def test_a_flood_is_one_line_at_once_and_then_sums_at_doubling_intervals(said: pytest.LogCaptureFixture) -> None:
     """As a daemon without real-time rights has it: for ten hours some periods are missed ten times a second."""
     clock = Clock()

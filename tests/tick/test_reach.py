@@ -155,6 +155,7 @@ def test_walls_in_all_directions_are_met_where_they_are() -> None:
     assert (depth > 0).sum() > 100
 
 
+@pytest.mark.slow
 def test_objects_that_come_move_and_go_every_tick() -> None:
     """An update before each tick, far away and near, on both scenes; those of one live among 800 others."""
     rng = np.random.default_rng(7)

@@ -497,6 +497,7 @@ def test_same_seed_same_samples_another_seed_others() -> None:
 # ---- 4. blends -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_models_that_swing_every_20_samples_stay_within_6_times_their_rms() -> None:
     """10,000 random stable models of any order, each with another: an RMS of 1 at both ends, so of 1 between."""
     rng = np.random.default_rng(3)
