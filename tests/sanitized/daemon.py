@@ -40,6 +40,7 @@ import hapticd
 from hapticd.client.blocking import Client
 from hapticd.protocol.calls import RemoteError
 from hapticd.protocol.messages import Code
+from tests.support.daemon_process import listens
 
 ROOT: Final = Path(__file__).parents[2]
 CONFIG: Final = ROOT / "config"
@@ -131,7 +132,7 @@ class Daemon:
                 text=True,
             )
         try:
-            until(lambda: (self.runtime / "hapticd.command").exists(), self)
+            until(lambda: listens(self.runtime / "hapticd.command"), self)
         except BaseException:
             self.process.kill()
             raise

@@ -22,6 +22,8 @@ import hapticd
 
 PATIENCE_S = 120.0
 """How long a test waits for what is sure to come, on however busy a machine: a bound for tests that are broken."""
+_ACCEPTS_CONNECTIONS = 0x10000
+"""Flag of /proc/net/unix: __SO_ACCEPTCON of linux/net.h."""
 
 connect = partial(hapticd.connect, timeout_s=PATIENCE_S)
 
@@ -32,6 +34,15 @@ def until(what: Callable[[], bool]) -> None:
     while not what():
         assert time.monotonic() < deadline
         pause.wait(0.01)
+
+
+def listens(path: Path) -> bool:
+    """Whether a process listens at the socket `path`. Its file is there a moment earlier, and refuses who comes then.
+
+    The kernel's list says so without a connection, which the daemon would count.
+    """
+    rows = (row.split(maxsplit=7) for row in Path("/proc/net/unix").read_text().splitlines()[1:])
+    return any(int(row[3], 16) & _ACCEPTS_CONNECTIONS and row[7:] == [str(path)] for row in rows)
 
 
 class Daemon:
@@ -53,10 +64,10 @@ class Daemon:
 
     def wait_ready(self) -> None:
         deadline = time.monotonic() + PATIENCE_S
-        while not (self.directory / "hapticd.command").exists():
+        while not listens(self.directory / "hapticd.command"):
             assert self.process.poll() is None, self.said()
             assert time.monotonic() < deadline, "not ready"
-            time.sleep(0.01)  # another process: its socket file is the event, and nothing tells of it
+            time.sleep(0.01)  # another process: its socket is the event, and nothing tells of it
 
     def said(self) -> str:
         return self.log.read_text()

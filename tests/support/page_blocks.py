@@ -19,6 +19,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.daemon_process import listens
+
 ROOT = Path(__file__).parents[2]
 SHELL = ("sh", "bash", "shell", "console")
 """Languages of fenced blocks that a shell takes."""
@@ -144,10 +146,10 @@ class Reader:
         with self.starts(block) as process:
             try:
                 deadline = time.monotonic() + 60
-                while not (self.runtime / "hapticd" / "hapticd.command").exists():
+                while not listens(self.runtime / "hapticd" / "hapticd.command"):
                     assert process.poll() is None, f"{block.where}: {process.communicate()}"
                     assert time.monotonic() < deadline, f"{block.where}: no daemon in a minute"
-                    time.sleep(0.01)  # another process: its socket file is the event, and nothing tells of it
+                    time.sleep(0.01)  # another process: its socket is the event, and nothing tells of it
                 yield
             finally:
                 with suppress(ProcessLookupError):

@@ -153,7 +153,7 @@ class Daemon:
         )
         if not ready or self.process.poll() is not None:
             raise RuntimeError(f"the daemon did not start: {self.said()}")
-        self.client = hapticd.connect(RUNTIME, timeout_s=30)
+        self.client = hapticd.connect(RUNTIME, timeout_s=30, wait_s=30)
 
     def said(self) -> str:
         return self.log.read_text()
