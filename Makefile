@@ -72,10 +72,10 @@ pip_install = PIP_CONSTRAINT=$(CONSTRAINTS) PIP_BUILD_CONSTRAINT=$(CONSTRAINTS) 
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .PHONY: install
-install: prerequisites
+install: prerequisites build/build-requires.txt
 	@echo "setting up $(VENV) (about a minute, once)"
 	@$(PYTHON) -m venv $(if $(OTHER_PYTHON),--clear) $(VENV)
-	@$(pip_install) --editable '.[all]' setuptools click-man
+	@$(pip_install) --editable '.[all]' --requirement build/build-requires.txt
 	@$(share)
 
 $(TOOLS): $(SETUP) $(OTHER_PYTHON) | $(BUILT)
@@ -83,12 +83,13 @@ $(TOOLS): $(SETUP) $(OTHER_PYTHON) | $(BUILT)
 	@$(pip_install) 'hapticd[dev]'
 	@touch $@
 
-# The build's own requirements stand in pyproject.toml; pipx is in .venv.
-.PHONY: lock
-lock: tools ## write constraints.txt: today's newest versions of all dependencies, for every Python from 3.11 on
+# The build's own requirements: .venv compiles the C core again whenever it changes.
+build/build-requires.txt: pyproject.toml | prerequisites
 	@mkdir -p build
-	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' \
-		>build/build-requires.txt
+	@$(PYTHON) -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' >$@
+
+.PHONY: lock
+lock: tools build/build-requires.txt ## write constraints.txt: today's newest versions of all dependencies, for every Python from 3.11 on
 	@$(BIN)/pipx run uv pip compile --quiet --universal --python-version 3.11 --all-extras --no-annotate --no-header \
 		pyproject.toml build/build-requires.txt >build/constraints.txt
 	@{ echo "# Versions of $$(date +%F), written by make lock; what make build installs."; cat build/constraints.txt; } >constraints.txt
@@ -171,6 +172,7 @@ test-slow: tools ## the tests that make test leaves out: an hour
 
 .PHONY: test-newest
 test-newest: ## make test with the newest version of every dependency, in an environment of its own
+	@rm -rf build/newest
 	@$(MAKE) --no-print-directory test VENV=build/newest CONSTRAINTS=
 
 .PHONY: test-pythons
