@@ -53,33 +53,23 @@ def test_the_space_bar_takes_the_force_to_zero_within_50_ms(held: Page) -> None:
     assert 0 < min(took) < 50, took
 
 
-def stop_by(page: Page, way: str) -> None:
-    if way == "button":
-        page.locator("#stop").click()
-    elif way == "Space on a button":
-        page.locator("#objects-tab").focus()
-        page.keyboard.press(" ")
-    elif way == "Enter on the stop button":
-        page.locator("#stop").focus()
-        page.keyboard.press("Enter")
-    else:
-        page.locator("#typed").focus()
-        page.keyboard.press("Escape")
-
-
 @pytest.mark.parametrize("way", ["button", "Space on a button", "Escape in a field", "Enter on the stop button"])
 def test_every_way_to_stop_stops(held: Page, way: str) -> None:
     held.evaluate(
         "() => document.getElementById('materials-panel').insertAdjacentHTML('beforeend', '<input id=\"typed\">')"
     )
-    for _ in range(5):
-        stop_by(held, way)
-        held.wait_for_function(f"() => ({OFF})() || ({LAPSED})()")
-        if held.evaluate(OFF):
-            break
-        # Before it was stopped, the machine held the page up for longer than its lease: so nothing is seen of the stop.
-        assert held.evaluate("() => hapticd.safety.engage()")
-        held.wait_for_function(ON)
+    if way == "button":
+        held.locator("#stop").click()
+    elif way == "Space on a button":
+        held.locator("#objects-tab").focus()
+        held.keyboard.press(" ")
+    elif way == "Enter on the stop button":
+        held.locator("#stop").focus()
+        held.keyboard.press("Enter")
+    else:
+        held.locator("#typed").focus()
+        held.keyboard.press("Escape")
+    held.wait_for_function(OFF)
     assert held.evaluate("() => hapticd.safety.holder") is None
     assert held.locator("#forces-state").inner_text() == "Forces off"
 
