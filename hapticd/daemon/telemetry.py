@@ -179,7 +179,7 @@ class Telemetry:
         batch = self._samples[: self._held]
         self._held = 0
         if self._publisher.wants("samples"):
-            data = memoryview(batch.view(np.uint8))  # type: ignore[arg-type]
+            data = batch.view(np.uint8).data
             self._publisher.publish("samples", _samples_head(int(batch["tick"][0]), self._dropped, len(data)), data)
         if self._flight is not None:
             self._flight.keep_samples(batch)

@@ -47,7 +47,7 @@ class Records:
 
     def _hold(self, array: npt.NDArray[np.void]) -> None:
         self.array = array
-        self.memory = memoryview(array.view(np.uint8))  # type: ignore[arg-type]
+        self.memory = array.view(np.uint8).data
         self.pointer: CData = pointer(self._ctype + "[]", array)
 
     def reserve(self, count: int) -> None:
