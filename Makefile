@@ -137,7 +137,7 @@ paper-experiments: build ## the paper's three experiments, eight simulated parti
 # pytest in a process more than there are processors, as many tests wait for a daemon. What Python and pytest compile is
 # kept, whatever the shell says: to do it anew costs seconds.
 PYTEST_ALL = -n $(shell expr $(JOBS) + 1) --dist worksteal
-# Tests that take all processors run in one process. A test that fails is run a second time, with nothing beside it.
+# A test that fails is run a second time, with nothing beside it.
 SECOND_RUN = PYTHONDONTWRITEBYTECODE= $(BIN)/python tests/second_run.py
 
 .PHONY: test
@@ -160,7 +160,8 @@ quick: tools ## the tests that take a minute at most: C tests, most of the unit 
 test-browser: tools ## the page opens in Chromium, and samples come
 	@HAPTICD_BROWSER=required $(SECOND_RUN) -- -q tests/web/test_page.py::test_the_page_opens_and_samples_come
 
-# A missing browser, compiler or library of a client in another language fails this run; `make test` skips its tests.
+# A missing browser, compiler or library of a client in another language fails this run; `make test` skips its tests. Those
+# marked `alone` take all processors: they run in one process, after the others.
 .PHONY: test-slow
 test-slow: export HAPTICD_BROWSER = required
 test-slow: export HAPTICD_CLIENTS = required
