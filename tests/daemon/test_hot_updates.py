@@ -186,6 +186,22 @@ def test_ramps_that_begin_after_missed_periods_begin_at_their_beginning() -> Non
     assert steps(enabled.render(path, periods=late), before) <= largest
 
 
+@pytest.mark.parametrize("every", [2, 5, 20, 50])
+def test_contact_that_comes_in_anew_and_what_commands_change_of_it_ramp_beside_each_other(every: int) -> None:
+    """A stall, and a wall that is moved up and down by 10 um in the ramp after it: two ramps, each of its own force."""
+    rig, _ = pressed({"w": FLOOR})
+    before = rig.render(still(0, -0.002, 1), periods=[500])
+    assert before["contact_force_n"][-1, 1] == 0.0
+    batches = []
+    for n in range(800 // every):
+        rig.update({"w": {**FLOOR, "point_m": [0, 1e-5 * (n % 2)]}})
+        batches.append(rig.render(still(0, -0.002, every)))
+    samples = np.concatenate(batches)
+    one_ramp = 800 * (0.002 + 1e-5) / (RAMP * RATE)
+    assert one_ramp < steps(samples, before) < 2 * one_ramp
+    assert rig.render(still(0, -0.002, 201))["contact_force_n"][-1, 1] == pytest.approx(1.608)
+
+
 def test_fade_to_zero_is_due_by_the_clock() -> None:
     rig, _ = pressed({"w": FLOOR})
     lib.hd_state_enable(rig.state, 0)
