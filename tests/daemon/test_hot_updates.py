@@ -187,8 +187,9 @@ def test_ramps_that_begin_after_missed_periods_begin_at_their_beginning() -> Non
 
 
 @pytest.mark.parametrize("every", [2, 5, 20, 50])
-def test_contact_that_comes_in_anew_and_what_commands_change_of_it_ramp_beside_each_other(every: int) -> None:
-    """A stall, and a wall that is moved up and down by 10 um in the ramp after it: two ramps, each of its own force."""
+def test_the_ramp_of_a_contact_after_a_stall_and_that_of_commands_add_up(every: int) -> None:
+    """After the stall the wall is moved by 10 um, up or down, once in `every` ticks. Neither ramp is steeper than one
+    ramp of the whole force, so their sum stays below two."""
     rig, _ = pressed({"w": FLOOR})
     before = rig.render(still(0, -0.002, 1), periods=[500])
     assert before["contact_force_n"][-1, 1] == 0.0

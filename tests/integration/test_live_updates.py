@@ -12,7 +12,7 @@ from tests.support.daemon_process import connect, running_daemon, wired
 FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}
 UPDATES = 3000
 RAMP_S = 0.02
-RAMP_TICKS = 200
+RAMP_TICKS = 200  # at the 10 kHz of the daemon
 EVERY = 100  # of them is a play, and one a reset of another object
 
 
@@ -64,16 +64,16 @@ def test_updates_lose_nothing_and_step_nothing() -> None:
         # In contact throughout: the force never falls to nothing, and steps by no more than a ramp of the whole force.
         contact = span["contact_force_n"][:, 1]
         largest = contact.max()
-        # A stall longer than the ramp has the contact come in anew, over a ramp of its own, which goes on by ticks.
-        # Beside it goes that of what the updates change, which is never more than the whole force either.
+        # After a stall longer than the ramp, the contact force rises from zero over a ramp that counts ticks. The ramp
+        # of what the updates change is added to it. Neither is steeper than one ramp of the whole force.
         stalls = np.flatnonzero(np.diff(span["time_ns"]) > RAMP_S * 1e9) + 1
-        anew = np.zeros(len(span), bool)
+        resumed = np.zeros(len(span), bool)
         for stall in stalls.tolist():
-            anew[stall : stall + 2 * RAMP_TICKS] = True
-        assert contact[~anew].min() > 0.3 * largest
+            resumed[stall : stall + 2 * RAMP_TICKS] = True
+        assert contact[~resumed].min() > 0.3 * largest
         moved = 800 * np.abs(np.diff(span["position_m"][:, 1]))  # what the hand itself moved
         whole = 800 * (1e-5 - span["position_m"][:, 1].min())  # what the deepest place calls for
-        ramps = np.where(anew[1:], 2, 1)
+        ramps = np.where(resumed[1:], 2, 1)
         allowed = moved + ramps * whole * np.diff(span["time_ns"]) * 1e-9 / RAMP_S
         assert np.all(np.abs(np.diff(contact)) <= allowed + 1e-9)
         assert wire.result("get_status")["counters"]["samples_dropped"] == 0

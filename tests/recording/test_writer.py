@@ -143,7 +143,7 @@ def test_what_fails_leaves_nothing_and_changes_nothing(tmp_path: Path, name: str
 # ---- Nothing is replaced unasked -----------------------------------------------------------------------------------
 
 
-EACH_FILE = pytest.mark.parametrize(
+RECORDING_FILES = pytest.mark.parametrize(
     ("name", "there"),
     [
         ("run.npz", "run.npz"),
@@ -153,10 +153,10 @@ EACH_FILE = pytest.mark.parametrize(
         ("run.csv", "run.about.json"),
     ],
 )
-"""Each file that a recording is made of, by the name of the recording."""
+"""`name` is the target of a recording, `there` one of the files that it consists of."""
 
 
-@EACH_FILE
+@RECORDING_FILES
 def test_a_file_that_is_there_is_not_replaced_unasked(tmp_path: Path, name: str, there: str) -> None:
     (tmp_path / there).write_text("precious")
     with pytest.raises(HapticdError, match=f"{there}: is there already; give another name, or --overwrite"):
@@ -215,7 +215,7 @@ def test_the_target_of_a_link_is_replaced_not_the_link(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
-@EACH_FILE
+@RECORDING_FILES
 def test_what_is_no_regular_file_is_refused(tmp_path: Path, name: str, there: str, kind: str, overwrite: bool) -> None:
     (tmp_path / "linked").mkdir()
     special(tmp_path / there, kind)
