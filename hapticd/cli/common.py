@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 from click.core import ParameterSource
 
-from hapticd.base.errors import known_names, quoted
+from hapticd.base.errors import HapticdError, known_names, quoted
 from hapticd.base.yaml_text import yaml_text
 from hapticd.cli import names
 from hapticd.cli.shell import shell_words
@@ -22,6 +22,7 @@ from hapticd.system.journal import LEVELS
 if TYPE_CHECKING:
     from hapticd.client.blocking import Client
     from hapticd.config.shipped_files import Folder
+    from hapticd.system.paths import RuntimePaths
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -84,6 +85,20 @@ def place_words(ctx: click.Context) -> tuple[str | None, str | None, str | None]
             f"--connect needs {' and '.join(missing)}, or the variables HAPTICD_KEY and HAPTICD_SERVER_KEY", root
         )
     return place, key, server_key
+
+
+def place_here(ctx: click.Context) -> RuntimePaths:
+    """Where the daemon is, for commands that take one of this machine alone: pages, and clocks that they share.
+
+    Raises HapticdError where the command line or the environment names another machine.
+    """
+    from hapticd.protocol.places import place_of
+    from hapticd.protocol.remote import Remote
+
+    place = place_of(*place_words(ctx))
+    if isinstance(place, Remote):
+        raise HapticdError(f"{place}: {ctx.command_path} runs on the daemon's machine, and takes no other")
+    return place
 
 
 def config_option(command: _F) -> _F:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hapticd.base.errors import HapticdError
-from hapticd.cli.common import place_words
+from hapticd.cli.common import place_here
 from hapticd.cli.listening import Listening, listening_options, refuse_another_daemon
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hapticd.experiment.pages.pages_front import PagesFront
     from hapticd.experiment.plan import Plan
     from hapticd.experiment.stage import Stage
-    from hapticd.protocol.places import Place
+    from hapticd.system.paths import RuntimePaths
 
 PORT = 8766
 
@@ -34,12 +34,10 @@ demo_option = click.option(
 
 
 @contextmanager
-def place_of_session(ctx: click.Context, demo: bool) -> Iterator[Place]:
+def place_of_session(ctx: click.Context, demo: bool) -> Iterator[RuntimePaths]:
     """Where the daemon of a session is; with `demo` one of its own, as long as the context lasts."""
-    from hapticd.protocol.places import place_of
-
     if not demo:
-        yield place_of(*place_words(ctx))
+        yield place_here(ctx)
         return
     refuse_another_daemon(ctx)
     from hapticd.web.demo import DemoDaemon
@@ -49,7 +47,7 @@ def place_of_session(ctx: click.Context, demo: bool) -> Iterator[Place]:
 
 
 @contextmanager
-def live_stage(place: Place, lsl: bool) -> Iterator[DaemonStage]:
+def live_stage(place: RuntimePaths, lsl: bool) -> Iterator[DaemonStage]:
     """The daemon at `place` as a stage; with `lsl` what happens goes to Lab Streaming Layer, too."""
     from hapticd.client.blocking import Client
     from hapticd.experiment.daemon_stage import DaemonStage
@@ -65,7 +63,7 @@ def live_stage(place: Place, lsl: bool) -> Iterator[DaemonStage]:
 
 
 def run_on_pages(
-    place: Place, listening: Listening, made: Plan, lsl: bool, session: Callable[[Stage, PagesFront], int]
+    place: RuntimePaths, listening: Listening, made: Plan, lsl: bool, session: Callable[[Stage, PagesFront], int]
 ) -> int:
     """Shows both pages while `session` runs on the daemon at `place`; returns what it returns."""
     if importlib.util.find_spec("aiohttp") is None:

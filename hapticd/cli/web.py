@@ -10,7 +10,7 @@ import click
 
 from hapticd.base.errors import HapticdError
 from hapticd.cli import names
-from hapticd.cli.common import log_options, place_words
+from hapticd.cli.common import log_options, place_here
 from hapticd.cli.listening import Listening, listening_options, refuse_another_daemon
 
 
@@ -58,11 +58,9 @@ def web_command(
         refuse_another_daemon(ctx)
     if configs and not demo:
         raise click.UsageError("--config is for --demo: a daemon that runs has a configuration already", ctx)
-    words = None if demo else place_words(ctx)
-    from hapticd.protocol.places import place_of
+    place = None if demo else place_here(ctx)
     from hapticd.web.process import Options, run
 
-    place = None if words is None else place_of(*words)
     return run(
         Options(
             place=place,

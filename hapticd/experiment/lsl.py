@@ -25,7 +25,6 @@ from hapticd.client.record import ENDED, ENDED_AFTER_S
 from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.experiment.event_codes import TRIAL_NUMBERS, EventCode, code_of
 from hapticd.protocol.places import has_ended, no_telemetry, place_name
-from hapticd.protocol.remote import Remote
 from hapticd.protocol.results import Status
 
 SAMPLES: Final = "hapticd samples"
@@ -171,19 +170,15 @@ class Outlets:
 def stream(client: Client, stop: threading.Event, started: Callable[[], None] = lambda: None) -> Sent:
     """Passes a daemon's telemetry on until `stop` is set, up to the tick that the daemon is at then.
 
-    `started` is called once the outlets are there. Raises HapticdError where pylsl is missing and through a bridge,
-    DaemonNotRunning where the daemon goes away.
+    `started` is called once the outlets are there. Raises HapticdError where pylsl is missing, DaemonNotRunning
+    where the daemon goes away.
     """
-    if isinstance(client.paths, Remote):
-        raise HapticdError(
-            f"{place_name(client.paths)}: its times are of another machine's clock; run this on the daemon's machine"
-        )
     _pylsl()
     status, account = client.get_status(), SampleStream(warn=False)
     last_tick: int | None = None
     with (
         client.telemetry("samples", "event") as messages,
-        Outlets(status, str(client.paths.directory)) as outlets,
+        Outlets(status, place_name(client.paths)) as outlets,
     ):
         started()
         heard_s = time.monotonic()

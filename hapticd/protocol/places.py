@@ -176,8 +176,8 @@ def _probe_bridge(
         raise DaemonNotRunning(refused.why)
     if refused.by == "key" and command and place.knock(timeout_s, command=False) is None:
         raise KeyRefused(
-            f"{refused.why} for commands: it may only watch; `hapticd watch` and `hapticd web` go with it, and a key "
-            "for commands has `may: command` at the bridge"
+            f"{refused.why} for commands: it may only watch; `hapticd watch` goes with it, and a key for "
+            "commands has `may: command` at the bridge"
         )
     if refused.by == "key":
         raise KeyRefused(f"{refused.why}: the bridge's file lists no client with it; `hapticd key new` prints its line")

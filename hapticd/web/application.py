@@ -14,7 +14,7 @@ from typing import Final
 from aiohttp import web
 
 from hapticd.client.asynchronous import Client
-from hapticd.protocol.places import Place
+from hapticd.system.paths import RuntimePaths
 from hapticd.web import library, page_calls, page_methods, yaml_methods
 from hapticd.web.connections import Connections
 from hapticd.web.page import FROZEN_S, MAX_MESSAGE, Method, Page
@@ -41,7 +41,7 @@ _log = logging.getLogger("hapticd.web")
 class Pages:
     """The pages that are open, and what they share."""
 
-    place: Place
+    place: RuntimePaths
     hub: TelemetryHub
     control: Client
     """To the daemon: leases and stops of all pages, which no other call waits in front of."""

@@ -19,7 +19,7 @@ from hapticd.client.base import connect_commands
 from hapticd.protocol import messages, places
 from hapticd.protocol.calls import TIMEOUT_S
 from hapticd.protocol.messages import Code, Id, Request
-from hapticd.protocol.places import Place, place_name
+from hapticd.system.paths import RuntimePaths
 
 _CONNECT_S: Final = 1.0
 """How long a request waits for a daemon that is not there: it may just be coming, or we to it."""
@@ -28,7 +28,7 @@ _CONNECT_S: Final = 1.0
 class DaemonRelay:
     """Belongs to the running event loop. `answer` is called with every answer that the page is to get."""
 
-    def __init__(self, place: Place, answer: Callable[[bytes], None], timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, place: RuntimePaths, answer: Callable[[bytes], None], timeout_s: float = TIMEOUT_S) -> None:
         self._place, self._answer, self._timeout_s = place, answer, timeout_s
         self._under_way: dict[Id, asyncio.TimerHandle] = {}
         self._waiting: deque[tuple[Id, bytes, float]] = deque()
@@ -86,7 +86,7 @@ class DaemonRelay:
         if timer is None:
             return
         timer.cancel()
-        told = problem or f"the daemon at {place_name(self._place)} did not answer within {self._timeout_s:g} s"
+        told = problem or f"the daemon at {self._place.directory} did not answer within {self._timeout_s:g} s"
         self._answer(messages.error_reply(id, Code.DAEMON_AWAY, str(told)))
 
     async def _read(self) -> None:

@@ -15,8 +15,7 @@ from typing import Final, Self
 
 from hapticd.base.errors import HapticdError
 from hapticd.protocol import places
-from hapticd.protocol.places import Place
-from hapticd.system.paths import daemon_paths
+from hapticd.system.paths import RuntimePaths, daemon_paths
 
 CONFIG: Final = Path(__file__).parents[1] / "shipped" / "play.yaml"
 _READY_S: Final = 60.0
@@ -39,7 +38,7 @@ class DemoDaemon:
         command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(runtime), "run"]
         for config in self._configs:
             command += ["-c", config]
-        # Nothing that is meant for another daemon: the address of a bridge, files of somebody's own.
+        # Nothing that is meant for another daemon, as files of somebody's own.
         environment = {name: value for name, value in os.environ.items() if not name.startswith("HAPTICD_")}
         with open(self._log, "wb") as log:
             self._process = subprocess.Popen(
@@ -53,7 +52,7 @@ class DemoDaemon:
             )
         try:
             runtime.mkdir(mode=0o700, exist_ok=True)
-            self.place: Place = daemon_paths(runtime)
+            self.place: RuntimePaths = daemon_paths(runtime)
             places.await_ready(self.place, _READY_S, lambda: self._process.poll() is not None)
             places.probe(self.place)
         except HapticdError:

@@ -11,7 +11,7 @@ from typing import Final
 
 MOST_ANSWERS: Final = 512
 MOST_ANSWER_BYTES: Final = 16 << 20
-KEPT: Final = {"samples": 100, "state": 1, "status": 1, "event": 500, "change": 100, "bridge": 1}
+KEPT: Final = {"samples": 100, "state": 1, "status": 1, "event": 500, "change": 100}
 """Messages of each topic that wait at most: two seconds of samples, of states only the newest. Older ones are dropped;
 the page sees the gap in `first_tick`, and is told by {"dropped": {...}}."""
 

@@ -35,7 +35,7 @@ from hapticd.client.asynchronous import Client
 from hapticd.protocol import messages
 from hapticd.protocol.calls import DaemonNotRunning, RemoteError
 from hapticd.protocol.messages import Code, Request, WireError
-from hapticd.protocol.places import Place
+from hapticd.system.paths import RuntimePaths
 from hapticd.web import page_calls
 from hapticd.web.daemon_relay import DaemonRelay
 from hapticd.web.outbox import Outbox, Overflow
@@ -46,8 +46,6 @@ from hapticd.web.telemetry_hub import TelemetryHub
 MAX_MESSAGE: Final = messages.MAX_BODY
 TOO_MUCH: Final = -32029
 """The error of a call beyond what a page may ask (page_limits)."""
-MAY_ONLY_WATCH: Final = -32030
-"""The error of a call to the daemon where our key at the bridge may only watch."""
 FROZEN_S: Final = 30.0
 """A page that reads nothing for so long is closed, which frees what it takes here. Its forces do not wait for that:
 they fade with its lease, by the clock of the daemon. A page that loads on a slow machine reads nothing for seconds."""
@@ -56,8 +54,6 @@ _AT_ONCE: Final = 32
 _NEWS_EVERY_S: Final = 1.0
 _SMALL: Final = 4096
 """A call of which this process looks at the params is no larger, but for the methods of this process."""
-
-_ONLY_WATCHES: Final = "the key of hapticd web may only watch; a key for commands has `may: command` at the bridge"
 
 _log = logging.getLogger("hapticd.web")
 
@@ -73,7 +69,7 @@ class Page:
     def __init__(
         self,
         socket: web.WebSocketResponse,
-        place: Place,
+        place: RuntimePaths,
         hub: TelemetryHub,
         control: Client,
         methods: Mapping[str, Method],
@@ -189,8 +185,6 @@ class Page:
             self._refuse_form(body)
         elif request.method not in self._passes and request.method not in self._methods:
             self._refuse(request, Code.NO_SUCH_METHOD, f"no method {request.method!r:.60} for a page", "method")
-        elif request.method in page_calls.OF_THE_DAEMON and not self.hub.may_command:
-            self._refuse(request, MAY_ONLY_WATCH, f"{request.method}: {_ONLY_WATCHES}", "right")
         elif request.method in page_calls.STREAMS and not request.has_id:
             if not self._limits.streams.take_if_there(1):
                 self.refused["streams"] += 1

@@ -19,8 +19,8 @@ from hapticd.client import blocking
 from hapticd.client.asynchronous import Client
 from hapticd.protocol import places
 from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning
-from hapticd.protocol.places import Place
 from hapticd.system import journal, notify
+from hapticd.system.paths import RuntimePaths
 from hapticd.web import opening
 from hapticd.web.application import STATIC, Pages, Site
 from hapticd.web.connections import Connections
@@ -42,7 +42,7 @@ _log = logging.getLogger("hapticd.web")
 class Options:
     """Those of the command."""
 
-    place: Place | None
+    place: RuntimePaths | None
     """Where the daemon is; None: a demo, with a daemon of its own."""
     configs: tuple[str, ...]
     """Configurations of the demo's daemon; none: the scene that shows everything."""
@@ -72,7 +72,7 @@ def run(options: Options) -> int:
         return asyncio.run(server.run())
 
 
-def _knock(place: Place) -> None:
+def _knock(place: RuntimePaths) -> None:
     """Says where no daemon is; it may come later. Raises HapticdError where we may not ask it."""
     try:
         places.probe(place)
@@ -81,7 +81,7 @@ def _knock(place: Place) -> None:
 
 
 class _Server:
-    def __init__(self, at: Listening, place: Place, demo: DemoDaemon | None, options: Options) -> None:
+    def __init__(self, at: Listening, place: RuntimePaths, demo: DemoDaemon | None, options: Options) -> None:
         self._at, self._place, self._demo, self._options = at, place, demo, options
         self._sessions = Sessions()
 

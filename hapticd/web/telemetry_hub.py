@@ -13,9 +13,7 @@ import zmq
 import zmq.asyncio
 from zmq.utils.monitor import recv_monitor_message
 
-from hapticd.protocol import messages
-from hapticd.protocol.places import BRIDGE, Place
-from hapticd.protocol.remote import Remote
+from hapticd.system.paths import RuntimePaths
 
 TOPICS: Final = ("samples", "state", "event", "change", "status")
 _AT_ONCE: Final = 32
@@ -31,22 +29,15 @@ class Taker(Protocol):
 class TelemetryHub:
     """One subscription to the daemon; topics that no page wants are not subscribed to."""
 
-    def __init__(self, place: Place, changed: Callable[[bool], None] = lambda _: None) -> None:
+    def __init__(self, place: RuntimePaths, changed: Callable[[bool], None] = lambda _: None) -> None:
         """`changed` is called when the daemon comes or goes."""
         self._changed = changed
-        self._connected = False
-        self._behind = not isinstance(place, Remote)
         self.daemon = False
         """Whether a daemon is there."""
-        self.may_command = True
-        """False: the key that we have at the bridge may only watch."""
         self._there = asyncio.Event()
         self._socket = zmq.asyncio.Context.instance().socket(zmq.SUB)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
-        if isinstance(place, Remote):
-            place.secure(self._socket)
-            self._socket.setsockopt(zmq.SUBSCRIBE, BRIDGE)
         self._socket.connect(place.telemetry_endpoint)
         self._wanted: Counter[str] = Counter()
         self._takers: dict[Taker, frozenset[str]] = {}
@@ -85,12 +76,7 @@ class TelemetryHub:
         while True:
             for _ in range(_AT_ONCE):
                 topic, body = await self._socket.recv_multipart()
-                if topic == BRIDGE:
-                    told = cast("dict[str, object]", messages.decode_trusted(body))
-                    self._behind, self.may_command = told.get("daemon") is True, told.get("may") != "watch"
-                    self._look()
-                else:
-                    self._pass_on(topic.decode(), body)
+                self._pass_on(topic.decode(), body)
             await asyncio.sleep(0)
 
     def _pass_on(self, topic: str, body: bytes) -> None:
@@ -103,13 +89,9 @@ class TelemetryHub:
     async def _watch(self) -> None:
         while True:
             event = await recv_monitor_message(self._monitor)
-            self._connected = event["event"] == zmq.EVENT_HANDSHAKE_SUCCEEDED
-            self._look()
-
-    def _look(self) -> None:
-        there = self._connected and self._behind
-        if there != self.daemon:
-            self.daemon = there
-            if there:
-                self._there.set()
-            self._changed(there)
+            there = event["event"] == zmq.EVENT_HANDSHAKE_SUCCEEDED
+            if there != self.daemon:
+                self.daemon = there
+                if there:
+                    self._there.set()
+                self._changed(there)

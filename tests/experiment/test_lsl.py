@@ -17,14 +17,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapticd.base.errors import HapticdError
 from hapticd.cli import main
 from hapticd.client.blocking import Client
 from hapticd.experiment.daemon_stage import DaemonStage
 from hapticd.experiment.lsl import CHANNELS, streaming
 from hapticd.protocol.calls import DaemonNotRunning
 from tests.experiment.sessions import ScriptedFront, started
-from tests.support.bridge_process import running_bridge
 from tests.support.cli import HAPTICD
 from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 
@@ -70,7 +68,7 @@ def client(daemon: Daemon) -> Iterator[Client]:
 
 
 @contextmanager
-def bridged(daemon: Daemon) -> Iterator[subprocess.Popen[str]]:
+def passed_on(daemon: Daemon) -> Iterator[subprocess.Popen[str]]:
     """`hapticd lsl` in a process of its own; ended by Ctrl-C unless it has ended."""
     process = subprocess.Popen(
         [*HAPTICD, "--runtime-dir", str(daemon.directory), "lsl"],
@@ -116,7 +114,7 @@ def test_its_clock_is_the_daemons(lsl: Any) -> None:
 def test_every_sample_arrives_once_in_order_with_the_daemons_times_and_numbers(
     lsl: Any, daemon: Daemon, client: Client
 ) -> None:
-    with bridged(daemon):
+    with passed_on(daemon):
         inlet = opened(lsl, "hapticd samples")
         client.set_scene({"objects": {"floor": FLOOR}}, wait=True)
         with client.samples() as batches:
@@ -149,7 +147,7 @@ def test_every_sample_arrives_once_in_order_with_the_daemons_times_and_numbers(
 
 
 def test_the_streams_say_what_is_in_them(lsl: Any, daemon: Daemon) -> None:
-    with bridged(daemon):
+    with passed_on(daemon):
         samples, events = opened(lsl, "hapticd samples").info(), opened(lsl, "hapticd events").info()
     assert (samples.type(), samples.channel_count(), samples.nominal_srate()) == ("Haptics", len(LABELS), RATE_HZ)
     assert samples.channel_format() == lsl.cf_double64
@@ -166,7 +164,7 @@ def test_the_streams_say_what_is_in_them(lsl: Any, daemon: Daemon) -> None:
 def test_codes_of_a_session_come_with_the_numbers_of_their_trials(
     lsl: Any, daemon: Daemon, client: Client, tmp_path: Path
 ) -> None:
-    with bridged(daemon), connect(daemon.directory) as other, other.events() as events:
+    with passed_on(daemon), connect(daemon.directory) as other, other.events() as events:
         inlet = opened(lsl, "hapticd events")
         client.mark("answer")  # of somebody else: no code
         with DaemonStage(client) as stage:
@@ -185,7 +183,7 @@ def test_codes_of_a_session_come_with_the_numbers_of_their_trials(
 
 @pytest.mark.slow
 def test_what_is_touched_has_codes_too(lsl: Any, daemon: Daemon, client: Client) -> None:
-    with bridged(daemon):
+    with passed_on(daemon):
         client.set_scene({"objects": {"floor": FLOOR}}, wait=True)
         client.set_operator([[0.0, 0.0, 0.02], [0.2, 0.0, 0.02]])
         client.wait_gesture(PATIENCE_S)
@@ -231,7 +229,7 @@ def test_a_session_has_outlets_while_it_runs(lsl: Any, daemon: Daemon, tmp_path:
 
 
 def test_it_ends_with_what_it_sent(lsl: Any, daemon: Daemon) -> None:
-    with bridged(daemon) as process:
+    with passed_on(daemon) as process:
         opened(lsl, "hapticd samples")
         process.send_signal(signal.SIGTERM)
         said, told = process.communicate(timeout=PATIENCE_S)
@@ -243,7 +241,7 @@ def test_it_ends_with_what_it_sent(lsl: Any, daemon: Daemon) -> None:
 def test_a_daemon_that_goes_away_ends_it_in_one_line(lsl: Any, tmp_path: Path) -> None:
     config = tmp_path / "servo.yaml"
     config.write_text(f"servo: {{rate_hz: {RATE_HZ}, realtime: off, overruns: {{threshold: 1}}}}\n")
-    with running_daemon("-c", str(config)) as daemon, bridged(daemon) as process:
+    with running_daemon("-c", str(config)) as daemon, passed_on(daemon) as process:
         opened(lsl, "hapticd samples")
         daemon.stop()
         said, told = process.communicate(timeout=PATIENCE_S)
@@ -283,16 +281,6 @@ def test_outlets_that_cannot_begin_keep_a_session_from_beginning(tmp_path: Path)
         daemon.stop()
         with pytest.raises(DaemonNotRunning), streaming(client):
             raise AssertionError("there are no outlets")
-
-
-def test_through_a_bridge_it_is_refused_since_the_clock_is_another(daemon: Daemon, tmp_path: Path) -> None:
-    with (
-        running_bridge(tmp_path, daemon.directory, {"alice": "command"}) as bridge,
-        Client.at(bridge.at("alice"), PATIENCE_S) as remote,
-        pytest.raises(HapticdError, match="run this on the daemon's machine"),
-        streaming(remote),
-    ):
-        raise AssertionError("there are no outlets")
 
 
 def test_a_simulated_session_offline_has_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

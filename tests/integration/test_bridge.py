@@ -34,18 +34,11 @@ from hapticd.protocol import messages
 from hapticd.protocol.calls import DaemonNotRunning, KeyRefused, RemoteError
 from hapticd.protocol.keys import new_certificate, write_certificate
 from hapticd.protocol.remote import Remote
-from tests.support.bridge_process import (
-    FAILURES,
-    Bridge,
-    Elsewhere,
-    NoNamespaceError,
-    Peer,
-    network_namespace,
-    running_bridge,
-)
+from tests.support.bridge_process import FAILURES, Bridge, Peer, running_bridge
 from tests.support.cli import HAPTICD
 from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon, until
 from tests.support.fake_daemon import fake_daemon, result
+from tests.support.network_namespace import Elsewhere, NoNamespaceError, network_namespace
 
 pytestmark = pytest.mark.slow
 
@@ -280,7 +273,7 @@ def test_a_watcher_at_the_command_line(bridge: Bridge, tmp_path: Path) -> None:
     assert line["topic"] in ("state", "event")
     done = subprocess.run([*command, "status"], env=environment, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 1
-    assert "it may only watch; `hapticd watch` and `hapticd web` go with it" in done.stderr
+    assert "it may only watch; `hapticd watch` goes with it" in done.stderr
 
 
 def test_the_flight_recorder_is_on_the_other_machine(

@@ -33,8 +33,9 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from hapticd.client.blocking import Client, connect
 from hapticd.protocol.keys import new_certificate
-from tests.support.bridge_process import Bridge, network_namespace, running_bridge
+from tests.support.bridge_process import Bridge, running_bridge
 from tests.support.daemon_process import running_daemon
+from tests.support.network_namespace import network_namespace
 
 GREETING = b"\xff\0\0\0\0\0\0\0\x01\x7f\x03\x01CURVE" + bytes(15 + 32)
 MOST_DESCRIPTORS = 64 * 8 + 200

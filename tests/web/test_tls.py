@@ -20,8 +20,8 @@ import pytest
 from aiohttp.abc import AbstractResolver, ResolveResult
 from aiohttp.connector import AddrInfoType
 
-from tests.support.bridge_process import NoNamespaceError, network_namespace
 from tests.support.daemon_process import PATIENCE_S, Daemon, running_daemon
+from tests.support.network_namespace import NoNamespaceError, network_namespace
 from tests.web.served import Tab, until
 from tests.web.test_process import Web, refusal, running
 

@@ -21,7 +21,7 @@ from hapticd.experiment.pages import experimenter_page, participant_page
 from hapticd.experiment.pages.pages_front import PagesFront, Who
 from hapticd.experiment.pages.participant_page import MOVES, STOPS, StylusTaker
 from hapticd.experiment.pages.presence import Presence
-from hapticd.protocol.places import Place
+from hapticd.system.paths import RuntimePaths
 from hapticd.web import application, opening
 from hapticd.web.application import Pages, Site
 from hapticd.web.connections import Connections
@@ -37,7 +37,7 @@ STATIC: Final = Path(__file__).parent / "static"
 class Options:
     """Those of the command."""
 
-    place: Place
+    place: RuntimePaths
     simulated: bool
     """Whether the daemon has the simulated joystick."""
     host: str

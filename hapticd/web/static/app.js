@@ -2,7 +2,6 @@
 // experimenter's of a session.
 import { Attention } from "./attention.js";
 import { Link } from "./connection.js";
-import { make } from "./dom.js";
 import { Model } from "./model.js";
 import { Parts } from "./parts.js";
 import { Playback } from "./playback.js";
@@ -24,20 +23,13 @@ export function newApp(newSafety) {
   return app;
 }
 
-export const OF_TELEMETRY = "of telemetry";
-
-// `frame` needs no daemon and comes first, `parts` after everything is here. Where the key may only watch, these are the
-// parts that are marked OF_TELEMETRY: they need nothing else. `load` is what is asked for at the beginning and after a lost
-// connection.
+// `frame` needs no daemon and comes first, `parts` after everything is here. `load` is what is asked for at the beginning and
+// after a lost connection.
 export async function begin(app, frame, parts, load = () => app.model.load()) {
   await app.parts.mount(frame);
   await app.link.open();
   app.link.addEventListener("open", () => load().then(() => app.parts.mountFailed()));
   await app.model.load();
   await app.attention.begin();
-  const shown = ([, , of]) => !app.model.watches || of === OF_TELEMETRY;
-  for (const [id] of parts.filter((part) => !shown(part))) {
-    document.getElementById(id).replaceChildren(make("p", { class: "empty", text: "This page may only watch." }));
-  }
-  await app.parts.mount(parts.filter(shown));
+  await app.parts.mount(parts);
 }

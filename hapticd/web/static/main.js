@@ -21,7 +21,7 @@
 // A module exports `mount(app, element)`. It may leave functions for others in `app` under its own name. What it needs
 // from the network, it asks for before it listens to anything: where that fails, parts.js mounts it again. Colours and
 // classes: style.css; colours on a canvas: theme.js.
-import { begin, newApp, OF_TELEMETRY } from "./app.js";
+import { begin, newApp } from "./app.js";
 import { Safety } from "./safety.js";
 import { Undo } from "./undo.js";
 
@@ -32,12 +32,12 @@ const FRAME = [
   ["tabs", "./tabs.js"],
 ];
 const PARTS = [
-  ["scene-view", "./scene_view.js", OF_TELEMETRY],
-  ["scope", "./scope.js", OF_TELEMETRY],
+  ["scene-view", "./scene_view.js"],
+  ["scope", "./scope.js"],
   ["materials-panel", "./materials_panel.js"],
   ["objects-panel", "./objects_panel.js"],
   ["files-panel", "./files_panel.js"],
-  ["sound-panel", "./sound.js", OF_TELEMETRY],
+  ["sound-panel", "./sound.js"],
   ["recordings-panel", "./recordings_panel.js"],
 ];
 

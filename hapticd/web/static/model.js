@@ -4,14 +4,10 @@
 //
 // The topic `change` says what changed, and is applied as it comes. Everything is asked for again only where a change was
 // missed, was too large to be told, or the daemon is another one; never more than one question at a time.
-//
-// With a bridge's key that may only watch, `watches` is true: status and samples come, and nothing can be asked for. Scene,
-// materials and configuration stay empty.
 import { CallError } from "./connection.js";
 import { merged } from "./editor/merge_patch.js";
 
 const RETRY_S = 1;
-const MAY_ONLY_WATCH = -32030; // page.py
 
 export class Model extends EventTarget {
   scene = { objects: {} };
@@ -21,7 +17,6 @@ export class Model extends EventTarget {
   state = null; // the newest sample, 60 times a second
   revision = null;
   away = false;
-  watches = false; // the key of hapticd web may only watch
   #link;
   #loading = null;
   #again = false;
@@ -62,10 +57,6 @@ export class Model extends EventTarget {
         if (!(error instanceof CallError)) {
           throw error;
         }
-        if (error.code === MAY_ONLY_WATCH) {
-          await this.#onlyWatch();
-          return;
-        }
         this.#isAway(true, error.message);
         await new Promise((resolve) => setTimeout(resolve, 1e3 * RETRY_S));
         this.#again = true;
@@ -73,23 +64,11 @@ export class Model extends EventTarget {
     } while (this.#again);
   }
 
-  // Resolves with the first status, which comes as telemetry alone.
-  async #onlyWatch() {
-    this.watches = true;
-    this.#during = null;
-    if (this.status.started_ns === undefined) {
-      const told = new Promise((resolve) => this.addEventListener("status", resolve, { once: true }));
-      await this.#link.subscribe(["status"]);
-      await told;
-    }
-  }
-
   async #loadOnce() {
     const call = (method) => this.#link.call(method);
     const methods = ["get_status", "get_scene", "get_materials", "get_config"];
     const [status, scene, materials, config] = await Promise.all(methods.map(call));
     this.#isAway(false);
-    this.watches = false;
     if (scene.revision !== materials.revision) {
       this.#again = true; // something changed between the two
       return;
@@ -113,9 +92,6 @@ export class Model extends EventTarget {
     this.status = status;
     this.#isAway(false);
     this.dispatchEvent(new Event("status"));
-    if (this.watches) {
-      return;
-    }
     // A status of before the newest change is no news.
     if (another || this.revision === null || status.revision > this.revision) {
       this.load();

@@ -13,7 +13,6 @@ import { CallError, CONNECTION_LOST } from "./connection.js";
 export const LEASE_S = 1;
 const FORCES_OFF = -32003;
 const LEASE_HELD = -32004;
-const WATCHES = "This page may only watch: it can neither turn the forces on nor stop them.";
 
 export class Safety extends EventTarget {
   forces = "unknown"; // on, off, faulted, unknown
@@ -110,9 +109,6 @@ export class Safety extends EventTarget {
   // ---- Taking the forces -------------------------------------------------------------------------------------------
 
   engage({ press = false } = {}) {
-    if (this.#app.model.watches) {
-      return Promise.resolve(this.#refuse(WATCHES));
-    }
     if (this.holds && this.#engaging === null) {
       return Promise.resolve(true);
     }
@@ -233,9 +229,6 @@ export class Safety extends EventTarget {
 
   // True when the daemon has turned the forces off.
   async stop() {
-    if (this.#app.model.watches) {
-      return this.#refuse(WATCHES);
-    }
     this.#asked++;
     const { link } = this.#app;
     const answer = link.call("set_forces", { enabled: false }, { timeout_s: LEASE_S, urgent: true });

@@ -185,8 +185,7 @@ function draw(bar) {
     another: "held by another page or program",
   }[safety.holder] ?? "";
   const live = ["Forces on", "Forces off", "Forces off: fault", "Checking directions"].includes(word);
-  part("stop").disabled = app.model.watches;
-  part("forces-on").hidden = !live || app.model.watches || safety.holds || (safety.forces === "on" && safety.simulated);
+  part("forces-on").hidden = !live || safety.holds || (safety.forces === "on" && safety.simulated);
   part("forces-on").disabled = safety.holder === "another";
   part("forces-on").textContent = safety.forces === "faulted" ? "Clear and turn forces on" : "Turn forces on";
   part("stop").classList.toggle("stopping", safety.stopping);
@@ -205,14 +204,10 @@ function drawAlerts(bar) {
   } else if (link.connected && (model.away || silent(bar))) {
     lines.push(["bad", "The daemon does not answer. `hapticd status` says more; the page goes on when it is back."]);
   } else if (link.connected) {
-    if (model.watches) {
-      lines.push(["warn", "This page may only watch: the bridge lists its key with `may: watch`. It shows no objects, changes " +
-        "nothing, and cannot stop the forces."]);
-    }
     for (const fault of safety.faults) {
       lines.push(["bad", faultText(fault, model)]);
     }
-    if (!model.watches && !safety.simulated && safety.forces === "off" && model.status.device !== undefined) {
+    if (!safety.simulated && safety.forces === "off" && model.status.device !== undefined) {
       const limit = model.config.device?.max_force_n;
       lines.push(["warn", `“Turn forces on” lets the joystick push the hand, with up to ${number.format(limit)} N. ` +
         "Hold the handle. Closing this page turns the forces off within 1 s."]);
