@@ -166,10 +166,13 @@ def test_a_break_says_why_nobody_goes_on_yet_and_that_the_experimenter_is_away(
     here.experimenter.close()
     here.participant.wait_for_function("() => document.getElementById('notice').textContent.includes('is away')")
     here.participant.wait_for_selector("#go-on:enabled")
+    pause = here.participant.evaluate("() => participant.screen.screen")
     here.participant.keyboard.press("Enter")
     here.experimenter = context.new_page()
     here.experimenter.goto(address)
-    here.participant.wait_for_function("() => document.getElementById('notice').textContent === ''")
+    # Not by another press, which would answer the question that comes.
+    here.participant.wait_for_function(f"() => participant.screen.screen > {pause}")
+    assert here.participant.inner_text("#notice") == ""
     assert here.next_question()["number"] == 2  # the press counted as soon as the experimenter was back
     here.running.process.send_signal(signal.SIGTERM)
     assert here.running.ended()[0] == 1
