@@ -225,6 +225,26 @@ def test_a_refused_value_does_not_take_others_with_it(run: _Run) -> None:
     ]
 
 
+def test_a_change_that_depends_on_the_one_before_waits_for_it(run: _Run) -> None:
+    """Two at once as well: the second is made of what the first left, and of what a refused one left."""
+    sent = run(
+        CHANGES,
+        FAKE
+        + """let stiffness = 1;
+        const send = (k) => changes.send("materials", { wood: { stiffness_n_per_m: k } });
+        const doubled = () => changes.afterAll(() => send(2 * stiffness)).then(() => {}, () => {});
+        const answer = async (call, k) => { stiffness = k; link.calls[call].resolve({ revision: 2 }); await turn(); };
+        doubled(); doubled(); await turn();
+        await answer(0, 2);
+        send(10); doubled(); await turn();
+        await answer(1, 4); await answer(2, 10); doubled(); await turn();
+        link.calls[3].reject(Object.assign(new Error("no"), { code: -32602, data: [] })); await turn();
+        await answer(4, 20);
+        return sent().map(({ wood }) => wood.stiffness_n_per_m)""",
+    )
+    assert sent == [2, 4, 10, 20, 20]
+
+
 def test_a_step_is_sent_only_if_nobody_changed_what_it_changes(run: _Run) -> None:
     calls, changed = run(
         CHANGES,

@@ -185,7 +185,7 @@ def test_a_drag_is_one_step_and_does_not_flood(page: Page, scene: Any) -> None:
             if (at % 10 === 0) await new Promise(requestAnimationFrame);
           }
           slider.dispatchEvent(new Event("change"));
-          await changes.settled();
+          await changes.afterAll(() => {});
           return [601, changes.calls - began];
         }"""
     )
@@ -216,7 +216,7 @@ def test_what_nobody_touches_stays_as_it_is_to_the_bit(page: Page, scene: Any) -
         assert found.evaluate(touch.replace(".form input, .form select, .form textarea", numbers)) > 0, name
     for id in objects["scene"]["objects"]:
         assert pick(page, "objects", id).evaluate(touch.replace(".form select, ", "")) > 0, id
-    page.evaluate("() => hapticd.undo.changes.settled()")
+    page.evaluate("() => hapticd.undo.changes.afterAll(() => {})")
     assert page.evaluate("() => hapticd.undo.changes.calls") - began <= len(objects["scene"]["objects"]) * 2
     assert materials(scene) == before
     assert scene.get_scene()["scene"] == objects["scene"]
@@ -460,6 +460,25 @@ def test_blocks_and_kinds_come_and_go(page: Page, scene: Any) -> None:
     found.get_by_role("button", name="Reset").dispatch_event("click")
     found.locator(".editor-head").get_by_text("shipped", exact=True).wait_for()
     assert materials(scene) == before
+
+
+def test_a_choice_that_follows_another_at_once_is_made_of_what_that_one_left(page: Page, scene: Any) -> None:
+    """The recorded waveform takes away the frequency under the name that the choice of its unit has just given it."""
+    found = pick(page, "materials", "wood")
+    unit = field(found, "tap.frequency_hz").locator("select").element_handle()
+    form = field(found, "tap.choice-form").locator("select").element_handle()
+    choose = """(changes) => changes.forEach(([select, value]) => {
+        select.value = value;
+        select.dispatchEvent(new Event("change"));
+    })"""
+    page.evaluate(choose, [[unit, "angular_frequency_rad_per_s"], [form, "waveform"]])
+    until(page, lambda: "waveform" in materials(scene)["wood"]["tap"])
+    assert not {"frequency_hz", "angular_frequency_rad_per_s"} & materials(scene)["wood"]["tap"].keys()
+    page.evaluate("() => document.activeElement.blur()")
+    for key in ("angular_frequency_rad_per_s", "frequency_hz"):
+        page.keyboard.press("Control+z")
+        until(page, lambda key=key: key in materials(scene)["wood"]["tap"])  # type: ignore[misc]
+        assert "waveform" not in materials(scene)["wood"]["tap"]
 
 
 def test_materials_are_copied_renamed_and_deleted(page: Page, scene: Any) -> None:

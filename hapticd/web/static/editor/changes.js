@@ -62,16 +62,17 @@ export class Changes extends EventTarget {
     );
   }
 
-  // When everything that was sent is answered.
-  async settled() {
+  // Calls `work` once everything that was sent before is answered; what `work` sends is sent before the next one's turn.
+  async afterAll(work) {
     while (this.#running) {
       await this.#running;
     }
+    return work();
   }
 
   // Sends a patch if the target still is what `expected`, a patch as well, made of it; else rejects with Changed.
   async sendIfStill(target, patch, expected) {
-    await this.settled();
+    await this.afterAll(() => {});
     for (let tries = 0; tries < MOST_TRIES; tries++) {
       const { value, revision } = await this.#read(target);
       const found = departures(value, expected);

@@ -56,6 +56,17 @@ export class Editor {
     return this.app.undo.during(() => this.#commit(what, patch, before, join));
   }
 
+  // As commit, of a patch that depends on the value: `build` makes it once all that was sent before is in force, so that
+  // a change does not count on what the one before it took away. Undefined: there is nothing to change any more.
+  change(what, build) {
+    const { undo } = this.app;
+    const send = () => {
+      const patch = build();
+      return patch === undefined ? null : this.#commit(what, patch, this.value, null);
+    };
+    return undo.during(() => undo.changes.afterAll(send));
+  }
+
   async #commit(what, patch, before, join) {
     const problem = await this.live(patch);
     if (problem === null && Object.keys(difference(before, merged(before, patch))).length) {

@@ -55,10 +55,12 @@ export function numberInput(editor, frame, spec, number) {
   }
 
   // The answer to a value does not touch what was written or dragged after it was sent. Steps of the slider join, as of
-  // a key that is held; each number that is written is a step of its own.
-  async function send(value, before, join = null) {
+  // a key that is held; each number that is written is a step of its own. `before`: the value before a drag.
+  async function send(value, before = null, join = null) {
     const sent = state.edits;
-    const problem = await editor.commit(spec.label.toLowerCase(), number.patch(value), { before, join });
+    const label = spec.label.toLowerCase();
+    const made = () => number.patch(value);
+    const problem = await (before === null ? editor.change(label, made) : editor.commit(label, made(), { before, join }));
     if (state.edits !== sent) {
       return;
     }
@@ -80,7 +82,7 @@ export function numberInput(editor, frame, spec, number) {
       return;
     }
     const value = text.value === format(number.get() ?? NaN, unit) ? number.get() : parse(text.value, unit);
-    Number.isNaN(value) ? tell(NO_NUMBER) : send(value, editor.value);
+    Number.isNaN(value) ? tell(NO_NUMBER) : send(value);
   });
   text.addEventListener("keydown", (event) => {
     if (event.key === "Escape" && (state.draft || state.refused)) {
@@ -175,10 +177,13 @@ export function pairField(editor, spec, pair, schemas) {
     patch: (value) => editor.patch([...parent, key], value),
   });
   units.addEventListener("change", async () => {
-    const [first] = pair.keys;
-    const convert = units.value === first ? pair.from : pair.to;
-    const patch = editor.patch(parent, { [key]: null, [units.value]: convert(editor.at([...parent, key])) });
-    frame.showProblem(await editor.commit(`unit of the ${spec.label.toLowerCase()}`, patch));
+    const wanted = units.value;
+    const convert = wanted === pair.keys[0] ? pair.from : pair.to;
+    const patch = () => {
+      const value = editor.at([...parent, key]);
+      return value === undefined ? undefined : editor.patch(parent, { [key]: null, [wanted]: convert(value) });
+    };
+    frame.showProblem(await editor.change(`unit of the ${spec.label.toLowerCase()}`, patch));
   });
   frame.entry.append(input.text, units);
   frame.before(input.slider);
@@ -194,10 +199,10 @@ export function withWarnings(field, frame) {
   return { ...field, follow };
 }
 
-// Sends what a control without a draft says, at once; what was refused is taken back.
+// Sends what a control without a draft says; what was refused is taken back.
 function sending(editor, frame, spec, control, back) {
   return async (patch) => {
-    const problem = await editor.commit(spec.label.toLowerCase(), patch);
+    const problem = await editor.change(spec.label.toLowerCase(), patch);
     frame.showProblem(problem, [control]);
     if (problem !== null) {
       back();
@@ -212,7 +217,10 @@ export function enumField(editor, spec) {
   const follow = () => (select.value = String(editor.at(spec.path)));
   const send = sending(editor, frame, spec, select, follow);
   const also = spec.also ?? (() => ({}));
-  select.addEventListener("change", () => send(editor.patch(spec.path.slice(0, -1), { [spec.key]: select.value, ...also(select.value) })));
+  select.addEventListener("change", () => {
+    const { value } = select;
+    send(() => editor.patch(spec.path.slice(0, -1), { [spec.key]: value, ...also(value) }));
+  });
   frame.entry.append(select);
   return withWarnings({ element: frame.element, path: spec.path, follow }, frame);
 }
@@ -222,7 +230,10 @@ export function switchField(editor, spec) {
   const box = make("input", { type: "checkbox", id: frame.ids.control, "aria-describedby": frame.describedBy });
   const follow = () => (box.checked = editor.at(spec.path) ?? spec.schema.default ?? false);
   const send = sending(editor, frame, spec, box, follow);
-  box.addEventListener("change", () => send(editor.patch(spec.path, box.checked)));
+  box.addEventListener("change", () => {
+    const { checked } = box;
+    send(() => editor.patch(spec.path, checked));
+  });
   follow();
   frame.entry.append(box);
   return withWarnings({ element: frame.element, path: spec.path, follow }, frame);
@@ -234,7 +245,10 @@ export function materialField(editor, spec) {
   const select = make("select", { class: "select", id: frame.ids.control, "aria-describedby": frame.describedBy });
   const follow = () => fill(select, editor.app.materialNames().map((name) => [name, name]), editor.at(spec.path));
   const send = sending(editor, frame, spec, select, follow);
-  select.addEventListener("change", () => send(editor.patch(spec.path, select.value)));
+  select.addEventListener("change", () => {
+    const { value } = select;
+    send(() => editor.patch(spec.path, value));
+  });
   follow();
   frame.entry.append(select);
   return withWarnings({ element: frame.element, path: spec.path, follow }, frame);

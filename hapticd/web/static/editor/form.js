@@ -96,7 +96,7 @@ export class Form {
     elements.push(...blocks.map(([key, schema]) => this.#block([...path, key], key, schema)));
     const addable = missing.filter(([key]) => key in BLOCKS && !(key === "second" && "waveform" in value));
     if (addable.length) {
-      elements.push(this.#adders(path, addable, value));
+      elements.push(this.#adders(path, addable));
     }
     return elements;
   }
@@ -153,7 +153,7 @@ export class Form {
 
   // What else changes with a value of an enumeration: of how grooves are displayed, the keys that belong to it.
   #needed({ definition, path }, value) {
-    return definition === "Grooves" ? displayed(this.editor.at(path.slice(0, -1)), value, this.editor.at(["tap"])) : {};
+    return definition === "Grooves" ? displayed(this.editor.at(path.slice(0, -1)) ?? {}, value, this.editor.at(["tap"])) : {};
   }
 
   // A list of the options, and in a form of its own nothing: the keys of the option in force follow as fields.
@@ -166,8 +166,8 @@ export class Form {
     const problem = make("p", { class: "error-line", role: "alert" });
     select.addEventListener("change", async () => {
       const option = choice.options.find(({ name }) => name === select.value);
-      const patch = switchTo(choice, option, this.editor.at(path));
-      const refused = await this.editor.commit(choice.label.toLowerCase(), this.editor.patch(path, patch));
+      const patch = () => this.editor.patch(path, switchTo(choice, option, this.editor.at(path) ?? {}));
+      const refused = await this.editor.change(choice.label.toLowerCase(), patch);
       problem.textContent = refused ?? "";
       if (refused !== null) {
         select.value = chosen(choice, this.editor.at(path)).name;
@@ -189,7 +189,7 @@ export class Form {
     const optional = key in BLOCKS;
     if (optional) {
       head.append(
-        button("Remove", "quiet small", async () => (problem.textContent = (await editor.commit(label.toLowerCase(), editor.patch(path, null))) ?? ""), { "aria-label": `Remove ${label.toLowerCase()}` }),
+        button("Remove", "quiet small", async () => (problem.textContent = (await editor.change(label.toLowerCase(), () => editor.patch(path, null))) ?? ""), { "aria-label": `Remove ${label.toLowerCase()}` }),
       );
     }
     const note = make("p", { class: "note", text: schema.description ?? "" });
@@ -212,20 +212,23 @@ export class Form {
     const problem = make("p", { class: "error-line", role: "alert" });
     select.addEventListener("change", async () => {
       const start = TEXTURE_STARTS[select.value]();
-      const gone = Object.fromEntries(Object.keys(this.editor.at(path)).map((key) => [key, null]));
-      const refused = await this.editor.commit("kind of texture", this.editor.patch(path, { ...gone, ...start }));
+      const patch = () => {
+        const gone = Object.fromEntries(Object.keys(this.editor.at(path) ?? {}).map((key) => [key, null]));
+        return this.editor.patch(path, { ...gone, ...start });
+      };
+      const refused = await this.editor.change("kind of texture", patch);
       problem.textContent = refused ?? "";
     });
     return make("div", { class: "field", data: { path: [...path, "kind"].join(".") } }, make("label", { for: id, text: "Kind" }), make("span", { class: "entry" }, select), problem);
   }
 
-  #adders(path, missing, value) {
+  #adders(path, missing) {
     const problem = make("p", { class: "error-line", role: "alert" });
     const buttons = missing.map(([key]) => {
       const label = labelOf(this.definition, key);
       return button(`Add ${label.toLowerCase()}`, "small", async () => {
-        const patch = this.editor.patch([...path, key], BLOCKS[key](value));
-        problem.textContent = (await this.editor.commit(label.toLowerCase(), patch)) ?? "";
+        const patch = () => this.editor.patch([...path, key], BLOCKS[key](this.editor.at(path) ?? {}));
+        problem.textContent = (await this.editor.change(label.toLowerCase(), patch)) ?? "";
       });
     });
     return make("div", { class: "adders" }, make("div", { class: "row" }, ...buttons), problem);
@@ -245,12 +248,13 @@ export class Form {
     };
     select.addEventListener("change", () => show(Number(select.value)));
     const problem = make("p", { class: "error-line", role: "alert" });
-    const send = async (what, models, index) => {
-      problem.textContent = (await editor.commit(what, editor.patch(spec.path, models))) ?? "";
+    const send = async (models, index) => {
+      problem.textContent = (await editor.change("models", () => editor.patch(spec.path, models()))) ?? "";
       show(Math.min(index, list().length - 1));
     };
-    const add = button("Add model", "small", () => send("models", [...list(), { ...(list()[at] ?? MODEL), force_n: 2 * (list().at(-1).force_n || 0.5) }], list().length));
-    const remove = button("Remove model", "small", () => send("models", list().toSpliced(at, 1), at));
+    const louder = () => ({ ...(list()[at] ?? MODEL), force_n: 2 * (list().at(-1).force_n || 0.5) });
+    const add = button("Add model", "small", () => send(() => [...list(), louder()], Infinity));
+    const remove = button("Remove model", "small", () => send(() => list().toSpliced(at, 1), at));
     const follow = () => {
       const names = list().map((model, index) => [String(index), `${index + 1}: ${Number((1000 * model.speed_m_per_s).toPrecision(4))} mm/s, ${model.force_n} N`]);
       fill(select, names, String(at));

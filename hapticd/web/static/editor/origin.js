@@ -25,7 +25,7 @@ export function originBlock(editor, path) {
   const value = editor.at(path);
   const rows = isMap(value) ? lines(value) : [];
   const problem = make("p", { class: "error-line", role: "alert" });
-  const remove = button("Remove", "quiet small", async () => (problem.textContent = (await editor.commit("origin", editor.patch(path, null))) ?? ""), { "aria-label": "Remove origin of the figures" });
+  const remove = button("Remove", "quiet small", async () => (problem.textContent = (await editor.change("origin", () => editor.patch(path, null))) ?? ""), { "aria-label": "Remove origin of the figures" });
   return make(
     "section",
     { class: "block", "aria-label": "Origin of the figures", data: { path: path.join(".") } },

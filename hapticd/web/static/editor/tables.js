@@ -16,24 +16,18 @@ export function tableField(editor, spec, table) {
   const holder = make("div", { class: "table-holder", role: "group", "aria-label": spec.label });
   frame.before(holder);
   let shown = null;
-  let turn = Promise.resolve(); // of what is sent, one after the other
 
-  // `make_` makes the whole new value of what the table is once all that was sent before is in force: a number that is
-  // left for a button is sent when it loses the focus, just before the button is pressed.
-  function send(make_, cell) {
-    turn = turn.then(() => sendNow(make_, cell));
-    return turn;
-  }
-
-  async function sendNow(make_, cell) {
-    await editor.app.undo.changes.settled();
-    const value = editor.at(spec.path);
-    const made = value === undefined ? undefined : make_(table(value));
-    if (made !== undefined) {
-      const problem = await editor.commit(spec.label.toLowerCase(), editor.patch(spec.path, made));
-      frame.showProblem(problem, cell ? [cell] : []);
-      shown = problem === null ? null : shown;
-    }
+  // `wholeOf` makes the whole new value of what the table is then: a number that is left for a button is sent when it
+  // loses the focus, just before the button is pressed.
+  async function send(wholeOf, cell) {
+    const patch = () => {
+      const value = editor.at(spec.path);
+      const whole = value === undefined ? undefined : wholeOf(table(value));
+      return whole === undefined ? undefined : editor.patch(spec.path, whole);
+    };
+    const problem = await editor.change(spec.label.toLowerCase(), patch);
+    frame.showProblem(problem, cell ? [cell] : []);
+    shown = problem === null ? null : shown;
     follow();
   }
 
@@ -228,7 +222,7 @@ export function listField(editor, spec, picture) {
     }
     const numbers = text.value.trim().split(/[\s,;]+/).filter(Boolean).map(Number);
     const wrong = numbers.findIndex((number) => !Number.isFinite(number));
-    const problem = wrong >= 0 ? `Entry ${wrong + 1} is no number.` : await editor.commit(spec.label.toLowerCase(), editor.patch(spec.path, numbers));
+    const problem = wrong >= 0 ? `Entry ${wrong + 1} is no number.` : await editor.change(spec.label.toLowerCase(), () => editor.patch(spec.path, numbers));
     text.dataset.draft = "false";
     tell(problem);
     follow();
