@@ -244,13 +244,13 @@ def test_a_note_changes_nothing_that_the_participant_sees(tmp_path: Path) -> Non
     assert [each["text"] for each in records if each["kind"] == "note"] == ["hums"] * 3
 
 
-def test_an_answer_without_a_key_gets_no_key_of_another() -> None:
+def test_an_answer_without_a_key_has_its_number() -> None:
     shown = Shown(
         1, 1, False, "test", 1, True, (LEFT,), "?", "choice",
-        answers=(Choice("a", "A", "2", None), Choice("b", "B", None, None), Choice("c", "C", None, None)),
+        answers=(Choice("a", "A", "x", None), Choice("b", "B", None, None), Choice("c", "C", None, None)),
     )  # fmt: skip
     question: Any = screens.trial(shown, interval=1, felt=True, asks=True)["question"]
-    assert [each["key"] for each in question["answers"]] == ["2", "", "3"]
+    assert [each["key"] for each in question["answers"]] == ["x", "2", "3"]
 
 
 def test_what_is_told_of_a_trial_is_on_the_next_screen_that_is_felt(tmp_path: Path) -> None:

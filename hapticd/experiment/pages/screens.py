@@ -79,13 +79,13 @@ def surfaces_of(shown: Shown, interval: int) -> Sequence[Seen]:
 
 
 def _question(shown: Shown, left_s: float | None) -> dict[str, object]:
-    taken = {each.key for each in shown.answers}
-    # An answer without a key has its number, where that is not another one's key.
-    keys = [each.key or ("" if str(number) in taken else str(number)) for number, each in enumerate(shown.answers, 1)]
     return {
         "kind": shown.kind,
         "html": html(shown.text),
-        "answers": [{"label": each.label, "key": key} for each, key in zip(shown.answers, keys, strict=True)],
+        # An answer without a key has its number; `faults` refuses a study where that is another one's key.
+        "answers": [
+            {"label": each.label, "key": each.key or str(number)} for number, each in enumerate(shown.answers, 1)
+        ],
         "low": shown.low,
         "high": shown.high,
         "step": shown.step,
