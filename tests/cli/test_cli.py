@@ -80,7 +80,7 @@ def test_commands_for_this_machine_alone_are_those_that_ask_no_daemon() -> None:
     homes, alone = hapticd.cli._HOMES, hapticd.cli._HERE_ALONE
     assert alone < homes.keys()
     modules = {home: importlib.import_module(f"hapticd.cli.{home}") for home in homes.values()}
-    ways = ("daemon", "change", "place_words")
+    ways = ("daemon", "change", "place_words", "place_here")
     # A group's commands may stand in modules of their own, which its home takes in: experiment_run.
     taken_in = {
         home: [module, *(part for name, part in vars(hapticd.cli).items() if name.startswith(f"{home}_"))]
