@@ -88,9 +88,9 @@ def place_words(ctx: click.Context) -> tuple[str | None, str | None, str | None]
 
 
 def place_here(ctx: click.Context) -> RuntimePaths:
-    """Where the daemon is, for commands that take one of this machine alone: pages, and clocks that they share.
+    """The daemon's runtime directory, for a command that must run on the daemon's machine.
 
-    Raises HapticdError where the command line or the environment names another machine.
+    Raises HapticdError where the command line or HAPTICD_CONNECT names a bridge.
     """
     from hapticd.protocol.places import place_of
     from hapticd.protocol.remote import Remote

@@ -27,7 +27,7 @@ What a page may ask for besides:
 
     yaml_methods    methods of a page: what may be edited, and the files that hold it
     editor_schema   what may be edited: the JSON Schema of materials, objects and scene, with units
-    library         the shipped materials, as they are before anybody changes them
+    shipped_materials   the shipped materials, as they are before anybody changes them
     yaml_files      what a file holds for the daemon; the page's scene and materials as a file
     yaml_editing    a YAML text changed in place, with its comments
     recording_methods   methods and routes of recordings: record, list, download, delete, open and look through

@@ -15,7 +15,7 @@ from aiohttp import web
 
 from hapticd.client.asynchronous import Client
 from hapticd.system.paths import RuntimePaths
-from hapticd.web import library, page_calls, page_methods, yaml_methods
+from hapticd.web import page_calls, page_methods, shipped_materials, yaml_methods
 from hapticd.web.connections import Connections
 from hapticd.web.page import FROZEN_S, MAX_MESSAGE, Method, Page
 from hapticd.web.recording_methods import Recordings
@@ -31,7 +31,7 @@ _CLOSING_S: Final = 5.0
 _UNSENT_BYTES: Final = 256 << 10
 """Room of the kernel for what a page has not read. More of it would be older data, and none newer."""
 
-METHODS: Final[dict[str, Method]] = {**page_methods.METHODS, **yaml_methods.METHODS, **library.METHODS}
+METHODS: Final[dict[str, Method]] = {**page_methods.METHODS, **yaml_methods.METHODS, **shipped_materials.METHODS}
 """What a page may call of this process, by name. A further group is a further file, added here."""
 
 _log = logging.getLogger("hapticd.web")

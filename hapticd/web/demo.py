@@ -38,7 +38,7 @@ class DemoDaemon:
         command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(runtime), "run"]
         for config in self._configs:
             command += ["-c", config]
-        # Nothing that is meant for another daemon, as files of somebody's own.
+        # HAPTICD_ variables are meant for the user's own daemon.
         environment = {name: value for name, value in os.environ.items() if not name.startswith("HAPTICD_")}
         with open(self._log, "wb") as log:
             self._process = subprocess.Popen(

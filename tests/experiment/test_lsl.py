@@ -68,7 +68,7 @@ def client(daemon: Daemon) -> Iterator[Client]:
 
 
 @contextmanager
-def passed_on(daemon: Daemon) -> Iterator[subprocess.Popen[str]]:
+def running_lsl(daemon: Daemon) -> Iterator[subprocess.Popen[str]]:
     """`hapticd lsl` in a process of its own; ended by Ctrl-C unless it has ended."""
     process = subprocess.Popen(
         [*HAPTICD, "--runtime-dir", str(daemon.directory), "lsl"],
@@ -114,7 +114,7 @@ def test_its_clock_is_the_daemons(lsl: Any) -> None:
 def test_every_sample_arrives_once_in_order_with_the_daemons_times_and_numbers(
     lsl: Any, daemon: Daemon, client: Client
 ) -> None:
-    with passed_on(daemon):
+    with running_lsl(daemon):
         inlet = opened(lsl, "hapticd samples")
         client.set_scene({"objects": {"floor": FLOOR}}, wait=True)
         with client.samples() as batches:
@@ -147,7 +147,7 @@ def test_every_sample_arrives_once_in_order_with_the_daemons_times_and_numbers(
 
 
 def test_the_streams_say_what_is_in_them(lsl: Any, daemon: Daemon) -> None:
-    with passed_on(daemon):
+    with running_lsl(daemon):
         samples, events = opened(lsl, "hapticd samples").info(), opened(lsl, "hapticd events").info()
     assert (samples.type(), samples.channel_count(), samples.nominal_srate()) == ("Haptics", len(LABELS), RATE_HZ)
     assert samples.channel_format() == lsl.cf_double64
@@ -164,7 +164,7 @@ def test_the_streams_say_what_is_in_them(lsl: Any, daemon: Daemon) -> None:
 def test_codes_of_a_session_come_with_the_numbers_of_their_trials(
     lsl: Any, daemon: Daemon, client: Client, tmp_path: Path
 ) -> None:
-    with passed_on(daemon), connect(daemon.directory) as other, other.events() as events:
+    with running_lsl(daemon), connect(daemon.directory) as other, other.events() as events:
         inlet = opened(lsl, "hapticd events")
         client.mark("answer")  # of somebody else: no code
         with DaemonStage(client) as stage:
@@ -183,7 +183,7 @@ def test_codes_of_a_session_come_with_the_numbers_of_their_trials(
 
 @pytest.mark.slow
 def test_what_is_touched_has_codes_too(lsl: Any, daemon: Daemon, client: Client) -> None:
-    with passed_on(daemon):
+    with running_lsl(daemon):
         client.set_scene({"objects": {"floor": FLOOR}}, wait=True)
         client.set_operator([[0.0, 0.0, 0.02], [0.2, 0.0, 0.02]])
         client.wait_gesture(PATIENCE_S)
@@ -229,7 +229,7 @@ def test_a_session_has_outlets_while_it_runs(lsl: Any, daemon: Daemon, tmp_path:
 
 
 def test_it_ends_with_what_it_sent(lsl: Any, daemon: Daemon) -> None:
-    with passed_on(daemon) as process:
+    with running_lsl(daemon) as process:
         opened(lsl, "hapticd samples")
         process.send_signal(signal.SIGTERM)
         said, told = process.communicate(timeout=PATIENCE_S)
@@ -241,7 +241,7 @@ def test_it_ends_with_what_it_sent(lsl: Any, daemon: Daemon) -> None:
 def test_a_daemon_that_goes_away_ends_it_in_one_line(lsl: Any, tmp_path: Path) -> None:
     config = tmp_path / "servo.yaml"
     config.write_text(f"servo: {{rate_hz: {RATE_HZ}, realtime: off, overruns: {{threshold: 1}}}}\n")
-    with running_daemon("-c", str(config)) as daemon, passed_on(daemon) as process:
+    with running_daemon("-c", str(config)) as daemon, running_lsl(daemon) as process:
         opened(lsl, "hapticd samples")
         daemon.stop()
         said, told = process.communicate(timeout=PATIENCE_S)

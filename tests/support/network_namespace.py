@@ -1,4 +1,4 @@
-"""Another machine on the network, as far as one machine can be that: a network namespace of the kernel."""
+"""A network namespace of the kernel, which stands for another machine on the network."""
 
 from __future__ import annotations
 

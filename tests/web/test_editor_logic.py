@@ -226,7 +226,7 @@ def test_a_refused_value_does_not_take_others_with_it(run: _Run) -> None:
 
 
 def test_a_change_that_depends_on_the_one_before_waits_for_it(run: _Run) -> None:
-    """Two at once as well: the second is made of what the first left, and of what a refused one left."""
+    """Also where two are asked for at once, and where the change before is refused."""
     sent = run(
         CHANGES,
         FAKE

@@ -185,7 +185,7 @@ def test_a_drag_is_one_step_and_does_not_flood(page: Page, scene: Any) -> None:
             if (at % 10 === 0) await new Promise(requestAnimationFrame);
           }
           slider.dispatchEvent(new Event("change"));
-          await changes.afterAll(() => {});
+          await changes.afterAll();
           return [601, changes.calls - began];
         }"""
     )
@@ -216,7 +216,7 @@ def test_what_nobody_touches_stays_as_it_is_to_the_bit(page: Page, scene: Any) -
         assert found.evaluate(touch.replace(".form input, .form select, .form textarea", numbers)) > 0, name
     for id in objects["scene"]["objects"]:
         assert pick(page, "objects", id).evaluate(touch.replace(".form select, ", "")) > 0, id
-    page.evaluate("() => hapticd.undo.changes.afterAll(() => {})")
+    page.evaluate("() => hapticd.undo.changes.afterAll()")
     assert page.evaluate("() => hapticd.undo.changes.calls") - began <= len(objects["scene"]["objects"]) * 2
     assert materials(scene) == before
     assert scene.get_scene()["scene"] == objects["scene"]
@@ -462,8 +462,8 @@ def test_blocks_and_kinds_come_and_go(page: Page, scene: Any) -> None:
     assert materials(scene) == before
 
 
-def test_a_choice_that_follows_another_at_once_is_made_of_what_that_one_left(page: Page, scene: Any) -> None:
-    """The recorded waveform takes away the frequency under the name that the choice of its unit has just given it."""
+def test_two_choices_at_once_both_arrive(page: Page, scene: Any) -> None:
+    """The first renames the key of the frequency; the second must remove it under its new name."""
     found = pick(page, "materials", "wood")
     unit = field(found, "tap.frequency_hz").locator("select").element_handle()
     form = field(found, "tap.choice-form").locator("select").element_handle()

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 ON = "() => hapticd.safety.forces === 'on'"
 OFF = "() => hapticd.safety.forces === 'off'"
 LAPSED = "() => hapticd.safety.forces === 'faulted' && hapticd.safety.faults.includes('lease')"
-STOPS = """() => {
+RECORD_STOPS = """() => {
     const { link } = hapticd, call = link.call;
     globalThis.stopped = [];
     link.call = (method, params, options) => {
@@ -27,7 +27,7 @@ STOPS = """() => {
         return answer;
     };
 }"""
-"""From now on `stopped` has what the daemon answers to each stop."""
+"""Script of the page: from now on, `stopped` lists the daemon's answers to its stops."""
 
 
 @pytest.fixture
@@ -67,11 +67,11 @@ def test_the_space_bar_takes_the_force_to_zero_within_50_ms(held: Page) -> None:
 
 @pytest.mark.parametrize("way", ["button", "Space on a button", "Escape in a field", "Enter on the stop button"])
 def test_every_way_to_stop_stops(held: Page, way: str) -> None:
-    """The daemon was told to: a page that only lets its lease run out does not pass."""
+    """By a call that the daemon answers: a page that only lets its lease lapse fails."""
     held.evaluate(
         "() => document.getElementById('materials-panel').insertAdjacentHTML('beforeend', '<input id=\"typed\">')"
     )
-    held.evaluate(STOPS)
+    held.evaluate(RECORD_STOPS)
     if way == "button":
         held.locator("#stop").click()
     elif way == "Space on a button":
@@ -84,7 +84,7 @@ def test_every_way_to_stop_stops(held: Page, way: str) -> None:
         held.locator("#typed").focus()
         held.keyboard.press("Escape")
     held.wait_for_function("() => stopped.length > 0 && !hapticd.safety.stopping")
-    # Of a page that the machine held up for longer than its lease they had faded before.
+    # `faulted`: the machine held the page up for longer than its lease, and the forces had faded before the stop.
     (forces,) = held.evaluate("() => stopped")
     assert forces in ("off", "faulted") and held.evaluate("() => hapticd.safety.forces") == forces
     assert held.evaluate("() => hapticd.safety.holder") is None

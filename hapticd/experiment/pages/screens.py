@@ -82,7 +82,7 @@ def _question(shown: Shown, left_s: float | None) -> dict[str, object]:
     return {
         "kind": shown.kind,
         "html": html(shown.text),
-        # An answer without a key has its number; `faults` refuses a study where that is another one's key.
+        # An answer without a key has its number. faults.py refuses a study in which that is the key of another answer.
         "answers": [
             {"label": each.label, "key": each.key or str(number)} for number, each in enumerate(shown.answers, 1)
         ],

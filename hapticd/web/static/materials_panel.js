@@ -13,11 +13,11 @@ import { Warnings, objectsOf, usedMaterials } from "./editor/warnings.js";
 import { notice, undoButtons } from "./undo.js";
 
 export async function mount(app, element) {
-  const [schemas, library] = await Promise.all(["web.schema", "web.library"].map((method) => app.link.call(method)));
+  const [schemas, shipped] = await Promise.all(["web.schema", "web.shipped_materials"].map((method) => app.link.call(method)));
   app.editorSchema = schemas;
   app.warnings = new Warnings(app);
   app.materialNames = () => sorted(app);
-  app.materials = new MaterialsPanel(app, element, schemas, library.materials);
+  app.materials = new MaterialsPanel(app, element, schemas, shipped.materials);
 }
 
 // Names of all materials: those of the scene first, each group by the alphabet.

@@ -62,8 +62,8 @@ export class Changes extends EventTarget {
     );
   }
 
-  // Calls `work` once everything that was sent before is answered; what `work` sends is sent before the next one's turn.
-  async afterAll(work) {
+  // Calls `work` when every change that was sent is answered. Callers take turns: the next one waits for what `work` sends.
+  async afterAll(work = () => {}) {
     while (this.#running) {
       await this.#running;
     }
@@ -72,7 +72,7 @@ export class Changes extends EventTarget {
 
   // Sends a patch if the target still is what `expected`, a patch as well, made of it; else rejects with Changed.
   async sendIfStill(target, patch, expected) {
-    await this.afterAll(() => {});
+    await this.afterAll();
     for (let tries = 0; tries < MOST_TRIES; tries++) {
       const { value, revision } = await this.#read(target);
       const found = departures(value, expected);

@@ -52,12 +52,13 @@ export class Editor {
   }
 
   // Sends a final value and remembers how to take it back. `before`: the value before the drag; `join`: of one control.
+  // It leaves at once, joined with what waits: for a slider, whose older values nobody misses.
   commit(what, patch, { before = this.value, join = null } = {}) {
     return this.app.undo.during(() => this.#commit(what, patch, before, join));
   }
 
-  // As commit, of a patch that depends on the value: `build` makes it once all that was sent before is in force, so that
-  // a change does not count on what the one before it took away. Undefined: there is nothing to change any more.
+  // Sends a change as a step of its own, after all changes before it. `build` returns the patch, made from the value that
+  // these left; undefined: there is nothing to change any more.
   change(what, build) {
     const { undo } = this.app;
     const send = () => {

@@ -59,8 +59,8 @@ export function numberInput(editor, frame, spec, number) {
   async function send(value, before = null, join = null) {
     const sent = state.edits;
     const label = spec.label.toLowerCase();
-    const made = () => number.patch(value);
-    const problem = await (before === null ? editor.change(label, made) : editor.commit(label, made(), { before, join }));
+    const patch = () => number.patch(value);
+    const problem = await (before === null ? editor.change(label, patch) : editor.commit(label, patch(), { before, join }));
     if (state.edits !== sent) {
       return;
     }
@@ -199,13 +199,13 @@ export function withWarnings(field, frame) {
   return { ...field, follow };
 }
 
-// Sends what a control without a draft says; what was refused is taken back.
-function sending(editor, frame, spec, control, back) {
-  return async (patch) => {
-    const problem = await editor.change(spec.label.toLowerCase(), patch);
+// Sends the value of a control without a draft; `follow` takes a refused one back. `patchOf`: the patch with a value.
+function sending(editor, frame, spec, control, follow, patchOf = (value) => editor.patch(spec.path, value)) {
+  return async (value) => {
+    const problem = await editor.change(spec.label.toLowerCase(), () => patchOf(value));
     frame.showProblem(problem, [control]);
     if (problem !== null) {
-      back();
+      follow();
     }
   };
 }
@@ -215,12 +215,10 @@ export function enumField(editor, spec) {
   const select = make("select", { class: "select", id: frame.ids.control, "aria-describedby": frame.describedBy });
   fill(select, spec.schema.enum.map((value) => [String(value), valueLabel(spec.definition, spec.key, value)]), String(editor.at(spec.path)));
   const follow = () => (select.value = String(editor.at(spec.path)));
-  const send = sending(editor, frame, spec, select, follow);
   const also = spec.also ?? (() => ({}));
-  select.addEventListener("change", () => {
-    const { value } = select;
-    send(() => editor.patch(spec.path.slice(0, -1), { [spec.key]: value, ...also(value) }));
-  });
+  const patchOf = (value) => editor.patch(spec.path.slice(0, -1), { [spec.key]: value, ...also(value) });
+  const send = sending(editor, frame, spec, select, follow, patchOf);
+  select.addEventListener("change", () => send(select.value));
   frame.entry.append(select);
   return withWarnings({ element: frame.element, path: spec.path, follow }, frame);
 }
@@ -230,10 +228,7 @@ export function switchField(editor, spec) {
   const box = make("input", { type: "checkbox", id: frame.ids.control, "aria-describedby": frame.describedBy });
   const follow = () => (box.checked = editor.at(spec.path) ?? spec.schema.default ?? false);
   const send = sending(editor, frame, spec, box, follow);
-  box.addEventListener("change", () => {
-    const { checked } = box;
-    send(() => editor.patch(spec.path, checked));
-  });
+  box.addEventListener("change", () => send(box.checked));
   follow();
   frame.entry.append(box);
   return withWarnings({ element: frame.element, path: spec.path, follow }, frame);
@@ -245,10 +240,7 @@ export function materialField(editor, spec) {
   const select = make("select", { class: "select", id: frame.ids.control, "aria-describedby": frame.describedBy });
   const follow = () => fill(select, editor.app.materialNames().map((name) => [name, name]), editor.at(spec.path));
   const send = sending(editor, frame, spec, select, follow);
-  select.addEventListener("change", () => {
-    const { value } = select;
-    send(() => editor.patch(spec.path, value));
-  });
+  select.addEventListener("change", () => send(select.value));
   follow();
   frame.entry.append(select);
   return withWarnings({ element: frame.element, path: spec.path, follow }, frame);

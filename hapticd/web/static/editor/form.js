@@ -252,8 +252,8 @@ export class Form {
       problem.textContent = (await editor.change("models", () => editor.patch(spec.path, models()))) ?? "";
       show(Math.min(index, list().length - 1));
     };
-    const louder = () => ({ ...(list()[at] ?? MODEL), force_n: 2 * (list().at(-1).force_n || 0.5) });
-    const add = button("Add model", "small", () => send(() => [...list(), louder()], Infinity));
+    const another = () => ({ ...(list()[at] ?? MODEL), force_n: 2 * (list().at(-1).force_n || 0.5) });
+    const add = button("Add model", "small", () => send(() => [...list(), another()], Infinity)); // shows the last one
     const remove = button("Remove model", "small", () => send(() => list().toSpliced(at, 1), at));
     const follow = () => {
       const names = list().map((model, index) => [String(index), `${index + 1}: ${Number((1000 * model.speed_m_per_s).toPrecision(4))} mm/s, ${model.force_n} N`]);

@@ -17,8 +17,8 @@ export function tableField(editor, spec, table) {
   frame.before(holder);
   let shown = null;
 
-  // `wholeOf` makes the whole new value of what the table is then: a number that is left for a button is sent when it
-  // loses the focus, just before the button is pressed.
+  // `wholeOf` makes the whole new value from the table as the changes before left it: a field that loses its focus to a
+  // button sends its number just before the button is pressed.
   async function send(wholeOf, cell) {
     const patch = () => {
       const value = editor.at(spec.path);
