@@ -85,16 +85,25 @@ class Session:
     def press_on(self, surface: int, depth_m: float, beyond_m: float = 0.0) -> None:
         """The mouse takes the hand down onto a surface and `depth_m` below it, and back once the stylus is drawn on it
         or `beyond_m` below it."""
-        over, below = self.participant.evaluate(_PLACES, [surface, depth_m])
+        over, below = self.places(surface, depth_m)
         self.participant.mouse.move(*over)
         self.participant.mouse.down()
         for step in range(1, STEPS + 1):
             # As fast as a hand: a step a frame. What is faster is a jump, which no surface is met by.
             self.participant.evaluate("() => new Promise(requestAnimationFrame)")
             self.participant.mouse.move(over[0], over[1] + step / STEPS * (below[1] - over[1]))
-        self.participant.wait_for_function(_TOUCHES, arg=[surface, beyond_m])
+        self.touches(surface, beyond_m)
         self.participant.mouse.move(*over, steps=4)
         self.participant.mouse.up()
+
+    def places(self, surface: int, depth_m: float) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Where the mouse is 1 cm above a surface, and `depth_m` below it."""
+        over, below = self.participant.evaluate(_PLACES, [surface, depth_m])
+        return over, below
+
+    def touches(self, surface: int, beyond_m: float = 0.0) -> None:
+        """Waits until the stylus is drawn on a surface, or `beyond_m` below it."""
+        self.participant.wait_for_function(_TOUCHES, arg=[surface, beyond_m])
 
     def answer(self, key: str) -> None:
         number = self.participant.evaluate("() => participant.screen.screen")

@@ -77,6 +77,10 @@ questions:
 """
 
 
+ANY_MOTION = STUDY.replace("measure: overtravel_m", "measure: path_m")
+"""Its trials are done whatever the hand did."""
+
+
 @pytest.mark.parametrize("study", ["okamura1998_tapping", "okamura1998_texture"])
 def test_a_participant_taps_with_the_mouse_and_answers_by_key(
     study: str, session: Callable[..., Session], tmp_path: Path
@@ -152,7 +156,7 @@ def test_a_break_says_why_nobody_goes_on_yet_and_that_the_experimenter_is_away(
     session: Callable[..., Session], tmp_path: Path
 ) -> None:
     study = tmp_path / "pause.yaml"
-    study.write_text(STUDY + "breaks: {every_trials: 1, least_s: 5}\n")
+    study.write_text(ANY_MOTION + "breaks: {every_trials: 1, least_s: 5}\n")
     here = session(str(study))
     here.begin()
     here.next_question()
@@ -226,3 +230,30 @@ def test_overtravel_of_a_push_with_the_mouse_is_that_of_its_recording(
         assert way_m > 0.001
         assert record["answer"] == pytest.approx(way_m, abs=a_tick_m + 1e-9)
     assert pushed_through >= 2
+
+
+def test_a_mouse_button_that_is_down_when_the_forces_come_on_moves_the_hand(
+    session: Callable[..., Session], tmp_path: Path
+) -> None:
+    """It went down in the trial before, and is held while the next one is prepared."""
+    study = tmp_path / "study.yaml"
+    study.write_text(ANY_MOTION)
+    here = session(str(study))
+    here.experimenter.click("#session-go-on")
+    here.experimenter.wait_for_function("() => hapticd.session.state.doing === 'armed'")
+    here.experimenter.click("#session-go-on")
+    here.next_question()
+    over, below = here.places(0, 0.004)
+    here.participant.mouse.move(*over)
+    here.participant.mouse.down()
+    here.answer("Enter")
+    here.experimenter.wait_for_function("() => hapticd.session.state.doing === 'armed'")
+    here.participant.wait_for_function("() => participant.screen.number === 2 && !participant.screen.felt")
+    here.experimenter.click("#session-go-on")
+    here.next_question()
+    here.participant.mouse.move(*below, steps=8)
+    here.touches(0)
+    here.participant.mouse.up()
+    here.answer("Enter")
+    here.running.process.send_signal(signal.SIGTERM)
+    assert here.running.ended()[0] == 1

@@ -19,6 +19,7 @@ let keys = new Map();
 let enter = null;
 let leftTimer = null;
 let unsentStop = false; // it is sent again as soon as there is a connection
+let pressedAt = null; // the newest event of a pointer that is down on the picture
 
 globalThis.participant = { get screen() { return screen; }, picture, hand, link }; // for tests
 
@@ -78,6 +79,9 @@ function show(next) {
   element.replaceChildren();
   (trial ? showTrial : showText)(element, next);
   hand.allow(moves && trial && next.felt);
+  if (pressedAt !== null && trial && next.felt) {
+    grasp(); // the pointer went down before the forces came on
+  }
   if (next.kind === "over") {
     link.end();
   }
@@ -185,16 +189,25 @@ function placeOf(event) {
   return picture.transform.toM([event.clientX - box.left, event.clientY - box.top]);
 }
 
+const grasp = () => hand.take("pointer", picture.stylus, placeOf(pressedAt));
+
 function followPointer(canvas) {
   canvas.addEventListener("pointerdown", (event) => {
     if (moves && picture.stylus !== null && event.button === 0) {
       canvas.setPointerCapture(event.pointerId);
-      hand.take("pointer", picture.stylus, placeOf(event));
+      pressedAt = event;
+      grasp();
     }
   });
-  canvas.addEventListener("pointermove", (event) => hand.aimAt("pointer", placeOf(event)));
+  canvas.addEventListener("pointermove", (event) => {
+    pressedAt &&= event;
+    hand.aimAt("pointer", placeOf(event));
+  });
   for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
-    canvas.addEventListener(name, () => hand.release("pointer"));
+    canvas.addEventListener(name, () => {
+      pressedAt = null;
+      hand.release("pointer");
+    });
   }
 }
 
