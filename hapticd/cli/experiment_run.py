@@ -28,6 +28,8 @@ _SIMULATED = "simulated:"
 _OPEN: TypeAlias = "Callable[[Stage], tuple[SessionFolder, SessionLog]]"
 """Makes or opens the folder and the log of a session on a stage."""
 
+_NO_HAND = "--text has no hand for the simulated joystick of --demo: leave one of them out"
+
 _lsl_option = click.option(
     "--lsl", is_flag=True, help="Samples and event codes as outlets of Lab Streaming Layer, as `hapticd lsl`."
 )
@@ -94,13 +96,15 @@ def run_command(
     from hapticd.config.shipped_files import file_of
     from hapticd.experiment.plan import plan
     from hapticd.experiment.session import begin
-    from hapticd.experiment.session_folder import numbered
+    from hapticd.experiment.session_folder import check_new, numbered
     from hapticd.experiment.study import load_study
 
     labels = [_participant(each) for each in participants]
     everyone_simulated = all(simulated for _, simulated in labels)
     if offline and not everyone_simulated:
         raise click.UsageError("--offline is for a simulated participant: --participant simulated:NAME", ctx)
+    if text and demo:
+        raise click.UsageError(_NO_HAND, ctx)
     if len(labels) > 1 and not offline:
         raise click.UsageError("several participants are for --offline; on a daemon run them one after the other", ctx)
     if offline and demo:
@@ -131,6 +135,7 @@ def run_command(
 
     def run_one(label: str, simulated: bool) -> int:
         made = plan(found, label, session, found.order.seed if seed is None else seed)
+        check_new(output, label, session, found.title)  # before a daemon or a page is started
         return _with_stage(
             ctx,
             made,
@@ -154,10 +159,14 @@ def run_command(
 @click.pass_context
 def resume_command(ctx: click.Context, folder: Path, text: bool, lsl: bool, demo: bool, listening: Listening) -> int:
     """Go on with the session in FOLDER (sub-LABEL/ses-NN): the same order, after the last answer."""
+    from hapticd.experiment.progress import check_not_over, progress_of
     from hapticd.experiment.session import plan_of
     from hapticd.experiment.session_folder import SessionFolder
 
+    if text and demo:
+        raise click.UsageError(_NO_HAND, ctx)
     opened = SessionFolder.open(folder)
+    check_not_over(folder, progress_of(opened.contents().records))  # before a daemon or a page is started
     stage_was = opened.about["stage"]
     assert isinstance(stage_was, dict)
     simulated, offline = bool(stage_was.get("simulated")), stage_was.get("kind") == "offline"

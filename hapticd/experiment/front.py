@@ -121,8 +121,9 @@ class Front(Protocol):
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
         """The last interval and the question. Calls `stage.check` while it waits."""
 
-    def feedback(self, shown: Shown, correct: bool | None, right: str | None, measure: float | None) -> None:
-        """What the participant is told after a trial: whether it was correct, which answer was, what was measured."""
+    def feedback(self, told: str, right: str | None) -> None:
+        """What the participant is told after a trial. `right`: the name of the correct answer, of a trial that has
+        one."""
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
         """An answer is on disk. `response_s`: from the beginning of the last interval to the answer."""

@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.base import wording
 from hapticd.base.core import Flag
 
 Samples: TypeAlias = npt.NDArray[np.void]
@@ -34,6 +35,28 @@ PATH_STEP_S: Final = 0.01
 the encoder as a way that the hand went."""
 
 MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m")
+_TOLD: Final = {
+    "overtravel_m": ("Overtravel", "m"),
+    "peak_force_n": ("Largest force", "N"),
+    "completion_s": ("Time", "s"),
+    "path_m": ("Path", "m"),
+}
+"""What participants read of a measure: its name and its unit."""
+
+
+def measure_text(name: str, value: float) -> str:
+    """A measure as a participant reads it, `Overtravel: 3.2 mm.`"""
+    words, unit = _TOLD[name]
+    return f"{words}: {wording.si(value, unit, 3)}."
+
+
+def not_done(name: str, value: float | None) -> str | None:
+    """Why a trial that is to give this measure was not done, as a participant reads it; None: it was."""
+    if name == "overtravel_m" and value is None:
+        return "No membrane broke."
+    if name == "peak_force_n" and not value:
+        return "Nothing was touched."
+    return None
 
 
 def measures_of(samples: Samples, events: Events, planes: Planes) -> dict[str, float | None]:

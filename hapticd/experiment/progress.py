@@ -5,7 +5,7 @@ Kinds of records, beside those that only tell (`session_started`, `session_resum
 
     trial_started   an attempt at a trial began: trial, attempt, file, stimuli, level
     answer          the trial is over: answer, correct, times, measures, and the state of its procedure after it
-    trial_given_up  the attempt does not count: repeated, paused or aborted
+    trial_given_up  the attempt does not count: repeated, paused, aborted, or a motor task that was not done
     trial_skipped   the trial is not needed: its procedure has ended
     ended           the plan is through; aborted: the experimenter ended the session
 """
@@ -14,8 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import cast
 
+from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.session_log import Record
 
@@ -71,6 +73,12 @@ class Progress:
             if self.test_began_s is None:
                 self.test_began_s = cast(float, answer["onset_s"])
             self.wrong_in_a_row = self.wrong_in_a_row + 1 if answer.get("correct") == 0 else 0
+
+
+def check_not_over(folder: Path, progress: Progress) -> None:
+    """Raises HapticdError where nothing is left of the session in a folder."""
+    if progress.ended is not None:
+        raise HapticdError(f"{folder}: this session is over ({progress.ended}); nothing is left")
 
 
 def progress_of(records: Iterable[Record]) -> Progress:

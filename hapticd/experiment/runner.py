@@ -21,10 +21,10 @@ from hapticd.config.configuration import Config
 from hapticd.experiment.event_codes import EventCode
 from hapticd.experiment.front import Choice, Command, Front, Reply, Shown, Watched
 from hapticd.experiment.keys import ChoiceQuestion, MeasureQuestion, NumberQuestion, SliderQuestion, TextQuestion
-from hapticd.experiment.measures import measures_of, planes_of
+from hapticd.experiment.measures import measure_text, measures_of, not_done, planes_of
 from hapticd.experiment.plan import Plan, PlannedTrial
 from hapticd.experiment.procedures.procedure import Procedure
-from hapticd.experiment.progress import progress_of
+from hapticd.experiment.progress import check_not_over, progress_of
 from hapticd.experiment.session_folder import SessionFolder
 from hapticd.experiment.session_log import Log, Record
 from hapticd.experiment.stage import ForcesLost, ForcesStopped, Stage
@@ -33,6 +33,8 @@ from hapticd.experiment.trial_scenes import configurations, seen
 
 MOST_FAULTS: Final = 3
 """Attempts in a row that a fault may end before the session does."""
+MOST_NOT_DONE: Final = 3
+"""Attempts at a motor task that may give no measure; the last of them is the answer."""
 
 Ending: TypeAlias = Literal["ended", "aborted"]
 Procedures: TypeAlias = "Callable[[str, Json], Procedure]"
@@ -90,6 +92,8 @@ class Session:
         self._procedures: dict[str, Procedure] = {}
         self._origin_s = monotonic_s() - self._progress.elapsed_s
         self._faults = 0
+        self._not_done = 0
+        """Attempts in a row that gave no measure."""
 
     @property
     def total(self) -> int:
@@ -111,8 +115,7 @@ class Session:
         Raises HapticdError where the stage is lost or something cannot be written. The log is sound then, and another
         Session goes on.
         """
-        if self._progress.ended is not None:
-            raise HapticdError(f"{self._folder.path}: this session is over ({self._progress.ended}); nothing is left")
+        check_not_over(self._folder.path, self._progress)
         resumed = self._begin()
         try:
             self._stage.fade()
@@ -263,7 +266,9 @@ class Session:
             self._begin_again(trial, attempt, lost)
         answered_s = self._answered_s
         self._check_faults(trial, attempt)
-        self._answer(armed, attempt, reply, onset_s, asked_s, answered_s)
+        measures = self._measures(armed)
+        self._check_done(armed, attempt, reply, measures)
+        self._answer(armed, attempt, reply, measures, onset_s, asked_s, answered_s)
         self._mark(EventCode.TRIAL_END, trial=trial.index, attempt=attempt)
 
     def _felt(self, armed: _Armed, attempt: int) -> tuple[Reply, float, float]:
@@ -297,11 +302,17 @@ class Session:
         return reply, onset_s, asked_s
 
     def _answer(
-        self, armed: _Armed, attempt: int, reply: Reply, onset_s: float, asked_s: float, answered_s: float
+        self,
+        armed: _Armed,
+        attempt: int,
+        reply: Reply,
+        measures: Mapping[str, float | None],
+        onset_s: float,
+        asked_s: float,
+        answered_s: float,
     ) -> None:
         """Puts the answer on disk, with the state of its procedure after it, in one record."""
         trial = armed.trial
-        measures = self._measures(armed)
         question = self._plan.study.questions[trial.question]
         answer: Json = reply.answer
         if isinstance(question, MeasureQuestion):
@@ -329,17 +340,42 @@ class Session:
             **state,
         )
         self._front.answered(self._watched(armed, attempt), answer, right, answered_s - asked_s)
-        self._tell_feedback(armed, right, answer)
+        self._tell_feedback(armed, right, measures)
 
-    def _tell_feedback(self, armed: _Armed, right: bool | None, answer: Json) -> None:
+    def _tell_feedback(self, armed: _Armed, right: bool | None, measures: Mapping[str, float | None]) -> None:
         study, trial = self._plan.study, armed.trial
         warmup = {"practice": study.practice, "training": study.training}.get(trial.phase)
         wanted = study.feedback if warmup is None else "correctness" if warmup.feedback else "none"
-        measured = isinstance(study.questions[trial.question], MeasureQuestion)
-        if wanted == "none" or (wanted == "measure" and not measured):
+        if wanted == "none":
             return
-        measure = answer if measured and isinstance(answer, float) else None
-        self._front.feedback(armed.shown, right, trial.correct, measure)
+        told = []
+        if wanted == "correctness" and right is not None:
+            label = next((each.label for each in armed.shown.answers if each.name == trial.correct), trial.correct)
+            told.append("Correct." if right else f"Wrong: {label}.")
+        question = study.questions[trial.question]
+        asked = (question.measure,) if isinstance(question, MeasureQuestion) else ()
+        for name in measures if wanted == "measure" else asked:
+            value = measures[name]
+            if value is not None:
+                told.append(measure_text(name, value))
+        if told:
+            self._front.feedback(" ".join(told), trial.correct)
+
+    def _check_done(self, armed: _Armed, attempt: int, reply: Reply, measures: Mapping[str, float | None]) -> None:
+        """An attempt at a motor task without what it is to measure does not count. Raises _Again, until there were
+        MOST_NOT_DONE."""
+        question = self._plan.study.questions[armed.trial.question]
+        lacking = None
+        if isinstance(question, MeasureQuestion) and not reply.timed_out:
+            lacking = not_done(question.measure, measures[question.measure])
+        self._not_done = 0 if lacking is None else self._not_done + 1
+        if lacking is None or self._not_done >= MOST_NOT_DONE:
+            self._not_done = 0
+            return
+        self._give_up(armed.trial, attempt, because=f"not done: {lacking}")
+        self._front.tell(f"trial {armed.trial.index + 1} begins again: {lacking}")
+        self._front.feedback(f"{lacking} The trial begins again.", None)
+        raise _Again
 
     def _measures(self, armed: _Armed) -> Mapping[str, float | None]:
         """What the study asks to be measured, from the telemetry of the trial."""
@@ -369,7 +405,7 @@ class Session:
         self._give_up(trial, attempt, because=str(because))
         if self._faults >= MOST_FAULTS:
             raise because
-        self._front.tell(f"trial {trial.index} begins again: {because}")
+        self._front.tell(f"trial {trial.index + 1} begins again: {because}")
         raise _Again(paused=isinstance(because, ForcesStopped)) from None
 
     # ---- What the front is told, and tells ------------------------------------------------------------------

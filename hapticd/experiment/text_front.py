@@ -19,6 +19,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final, TextIO, cast
 
+from rich.console import Console
+from rich.markdown import Markdown
+
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
@@ -112,9 +115,11 @@ class TextFront:
     def __init__(self, source: TextIO | None = None, out: TextIO | None = None) -> None:
         self._keys = Keys(source or sys.stdin)
         self._out = out or sys.stdout
+        self._console = Console(file=self._out, highlight=False)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
-        self._say(f"{title}\n\n{instructions.strip()}\n")
+        self._say(f"{title}\n")
+        self._say_markdown(instructions)
         self._say(f"{done} of {'at most ' if at_most else ''}{wording.count(total, 'trial')} done.")
         self._say("Experimenter: :pause, :repeat, :note TEXT, :abort; Escape stops everything.")
         return self._go_on("Enter begins.")
@@ -122,7 +127,9 @@ class TextFront:
     def phase(self, phase: str, instructions: str | None) -> Command | None:
         if instructions is None and phase == "test":
             return None
-        self._say(f"\n{phase.capitalize()}" + (f"\n{instructions.strip()}" if instructions else ""))
+        self._say(f"\n{phase.capitalize()}")
+        if instructions:
+            self._say_markdown(instructions)
         return self._go_on("Enter goes on.")
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
@@ -142,7 +149,7 @@ class TextFront:
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
         if shown.stimuli > 1 and not shown.in_places:
             self._say(f"Interval {shown.stimuli} of {shown.stimuli}.")
-        self._say(shown.text.strip())
+        self._say_markdown(shown.text)
         limit_s = math.inf if shown.time_limit_s is None else shown.time_limit_s
         deadline = time.monotonic() + limit_s
         match shown.kind:
@@ -153,19 +160,16 @@ class TextFront:
             case _:
                 return self._typed(shown, stage, deadline)
 
-    def feedback(self, shown: Shown, correct: bool | None, right: str | None, measure: float | None) -> None:
-        if correct is not None:
-            label = next((each.label for each in shown.answers if each.name == right), right)
-            self._say("Correct." if correct else f"Wrong: {label}.")
-        if measure is not None:
-            self._say(f"{wording.number(measure)}")
+    def feedback(self, told: str, right: str | None) -> None:
+        self._say(told)
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
         # At one terminal the participant would read it.
         pass
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        self._say(f"\n{(text or 'A break.').strip()}")
+        self._say("")
+        self._say_markdown(text or "A break.")
         ends = time.monotonic() + least_s
         while (left_s := ends - time.monotonic()) > 0:
             said = self._go_on(f"{wording.duration(math.ceil(left_s))} left; Enter is taken after them.", until=ends)
@@ -183,6 +187,9 @@ class TextFront:
 
     def _say(self, text: str) -> None:
         print(text, file=self._out, flush=True)
+
+    def _say_markdown(self, text: str) -> None:
+        self._console.print(Markdown(text.strip()))
 
     def _go_on(self, text: str, stage: Stage | None = None, until: float = math.inf) -> Command | None:
         said = self._waited(_ENTER, text, stage, until)

@@ -39,14 +39,19 @@ class Running:
             text=True,
             start_new_session=True,
         )
+        self.links = self.read_links()
+
+    def read_links(self) -> dict[str, str]:
+        """The next two addresses that it prints, by page."""
         assert self.process.stdout is not None and self.process.stderr is not None
-        self.links: dict[str, str] = {}
-        while len(self.links) < 2:
+        links: dict[str, str] = {}
+        while len(links) < 2:
             line = self.process.stdout.readline()
             assert line, self.process.stderr.read()
             found = re.match(r"(participant|experimenter): (http://\S+)", line)
             assert found is not None, line
-            self.links[found[1]] = found[2]
+            links[found[1]] = found[2]
+        return links
 
     def ended(self) -> tuple[int, str, str]:
         """Exit code, and what it said from then on."""

@@ -170,6 +170,7 @@ class ScriptedFront:
         self.watched: list[Watched] = []
         self.shown: list[Shown] = []
         self.told: list[str] = []
+        self.feedbacks: list[str] = []
         self.asked: list[str] = []
         self.answers_on_disk: list[tuple[int, Any, bool | None]] = []
 
@@ -201,8 +202,9 @@ class ScriptedFront:
         self.shown.append(shown)
         return Reply(self.answers(shown))
 
-    def feedback(self, shown: Shown, correct: bool | None, right: str | None, measure: float | None) -> None:
+    def feedback(self, told: str, right: str | None) -> None:
         self.asked.append("feedback")
+        self.feedbacks.append(told)
 
     def answered(self, watched: Watched, answer: Any, correct: bool | None, response_s: float) -> None:
         self.answers_on_disk.append((watched.index, answer, correct))

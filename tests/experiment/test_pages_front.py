@@ -262,7 +262,7 @@ def test_what_is_told_of_a_trial_is_on_the_next_screen_that_is_felt(tmp_path: Pa
         _willing(front)
 
     front = Played(looks).front
-    front.feedback(SHOWN, True, "wood", None)
+    front.feedback("Correct.", "wood")
     front.set_auto(True)
     assert started(tmp_path, NotedStage(), front).run() == "ended"
     first, *later = told.values()

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapticd.base.core import Flag
+from hapticd.base.core import SAMPLE_DTYPE, Flag
 from hapticd.base.errors import HapticdError
 from hapticd.experiment.daemon_stage import DaemonStage
 from hapticd.experiment.front import Command, Reply, Shown
 from hapticd.experiment.session import plan_document, plan_of
 from hapticd.experiment.session_folder import SessionFolder
 from hapticd.experiment.session_log import read_log
-from hapticd.experiment.stage import ForcesLost, ForcesStopped
+from hapticd.experiment.stage import ForcesLost, ForcesStopped, Telemetry
 from hapticd.experiment.trial_scenes import configurations
 from hapticd.protocol.calls import DaemonNotRunning, RemoteError
 from hapticd.recording.recording import load
@@ -199,6 +199,57 @@ def test_forces_that_are_lost_in_a_trial_make_it_begin_again(tmp_path: Path) -> 
     with pytest.raises(HapticdError, match="took the forces away"):
         started(root, NotedStage(fails), ScriptedFront()).run()
     assert _records(root, "answer") == []
+
+
+MOTOR: dict[str, Any] = {
+    **{key: STAIRCASE[key] for key in ("experiment", "instructions")},
+    "title": "Push through",
+    "base": {
+        "scene": {
+            "objects": {
+                "skin": {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.1, "material": "wood"}
+            }
+        }
+    },
+    "trial": {"type": "motor", "question": "push", "measures": ["peak_force_n"]},
+    "repetitions": 2,
+    "questions": {"push": {"kind": "measure", "measure": "overtravel_m", "text": "Push."}},
+    "feedback": "measure",
+}
+
+
+class PushedStage(NotedStage):
+    """Its hand breaks the membrane in attempts whose place, from 0, is in `breaks`, and goes 3 mm further."""
+
+    def __init__(self, breaks: frozenset[int]) -> None:
+        super().__init__()
+        self._breaks = breaks
+
+    def telemetry(self) -> Telemetry:
+        samples = np.zeros(101, SAMPLE_DTYPE)
+        samples["time_ns"] = np.arange(101) * 1_000_000
+        samples["position_m"][:, 1] = np.linspace(0.0, -6e-3, 101)
+        samples["force_n"][50, 1] = 2.0
+        broke = {"event": "puncture", "object": "skin", "onset_time_ns": 50_000_000}
+        return Telemetry(samples, [broke] if self.done.count("record") - 1 in self._breaks else [])
+
+
+def test_a_motor_task_that_was_not_done_begins_again(tmp_path: Path) -> None:
+    front = ScriptedFront(lambda shown: "")
+    assert started(tmp_path, PushedStage(frozenset({1, 2})), front, MOTOR).run() == "ended"
+    assert [answer["attempt"] for answer in _records(tmp_path, "answer")] == [2, 1]
+    assert [answer["answer"] for answer in _records(tmp_path, "answer")] == [pytest.approx(3e-3)] * 2
+    (given_up,) = _records(tmp_path, "trial_given_up")
+    assert (given_up["trial"], given_up["because"]) == (0, "not done: No membrane broke.")
+    measured = "Largest force: 2 N. Overtravel: 3 mm."
+    assert front.feedbacks == ["No membrane broke. The trial begins again.", measured, measured]
+
+
+def test_a_motor_task_that_is_never_done_has_no_answer_after_three_attempts(tmp_path: Path) -> None:
+    front = ScriptedFront(lambda shown: "")
+    assert started(tmp_path, PushedStage(frozenset()), front, MOTOR).run() == "ended"
+    assert [(answer["attempt"], answer["answer"]) for answer in _records(tmp_path, "answer")] == [(3, None)] * 2
+    assert len(_records(tmp_path, "trial_given_up")) == 4
 
 
 def test_forces_that_somebody_else_stopped_stay_off_until_the_experimenter_goes_on(tmp_path: Path) -> None:

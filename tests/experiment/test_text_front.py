@@ -56,6 +56,16 @@ def test_keys_of_a_terminal_come_as_they_are_pressed(terminal: tuple[int, TextIO
     assert keys.line(30.0, begun="two ") == "two words"
 
 
+def test_instructions_are_read_without_the_signs_of_markdown(pipe: tuple[int, TextIO]) -> None:
+    write, stream = pipe
+    out = io.StringIO()
+    os.write(write, b"\n")
+    TextFront(stream, out).begin("Stiffness", "Press **both** surfaces.\n\n- the *left* one", 0, 1, False)
+    assert "Press both surfaces." in out.getvalue() and "the left one" in out.getvalue()
+    assert "*" not in out.getvalue()
+    os.close(write)
+
+
 @pytest.mark.parametrize(
     ("at_most", "said"), [(False, "3 of 124 trials done."), (True, "3 of at most 124 trials done.")]
 )

@@ -114,6 +114,36 @@ def test_several_participants_are_simulated_ones_offline(tmp_path: Path) -> None
     assert not (tmp_path / "data").exists()
 
 
+def test_a_folder_holds_the_sessions_of_one_study(ranked: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text(RANKING.replace("Put them in order", "Order them"))
+    before = sorted(ranked.rglob("*"))
+    result = _run(other, ranked, "--offline", people=("D",))
+    assert result.exit_code == 1
+    assert 'has sessions of another study, "Put them in order"' in str(result.exception)
+    assert sorted(ranked.rglob("*")) == before
+
+
+def test_what_has_no_session_left_to_run_starts_no_daemon_and_no_page(ranked: Path) -> None:
+    """Neither `resume` of a session that is over nor `run` of one that is there."""
+    session = ranked / "sub-simA" / "ses-01"
+    result = CliRunner().invoke(cli, ["experiment", "resume", str(session), "--demo"])
+    assert result.output == ""
+    assert str(result.exception) == f"{session}: this session is over (all trials are done); nothing is left"
+    study = ["experiment", "run", str(ranked.parent / "ranking.yaml"), "--participant", "simA", "--demo"]
+    result = CliRunner().invoke(cli, [*study, "-o", str(ranked)])
+    assert result.output == ""
+    assert str(result.exception).startswith(f"{session}: this session exists; go on with")
+
+
+def test_a_demo_at_the_terminal_has_no_hand(ranked: Path, tmp_path: Path) -> None:
+    study = ["experiment", "run", str(ranked.parent / "ranking.yaml"), "--participant", "P01"]
+    for words in ([*study, "-o", str(tmp_path)], ["experiment", "resume", str(ranked / "sub-simA" / "ses-01")]):
+        result = CliRunner().invoke(cli, [*words, "--text", "--demo"])
+        assert result.exit_code == 2
+        assert "--text has no hand for the simulated joystick of --demo" in result.output
+
+
 def test_no_trial_begins_after_the_time_of_the_test(tmp_path: Path) -> None:
     """On the simulated hand's clock, on which a trial of three intervals takes several seconds."""
     study = tmp_path / "ranking.yaml"

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
-from hapticd.base import wording
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.front import Command, Reply, Seen, Shown, Watched
 from hapticd.experiment.pages import screens
@@ -205,12 +204,8 @@ class PagesFront:
             self._console.done += 1
         self._changed()
 
-    def feedback(self, shown: Shown, correct: bool | None, right: str | None, measure: float | None) -> None:
-        if correct is not None:
-            label = next((each.label for each in shown.answers if each.name == right), right)
-            self._told = "Correct." if correct else f"Wrong: {label}."
-        if measure is not None:
-            self._told = wording.number(measure)
+    def feedback(self, told: str, right: str | None) -> None:
+        self._told = told
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
         if self._console.doing != "rests":

@@ -52,8 +52,8 @@ class Options:
 def run(options: Options, front: PagesFront, news: News, session: Callable[[], int]) -> int:
     """Shows the pages while `session` runs in a thread; returns what it returns.
 
-    SIGINT and SIGTERM end the session, as the experimenter would. Raises HapticdError where a port cannot be had, and
-    what the session raised.
+    SIGINT and SIGTERM end the session, as the experimenter would; SIGUSR1 prints new addresses. Raises HapticdError
+    where a port cannot be had, and what the session raised.
     """
     with ExitStack() as stack:
         at = []
@@ -94,12 +94,14 @@ class _Life:
     ) -> None:
         self._options, self._front, self._changes = options, front, news
         self._at: dict[Who, Listening] = {"participant": participant, "experimenter": experimenter}
+        self._sessions: dict[Who, Sessions] = {"participant": Sessions(), "experimenter": Sessions()}
         self._screen, self._notice = -1, ""
 
     async def run(self, session: Callable[[], int]) -> int:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._front.command, Command("abort", signal.Signals(number).name))
+        loop.add_signal_handler(signal.SIGUSR1, self._print_addresses)
         async with AsyncExitStack() as stack:
             control = Client(self._options.place)
             stack.push_async_callback(control.close)
@@ -127,13 +129,12 @@ class _Life:
     async def _serve(
         self, stack: AsyncExitStack, running: list[asyncio.Task[Any]], hub: TelemetryHub, control: Client
     ) -> dict[Who, Pages]:
-        """Both sites; prints their addresses."""
+        """Both sites; prints their addresses once both are served."""
         made: dict[Who, Pages] = {}
-        addresses = []
         for who, at in self._at.items():
             presence = Presence(partial(self._front.here, who), swept=self._front.server_runs)
-            sessions, connections = Sessions(), Connections()
-            pages = Pages(self._options.place, hub, control, False, partial(_address, at, sessions))
+            connections = Connections()
+            pages = Pages(self._options.place, hub, control, False, partial(self._address, who))
             if who == "participant":
                 passes = STOPS | MOVES if self._options.simulated else STOPS
                 own = participant_page.methods(self._front, presence, self._options.simulated)
@@ -142,15 +143,24 @@ class _Life:
                 own = experimenter_page.methods(self._front, presence)
                 pages = replace(pages, methods={**application.METHODS, **own})
             site = Site(STATIC / f"{who}.html", partial(_add_routes, pages))
-            await stack.enter_async_context(serving(at, sessions, site, connections))
+            await stack.enter_async_context(serving(at, self._sessions[who], site, connections))
             running += [asyncio.create_task(each.run(), name=f"{who}-{each}") for each in (presence, connections)]
             made[who] = pages
-            addresses.append(_address(at, sessions))
-            click.echo(f"{who}: {addresses[-1]}")
+        addresses = self._print_addresses()
         if self._options.open_browser:
             task = asyncio.create_task(opening.open_in_browser(addresses), name="browser")
             stack.push_async_callback(ended, task)
         return made
+
+    def _address(self, who: Who) -> str:
+        """A new one, which opens the page once."""
+        return f"{self._at[who].url}/?token={self._sessions[who].new_token()}"
+
+    def _print_addresses(self) -> list[str]:
+        addresses = {who: self._address(who) for who in self._at}
+        for who, address in addresses.items():
+            click.echo(f"{who}: {address}")
+        return list(addresses.values())
 
     def _tell(self, pages: dict[Who, Pages]) -> None:
         screen = self._front.screen
@@ -166,10 +176,6 @@ class _Life:
 def _add_routes(pages: Pages, app: Any) -> None:
     pages.add_routes(app)
     app.router.add_static("/experiment/", STATIC, follow_symlinks=False)
-
-
-def _address(at: Listening, sessions: Sessions) -> str:
-    return f"{at.url}/?token={sessions.new_token()}"
 
 
 def _in_thread(loop: asyncio.AbstractEventLoop, session: Callable[[], int]) -> asyncio.Future[int]:

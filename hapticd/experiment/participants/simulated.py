@@ -77,7 +77,7 @@ class SimulatedFront:
             self._feel(surface, stage)
         return Reply(self._answer(shown))
 
-    def feedback(self, shown: Shown, correct: bool | None, right: str | None, measure: float | None) -> None:
+    def feedback(self, told: str, right: str | None) -> None:
         if right is not None and len(self._percepts) == 1:
             self._observer.learn(self._percepts[0], right)
 

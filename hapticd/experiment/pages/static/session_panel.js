@@ -87,7 +87,9 @@ export function mount(app, element) {
       }
       Object.assign(rows, { Asked: state.asked, Correct: trial.correct ?? "–", Attempt: trial.attempt });
     }
-    rows["So far"] = `${correct} of ${judged} correct (${percent(correct, judged)})`;
+    if (judged > 0) {
+      rows["So far"] = `${correct} of ${judged} correct (${percent(correct, judged)})`;
+    }
     facts.replaceChildren(...Object.entries(rows).flatMap(([name, text]) => [make("dt", { text: name }), make("dd", { text })]));
     const wanted = JSON.stringify(state.lines);
     if (told.dataset.lines !== wanted) {
