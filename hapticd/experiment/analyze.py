@@ -30,6 +30,9 @@ class Analysis:
     sections: tuple[Section, ...]
     files: tuple[Path, ...]
     published: str | None
+    """Name of the published results that stand beside these; None: none do."""
+    lacking: tuple[str, ...] = ()
+    """What of the whole could not be shown, and why."""
 
     @property
     def tables(self) -> tuple[ResultTable, ...]:
@@ -38,7 +41,7 @@ class Analysis:
     @property
     def notes(self) -> tuple[str, ...]:
         """What could not be computed, and why."""
-        return tuple(note for section in self.sections for note in section.notes)
+        return (*self.lacking, *(note for section in self.sections for note in section.notes))
 
     def to_dict(self) -> dict[str, Json]:
         tables: dict[str, Json] = {table.name: table.to_dict() for table in self.tables}
@@ -87,12 +90,15 @@ def analysis_of(behaviour: Behaviour) -> Analysis:
         f"{', '.join(counts)} of the test; {len(behaviour.rows) - len(tested)} of practice or training and {left} "
         "without an answer are left out"
     )
+    beside = any(section.beside_published for section in sections)
+    lacking = [f"published results {facts.published}: these sessions have nothing yet to stand beside them"]
     return Analysis(
         facts.title,
         summary,
-        tuple(section for section in sections if section.tables or section.notes),
+        tuple(section for section in sections if section.tables or section.pictures or section.notes),
         behaviour.files,
-        facts.published,
+        facts.published if beside else None,
+        tuple(lacking) if facts.published and not beside else (),
     )
 
 
@@ -115,7 +121,7 @@ def _sections(used: Sequence[Row], behaviour: Behaviour, published: PublishedRes
         found.append(measure_sections.rankings([row for row in fixed if _is_ranking(row)], POSITIONS))
     if facts.trial_type == "rating":
         found.append(measure_sections.ratings(answers))
-    found.append(measure_sections.motions(used, published))
+    found.append(measure_sections.motions(used, facts, published))
     fixed_judged = [row for row in judged if row.get("level") is None]
     if fixed_judged:
         found.append(answer_sections.cells(fixed_judged, facts))

@@ -94,7 +94,7 @@ def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResul
         "correct answers, %",
         None if facts.chance is None else 100 * facts.chance,
     )
-    return Section((table,), (picture,))
+    return Section((table,), (picture,), beside_published=any(row[0] in published.quartiles for row in listed))
 
 
 def pairs(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -> Section:
@@ -133,7 +133,7 @@ def pairs(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -
         tables.append(
             ResultTable("rank_correlation", "Order of the pairs against the publication", head, tuple(ranks), note)
         )
-    return Section(tuple(tables), tuple(pictures))
+    return Section(tuple(tables), tuple(pictures), beside_published=bool(ranks))
 
 
 def scales(rows: Sequence[Row], facts: StudyFacts) -> Section:

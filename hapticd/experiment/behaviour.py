@@ -16,6 +16,7 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError, quoted
 from hapticd.base.yaml_source import Json, load_path
+from hapticd.config.schema import unit_of
 
 MISSING: Final = "n/a"
 NEEDED: Final = ("participant", "phase", "condition", "cell", "response", "correct")
@@ -71,6 +72,29 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
+class Varied:
+    """What an adaptive procedure varies. Two that are equal have one psychometric function."""
+
+    variable: str | None = None
+    """The key whose level it varies; its unit stands at its end."""
+    at: tuple[str, ...] = ()
+    """The keys that take its value."""
+    reference: float | None = None
+    """Value of the stimulus that the target is compared with."""
+    level: str = "value"
+    """What the level is: the value, what is added to the reference, or a factor of it."""
+    logarithmic: bool = False
+    guess: float | None = None
+    """Probability of a correct answer by chance; None: the study does not say."""
+
+    @property
+    def unit(self) -> str:
+        if self.level == "factor":
+            return "ratio"
+        return (unit_of(self.variable) if self.variable else None) or "units of the variable"
+
+
+@dataclass(frozen=True, slots=True)
 class StudyFacts:
     """What an analysis is told by the study."""
 
@@ -78,12 +102,8 @@ class StudyFacts:
     trial_type: str | None = None
     chance: float | None = None
     published: str | None = None
-    logarithmic: bool = False
-    """Whether the levels of its procedures are on a logarithmic axis."""
-    variable: str | None = None
-    """The key whose level its procedures vary; its unit stands at its end."""
-    reference: float | None = None
-    """What the levels of its procedures are added to; None where they are not."""
+    varied: Mapping[str, Varied] = field(default_factory=dict)
+    """By the name of the adaptive procedure."""
     conditions: tuple[str, ...] = ()
     """In the order of the study."""
     items: tuple[str, ...] = ()
@@ -163,11 +183,6 @@ def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
     listed = [_mapping(each) for each in answers] if isinstance(answers, list) else []
     meanings = {str(each["name"]): str(each["means"]) for each in listed if "name" in each and "means" in each}
     named = {str(each["name"]): _text(each["level"]) for each in listed if "name" in each and "level" in each}
-    methods = [_mapping(_mapping(each).get("method")) for each in _mapping(trial.get("procedures")).values()]
-    variables = [_mapping(_mapping(each).get("variable")) for each in _mapping(trial.get("procedures")).values()]
-    named_variables = {str(each["name"]) for each in variables if "name" in each}
-    references = {each.get("reference") if each.get("level") == "added" else None for each in variables}
-    reference = references.pop() if len(references) == 1 else None
     items = []
     for factor in _mapping(study.get("factors")).values():
         levels = _mapping(factor).get("levels", _mapping(factor).get("variants"))
@@ -179,13 +194,25 @@ def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
         trial_type=kind if isinstance(kind, str) else None,
         chance=float(chance) if isinstance(chance, int | float) else None,
         published=published if isinstance(published, str) else None,
-        logarithmic=any(each.get("axis") == "logarithmic" for each in methods),
-        variable=named_variables.pop() if len(named_variables) == 1 else None,
-        reference=float(reference) if isinstance(reference, int | float) else None,
+        varied={name: _varied(_mapping(each)) for name, each in _mapping(trial.get("procedures")).items()},
         conditions=tuple(_mapping(study.get("conditions"))),
         items=tuple(items),
         meanings=meanings,
         levels=named,
+    )
+
+
+def _varied(procedure: Mapping[str, Json]) -> Varied:
+    variable, method = _mapping(procedure.get("variable")), _mapping(procedure.get("method"))
+    name, at = variable.get("name"), variable.get("at")
+    reference, guess = variable.get("reference"), method.get("guess")
+    return Varied(
+        variable=name if isinstance(name, str) else None,
+        at=tuple(map(str, at)) if isinstance(at, list) else (str(at),),
+        reference=float(reference) if isinstance(reference, int | float) else None,
+        level=str(variable.get("level", "value")),
+        logarithmic=method.get("axis") == "logarithmic",
+        guess=float(guess) if isinstance(guess, int | float) else None,
     )
 
 

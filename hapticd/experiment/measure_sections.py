@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError
+from hapticd.base.wording import listed as listing
 from hapticd.config.schema import unit_of
 from hapticd.experiment.analysis.motor import paired
 from hapticd.experiment.analysis.participants import mean_of_each, mean_ranks, quartiles
@@ -17,50 +18,55 @@ from hapticd.experiment.analysis.proportions import proportion
 from hapticd.experiment.analysis.psychometric import PsychometricFit, bootstrap, fit, goodness_of_fit
 from hapticd.experiment.analysis.psychometric_shapes import SHAPES
 from hapticd.experiment.answer_sections import by_condition
-from hapticd.experiment.behaviour import MEASURES, Row, StudyFacts
+from hapticd.experiment.behaviour import MEASURES, Row, StudyFacts, Varied
 from hapticd.experiment.published_tables import PublishedResults
 from hapticd.experiment.results import Cell, Dots, Fitted, PairedValues, ResultTable, Section
 
+POOLED: Final = "pooled"
+"""In the place of a participant: the answers of all together."""
 RESAMPLES: Final = 1000
 _CURVE: Final = 200
 _AXIS_UNITS: Final = {True: "1 per unit of log level", False: "1 per unit of level"}
 
 
 def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """A psychometric function of correct answers for each condition, by all participants and by each of them."""
+    """A psychometric function of correct answers for each condition, cell and variable: of all participants, and of
+    each of them. Procedures that vary the same key from the same reference are fitted together."""
     listed: list[tuple[Cell, ...]] = []
     pictures, notes = [], []
-    for condition, own in by_condition(rows).items():
-        judged = [row for row in own if row.right is not None and row.number("level") is not None]
-        if not judged:
-            continue
+    for (condition, procedures), (varied, judged) in _by_function(rows, facts).items():
         people = sorted({row["participant"] for row in judged})
-        groups = [("all", judged)]
+        groups = [(POOLED, judged)]
         if len(people) > 1:
             groups += [(person, [row for row in judged if row["participant"] == person]) for person in people]
         for who, group in groups:
+            name = f"psychometric function, {condition}, {procedures}, {who}"
             try:
-                found = _best(group, facts)
+                found = _best(group, varied, facts)
             except FitError as error:
-                notes.append(f"psychometric function, {condition}, {who}: {error}")
+                notes.append(f"{name}: {error}")
                 continue
-            if found.at_bound:
-                notes.append(
-                    f"psychometric function, {condition}, {who}: the levels do not determine threshold and slope"
-                )
-            estimates = bootstrap(found, RESAMPLES)
-            fitness = goodness_of_fit(found, RESAMPLES)
-            listed += [
-                (condition, who, found.shape, len(group), name, unit, each.value, each.low, each.high, fitness)
-                for name, unit, each in _figures(found, estimates, facts)
-            ]
-            if who == "all":
+            threshold, undetermined = None, found.undetermined(varied.unit)
+            if undetermined is None:
+                estimates, fitness = bootstrap(found, RESAMPLES), goodness_of_fit(found, RESAMPLES)
                 ends = estimates["threshold"]
-                pictures.append(_picture(condition, found, (ends.value, ends.low, ends.high), _level_unit(facts)))
+                threshold = ends.value, ends.low, ends.high
+                listed += [
+                    (
+                        *(condition, procedures, who, found.shape, len(group)),
+                        *(figure, unit, each.value, each.low, each.high, fitness),
+                    )
+                    for figure, unit, each in _figures(found, estimates, varied)
+                ]
+            else:
+                notes.append(f"{name}: {undetermined}")
+            if who == POOLED:
+                pictures.append(_picture(f"{condition}, {procedures}", found, threshold, varied.unit))
     if not listed:
-        return Section((), (), tuple(notes))
+        return Section((), tuple(pictures), tuple(notes))
     head = (
         "condition",
+        "procedures",
         "participant",
         "function",
         "trials",
@@ -81,6 +87,24 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
         tuple(pictures),
         tuple(notes),
     )
+
+
+def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str], tuple[Varied, list[Row]]]:
+    """What varies, and the rows of it, by condition and the names of the procedures that vary it."""
+    grouped: dict[tuple[str, str, Varied], list[Row]] = defaultdict(list)
+    names: dict[tuple[str, str, Varied], set[str]] = defaultdict(set)
+    for row in rows:
+        if row.right is None or row.number("level") is None:
+            continue
+        procedure = (row.get("procedure") or "").partition(".")[0]
+        cell = row["cell"] if row["cell"] != procedure else ""
+        key = row["condition"], cell, facts.varied.get(procedure, Varied())
+        grouped[key].append(row)
+        names[key].add(procedure)
+    return {
+        (condition, ": ".join(filter(None, (cell, listing(sorted(names[condition, cell, varied])))))): (varied, own)
+        for (condition, cell, varied), own in grouped.items()
+    }
 
 
 def ratings(rows: Sequence[Row]) -> Section:
@@ -130,12 +154,13 @@ def rankings(rows: Sequence[Row], positions: Sequence[str]) -> Section:
     return Section((ResultTable("rankings", "Ranks", head, tuple(listed), note),), (), tuple(notes))
 
 
-def motions(rows: Sequence[Row], published: PublishedResults) -> Section:
+def motions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -> Section:
     """Measures of the motion: over participants, and each two conditions compared."""
     summary: list[tuple[Cell, ...]] = []
     compared: list[tuple[Cell, ...]] = []
     effects: list[tuple[Cell, ...]] = []
-    pictures, notes = [], []
+    pictures = []
+    not_compared: dict[str, list[str]] = defaultdict(list)
     for measure in MEASURES:
         means: dict[str, dict[str, float]] = {}
         for condition, own in by_condition(rows).items():
@@ -165,7 +190,7 @@ def motions(rows: Sequence[Row], published: PublishedResults) -> Section:
             try:
                 each = paired([means[one][who] for who in both], [means[other][who] for who in both])
             except FitError as error:
-                notes.append(f"{measure}, {one} less {other}: {error}")
+                not_compared[f"{one} less {other}: {error}"].append(measure)
                 continue
             difference, effect = each.difference, each.effect_size
             paper = published.difference if published.difference and published.difference[0] == measure else None
@@ -173,7 +198,7 @@ def motions(rows: Sequence[Row], published: PublishedResults) -> Section:
                 (
                     *(measure, _unit(measure), f"{one} less {other}", each.participants),
                     *(difference.value, difference.low, difference.high, each.standard_deviation),
-                    *(((paper[1], paper[2]) if paper else (None, None)) if published.difference else ()),
+                    *((paper[1], paper[2]) if paper else (None, None)),
                 )
             )
             effects.append(
@@ -182,6 +207,8 @@ def motions(rows: Sequence[Row], published: PublishedResults) -> Section:
                     *(effect.value, effect.low, effect.high, each.t, each.p_value, each.wilcoxon_p),
                 )
             )
+        if len(means) == 1 and len(facts.conditions) > 1:
+            not_compared[f"only trials of {next(iter(means))}: a comparison needs two conditions"].append(measure)
         if len(means) > 1:
             people = sorted(set.intersection(*(set(each) for each in means.values())))
             if people:
@@ -191,14 +218,16 @@ def motions(rows: Sequence[Row], published: PublishedResults) -> Section:
                         f"{measure} of each participant", tuple(means), values_of, f"{measure}, {_unit(measure)}"
                     )
                 )
-    return _motion_section(summary, compared, effects, bool(published.difference), pictures, notes)
+    notes = [f"{listing(measures)}, {why}" for why, measures in not_compared.items()]
+    beside_published = published.difference is not None and any(row[0] == published.difference[0] for row in compared)
+    return _motion_section(summary, compared, effects, beside_published, pictures, notes)
 
 
 def _motion_section(
     summary: list[tuple[Cell, ...]],
     compared: list[tuple[Cell, ...]],
     effects: list[tuple[Cell, ...]],
-    with_paper: bool,
+    beside_published: bool,
     pictures: list[PairedValues],
     notes: list[str],
 ) -> Section:
@@ -209,8 +238,10 @@ def _motion_section(
     if compared:
         head = (
             *("measure", "unit", "comparison", "participants", "difference", "low 95 %", "high 95 %", "SD"),
-            *(("published difference", "published SD") if with_paper else ()),
+            *(("published difference", "published SD") if beside_published else ()),
         )
+        if not beside_published:
+            compared = [row[:-2] for row in compared]
         note = "Differences of the participants' means, with Student's interval."
         tables.append(ResultTable("comparisons", "Conditions compared", head, tuple(compared), note))
         head = (
@@ -219,7 +250,7 @@ def _motion_section(
         )
         note = "d_z, without unit, is the mean difference over its standard deviation, with noncentral t's interval."
         tables.append(ResultTable("effects", "Size of the effects, and tests", head, tuple(effects), note))
-    return Section(tuple(tables), tuple(pictures), tuple(notes))
+    return Section(tuple(tables), tuple(pictures), tuple(notes), beside_published)
 
 
 def _unit(measure: str) -> str:
@@ -227,39 +258,36 @@ def _unit(measure: str) -> str:
 
 
 def _figures(
-    found: PsychometricFit, estimates: Mapping[str, Estimate], facts: StudyFacts
+    found: PsychometricFit, estimates: Mapping[str, Estimate], varied: Varied
 ) -> list[tuple[str, str, Estimate]]:
     """Names, units and values."""
-    threshold = estimates["threshold"]
-    listed = [("threshold", _level_unit(facts), threshold)]
-    if facts.reference:
-        listed.append(("weber_fraction", "ratio", threshold.mapped(lambda level: level / abs(facts.reference or 1.0))))
+    threshold, reference = estimates["threshold"], varied.reference
+    figures = [("threshold", varied.unit, threshold)]
+    if varied.level == "added" and reference:
+        figures.append(("weber_fraction", "ratio", threshold.mapped(lambda level: level / abs(reference))))
     slope_unit = _AXIS_UNITS[found.logarithmic]
-    return [*listed, ("slope", slope_unit, estimates["slope"]), ("lapse", "probability", estimates["lapse"])]
+    return [*figures, ("slope", slope_unit, estimates["slope"]), ("lapse", "probability", estimates["lapse"])]
 
 
-def _level_unit(facts: StudyFacts) -> str:
-    return (unit_of(facts.variable) if facts.variable else None) or "unit of the study's variable"
-
-
-def _best(rows: Sequence[Row], facts: StudyFacts) -> PsychometricFit:
+def _best(rows: Sequence[Row], varied: Varied, facts: StudyFacts) -> PsychometricFit:
     """The shape of greatest likelihood."""
     levels = np.array([row.number("level") for row in rows], dtype=float)
     right = np.array([row.right for row in rows], dtype=float)
     places, at = np.unique(levels, return_inverse=True)
-    on_log = facts.logarithmic and bool((places > 0).all())
+    on_log = varied.logarithmic and bool((places > 0).all())
+    guess = varied.guess if varied.guess is not None else facts.chance or 0.0
     shapes = [shape for shape in SHAPES if shape != "weibull" or on_log]
     counts, trials = np.bincount(at, right), np.bincount(at)
-    fits = [fit(places, counts, trials, shape, guess=facts.chance or 0.0, logarithmic=on_log) for shape in shapes]
+    fits = [fit(places, counts, trials, shape, guess=guess, logarithmic=on_log) for shape in shapes]
     return min(fits, key=lambda each: each.deviance)
 
 
-def _picture(condition: str, found: PsychometricFit, threshold: tuple[float, float, float], unit: str) -> Fitted:
-    shown = [proportion(int(right), int(of)) for right, of in zip(found.positive, found.trials, strict=True)]
+def _picture(of: str, found: PsychometricFit, threshold: tuple[float, float, float] | None, unit: str) -> Fitted:
+    shown = [proportion(int(right), int(count)) for right, count in zip(found.positive, found.trials, strict=True)]
     space = np.geomspace if found.logarithmic else np.linspace
     levels = np.asarray(space(found.levels.min(), found.levels.max(), _CURVE))
     return Fitted(
-        f"Psychometric function, {condition}, {found.shape}",
+        f"Psychometric function, {of}, {found.shape}",
         found.levels,
         np.array([100 * each.value for each in shown]),
         np.array([100 * each.low for each in shown]),

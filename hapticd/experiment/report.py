@@ -128,9 +128,10 @@ def _fitted(figure: Figure, picture: Fitted) -> None:
     bars = np.maximum(0.0, [picture.percent - picture.low, picture.high - picture.percent])
     axes.errorbar(picture.levels, picture.percent, bars, fmt="o", ms=4, lw=1, capsize=2, label="answers, Wilson's 95 %")
     axes.plot(picture.curve_levels, picture.curve_percent, "-", lw=1.5, label="fitted function")
-    threshold, low, high = picture.threshold
-    axes.axvline(threshold, color="C2", lw=1, label="threshold, 95 %")
-    axes.axvspan(low, high, color="C2", alpha=0.15, lw=0)
+    if picture.threshold is not None:
+        threshold, low, high = picture.threshold
+        axes.axvline(threshold, color="C2", lw=1, label="threshold, 95 %")
+        axes.axvspan(low, high, color="C2", alpha=0.15, lw=0)
     if picture.logarithmic:
         axes.set_xscale("log")
         plain_decades(axes.xaxis, (1.0, 2.0, 5.0))
@@ -145,9 +146,11 @@ def _fitted(figure: Figure, picture: Fitted) -> None:
 def _paired(figure: Figure, picture: PairedValues) -> None:
     axes = figure.subplots()
     places = np.arange(len(picture.conditions))
-    for values in picture.values:
-        axes.plot(places, values, "o-", color="0.6", ms=3, lw=0.8)
-    axes.plot(places, picture.values.mean(axis=0), "o-", color="C0", ms=6, lw=2, label="mean over participants")
+    for number, values in enumerate(picture.values):
+        label = None if number else "a participant"
+        axes.plot(places, values, "o-", color="0.6", ms=3, lw=0.8, label=label)
+    if len(picture.values) > 1:
+        axes.plot(places, picture.values.mean(axis=0), "o-", color="C0", ms=6, lw=2, label="mean over participants")
     axes.set_xticks(places, [literal(each) for each in picture.conditions])
     axes.set_xlim(-0.5, len(places) - 0.5)
     axes.set_ylabel(picture.axis)

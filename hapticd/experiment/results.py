@@ -91,7 +91,8 @@ class Fitted:
     high: Floats
     curve_levels: Floats
     curve_percent: Floats
-    threshold: tuple[float, float, float]
+    threshold: tuple[float, float, float] | None
+    """With the ends of its interval; None: the answers determine none."""
     level_label: str
     logarithmic: bool
     axis: str = "correct answers, %"
@@ -117,6 +118,8 @@ class Section:
     tables: tuple[ResultTable, ...]
     pictures: tuple[Picture, ...] = ()
     notes: tuple[str, ...] = ()
+    beside_published: bool = False
+    """Whether published figures stand in the tables."""
 
 
 def cell_text(cell: Cell) -> str:

@@ -121,6 +121,33 @@ def frequency(root: Path, people: Sequence[str], threshold: float = 40.0) -> Non
         write_session(root, person, "frequency", study, rows)
 
 
+def staircases(root: Path, people: Sequence[str], thresholds: Mapping[str, float], highest: float = 90.0) -> None:
+    """A procedure in each cell of a factor, whose observers have a threshold of their own there; and one more of the
+    same variable."""
+    variable = {"name": "stiffness_n_per_m", "at": "materials.tested.stiffness_n_per_m", "reference": 400}
+    made = {"variable": {**variable, "level": "added"}, "method": {"kind": "staircase", "guess": 0.5}}
+    study = {
+        "experiment": 1,
+        "title": "How much stiffer is felt as stiffer?",
+        "trial": {"type": "forced_choice", "cross": ["decay"], "procedures": {"near": made, "far": made}},
+    }
+    for number, person in enumerate(people):
+        generator = np.random.Generator(np.random.PCG64(300 + number))
+        rows = []
+        for cell, threshold in thresholds.items():
+            for level in np.repeat(np.linspace(highest / 6, highest, 6), 60):
+                right = generator.random() < 0.5 + 0.5 / (1 + math.exp(-(level - threshold) / 8))
+                procedure = f"{generator.choice(('near', 'far'))}.{cell}"
+                rows.append(
+                    {
+                        **{"condition": "all", "cell": cell, "procedure": procedure, "level": level},
+                        **{"correct": int(right), "stimulus_1": "target", "stimulus_2": "reference"},
+                        "response": "first",
+                    }
+                )
+        write_session(root, person, "staircases", study, rows)
+
+
 def identification(root: Path, people: Sequence[str]) -> None:
     """Seven materials by letters; every fourth answer is the next letter."""
     letters = "ABCDEFG"

@@ -99,15 +99,57 @@ def test_measures_are_compared_in_the_papers_direction(tmp_path: Path) -> None:
 def test_a_threshold_is_found(tmp_path: Path) -> None:
     tables.frequency(tmp_path, PEOPLE[:2])
     found = analyze([tmp_path])
-    own = row(found, "psychometric", "all", "all")
+    own = row(found, "psychometric", "all", "down", "pooled")
     low, high = own["low 95 %"], own["high 95 %"]
     assert isinstance(low, float) and isinstance(high, float)
     truth = {"weibull": 40.0}.get(str(own["function"]), 40 * math.log(2) ** (1 / 2.5))
     assert low < truth < high
     assert own["unit"] == "Hz"
-    weber = next(each for each in table(found, "psychometric").rows if each[4] == "weber_fraction")
-    assert weber[6] == pytest.approx(float(str(own["value"])) / 200)
-    assert {each[1] for each in table(found, "psychometric").rows} == {"all", "P01", "P02"}
+    weber = next(each for each in table(found, "psychometric").rows if each[5] == "weber_fraction")
+    assert weber[7] == pytest.approx(float(str(own["value"])) / 200)
+    assert {each[2] for each in table(found, "psychometric").rows} == {"pooled", "P01", "P02"}
+
+
+def test_each_cell_has_a_threshold_of_its_own(tmp_path: Path) -> None:
+    """Two procedures of one variable are fitted together; cells of a factor are not. Chance is that of the method, as
+    the study names no other."""
+    tables.staircases(tmp_path, PEOPLE[:1], {"0.005": 30.0, "0.02": 60.0})
+    found = analyze([tmp_path])
+    for cell, truth in (("0.005", 30.0), ("0.02", 60.0)):
+        own = row(found, "psychometric", "all", f"{cell}: far and near", "pooled")
+        assert (own["trials"], own["unit"]) == (360, "N/m")
+        low, high = own["low 95 %"], own["high 95 %"]
+        assert isinstance(low, float) and isinstance(high, float)
+        assert low < truth < high and high - low < 15
+    assert found.notes == ()
+
+
+def test_a_threshold_that_the_answers_leave_open_is_a_note_and_no_figure(tmp_path: Path) -> None:
+    tables.staircases(tmp_path, PEOPLE[:1], {"0.005": 300.0})
+    found = analyze([tmp_path])
+    assert not any(each.name == "psychometric" for each in found.tables)
+    (told,) = found.notes
+    assert re.fullmatch(
+        "psychometric function, all, 0.005: far and near, pooled: "
+        "(the threshold is (above the highest|below the lowest) level, (90|15) N/m: levels beyond it are needed|"
+        "from 15 to 90 N/m the answers hardly depend on the level: a wider range is needed)",
+        told,
+    )
+    assert "Psychometric function" in report.page(found)  # the answers are drawn
+
+
+def test_a_session_that_ended_early_says_what_is_not_there(tmp_path: Path) -> None:
+    tables.puncture(tmp_path, PEOPLE[:1])
+    for file in tmp_path.rglob("*_beh.tsv"):
+        lines = file.read_text().splitlines(keepends=True)
+        file.write_text("".join([lines[0], *(line for line in lines if "without_vibration" in line)]))
+    found = analyze([tmp_path])
+    assert found.published is None
+    assert "Published results beside these" not in report.page(found)
+    assert found.notes == (
+        "published results okamura1998.puncture: these sessions have nothing yet to stand beside them",
+        "overtravel_m and peak_force_n, only trials of without_vibration: a comparison needs two conditions",
+    )
 
 
 def test_information_of_known_confusions(tmp_path: Path) -> None:

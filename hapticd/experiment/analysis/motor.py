@@ -34,8 +34,10 @@ def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = LEVEL) -> Pa
     """Compares values (n,), a participant's in the same place of both. Raises FitError for fewer than two participants,
     and where all differences are alike."""
     first, second = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
-    if first.ndim != 1 or first.shape != second.shape or len(first) < 2:
-        raise FitError(f"a paired comparison needs two values of each of two participants or more, has {first.size}")
+    if first.ndim != 1 or first.shape != second.shape:
+        raise FitError("a paired comparison needs as many values of one condition as of the other")
+    if len(first) < 2:
+        raise FitError(f"a comparison needs two participants or more who did both, has {len(first)}")
     differences = first - second
     if not np.isfinite(differences).all():
         raise FitError("a paired comparison needs finite values")

@@ -78,11 +78,20 @@ class PsychometricFit:
         """Twice the log likelihood by which the answers' own proportions exceed the function."""
         return float(_deviance(self, self.positive[None], self.parameters[None])[0])
 
-    @property
-    def at_bound(self) -> bool:
-        """Whether threshold or slope is held by the bounds that the levels give: the answers do not determine it."""
-        own, box = self.parameters[:GUESS], self.box
-        return bool(((own <= box.low[:GUESS]) | (own >= box.high[:GUESS])).any())
+    def undetermined(self, unit: str) -> str | None:
+        """Why the answers determine no threshold, and which levels would; None: they determine one. `unit`: that of the
+        levels."""
+        threshold, slope = self.figures["threshold"], self.parameters[SLOPE]
+        low, high = float(self.levels.min()), float(self.levels.max())
+        if not low <= threshold <= high:
+            beyond = f"above the highest level, {high:g}" if threshold > high else f"below the lowest level, {low:g}"
+            return f"the threshold is {beyond} {unit}: levels beyond it are needed"
+        if slope <= self.box.low[SLOPE]:
+            return f"from {low:g} to {high:g} {unit} the answers hardly depend on the level: a wider range is needed"
+        if slope >= self.box.high[SLOPE]:
+            below, above = self.levels[self.levels <= threshold].max(), self.levels[self.levels >= threshold].min()
+            return f"the threshold is somewhere from {below:g} to {above:g} {unit}: levels between them are needed"
+        return None
 
     def probability(self, levels: Floats) -> Floats:
         """Of a positive answer, at levels of any shape."""
