@@ -371,6 +371,8 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
             return path, str(context["error"])
         case "string_type" if path and path[-1] == "material":
             return path, f"must be the name of a material, is {_shown_with_hint(value)}"
+        case "string_type" if type(value) in (int, float):
+            return path, f'must be a string, is {shown(value)}; write it in quotes: "{value}"'
         case _ if kind in _EXPECTED:
             return path, f"must be {_EXPECTED[kind]}, is {_shown_with_hint(value)}"
         case _:

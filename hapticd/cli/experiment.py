@@ -71,7 +71,7 @@ def _print(report: StudyReport) -> None:
     for (condition, trials), cells in counts.items():
         begin = f"{condition}: " if condition else ""
         of_each = f"{wording.count(len(cells), 'cell')} of {most}{wording.count(trials, 'trial')}"
-        click.echo(f"  {begin}{of_each}: {', '.join(cells)}")
+        click.echo(f"  {begin}{of_each}: {'; '.join(cells)}")
     click.echo(f"correct: {report.correct or 'no answer is; the analysis has no per cent correct'}")
     if report.correct is not None:
         no_test = "not named (analysis.chance); the analysis makes no test against it"

@@ -17,6 +17,7 @@ from hapticd.experiment.cells import Cell, cells_of, typed
 from hapticd.experiment.keys import ChoiceQuestion, ProportionEffect, RankingQuestion, Study
 from hapticd.experiment.plan import Plan, plan
 from hapticd.experiment.power import Power, power_of_difference, power_of_proportion
+from hapticd.experiment.procedures.staircase import Staircase, StaircaseParameters
 from hapticd.experiment.stimuli import (
     Stimulus,
     config_with,
@@ -63,7 +64,8 @@ class StudyReport:
     undisplayable: tuple[Problem, ...]
     """What the device cannot display, or not as meant, each once, and of which stimuli."""
     told: tuple[Problem, ...]
-    """Where names that participants see tell levels or conditions apart."""
+    """What a person should look at: names that participants see and that tell levels or conditions apart, and
+    staircases that cannot reach their hardest level."""
 
     @property
     def faults(self) -> int:
@@ -102,7 +104,7 @@ def check_study(study: Study, rig: Config) -> StudyReport:
         chance=study.analysis.chance,
         power=_power(study, len(cells), phases.count("test")),
         undisplayable=undisplayable,
-        told=tuple(_told(study)),
+        told=(*_names_seen(study), *_short_staircases(study)),
     )
 
 
@@ -200,7 +202,27 @@ def _stimuli(study: Study, cells: Sequence[Cell]) -> Iterator[tuple[str, Stimulu
                 yield name, stimulus_of(study, cell.condition, levels, place, variable)
 
 
-def _told(study: Study) -> Iterator[Problem]:
+def _short_staircases(study: Study) -> Iterator[Problem]:
+    """Staircases that do not reach their hardest level, even if every answer is correct."""
+    for name, adaptive in (study.trial.procedures or {}).items():
+        method = adaptive.method
+        if not isinstance(method, StaircaseParameters):
+            continue
+        hardest = method.least if method.harder == "lower" else method.most
+        staircase = Staircase(method)
+        reached = method.start
+        while (level := staircase.level()) is not None:
+            reached = level
+            staircase.answer(level, method.outcomes.positive[0])
+        if reached != hardest:
+            yield Problem(
+                f"trial.procedures.{name}.method.steps",
+                f"with every answer correct {method.trials} trials go from {method.start:g} to {reached:g}, not to "
+                f"{hardest:g}: larger steps, or a nearer limit",
+            )
+
+
+def _names_seen(study: Study) -> Iterator[Problem]:
     """Names of levels and conditions among what the participant sees: labels, names of answers and of objects."""
     hidden = {level_text(level).casefold() for factor in study.factors.values() for level in factor.names}
     hidden |= {name.casefold() for name in study.conditions}

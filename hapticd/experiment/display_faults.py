@@ -35,22 +35,36 @@ def display_faults(study: Study) -> list[Fault]:
     if conditions:
         return conditions
     found: list[Fault] = []
-    seen: set[Hashable] = set()
+    sound: dict[Hashable, bool] = {}
+    """Whether a condition with these levels at this place is without fault."""
     for cell in cells_of(study):
-        if cell.procedure is not None:
-            found += _adaptive(study, cell, study.adaptive(cell.procedure))
+        cell_is_sound = True
         for position in range(len(cell.levels)):
             place = place_of(study, position)
             for levels in cell.levels[position:] if cell.listed else cell.levels:
                 key = cell.condition, place, typed(levels)
-                if key not in seen and not _has_variable(study, cell, levels):
-                    seen.add(key)
-                    found += _stimulus(study, cell.condition, levels, place)
+                if not _has_variable(study, cell, levels):
+                    if key not in sound:
+                        faults = _stimulus(study, cell.condition, levels, place)
+                        sound[key] = not faults
+                        found += faults
+                    cell_is_sound = cell_is_sound and sound[key]
                 if cell.listed:
                     break
+        # A fault of the factors' levels would be one of every value of the variable.
+        if cell.procedure is not None and cell_is_sound:
+            found += _adaptive(study, cell, study.adaptive(cell.procedure))
         if len(found) >= _MOST_FAULTS:
             break
-    return list(dict.fromkeys(found))
+    return _once(found)
+
+
+def _once(faults: list[Fault]) -> list[Fault]:
+    """Each fault at its first place: a wrong key of a factor is the same fault at each of its levels."""
+    places: dict[str, Path] = {}
+    for path, text in faults:
+        places.setdefault(text, path)
+    return [(path, text) for text, path in places.items()]
 
 
 def _has_variable(study: Study, cell: Cell, levels: Mapping[str, Scalar]) -> bool:

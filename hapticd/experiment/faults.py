@@ -9,7 +9,7 @@ from typing import Final, TypeAlias
 from hapticd.base.errors import Path, known_names, quoted
 from hapticd.base.plain_values import Scalar
 from hapticd.config.key_paths import path_of
-from hapticd.experiment.cells import cells_of, combined
+from hapticd.experiment.cells import Cell, cells_of, combined, correct_answer
 from hapticd.experiment.keys import (
     MOST_TRIALS,
     NAMED_KEYS,
@@ -83,7 +83,8 @@ def _factors(study: Study) -> Iterator[Fault]:
                     f"needs {PLACE}: stimuli side by side would all change the same keys",
                 )
     used = _used(study)
-    for name in study.factors:
+    # A name that is no factor's is a fault by itself, and may be this one's.
+    for name in study.factors if used <= set(study.factors) else ():
         if name not in used:
             yield ("factors", name), "no trial varies it: name it in trial.cross or in the stimuli of trial.list"
 
@@ -413,6 +414,7 @@ def _cells(study: Study) -> Iterator[Fault]:
     for name in study.conditions:
         if name in empty:
             yield ("conditions", name), "has no trials: no entry of trial.list is for it"
+    yield from _without_correct(study, cells)
     shown = {(name, level_text(level)) for cell in cells for each in cell.levels for name, level in each.items()}
     for name, factor in study.factors.items():
         for index, level in enumerate(factor.names):
@@ -422,3 +424,19 @@ def _cells(study: Study) -> Iterator[Fault]:
     count = sum(cell.count for cell in cells)
     if count > MOST_TRIALS:
         yield ("repetitions",), f"makes {count:,} trials, at most {MOST_TRIALS:,}"
+
+
+def _without_correct(study: Study, cells: Sequence[Cell]) -> Iterator[Fault]:
+    """Trials of a forced choice of which no answer is correct, as stimuli are alike."""
+    question = study.asked
+    if study.trial.type != "forced_choice" or not isinstance(question, ChoiceQuestion):
+        return
+    where: Path = ("trial", "list" if study.trial.list is not None else "reference")
+    if question.asks is None:
+        why = "the target is like the reference; take other levels"
+    else:
+        why = "several stimuli have the level that is asked for; take other levels, or give an answer with means: same"
+    for name in dict.fromkeys(
+        cell.name for cell in cells if correct_answer(study, cell, range(len(cell.levels))) is None
+    ):
+        yield where, f"{name}: no answer is correct, as {why}"

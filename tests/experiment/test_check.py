@@ -74,6 +74,18 @@ def test_names_that_tell_are_reported() -> None:
     assert [problem.where for problem in told] == ["questions.stiffer.answers[0].label"]
 
 
+def test_a_staircase_that_cannot_reach_its_hardest_level_is_reported() -> None:
+    """Before the last of twenty trials are nine steps down. Each is 10 Hz, as nothing reverses."""
+    data = yaml.safe_load(ADAPTIVE)
+    method = data["trial"]["procedures"]["one"]["method"]
+    method["start"], method["steps"] = 91, [10, 5]
+    assert check_study(study_of(data), FAST).told == ()
+    method["start"] = 92
+    (told,) = check_study(study_of(data), FAST).told
+    assert told.where == "trial.procedures.one.method.steps"
+    assert "20 trials go from 92 to 2, not to 1:" in told.problem
+
+
 @pytest.mark.parametrize(
     ("study", "correct"),
     [
