@@ -84,6 +84,8 @@ class Varied:
     level: str = "value"
     """What the level is: the value, what is added to the reference, or a factor of it."""
     logarithmic: bool = False
+    rising: bool = True
+    """Whether correct answers become more with the level."""
     guess: float | None = None
     """Probability of a correct answer by chance; None: the study does not say."""
 
@@ -205,13 +207,18 @@ def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
 def _varied(procedure: Mapping[str, Json]) -> Varied:
     variable, method = _mapping(procedure.get("variable")), _mapping(procedure.get("method"))
     name, at = variable.get("name"), variable.get("at")
-    reference, guess = variable.get("reference"), method.get("guess")
+    guesses = method.get("guesses")
+    guess = guesses[0] if isinstance(guesses, list) and guesses else method.get("guess")
+    reference = variable.get("reference")
+    # As the methods' own defaults.
+    axis = method.get("axis", "logarithmic" if method.get("kind") == "quest_plus" else "linear")
     return Varied(
         variable=name if isinstance(name, str) else None,
         at=tuple(map(str, at)) if isinstance(at, list) else (str(at),),
         reference=float(reference) if isinstance(reference, int | float) else None,
         level=str(variable.get("level", "value")),
-        logarithmic=method.get("axis") == "logarithmic",
+        logarithmic=axis == "logarithmic",
+        rising=method.get("harder") != "higher" and method.get("rising") is not False,
         guess=float(guess) if isinstance(guess, int | float) else None,
     )
 

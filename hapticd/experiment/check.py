@@ -213,7 +213,7 @@ def _short_staircases(study: Study) -> Iterator[Problem]:
         reached = method.start
         while (level := staircase.level()) is not None:
             reached = level
-            staircase.answer(level, method.outcomes.positive[0])
+            staircase.answer(level, True)
         if reached != hardest:
             yield Problem(
                 f"trial.procedures.{name}.method.steps",

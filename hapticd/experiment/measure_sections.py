@@ -278,7 +278,9 @@ def _best(rows: Sequence[Row], varied: Varied, facts: StudyFacts) -> Psychometri
     guess = varied.guess if varied.guess is not None else facts.chance or 0.0
     shapes = [shape for shape in SHAPES if shape != "weibull" or on_log]
     counts, trials = np.bincount(at, right), np.bincount(at)
-    fits = [fit(places, counts, trials, shape, guess=guess, logarithmic=on_log) for shape in shapes]
+    fits = [
+        fit(places, counts, trials, shape, guess=guess, logarithmic=on_log, rising=varied.rising) for shape in shapes
+    ]
     return min(fits, key=lambda each: each.deviance)
 
 

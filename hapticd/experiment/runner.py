@@ -322,7 +322,7 @@ class Session:
         if trial.procedure is not None:
             assert armed.level is not None
             procedure = self._procedure(trial.procedure)
-            procedure.answer(armed.level, "correct" if right else "wrong")
+            procedure.answer(armed.level, right is True)
             state = {"procedure": trial.procedure, "procedure_state": procedure.state()}
         self._record(
             "answer",

@@ -121,11 +121,12 @@ def frequency(root: Path, people: Sequence[str], threshold: float = 40.0) -> Non
         write_session(root, person, "frequency", study, rows)
 
 
-def staircases(root: Path, people: Sequence[str], thresholds: Mapping[str, float], highest: float = 90.0) -> None:
-    """A procedure in each cell of a factor, whose observers have a threshold of their own there; and one more of the
-    same variable."""
+def staircases(
+    root: Path, people: Sequence[str], thresholds: Mapping[str, float], harder: str = "lower", highest: float = 90.0
+) -> None:
+    """Two procedures of one variable in each cell of a factor, where the observer has a threshold of its own."""
     variable = {"name": "stiffness_n_per_m", "at": "materials.tested.stiffness_n_per_m", "reference": 400}
-    made = {"variable": {**variable, "level": "added"}, "method": {"kind": "staircase", "guess": 0.5}}
+    made = {"variable": {**variable, "level": "added"}, "method": {"kind": "staircase", "guess": 0.5, "harder": harder}}
     study = {
         "experiment": 1,
         "title": "How much stiffer is felt as stiffer?",
@@ -136,7 +137,8 @@ def staircases(root: Path, people: Sequence[str], thresholds: Mapping[str, float
         rows = []
         for cell, threshold in thresholds.items():
             for level in np.repeat(np.linspace(highest / 6, highest, 6), 60):
-                right = generator.random() < 0.5 + 0.5 / (1 + math.exp(-(level - threshold) / 8))
+                ease = (level - threshold) / 8 * (1 if harder == "lower" else -1)
+                right = generator.random() < 0.5 + 0.5 / (1 + math.exp(-ease))
                 procedure = f"{generator.choice(('near', 'far'))}.{cell}"
                 rows.append(
                     {

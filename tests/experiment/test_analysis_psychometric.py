@@ -162,7 +162,7 @@ def test_constant_stimuli() -> None:
     assert all(sorted(one.order[start : start + 7]) == LEVELS.tolist() for start in range(0, 210, 7))
     generator = np.random.Generator(np.random.PCG64(5))
     while (level := one.level()) is not None:
-        one.answer(level, "correct" if generator.random() < logistic(np.array(level), 100, 0.12) else "wrong")
+        one.answer(level, bool(generator.random() < logistic(np.array(level), 100, 0.12)))
     assert len(one.answers) == 210
     other = ConstantStimuli.restored(one.state())
     found = other.estimate()

@@ -110,10 +110,11 @@ def test_a_threshold_is_found(tmp_path: Path) -> None:
     assert {each[2] for each in table(found, "psychometric").rows} == {"pooled", "P01", "P02"}
 
 
-def test_each_cell_has_a_threshold_of_its_own(tmp_path: Path) -> None:
+@pytest.mark.parametrize("harder", ["lower", "higher"])
+def test_each_cell_has_a_threshold_of_its_own(harder: str, tmp_path: Path) -> None:
     """Two procedures of one variable are fitted together; cells of a factor are not. Chance is that of the method, as
     the study names no other."""
-    tables.staircases(tmp_path, PEOPLE[:1], {"0.005": 30.0, "0.02": 60.0})
+    tables.staircases(tmp_path, PEOPLE[:1], {"0.005": 30.0, "0.02": 60.0}, harder)
     found = analyze([tmp_path])
     for cell, truth in (("0.005", 30.0), ("0.02", 60.0)):
         own = row(found, "psychometric", "all", f"{cell}: far and near", "pooled")

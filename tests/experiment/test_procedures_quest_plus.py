@@ -65,7 +65,7 @@ def test_the_posterior_is_that_of_questplus(shape: str, scale: str) -> None:
         assert due == pytest.approx(levels[place])
         positive = bool(generator.random() < 0.5 + 0.48 * (1 - math.exp(-due / 100)))
         theirs.update(stim={"intensity": shown[place]}, outcome={"response": "Yes" if positive else "No"})
-        ours.answer(due, "correct" if positive else "wrong")
+        ours.answer(due, bool(positive))
         order = ("threshold" if shape == "weibull" else "mean", slope_name, "lower_asymptote", "lapse_rate")
         expected = theirs.posterior.transpose(*order).values.ravel()
         assert np.abs(ours.posterior - expected).max() < 1e-9
@@ -121,14 +121,14 @@ def test_one_observer_of_many() -> None:
     """The class does with one observer what the test above does with rows of an array."""
     one = quest_plus()
     posterior = np.repeat(one.posterior[None], 2, axis=0)
-    for answer in ("correct", "wrong", "correct", "correct"):
+    for positive in (True, False, True, True):
         due = one.level()
         assert due is not None
         at = np.argmin(expected_entropies(posterior, one.table), axis=1)
         assert one.levels[at].tolist() == [due, due]
-        likelihood = one.table[at] if answer == "correct" else 1 - one.table[at]
+        likelihood = one.table[at] if positive else 1 - one.table[at]
         posterior = updated(posterior, likelihood)
-        one.answer(due, answer)
+        one.answer(due, positive)
         assert posterior[1] == pytest.approx(one.posterior, abs=1e-15)
 
 
@@ -139,7 +139,7 @@ def test_a_stored_run_goes_on_as_it_was() -> None:
         other = QuestPlus.restored(json.loads(json.dumps(one.state())))
         assert other.level() == due
         assert np.array_equal(other.posterior, one.posterior)
-        one.answer(due, "correct" if generator.random() < 0.75 else "wrong")
+        one.answer(due, generator.random() < 0.75)
     assert len(one.answers) == 20
 
 
@@ -147,7 +147,7 @@ def test_it_ends_when_it_is_precise() -> None:
     one = quest_plus(precision=0.5, trials=200)
     generator = np.random.Generator(np.random.PCG64(5))
     while (due := one.level()) is not None:
-        one.answer(due, "correct" if generator.random() < 0.5 + 0.48 * (1 - math.exp(-((due / 100) ** 3))) else "wrong")
+        one.answer(due, generator.random() < 0.5 + 0.48 * (1 - math.exp(-((due / 100) ** 3))))
     found = one.estimate()
     assert len(one.answers) < 200
     assert found.high - found.low <= found.threshold
@@ -162,13 +162,13 @@ def test_intervals_of_an_even_posterior() -> None:
 def test_what_cannot_be_answered() -> None:
     one = quest_plus()
     with pytest.raises(ProcedureError, match="level 11, which is none of QUEST\\+'s; 10 is the nearest"):
-        one.answer(11.0, "correct")
+        one.answer(11.0, True)
     with pytest.raises(ProcedureError, match="no answers"):
         one.estimate()
     sure = quest_plus(shape="logistic", axis="linear", levels=[0.0, 1e6], slopes=[1.0], guesses=[0.0], lapses=[0.0])
-    sure.answer(1e6, "correct")
+    sure.answer(1e6, True)
     with pytest.raises(ProcedureError, match="impossible"):
-        quest_plus(levels=[1.0, 1e6], thresholds=[1.0], slopes=[5.0], guesses=[0.0], lapses=[0.0]).answer(1e6, "wrong")
+        quest_plus(levels=[1.0, 1e6], thresholds=[1.0], slopes=[5.0], guesses=[0.0], lapses=[0.0]).answer(1e6, False)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,6 @@ from hapticd.experiment.procedures.procedure import (
     Estimate,
     Kept,
     Level,
-    Outcomes,
     ProcedureError,
     Proportion,
 )
@@ -39,7 +38,6 @@ class ConstantStimuliParameters(CheckedTogether):
     """Whether positive answers become more with the level."""
     shape: Shape = "logistic"
     axis: Literal["linear", "logarithmic"] = "linear"
-    outcomes: Outcomes = Outcomes()
 
     def cross_faults(self) -> list[str]:
         faults = []

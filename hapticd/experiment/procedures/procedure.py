@@ -13,8 +13,7 @@ from typing import Annotated, Any, ClassVar, Final, Generic, Protocol, Self, Typ
 
 from pydantic import Field
 
-from hapticd.base.errors import HapticdError, known_names, quoted
-from hapticd.base.model import Model
+from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
 
 Level: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -44,31 +43,15 @@ class Answer:
     positive: bool
 
 
-class Outcomes(Model):
-    """Which answers move a procedure towards harder levels, and which towards easier ones."""
-
-    positive: Annotated[tuple[str, ...], Field(min_length=1, strict=False)] = ("correct",)
-    negative: Annotated[tuple[str, ...], Field(min_length=1, strict=False)] = ("wrong",)
-
-    def is_positive(self, answer: str) -> bool:
-        """Raises ProcedureError for an answer that is neither."""
-        if answer in self.positive:
-            return True
-        if answer in self.negative:
-            return False
-        known = (*self.positive, *self.negative)
-        raise ProcedureError(f"answer {quoted(answer)} is none of the procedure's; {known_names(answer, known)}")
-
-
 class Procedure(Protocol):
     """Staircase, QuestPlus and ConstantStimuli."""
 
     def level(self) -> float | None:
         """The next level; None when the procedure has ended."""
 
-    def answer(self, level: float, answer: str) -> None:
-        """Takes the answer to a level. Raises ProcedureError for another level or answer than can be, and at the
-        end."""
+    def answer(self, level: float, positive: bool) -> None:
+        """Takes whether the answer to a level was positive (correct). Raises ProcedureError for another level than was
+        due, and at the end."""
 
     def state(self) -> Json:
         """Parameters and answers as plain data."""
@@ -107,9 +90,6 @@ def check_level(given: float, expected: float | None) -> float:
 class Parameters(Protocol):
     """What the parameters of every procedure have."""
 
-    @property
-    def outcomes(self) -> Outcomes: ...
-
     def to_dict(self) -> dict[str, Json]: ...
 
 
@@ -130,9 +110,9 @@ class Kept(ABC, Generic[P]):
     def level(self) -> float | None:
         """The next level; None when the procedure has ended."""
 
-    def answer(self, level: float, answer: str) -> None:
-        """Raises ProcedureError for another level than was due, an unknown answer, and at the end."""
-        self._take(self._due(level), self.parameters.outcomes.is_positive(answer))
+    def answer(self, level: float, positive: bool) -> None:
+        """Raises ProcedureError for another level than was due, and at the end."""
+        self._take(self._due(level), positive)
 
     def state(self) -> Json:
         """Parameters and answers."""

@@ -23,7 +23,6 @@ from hapticd.experiment.procedures.procedure import (
     Estimate,
     Kept,
     Level,
-    Outcomes,
     ProcedureError,
     Proportion,
 )
@@ -88,7 +87,6 @@ class QuestPlusParameters(CheckedTogether):
     """It ends after so many answers,"""
     precision: Annotated[float, Field(gt=0, lt=1)] | None = None
     """or when half the 95 % interval of the threshold is at most this part of it."""
-    outcomes: Outcomes = Outcomes()
 
     def cross_faults(self) -> list[str]:
         faults = []

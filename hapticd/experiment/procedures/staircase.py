@@ -29,7 +29,6 @@ from hapticd.experiment.procedures.procedure import (
     Estimate,
     Kept,
     Level,
-    Outcomes,
     ProcedureError,
     Proportion,
 )
@@ -72,7 +71,6 @@ class StaircaseParameters(CheckedTogether):
     guess: Proportion = 0.0
     """Probability of a positive answer far below threshold."""
     shape: Shape = "logistic"
-    outcomes: Outcomes = Outcomes()
 
     def cross_faults(self) -> list[str]:
         faults = []
