@@ -1,12 +1,13 @@
 """The pictures of the page in docs/images, taken from the running page: `make screenshots`.
 
 Each is taken light and dark, 1280 and 390 wide: the scene while the hand strokes the comb, the oscilloscope with a tap
-that its trigger caught, and the panel of materials. Of a session of an experiment both pages, light.
+that its trigger caught, and the panel of materials. Of a session of an experiment both pages, and the top of a report, light.
 """
 
 from __future__ import annotations
 
 import io
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -96,11 +97,25 @@ def take_session(browser: Browser, folder: Path) -> list[Path]:
         session.close()
 
 
+def take_report(browser: Browser, folder: Path) -> Path:
+    """The top of a report: four simulated participants beside the paper's."""
+    people = [word for name in "ABCD" for word in ("--participant", f"simulated:{name}")]
+    data, report = folder / "simulated", folder / "simulated.html"
+    for words in (
+        ["run", "okamura1998_texture", *people, "--offline", "-o", str(data)],
+        ["analyze", str(data), "-o", str(report)],
+    ):
+        subprocess.run([sys.executable, "-m", "hapticd", "experiment", *words], check=True, capture_output=True)
+    page = browser.new_page(viewport={"width": 1000, "height": 640})
+    page.goto(report.as_uri())
+    return save(page.screenshot(), "experiment-report")
+
+
 def main() -> int:
     with tempfile.TemporaryDirectory() as folder, running_browser() as browser, running_demo(Path(folder)) as demo:
         pages = Pages(browser.new_context(viewport=WIDE, reduced_motion="reduce"), demo)  # type: ignore[arg-type]
         page = pages.open()
-        for path in (*take_all(page), *take_session(browser, Path(folder))):
+        for path in (*take_all(page), *take_session(browser, Path(folder)), take_report(browser, Path(folder))):
             print(f"{path.relative_to(IMAGES.parents[1])}: {path.stat().st_size / 1024:.0f} KiB")
         problems = pages.take_errors()
     for problem in problems:

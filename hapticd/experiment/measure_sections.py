@@ -271,7 +271,8 @@ def _figures(
 
 def _best(rows: Sequence[Row], varied: Varied, facts: StudyFacts) -> PsychometricFit:
     """The shape of greatest likelihood."""
-    levels = np.array([row.number("level") for row in rows], dtype=float)
+    # Levels that a staircase came back to differ in their last bits.
+    levels = np.array([float(f"{row.number('level'):.9g}") for row in rows])
     right = np.array([row.right for row in rows], dtype=float)
     places, at = np.unique(levels, return_inverse=True)
     on_log = varied.logarithmic and bool((places > 0).all())

@@ -154,6 +154,20 @@ def test_what_cannot_be_fitted(levels: list[float], positive: list[int], trials:
         fit(levels, positive, trials, "weibull")
 
 
+@pytest.mark.parametrize(
+    ("positive", "expected"),
+    [
+        ([2, 6, 10, 15, 19], None),
+        ([0, 0, 20, 20, 20], "fit a step from chance to certainty between 20 and 30 N: more answers near it"),
+        ([0, 0, 0, 0, 1], "above the highest level, 50 N: levels beyond it are needed"),
+        ([19, 20, 20, 20, 20], "below the lowest level, 10 N: levels beyond it are needed"),
+    ],
+)
+def test_answers_that_determine_no_threshold(positive: list[int], expected: str | None) -> None:
+    told = fit([10, 20, 30, 40, 50], positive, [20] * 5, lapse=0.0).undetermined("N")
+    assert told is None if expected is None else told is not None and expected in told
+
+
 def test_constant_stimuli() -> None:
     """Each level once a block, the same order by the same seed, and a stored run goes on as it was."""
     given = ConstantStimuliParameters(levels=LEVELS.tolist(), repetitions=30, seed=4, lapse=0.0)

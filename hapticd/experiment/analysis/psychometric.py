@@ -44,10 +44,14 @@ from hapticd.experiment.analysis.psychometric_shapes import (
     is_logarithmic,
     level,
     probability,
+    rise,
 )
 
 FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slope", "guess", "lapse")
 RESAMPLES: Final = 2000
+STEP: Final = 0.01
+"""A function that is nearer than this to one of its ends at every level is a step: resampled answers are all like the
+answers that it was fitted to, and its threshold would have an interval without width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +92,13 @@ class PsychometricFit:
             return f"the threshold is {beyond} {unit}: levels beyond it are needed"
         if slope <= self.box.low[SLOPE]:
             return f"from {low:g} to {high:g} {unit} the answers hardly depend on the level: a wider range is needed"
-        if slope >= self.box.high[SLOPE]:
+        share = rise(self.shape, _sign(self) * (_places(self) - self.parameters[THRESHOLD]) * np.exp(slope))
+        if slope >= self.box.high[SLOPE] or not ((share > STEP) & (share < 1 - STEP)).any():
             below, above = self.levels[self.levels <= threshold].max(), self.levels[self.levels >= threshold].min()
-            return f"the threshold is somewhere from {below:g} to {above:g} {unit}: levels between them are needed"
+            return (
+                f"the answers fit a step from chance to certainty between {below:g} and {above:g} {unit}: more answers "
+                "near it are needed"
+            )
         return None
 
     def probability(self, levels: Floats) -> Floats:
