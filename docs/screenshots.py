@@ -1,7 +1,8 @@
 """The pictures of the page in docs/images, taken from the running page: `make screenshots`.
 
 Each is taken light and dark, 1280 and 390 wide: the scene while the hand strokes the comb, the oscilloscope with a tap
-that its trigger caught, and the panel of materials. Of a session of an experiment both pages, and the top of a report, light.
+that its trigger caught, and the panel of materials. Of a session of an experiment both pages, and the top of a report,
+light.
 """
 
 from __future__ import annotations

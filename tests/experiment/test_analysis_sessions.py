@@ -134,7 +134,8 @@ def test_a_threshold_that_the_answers_leave_open_is_a_note_and_no_figure(tmp_pat
         "psychometric function, all, 0.005: far and near, pooled: "
         "(the threshold is (above the highest|below the lowest) level, (90|15) N/m: levels beyond it are needed|"
         "from 15 to 90 N/m the answers hardly depend on the level: a wider range is needed|"
-        "the answers fit a step from chance to certainty between [0-9]+ and [0-9]+ N/m: more answers near it are needed)",
+        "the answers fit a step from chance to certainty between [0-9]+ and [0-9]+ N/m: more answers near it are "
+        "needed)",
         told,
     )
     assert "Psychometric function" in report.page(found)  # the answers are drawn
