@@ -53,6 +53,8 @@ MOST_KEYS: Final = 1000
 """No mapping of known keys has more."""
 MAX_FAULTS = 200
 """So many are reported one by one; nobody reads more, and reporting thousands takes seconds."""
+UNKNOWN_KEY: Final = "unknown key"
+"""How the text of such a fault begins."""
 NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
 
 Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)]
@@ -335,7 +337,7 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
             entries = "entry" if context["min_length"] == 1 else "entries"
             return path, f"must hold at least {context['min_length']} {entries}, holds {len(value)}"
         case "extra_forbidden":
-            return path, f"unknown key; {key_hint(str(path[-1]), value)}{known_names(str(path[-1]), known)}"
+            return path, f"{UNKNOWN_KEY}; {key_hint(str(path[-1]), value)}{known_names(str(path[-1]), known)}"
         case "union_tag_invalid":
             kinds = context["expected_tags"].replace("'", "").split(", ")
             tag = context["tag"]

@@ -84,7 +84,7 @@ def _print(report: StudyReport) -> None:
             f"{wording.percent(power.standard_error, 2)}; {power.test})"
         )
     click.echo(f"device: {report.device}")
-    for problem in (*report.told, *report.undisplayable):
+    for problem in (*report.to_look_at, *report.undisplayable):
         click.echo(str(problem))
     if report.faults == 0:
         click.echo("every stimulus can be shown")

@@ -87,13 +87,15 @@ def run_command(
 ) -> int:
     """Run STUDY (a YAML file, or the name of a shipped study) with a participant, trial by trial.
 
-    Prints the addresses of two pages: the participant's, and the experimenter's, who lets the forces on. Each answer is
-    on disk before the next trial begins. Whatever ends the session, `hapticd experiment resume` goes on.
+    Prints the addresses of two pages: the participant's, and the experimenter's, who lets the forces on. SIGUSR1 prints
+    new ones. Each answer is on disk before the next trial begins. Whatever ends the session, `hapticd experiment
+    resume` goes on.
 
     With --count, --workers, --threads or --scheduler simulated participants are computed side by side. The same command
     goes on where it was interrupted.
     """
     from hapticd.config.shipped_files import file_of
+    from hapticd.experiment.bids import check_one_study
     from hapticd.experiment.plan import plan
     from hapticd.experiment.session import begin
     from hapticd.experiment.session_folder import check_new, numbered
@@ -103,7 +105,7 @@ def run_command(
     everyone_simulated = all(simulated for _, simulated in labels)
     if offline and not everyone_simulated:
         raise click.UsageError("--offline is for a simulated participant: --participant simulated:NAME", ctx)
-    if text and demo:
+    if text and demo and not everyone_simulated:
         raise click.UsageError(_NO_HAND, ctx)
     if len(labels) > 1 and not offline:
         raise click.UsageError("several participants are for --offline; on a daemon run them one after the other", ctx)
@@ -135,7 +137,9 @@ def run_command(
 
     def run_one(label: str, simulated: bool) -> int:
         made = plan(found, label, session, found.order.seed if seed is None else seed)
-        check_new(output, label, session, found.title)  # before a daemon or a page is started
+        # Before a daemon or a page is started.
+        check_new(output, label, session)
+        check_one_study(output, found.title)
         return _with_stage(
             ctx,
             made,
@@ -163,13 +167,13 @@ def resume_command(ctx: click.Context, folder: Path, text: bool, lsl: bool, demo
     from hapticd.experiment.session import plan_of
     from hapticd.experiment.session_folder import SessionFolder
 
-    if text and demo:
-        raise click.UsageError(_NO_HAND, ctx)
     opened = SessionFolder.open(folder)
     check_not_over(folder, progress_of(opened.contents().records))  # before a daemon or a page is started
     stage_was = opened.about["stage"]
     assert isinstance(stage_was, dict)
     simulated, offline = bool(stage_was.get("simulated")), stage_was.get("kind") == "offline"
+    if text and demo and not simulated:
+        raise click.UsageError(_NO_HAND, ctx)
     if lsl and offline:
         raise click.UsageError("--lsl is for a daemon, in real time: this session is an offline one", ctx)
     return _with_stage(
@@ -235,11 +239,13 @@ def _run_shown(stage: Stage, front: PagesFront, opens: _OPEN, made: Plan) -> int
         code = _run(stage, folder, log, made, front)
     except HapticdError as error:
         # Whether the forces went is not known: the daemon may be gone.
-        front.over(str(error), "# The session has stopped\n\nLet go of the handle, and wait for the experimenter.")
+        front.over(
+            str(error), "# The session has stopped\n\nLet go of the handle, and wait for the experimenter.", False
+        )
         raise
     ended = code == 0
     told = "complete" if ended else f"stopped; go on with `hapticd experiment resume {folder.path}`"
-    front.over(told, thanks if ended else stopped)
+    front.over(told, thanks if ended else stopped, ended)
     return code
 
 

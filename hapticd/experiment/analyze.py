@@ -31,8 +31,6 @@ class Analysis:
     files: tuple[Path, ...]
     published: str | None
     """Name of the published results that stand beside these; None: none do."""
-    lacking: tuple[str, ...] = ()
-    """What of the whole could not be shown, and why."""
 
     @property
     def tables(self) -> tuple[ResultTable, ...]:
@@ -41,7 +39,7 @@ class Analysis:
     @property
     def notes(self) -> tuple[str, ...]:
         """What could not be computed, and why."""
-        return (*self.lacking, *(note for section in self.sections for note in section.notes))
+        return tuple(note for section in self.sections for note in section.notes)
 
     def to_dict(self) -> dict[str, Json]:
         tables: dict[str, Json] = {table.name: table.to_dict() for table in self.tables}
@@ -91,14 +89,15 @@ def analysis_of(behaviour: Behaviour) -> Analysis:
         "without an answer are left out"
     )
     beside = any(section.beside_published for section in sections)
-    lacking = [f"published results {facts.published}: these sessions have nothing yet to stand beside them"]
+    if facts.published and not beside:
+        alone = f"published results {facts.published}: these sessions have nothing yet to stand beside them"
+        sections.insert(0, Section((), notes=(alone,)))
     return Analysis(
         facts.title,
         summary,
         tuple(section for section in sections if section.tables or section.pictures or section.notes),
         behaviour.files,
         facts.published if beside else None,
-        tuple(lacking) if facts.published and not beside else (),
     )
 
 

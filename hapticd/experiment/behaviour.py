@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,12 +16,12 @@ from typing import Final
 from hapticd.base.errors import HapticdError, quoted
 from hapticd.base.yaml_source import Json, load_path
 from hapticd.config.schema import unit_of
+from hapticd.experiment.bids import TASK
 
 MISSING: Final = "n/a"
 NEEDED: Final = ("participant", "phase", "condition", "cell", "response", "correct")
 MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m", "response_time")
 """Columns of measures of the motion; what has no unit in its name is in s."""
-_TASK: Final = re.compile(r"_task-([^_]+)_beh\.tsv$")
 _ABOVE: Final = 3
 """Folders above a table in which its study may be: beh/, the session's, the participant's."""
 
@@ -73,7 +72,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """What an adaptive procedure varies. Two that are equal have one psychometric function."""
+    """What an adaptive procedure varies. Within a condition and a cell equal ones have one psychometric function."""
 
     variable: str | None = None
     """The key whose level it varies; its unit stands at its end."""
@@ -86,8 +85,8 @@ class Varied:
     logarithmic: bool = False
     rising: bool = True
     """Whether correct answers become more with the level."""
-    guess: float | None = None
-    """Probability of a correct answer by chance; None: the study does not say."""
+    guess: float = 0.0
+    """Probability of a correct answer by chance."""
 
     @property
     def unit(self) -> str:
@@ -106,6 +105,8 @@ class StudyFacts:
     published: str | None = None
     varied: Mapping[str, Varied] = field(default_factory=dict)
     """By the name of the adaptive procedure."""
+    crossed: bool = False
+    """Whether cells are combinations of levels (trial.cross); else an adaptive trial's is named by its procedure."""
     conditions: tuple[str, ...] = ()
     """In the order of the study."""
     items: tuple[str, ...] = ()
@@ -129,7 +130,7 @@ class Behaviour:
 def read_behaviour(folders: Sequence[Path]) -> Behaviour:
     """Reads every session below the folders. Raises HapticdError: no table, several studies, a row that is none."""
     files = sorted({file.resolve(): file for folder in folders for file in _tables(folder)}.values())
-    tasks = sorted({match[1] if (match := _TASK.search(file.name)) else file.name for file in files})
+    tasks = sorted({match[1] if (match := TASK.search(file.name)) else file.name for file in files})
     if len(tasks) > 1:
         raise HapticdError(f"tables of {len(tasks)} studies ({', '.join(tasks)}): analyze the folders of one at a time")
     rows = [row for file in files for row in _rows(file)]
@@ -196,7 +197,8 @@ def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
         trial_type=kind if isinstance(kind, str) else None,
         chance=float(chance) if isinstance(chance, int | float) else None,
         published=published if isinstance(published, str) else None,
-        varied={name: _varied(_mapping(each)) for name, each in _mapping(trial.get("procedures")).items()},
+        varied={name: _varied(_mapping(each), chance) for name, each in _mapping(trial.get("procedures")).items()},
+        crossed=bool(trial.get("cross")),
         conditions=tuple(_mapping(study.get("conditions"))),
         items=tuple(items),
         meanings=meanings,
@@ -204,11 +206,11 @@ def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
     )
 
 
-def _varied(procedure: Mapping[str, Json]) -> Varied:
+def _varied(procedure: Mapping[str, Json], chance: Json) -> Varied:
     variable, method = _mapping(procedure.get("variable")), _mapping(procedure.get("method"))
     name, at = variable.get("name"), variable.get("at")
     guesses = method.get("guesses")
-    guess = guesses[0] if isinstance(guesses, list) and guesses else method.get("guess")
+    guess = guesses[0] if isinstance(guesses, list) and len(guesses) == 1 else method.get("guess", chance)
     reference = variable.get("reference")
     # As the methods' own defaults.
     axis = method.get("axis", "logarithmic" if method.get("kind") == "quest_plus" else "linear")
@@ -219,7 +221,7 @@ def _varied(procedure: Mapping[str, Json]) -> Varied:
         level=str(variable.get("level", "value")),
         logarithmic=axis == "logarithmic",
         rising=method.get("harder") != "higher" and method.get("rising") is not False,
-        guess=float(guess) if isinstance(guess, int | float) else None,
+        guess=float(guess) if isinstance(guess, int | float) else 0.0,
     )
 
 

@@ -33,7 +33,13 @@ class Cell:
     procedure: str | None = None
     correct: str | None = None
     """Of a listed trial what its file says."""
-    listed: bool = False
+    entry: int | None = None
+    """Its place in trial.list; None: the cell was made of factors or of a procedure."""
+
+    @property
+    def listed(self) -> bool:
+        """Whether its stimuli are in the order of their presentation."""
+        return self.entry is not None
 
 
 def cells_of(study: Study) -> list[Cell]:
@@ -79,7 +85,7 @@ def _cells(study: Study, condition: str) -> Iterator[Cell]:
 def _listed(study: Study, condition: str, trials: Sequence[ListedTrial]) -> Iterator[Cell]:
     """Stimuli of the same levels are one object: a long list has few of them, and each is named once."""
     known: dict[object, tuple[Levels, str]] = {}
-    for listed in trials:
+    for entry, listed in enumerate(trials):
         if listed.condition not in (None, condition):
             continue
         given, names = [], []
@@ -92,7 +98,7 @@ def _listed(study: Study, condition: str, trials: Sequence[ListedTrial]) -> Iter
             given.append(found[0])
             names.append(found[1])
         count = study.repetitions * listed.repetitions
-        yield Cell(condition, "/".join(names), tuple(given), count, correct=listed.correct, listed=True)
+        yield Cell(condition, "/".join(names), tuple(given), count, correct=listed.correct, entry=entry)
 
 
 def typed(levels: Levels) -> Hashable:
@@ -135,7 +141,8 @@ def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None
 
     A paired comparison's by what the question asks for, a forced choice's that which means the target's position
     unless the question asks, an identification's that which names the level, a ranking's the positions in order.
-    None where the study does not say, and of ties without an answer that means `same`.
+    None where the study does not say, of ties without an answer that means `same`, and of a listed forced choice for
+    which neither trial nor question says it: its target is not known.
     """
     if cell.correct is not None:
         return cell.correct
@@ -155,7 +162,8 @@ def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None
         )
     asks = question.asks
     if asks is None:
-        return _meaning(question, order.index(0)) if study.trial.type == "forced_choice" and _odd(cell) else None
+        target_is_known = study.trial.type == "forced_choice" and not cell.listed and _odd(cell)
+        return _meaning(question, order.index(0)) if target_is_known else None
     if cell.procedure is not None:
         # The variable is not known before the trial; the target is what is asked for.
         return _meaning(question, order.index(0))

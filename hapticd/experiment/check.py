@@ -5,6 +5,7 @@ Nothing is displayed and no force is made: each stimulus is checked as `hapticd 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
@@ -63,7 +64,7 @@ class StudyReport:
     power: Power | None
     undisplayable: tuple[Problem, ...]
     """What the device cannot display, or not as meant, each once, and of which stimuli."""
-    told: tuple[Problem, ...]
+    to_look_at: tuple[Problem, ...]
     """What a person should look at: names that participants see and that tell levels or conditions apart, and
     staircases that cannot reach their hardest level."""
 
@@ -104,7 +105,7 @@ def check_study(study: Study, rig: Config) -> StudyReport:
         chance=study.analysis.chance,
         power=_power(study, len(cells), phases.count("test")),
         undisplayable=undisplayable,
-        told=(*_names_seen(study), *_short_staircases(study)),
+        to_look_at=(*_names_seen(study), *_short_staircases(study)),
     )
 
 
@@ -214,11 +215,11 @@ def _short_staircases(study: Study) -> Iterator[Problem]:
         while (level := staircase.level()) is not None:
             reached = level
             staircase.answer(level, True)
-        if reached != hardest:
+        if not math.isclose(reached, hardest, abs_tol=1e-9 * (method.most - method.least)):
             yield Problem(
                 f"trial.procedures.{name}.method.steps",
-                f"with every answer correct {method.trials} trials go from {method.start:g} to {reached:g}, not to "
-                f"{hardest:g}: larger steps, or a nearer limit",
+                f"even if every answer is correct, {method.trials} trials reach {reached:g} and not the hardest level, "
+                f"{hardest:g}: more trials, larger steps, or a nearer limit",
             )
 
 

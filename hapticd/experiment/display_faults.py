@@ -7,6 +7,7 @@ from functools import partial
 from typing import Final
 
 from hapticd.base.errors import InvalidError, Path, path_text
+from hapticd.base.model import UNKNOWN_KEY
 from hapticd.base.plain_values import Scalar
 from hapticd.base.yaml_source import Json
 from hapticd.config.key_paths import path_of, with_patch
@@ -35,36 +36,28 @@ def display_faults(study: Study) -> list[Fault]:
     if conditions:
         return conditions
     found: list[Fault] = []
-    sound: dict[Hashable, bool] = {}
-    """Whether a condition with these levels at this place is without fault."""
+    seen: set[Hashable] = set()
+    faulty: set[Hashable] = set()
     for cell in cells_of(study):
-        cell_is_sound = True
         for position in range(len(cell.levels)):
             place = place_of(study, position)
             for levels in cell.levels[position:] if cell.listed else cell.levels:
-                key = cell.condition, place, typed(levels)
-                if not _has_variable(study, cell, levels):
-                    if key not in sound:
-                        faults = _stimulus(study, cell.condition, levels, place)
-                        sound[key] = not faults
-                        found += faults
-                    cell_is_sound = cell_is_sound and sound[key]
+                stimulus = cell.condition, typed(levels)
+                # What is wrong at one place is not told again for the others.
+                known = (place, stimulus) in seen or stimulus in faulty or _has_variable(study, cell, levels)
+                if not known:
+                    seen.add((place, stimulus))
+                    faults = _stimulus(study, cell.condition, levels, place)
+                    found += faults
+                    faulty.update([stimulus] if faults else [])
                 if cell.listed:
                     break
         # A fault of the factors' levels would be one of every value of the variable.
-        if cell.procedure is not None and cell_is_sound:
+        if cell.procedure is not None and (cell.condition, typed(cell.levels[0])) not in faulty:
             found += _adaptive(study, cell, study.adaptive(cell.procedure))
         if len(found) >= _MOST_FAULTS:
             break
-    return _once(found)
-
-
-def _once(faults: list[Fault]) -> list[Fault]:
-    """Each fault at its first place: a wrong key of a factor is the same fault at each of its levels."""
-    places: dict[str, Path] = {}
-    for path, text in faults:
-        places.setdefault(text, path)
-    return [(path, text) for text, path in places.items()]
+    return list(dict.fromkeys(found))
 
 
 def _has_variable(study: Study, cell: Cell, levels: Mapping[str, Scalar]) -> bool:
@@ -98,13 +91,16 @@ def _stimulus(study: Study, condition: str, levels: Mapping[str, Scalar], place:
     for name, level in levels.items():
         alone = _faults(partial(document_of, study, condition, {name: level}, place))
         if alone:
-            return [(_level_path(study, name, level), _sentence(path, text)) for path, text in alone]
+            return [(_level_path(study, name, level, text), _sentence(path, text)) for path, text in alone]
     where: Path = ("trial", "list" if study.trial.list is not None else "cross")
     return [(where, f"{levels_text(levels)}: {_sentence(path, text)}") for path, text in found]
 
 
-def _level_path(study: Study, name: str, level: Scalar) -> Path:
+def _level_path(study: Study, name: str, level: Scalar, text: str) -> Path:
+    """Where a level is written; an unknown key is one of every level, and stands in `at`."""
     factor = study.factors[name]
+    if factor.at is not None and text.startswith(UNKNOWN_KEY):
+        return ("factors", name, "at")
     texts = [level_text(each) for each in factor.names]
     if factor.variants is not None:
         return ("factors", name, "variants", str(level))

@@ -83,7 +83,7 @@ def _factors(study: Study) -> Iterator[Fault]:
                     f"needs {PLACE}: stimuli side by side would all change the same keys",
                 )
     used = _used(study)
-    # A name that is no factor's is a fault by itself, and may be this one's.
+    # An unknown name in cross is probably a misspelt factor, and is reported by itself.
     for name in study.factors if used <= set(study.factors) else ():
         if name not in used:
             yield ("factors", name), "no trial varies it: name it in trial.cross or in the stimuli of trial.list"
@@ -371,6 +371,11 @@ def _surroundings(study: Study) -> Iterator[Fault]:
         yield ("feedback",), "no answer is correct: give the question asks, or take none"
     if study.feedback == "measure" and not (isinstance(question, MeasureQuestion) or study.trial.measures):
         yield ("feedback",), "nothing is measured: a question of kind measure, or trial.measures"
+    measures = (
+        (*study.trial.measures, question.measure) if isinstance(question, MeasureQuestion) else study.trial.measures
+    )
+    if "overtravel_m" in measures and not _has_membrane(study):
+        yield ("trial",), "overtravel_m is measured from where a membrane breaks, and the scene has none"
     if study.stop.wrong_in_a_row is not None and not judged:
         yield ("stop", "wrong_in_a_row"), "no answer is wrong: give the question asks, or leave it out"
     breaks = study.breaks
@@ -387,6 +392,13 @@ def _surroundings(study: Study) -> Iterator[Fault]:
     if analysis.published is not None:
         for text in published_faults(analysis.published):
             yield ("analysis", "published"), text
+
+
+def _has_membrane(study: Study) -> bool:
+    """Whether the scene has one, or a condition or a variant gives it one."""
+    changes = [condition.changes for condition in study.conditions.values()]
+    variants = [variant for factor in study.factors.values() for variant in (factor.variants or {}).values()]
+    return any("'membrane'" in str(each.get("scene")) for each in (study.base, *changes, *variants))
 
 
 def _judged(study: Study, question: Question) -> bool:
@@ -427,16 +439,20 @@ def _cells(study: Study) -> Iterator[Fault]:
 
 
 def _without_correct(study: Study, cells: Sequence[Cell]) -> Iterator[Fault]:
-    """Trials of a forced choice of which no answer is correct, as stimuli are alike."""
+    """Trials of a forced choice of which no answer is correct."""
     question = study.asked
     if study.trial.type != "forced_choice" or not isinstance(question, ChoiceQuestion):
         return
-    where: Path = ("trial", "list" if study.trial.list is not None else "reference")
-    if question.asks is None:
-        why = "the target is like the reference; take other levels"
+    if study.trial.list is not None:
+        remedy = "give the trial correct"
+    elif question.asks is None:
+        remedy = "the target is like the reference: take other levels"
     else:
-        why = "several stimuli have the level that is asked for; take other levels, or give an answer with means: same"
-    for name in dict.fromkeys(
-        cell.name for cell in cells if correct_answer(study, cell, range(len(cell.levels))) is None
-    ):
-        yield where, f"{name}: no answer is correct, as {why}"
+        remedy = "several stimuli have the level that is asked for: take other levels, or an answer with means: same"
+    told: set[Path] = set()
+    for cell in cells:
+        if correct_answer(study, cell, range(len(cell.levels))) is None:
+            where: Path = ("trial", "reference") if cell.entry is None else ("trial", "list", cell.entry)
+            if where not in told:
+                told.add(where)
+                yield where, f"{cell.name}: no answer is correct; {remedy}"

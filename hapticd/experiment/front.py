@@ -122,8 +122,11 @@ class Front(Protocol):
         """The last interval and the question. Calls `stage.check` while it waits."""
 
     def feedback(self, told: str, right: str | None) -> None:
-        """What the participant is told after a trial. `right`: the name of the correct answer, of a trial that has
-        one."""
+        """What the participant is told after a trial. `right`: the name of the correct answer, where `told` gives it
+        away."""
+
+    def not_done(self, trial: int, why: str) -> None:
+        """A motor task was not done, and begins again. `trial` counts from 1; participant and experimenter are told."""
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
         """An answer is on disk. `response_s`: from the beginning of the last interval to the answer."""

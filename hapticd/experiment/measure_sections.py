@@ -30,19 +30,20 @@ _AXIS_UNITS: Final = {True: "1 per unit of log level", False: "1 per unit of lev
 
 
 def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """A psychometric function of correct answers for each condition, cell and variable: of all participants, and of
-    each of them. Procedures that vary the same key from the same reference are fitted together."""
+    """A psychometric function of correct answers for each condition, cell and `Varied`: of all participants, and of
+    each of them."""
     listed: list[tuple[Cell, ...]] = []
     pictures, notes = [], []
-    for (condition, procedures), (varied, judged) in _by_function(rows, facts).items():
+    for (condition, cell, varied), judged in _by_function(rows, facts).items():
+        procedures = listing(sorted({_procedure(row) for row in judged}))
         people = sorted({row["participant"] for row in judged})
         groups = [(POOLED, judged)]
         if len(people) > 1:
             groups += [(person, [row for row in judged if row["participant"] == person]) for person in people]
         for who, group in groups:
-            name = f"psychometric function, {condition}, {procedures}, {who}"
+            name = f"psychometric function, {', '.join(filter(None, (condition, cell, procedures, who)))}"
             try:
-                found = _best(group, varied, facts)
+                found = _best(group, varied)
             except FitError as error:
                 notes.append(f"{name}: {error}")
                 continue
@@ -53,19 +54,23 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
                 threshold = ends.value, ends.low, ends.high
                 listed += [
                     (
-                        *(condition, procedures, who, found.shape, len(group)),
+                        *(condition, cell, procedures, who, found.shape, len(group)),
                         *(figure, unit, each.value, each.low, each.high, fitness),
                     )
                     for figure, unit, each in _figures(found, estimates, varied)
                 ]
+                if found.as_steep_as_levels_show:
+                    notes.append(f"{name}: the slope is the steepest that the distances of the levels can show")
             else:
                 notes.append(f"{name}: {undetermined}")
             if who == POOLED:
-                pictures.append(_picture(f"{condition}, {procedures}", found, threshold, varied.unit))
+                of = ", ".join(filter(None, (condition, cell, procedures)))
+                pictures.append(_picture(of, found, threshold, varied.unit))
     if not listed:
         return Section((), tuple(pictures), tuple(notes))
     head = (
         "condition",
+        "cell",
         "procedures",
         "participant",
         "function",
@@ -89,22 +94,19 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
     )
 
 
-def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str], tuple[Varied, list[Row]]]:
-    """What varies, and the rows of it, by condition and the names of the procedures that vary it."""
-    grouped: dict[tuple[str, str, Varied], list[Row]] = defaultdict(list)
-    names: dict[tuple[str, str, Varied], set[str]] = defaultdict(set)
+def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str, Varied], list[Row]]:
+    """The judged rows that have a level, by condition, cell and what varies. Only crossed factors make cells."""
+    found: dict[tuple[str, str, Varied], list[Row]] = defaultdict(list)
     for row in rows:
-        if row.right is None or row.number("level") is None:
-            continue
-        procedure = (row.get("procedure") or "").partition(".")[0]
-        cell = row["cell"] if row["cell"] != procedure else ""
-        key = row["condition"], cell, facts.varied.get(procedure, Varied())
-        grouped[key].append(row)
-        names[key].add(procedure)
-    return {
-        (condition, ": ".join(filter(None, (cell, listing(sorted(names[condition, cell, varied])))))): (varied, own)
-        for (condition, cell, varied), own in grouped.items()
-    }
+        if row.right is not None and row.number("level") is not None:
+            cell = row["cell"] if facts.crossed else ""
+            found[row["condition"], cell, facts.varied.get(_procedure(row), Varied())].append(row)
+    return dict(found)
+
+
+def _procedure(row: Row) -> str:
+    """The name in the study; a row's has condition and levels behind it."""
+    return (row.get("procedure") or "").partition(".")[0]
 
 
 def ratings(rows: Sequence[Row]) -> Section:
@@ -269,18 +271,18 @@ def _figures(
     return [*figures, ("slope", slope_unit, estimates["slope"]), ("lapse", "probability", estimates["lapse"])]
 
 
-def _best(rows: Sequence[Row], varied: Varied, facts: StudyFacts) -> PsychometricFit:
+def _best(rows: Sequence[Row], varied: Varied) -> PsychometricFit:
     """The shape of greatest likelihood."""
     # Levels that a staircase came back to differ in their last bits.
     levels = np.array([float(f"{row.number('level'):.9g}") for row in rows])
     right = np.array([row.right for row in rows], dtype=float)
     places, at = np.unique(levels, return_inverse=True)
     on_log = varied.logarithmic and bool((places > 0).all())
-    guess = varied.guess if varied.guess is not None else facts.chance or 0.0
     shapes = [shape for shape in SHAPES if shape != "weibull" or on_log]
     counts, trials = np.bincount(at, right), np.bincount(at)
     fits = [
-        fit(places, counts, trials, shape, guess=guess, logarithmic=on_log, rising=varied.rising) for shape in shapes
+        fit(places, counts, trials, shape, guess=varied.guess, logarithmic=on_log, rising=varied.rising)
+        for shape in shapes
     ]
     return min(fits, key=lambda each: each.deviance)
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from hapticd.base import wording
 from hapticd.base.core import Flag
+from hapticd.config.schema import unit_of
 
 Samples: TypeAlias = npt.NDArray[np.void]
 Events: TypeAlias = Sequence[Mapping[str, Any]]
@@ -35,27 +36,26 @@ PATH_STEP_S: Final = 0.01
 the encoder as a way that the hand went."""
 
 MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m")
-_TOLD: Final = {
-    "overtravel_m": ("Overtravel", "m"),
-    "peak_force_n": ("Largest force", "N"),
-    "completion_s": ("Time", "s"),
-    "path_m": ("Path", "m"),
+_NAMES: Final = {
+    "overtravel_m": "Overtravel",
+    "peak_force_n": "Largest force",
+    "completion_s": "Time",
+    "path_m": "Path",
 }
-"""What participants read of a measure: its name and its unit."""
+"""What participants read."""
 
 
 def measure_text(name: str, value: float) -> str:
     """A measure as a participant reads it, `Overtravel: 3.2 mm.`"""
-    words, unit = _TOLD[name]
-    return f"{words}: {wording.si(value, unit, 3)}."
+    return f"{_NAMES[name]}: {wording.si(value, unit_of(name) or '', 3)}."
 
 
-def not_done(name: str, value: float | None) -> str | None:
+def why_not_done(name: str, value: float | None) -> str | None:
     """Why a trial that is to give this measure was not done, as a participant reads it; None: it was."""
     if name == "overtravel_m" and value is None:
         return "No membrane broke."
     if name == "peak_force_n" and not value:
-        return "Nothing was touched."
+        return "No force was felt."
     return None
 
 

@@ -21,7 +21,7 @@ from hapticd.config.configuration import Config
 from hapticd.experiment.event_codes import EventCode
 from hapticd.experiment.front import Choice, Command, Front, Reply, Shown, Watched
 from hapticd.experiment.keys import ChoiceQuestion, MeasureQuestion, NumberQuestion, SliderQuestion, TextQuestion
-from hapticd.experiment.measures import measure_text, measures_of, not_done, planes_of
+from hapticd.experiment.measures import measure_text, measures_of, planes_of, why_not_done
 from hapticd.experiment.plan import Plan, PlannedTrial
 from hapticd.experiment.procedures.procedure import Procedure
 from hapticd.experiment.progress import check_not_over, progress_of
@@ -34,7 +34,7 @@ from hapticd.experiment.trial_scenes import configurations, seen
 MOST_FAULTS: Final = 3
 """Attempts in a row that a fault may end before the session does."""
 MOST_NOT_DONE: Final = 3
-"""Attempts at a motor task that may give no measure; the last of them is the answer."""
+"""Attempts in a row at a motor task that need not be done; after them the trial has no answer."""
 
 Ending: TypeAlias = Literal["ended", "aborted"]
 Procedures: TypeAlias = "Callable[[str, Json], Procedure]"
@@ -92,8 +92,8 @@ class Session:
         self._procedures: dict[str, Procedure] = {}
         self._origin_s = monotonic_s() - self._progress.elapsed_s
         self._faults = 0
-        self._not_done = 0
-        """Attempts in a row that gave no measure."""
+        self._attempts_not_done = 0
+        """Attempts in a row at a motor task that were not done."""
 
     @property
     def total(self) -> int:
@@ -266,8 +266,7 @@ class Session:
             self._begin_again(trial, attempt, lost)
         answered_s = self._answered_s
         self._check_faults(trial, attempt)
-        measures = self._measures(armed)
-        self._check_done(armed, attempt, reply, measures)
+        measures = self._done(armed, attempt, reply, self._measures(armed))
         self._answer(armed, attempt, reply, measures, onset_s, asked_s, answered_s)
         self._mark(EventCode.TRIAL_END, trial=trial.index, attempt=attempt)
 
@@ -348,8 +347,8 @@ class Session:
         wanted = study.feedback if warmup is None else "correctness" if warmup.feedback else "none"
         if wanted == "none":
             return
-        told = []
-        if wanted == "correctness" and right is not None:
+        told, judged = [], wanted == "correctness" and right is not None
+        if judged:
             label = next((each.label for each in armed.shown.answers if each.name == trial.correct), trial.correct)
             told.append("Correct." if right else f"Wrong: {label}.")
         question = study.questions[trial.question]
@@ -359,22 +358,28 @@ class Session:
             if value is not None:
                 told.append(measure_text(name, value))
         if told:
-            self._front.feedback(" ".join(told), trial.correct)
+            self._front.feedback(" ".join(told), trial.correct if judged else None)
 
-    def _check_done(self, armed: _Armed, attempt: int, reply: Reply, measures: Mapping[str, float | None]) -> None:
-        """An attempt at a motor task without what it is to measure does not count. Raises _Again, until there were
-        MOST_NOT_DONE."""
+    def _done(
+        self, armed: _Armed, attempt: int, reply: Reply, measures: Mapping[str, float | None]
+    ) -> Mapping[str, float | None]:
+        """The measures of a trial, without that of a motor task which was not done. Raises _Again for such an attempt
+        until there were MOST_NOT_DONE, or its time was up."""
         question = self._plan.study.questions[armed.trial.question]
-        lacking = None
-        if isinstance(question, MeasureQuestion) and not reply.timed_out:
-            lacking = not_done(question.measure, measures[question.measure])
-        self._not_done = 0 if lacking is None else self._not_done + 1
-        if lacking is None or self._not_done >= MOST_NOT_DONE:
-            self._not_done = 0
-            return
-        self._give_up(armed.trial, attempt, because=f"not done: {lacking}")
-        self._front.tell(f"trial {armed.trial.index + 1} begins again: {lacking}")
-        self._front.feedback(f"{lacking} The trial begins again.", None)
+        why = (
+            why_not_done(question.measure, measures[question.measure])
+            if isinstance(question, MeasureQuestion)
+            else None
+        )
+        self._attempts_not_done = 0 if why is None else self._attempts_not_done + 1
+        if why is None:
+            return measures
+        assert isinstance(question, MeasureQuestion)
+        if reply.timed_out or self._attempts_not_done >= MOST_NOT_DONE:
+            self._attempts_not_done = 0
+            return {**measures, question.measure: None}
+        self._give_up(armed.trial, attempt, because=f"not done: {why}")
+        self._front.not_done(armed.trial.index + 1, why)
         raise _Again
 
     def _measures(self, armed: _Armed) -> Mapping[str, float | None]:

@@ -52,19 +52,13 @@ def folder_of(root: Path, participant: str, session: int) -> Path:
     return root / f"sub-{participant_label(participant)}" / f"ses-{session:02d}"
 
 
-def check_new(root: Path, participant: str, session: int, title: str) -> Path:
-    """The folder of a session that is to begin. Raises HapticdError where it exists, or where the data set has a
-    session of a study with another title."""
+def check_new(root: Path, participant: str, session: int) -> Path:
+    """The folder of a session that is to begin. Raises HapticdError where it exists."""
     path = folder_of(root, participant, session)
     check_regular(path / LOG)
     if (path / LOG).exists():
         raise HapticdError(
             f"{path}: this session exists; go on with `hapticd experiment resume {path}`, or give another --session"
-        )
-    other = next((each for each in root.glob(f"sub-*/ses-*/{ABOUT}") if each.parent != path and each.is_file()), None)
-    if other is not None and (others := _mapping(other).get("title")) != title:
-        raise HapticdError(
-            f"{root}: has sessions of another study, {quoted(str(others))}; give each study a folder of its own with -o"
         )
     return path
 
@@ -88,7 +82,7 @@ class SessionFolder:
         Where a process died before the log was there, the folder is made again. Raises HapticdError where the session
         exists, or the folder cannot be written.
         """
-        path = check_new(root, str(about["participant"]), cast(int, about["session"]), str(about["title"]))
+        path = check_new(root, str(about["participant"]), cast(int, about["session"]))
         made = cls(path, study, dict(plan), dict(about))
         made.write()
         return made, SessionLog(path / LOG)

@@ -8,6 +8,7 @@ is no terminal, each line is one key.
 from __future__ import annotations
 
 import codecs
+import io
 import math
 import os
 import select
@@ -115,6 +116,8 @@ class TextFront:
     def __init__(self, source: TextIO | None = None, out: TextIO | None = None) -> None:
         self._keys = Keys(source or sys.stdin)
         self._out = out or sys.stdout
+        if isinstance(self._out, io.TextIOWrapper):
+            self._out.reconfigure(errors="replace")  # a terminal may lack a character of the study's texts
         self._console = Console(file=self._out, highlight=False)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
@@ -162,6 +165,9 @@ class TextFront:
 
     def feedback(self, told: str, right: str | None) -> None:
         self._say(told)
+
+    def not_done(self, trial: int, why: str) -> None:
+        self._say(f"{why} Trial {trial} begins again.")
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
         # At one terminal the participant would read it.

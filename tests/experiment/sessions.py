@@ -206,6 +206,9 @@ class ScriptedFront:
         self.asked.append("feedback")
         self.feedbacks.append(told)
 
+    def not_done(self, trial: int, why: str) -> None:
+        self.feedbacks.append(f"{trial}: {why}")
+
     def answered(self, watched: Watched, answer: Any, correct: bool | None, response_s: float) -> None:
         self.answers_on_disk.append((watched.index, answer, correct))
 

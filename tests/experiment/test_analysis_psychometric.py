@@ -161,6 +161,9 @@ def test_what_cannot_be_fitted(levels: list[float], positive: list[int], trials:
         ([0, 0, 20, 20, 20], "fit a step from chance to certainty between 20 and 30 N: more answers near it"),
         ([0, 0, 0, 0, 1], "above the highest level, 50 N: levels beyond it are needed"),
         ([19, 20, 20, 20, 20], "below the lowest level, 10 N: levels beyond it are needed"),
+        ([10, 10, 15, 20, 20], None),
+        ([20, 15, 10, 10, 10], "correct answers do not become more from 10 to 50 N"),
+        ([10, 10, 10, 10, 10], "correct answers do not become more from 10 to 50 N"),
     ],
 )
 def test_answers_that_determine_no_threshold(positive: list[int], expected: str | None) -> None:

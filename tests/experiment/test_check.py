@@ -38,7 +38,7 @@ def test_trials_minutes_and_breaks_are_counted() -> None:
     assert report.breaks == 4
     assert report.minutes == pytest.approx((22 * 20 + 4 * 10) / 60)
     assert report.chance is None
-    assert not report.at_most and report.faults == 0 and report.told == ()
+    assert not report.at_most and report.faults == 0 and report.to_look_at == ()
 
 
 def test_breaks_between_blocks_are_counted_once_with_others() -> None:
@@ -70,7 +70,7 @@ def test_what_the_rate_cannot_carry_is_named_with_its_stimuli() -> None:
 def test_names_that_tell_are_reported() -> None:
     data = yaml.safe_load(PAIRS)
     data["questions"]["stiffer"]["answers"][0]["label"] = "Steel"
-    told = check_study(study_of(data), FAST).told
+    told = check_study(study_of(data), FAST).to_look_at
     assert [problem.where for problem in told] == ["questions.stiffer.answers[0].label"]
 
 
@@ -79,11 +79,11 @@ def test_a_staircase_that_cannot_reach_its_hardest_level_is_reported() -> None:
     data = yaml.safe_load(ADAPTIVE)
     method = data["trial"]["procedures"]["one"]["method"]
     method["start"], method["steps"] = 91, [10, 5]
-    assert check_study(study_of(data), FAST).told == ()
+    assert check_study(study_of(data), FAST).to_look_at == ()
     method["start"] = 92
-    (told,) = check_study(study_of(data), FAST).told
+    (told,) = check_study(study_of(data), FAST).to_look_at
     assert told.where == "trial.procedures.one.method.steps"
-    assert "20 trials go from 92 to 2, not to 1:" in told.problem
+    assert "20 trials reach 2 and not the hardest level, 1:" in told.problem
 
 
 @pytest.mark.parametrize(

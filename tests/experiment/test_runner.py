@@ -221,15 +221,15 @@ MOTOR: dict[str, Any] = {
 class PushedStage(NotedStage):
     """Its hand breaks the membrane in attempts whose place, from 0, is in `breaks`, and goes 3 mm further."""
 
-    def __init__(self, breaks: frozenset[int]) -> None:
+    def __init__(self, breaks: frozenset[int], force_n: float = 2.0) -> None:
         super().__init__()
-        self._breaks = breaks
+        self._breaks, self._force_n = breaks, force_n
 
     def telemetry(self) -> Telemetry:
         samples = np.zeros(101, SAMPLE_DTYPE)
         samples["time_ns"] = np.arange(101) * 1_000_000
         samples["position_m"][:, 1] = np.linspace(0.0, -6e-3, 101)
-        samples["force_n"][50, 1] = 2.0
+        samples["force_n"][50, 1] = self._force_n
         broke = {"event": "puncture", "object": "skin", "onset_time_ns": 50_000_000}
         return Telemetry(samples, [broke] if self.done.count("record") - 1 in self._breaks else [])
 
@@ -242,12 +242,15 @@ def test_a_motor_task_that_was_not_done_begins_again(tmp_path: Path) -> None:
     (given_up,) = _records(tmp_path, "trial_given_up")
     assert (given_up["trial"], given_up["because"]) == (0, "not done: No membrane broke.")
     measured = "Largest force: 2 N. Overtravel: 3 mm."
-    assert front.feedbacks == ["No membrane broke. The trial begins again.", measured, measured]
+    assert front.feedbacks == ["1: No membrane broke.", measured, measured]
 
 
-def test_a_motor_task_that_is_never_done_has_no_answer_after_three_attempts(tmp_path: Path) -> None:
+@pytest.mark.parametrize("measure", ["overtravel_m", "peak_force_n"])
+def test_a_motor_task_that_is_never_done_has_no_answer_after_three_attempts(measure: str, tmp_path: Path) -> None:
     front = ScriptedFront(lambda shown: "")
-    assert started(tmp_path, PushedStage(frozenset()), front, MOTOR).run() == "ended"
+    question = {**MOTOR["questions"]["push"], "measure": measure}
+    study = {**MOTOR, "trial": {"type": "motor", "question": "push"}, "questions": {"push": question}}
+    assert started(tmp_path, PushedStage(frozenset(), force_n=0.0), front, study).run() == "ended"
     assert [(answer["attempt"], answer["answer"]) for answer in _records(tmp_path, "answer")] == [(3, None)] * 2
     assert len(_records(tmp_path, "trial_given_up")) == 4
 

@@ -190,7 +190,7 @@ def test_a_session_leaves_what_is_no_regular_file_alone(name: str, kind: str, tm
     special(tmp_path / "end" / name, kind)
     (path / name).symlink_to(tmp_path / "end" / name)
     with untouched(tmp_path / "end"), pytest.raises(HapticdError) as caught:
-        SessionFolder.create(tmp_path, b"", {}, {"participant": "P07", "session": 1, "title": "Tapping"})
+        SessionFolder.create(tmp_path, b"", {}, {"participant": "P07", "session": 1})
     assert str(caught.value) == refused(path / name, kind)
     assert (path / name).is_symlink()
 

@@ -34,7 +34,7 @@ def test_six_studies_ship_each_with_a_sentence() -> None:
 def test_the_default_device_shows_all_of_it_and_no_name_tells(name: str) -> None:
     report = check_study(load_study(name), load_config({}))
     assert report.undisplayable == ()
-    assert report.told == ()
+    assert report.to_look_at == ()
     assert report.test_trials > 0 and report.minutes < 60
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 from hapticd.base.errors import HapticdError, InvalidError
 from hapticd.experiment.plan import plan
@@ -129,7 +131,22 @@ MISTAKES = {
         "reference: {stiffness: 800}",
         "reference: {stiffness: 700}",
         "reference:",
-        "700: no answer is correct, as the target is like the reference",
+        "700: no answer is correct; the target is like the reference",
+    ),
+    "a listed forced choice whose target nobody knows": (
+        CONSTANT.replace("  reference: {stiffness: 800}\n", "").replace("repetitions: 7\n", ""),
+        "cross: [stiffness]",
+        "list: [{stimuli: [{stiffness: 600}, {stiffness: 600}, {stiffness: 700}]}, "
+        "{stimuli: [{stiffness: 900}, {stiffness: 1000}, {stiffness: 900}], correct: two}]",
+        "list:",
+        "600/600/700: no answer is correct; give the trial correct",
+    ),
+    "overtravel without a membrane": (
+        RATING,
+        "measures: [peak_force_n]",
+        "measures: [overtravel_m]",
+        "trial:",
+        "the scene has none",
     ),
     "two answers of one name": (PAIRS, "name: same", "name: first", "label: Same", "needs its own name"),
     "the key that stops": (PAIRS, 'key: "2"', "key: escape", "key: escape", "stops everything"),
@@ -303,6 +320,29 @@ def test_every_mistake_of_a_study_is_reported_at_once(tmp_path: Path) -> None:
         load_study(file)
     told = str(caught.value)
     assert "materiel" in told and "stifer" in told and "has no blocks" in told
+
+
+def _faults(data: dict[str, Any]) -> list[str]:
+    with pytest.raises(InvalidError) as caught:
+        study_of(data)
+    return [problem.where for problem in caught.value.problems]
+
+
+def test_a_mistake_of_a_factor_is_told_once_and_those_of_two_places_both() -> None:
+    """Procedures, levels and places of a wrong factor say the same; two variants are two mistakes."""
+    data = yaml.safe_load(ADAPTIVE)
+    data["factors"] = {"decay": {"at": "materials.surface.tap.decay_time_s", "levels": [0.005, -0.02]}}
+    data["trial"]["cross"] = ["decay"]
+    assert _faults(data) == ["factors.decay.levels[1]"]
+    data["factors"]["decay"] = {"at": "materials.surface.tap.decay", "levels": [0.005, 0.02]}
+    assert _faults(data) == ["factors.decay.at"]
+    data = yaml.safe_load(PAIRS)
+    data["factors"]["material"]["levels"][1] = "acrilic"
+    assert _faults(data) == ["factors.material.levels[1]"]
+    data = yaml.safe_load(RATING)
+    for variant in data["factors"]["display"]["variants"].values():
+        variant["scene"]["display"] = {"vibratin": False}
+    assert _faults(data) == ["factors.display.variants.silent", "factors.display.variants.ringing"]
 
 
 def test_a_base_file_stands_beside_the_study_and_its_faults_are_placed_there(tmp_path: Path) -> None:

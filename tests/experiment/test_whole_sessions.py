@@ -118,9 +118,14 @@ def test_a_folder_holds_the_sessions_of_one_study(ranked: Path, tmp_path: Path) 
     other = tmp_path / "other.yaml"
     other.write_text(RANKING.replace("Put them in order", "Order them"))
     before = sorted(ranked.rglob("*"))
+    many = _run(other, ranked, "--offline", "--count", "2", people=("D",))
+    assert (
+        str(many.exception)
+        == f"{ranked}: has sessions of another study, PutThemInOrder; give each study a folder of its own with -o"
+    )
     result = _run(other, ranked, "--offline", people=("D",))
     assert result.exit_code == 1
-    assert 'has sessions of another study, "Put them in order"' in str(result.exception)
+    assert "has sessions of another study, PutThemInOrder" in str(result.exception)
     assert sorted(ranked.rglob("*")) == before
 
 
@@ -138,10 +143,9 @@ def test_what_has_no_session_left_to_run_starts_no_daemon_and_no_page(ranked: Pa
 
 def test_a_demo_at_the_terminal_has_no_hand(ranked: Path, tmp_path: Path) -> None:
     study = ["experiment", "run", str(ranked.parent / "ranking.yaml"), "--participant", "P01"]
-    for words in ([*study, "-o", str(tmp_path)], ["experiment", "resume", str(ranked / "sub-simA" / "ses-01")]):
-        result = CliRunner().invoke(cli, [*words, "--text", "--demo"])
-        assert result.exit_code == 2
-        assert "--text has no hand for the simulated joystick of --demo" in result.output
+    result = CliRunner().invoke(cli, [*study, "-o", str(tmp_path), "--text", "--demo"])
+    assert result.exit_code == 2
+    assert "--text has no hand for the simulated joystick of --demo" in result.output
 
 
 def test_no_trial_begins_after_the_time_of_the_test(tmp_path: Path) -> None:

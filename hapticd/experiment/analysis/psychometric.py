@@ -49,7 +49,7 @@ from hapticd.experiment.analysis.psychometric_shapes import (
 
 FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slope", "guess", "lapse")
 RESAMPLES: Final = 2000
-STEP: Final = 0.01
+_AT_AN_END: Final = 0.05
 """A function that is nearer than this to one of its ends at every level is a step: resampled answers are all like the
 answers that it was fitted to, and its threshold would have an interval without width."""
 
@@ -83,23 +83,36 @@ class PsychometricFit:
         return float(_deviance(self, self.positive[None], self.parameters[None])[0])
 
     def undetermined(self, unit: str) -> str | None:
-        """Why the answers determine no threshold, and which levels would; None: they determine one. `unit`: that of the
+        """Why the answers determine no threshold, and what would; None: they determine one. `unit`: that of the
         levels."""
         threshold, slope = self.figures["threshold"], self.parameters[SLOPE]
         low, high = float(self.levels.min()), float(self.levels.max())
+        shares = self.positive / self.trials
+        center = np.average(_places(self), weights=self.trials)
+        if _sign(self) * float(self.trials @ ((_places(self) - center) * shares)) <= 0:
+            way, keys = ("more", "`rising: false`, or `harder: higher`") if self.rising else ("fewer", "`rising: true`")
+            return (
+                f"correct answers do not become {way} from {low:g} to {high:g} {unit}: if they should become "
+                f"{'fewer' if self.rising else 'more'}, the procedure needs {keys}; else other levels are needed"
+            )
         if not low <= threshold <= high:
             beyond = f"above the highest level, {high:g}" if threshold > high else f"below the lowest level, {low:g}"
             return f"the threshold is {beyond} {unit}: levels beyond it are needed"
         if slope <= self.box.low[SLOPE]:
             return f"from {low:g} to {high:g} {unit} the answers hardly depend on the level: a wider range is needed"
-        share = rise(self.shape, _sign(self) * (_places(self) - self.parameters[THRESHOLD]) * np.exp(slope))
-        if slope >= self.box.high[SLOPE] or not ((share > STEP) & (share < 1 - STEP)).any():
+        rises = rise(self.shape, _sign(self) * (_places(self) - self.parameters[THRESHOLD]) * np.exp(slope))
+        if not ((rises > _AT_AN_END) & (rises < 1 - _AT_AN_END)).any():
             below, above = self.levels[self.levels <= threshold].max(), self.levels[self.levels >= threshold].min()
             return (
                 f"the answers fit a step from chance to certainty between {below:g} and {above:g} {unit}: more answers "
                 "near it are needed"
             )
         return None
+
+    @property
+    def as_steep_as_levels_show(self) -> bool:
+        """Whether the slope is held by its bound, which the least distance of two levels gives."""
+        return bool(self.parameters[SLOPE] >= self.box.high[SLOPE])
 
     def probability(self, levels: Floats) -> Floats:
         """Of a positive answer, at levels of any shape."""

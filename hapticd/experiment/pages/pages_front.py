@@ -158,9 +158,10 @@ class PagesFront:
             self._rows = rows_of(records, self._plan.trials)
         self._changed()
 
-    def over(self, told: str, participant: str) -> None:
-        """Shows that the session has ended, or will be continued later."""
-        self._show(screens.over(f"{participant}\n\n{self._told}"), "over")
+    def over(self, told: str, participant: str, complete: bool) -> None:
+        """Shows that the session has ended, or will be continued later. Only the last trial of a session that is
+        complete has its feedback here."""
+        self._show(screens.over(f"{participant}\n\n{self._told if complete else ''}"), "over")
         self.tell(told)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
@@ -206,6 +207,10 @@ class PagesFront:
 
     def feedback(self, told: str, right: str | None) -> None:
         self._told = told
+
+    def not_done(self, trial: int, why: str) -> None:
+        self._told = f"{why} The trial begins again."
+        self.tell(f"trial {trial} begins again: {why}")
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
         if self._console.doing != "rests":

@@ -77,6 +77,9 @@ class SimulatedFront:
             self._feel(surface, stage)
         return Reply(self._answer(shown))
 
+    def not_done(self, trial: int, why: str) -> None:
+        pass
+
     def feedback(self, told: str, right: str | None) -> None:
         if right is not None and len(self._percepts) == 1:
             self._observer.learn(self._percepts[0], right)

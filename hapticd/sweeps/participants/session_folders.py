@@ -15,7 +15,7 @@ from typing import Final
 from hapticd.base import clock
 from hapticd.base.errors import HapticdError
 from hapticd.base.partial_files import write_whole
-from hapticd.experiment.bids import write_data_set, write_session_tables
+from hapticd.experiment.bids import check_one_study, write_data_set, write_session_tables
 from hapticd.experiment.plan import plan
 from hapticd.experiment.session import about_of, plan_document
 from hapticd.experiment.session_folder import LOG, SessionFolder, folder_of
@@ -33,8 +33,9 @@ class SessionFolders:
     """The folders of a bulk in a data set."""
 
     def __init__(self, root: Path, rows_folder: Path, source: bytes, work: Participants) -> None:
-        """`source` is the study's YAML. Raises HapticdError where the data set has another session under the label and
-        number of one of these."""
+        """`source` is the study's YAML. Raises HapticdError where the data set has a session of another study, or
+        another one under the label and number of one of these."""
+        check_one_study(root, work.title)
         self._root, self._work, self._source = root, work, source
         self._file = rows_folder / WRITTEN
         self._on_disk = set(self._file.read_text().split()) if self._file.is_file() else set()

@@ -193,21 +193,29 @@ const grasp = () => hand.take("pointer", picture.stylus, placeOf(pressedAt));
 
 function followPointer(canvas) {
   canvas.addEventListener("pointerdown", (event) => {
-    if (moves && picture.stylus !== null && event.button === 0) {
+    if (moves && picture.stylus !== null && event.button === 0 && pressedAt === null) {
       canvas.setPointerCapture(event.pointerId);
       pressedAt = event;
       grasp();
     }
   });
+  const letGo = () => {
+    pressedAt = null;
+    hand.release("pointer");
+  };
   canvas.addEventListener("pointermove", (event) => {
-    pressedAt &&= event;
+    if (event.pointerId !== pressedAt?.pointerId) {
+      return;
+    }
+    if ((event.buttons & 1) === 0) {
+      letGo(); // it came up where nobody told the page
+      return;
+    }
+    pressedAt = event;
     hand.aimAt("pointer", placeOf(event));
   });
   for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
-    canvas.addEventListener(name, () => {
-      pressedAt = null;
-      hand.release("pointer");
-    });
+    canvas.addEventListener(name, (event) => event.pointerId === pressedAt?.pointerId && letGo());
   }
 }
 
