@@ -14,6 +14,7 @@ from hapticd.cli.common import place_here
 from hapticd.cli.listening import Listening, listening_options, refuse_another_daemon
 
 if TYPE_CHECKING:
+    from hapticd.config.configuration import Config
     from hapticd.experiment.daemon_stage import DaemonStage
     from hapticd.experiment.pages.pages_front import PagesFront
     from hapticd.experiment.plan import Plan
@@ -44,6 +45,16 @@ def place_of_session(ctx: click.Context, demo: bool) -> Iterator[RuntimePaths]:
 
     with DemoDaemon() as daemon:
         yield daemon.place
+
+
+def rig_at(place: RuntimePaths) -> Config:
+    """Servo and device of the daemon at `place`."""
+    from hapticd.client.blocking import Client
+    from hapticd.config.configuration import load_config
+    from hapticd.protocol.calls import TIMEOUT_S
+
+    with Client.at(place, TIMEOUT_S) as client:
+        return load_config(client.get_config()["config"])
 
 
 @contextmanager

@@ -12,12 +12,14 @@ import click
 from hapticd.base.errors import HapticdError, quoted
 from hapticd.cli.common import note
 from hapticd.cli.engine import Where, engine_options
-from hapticd.cli.experiment_pages import demo_option, live_stage, pages_options, place_of_session, run_on_pages
+from hapticd.cli.experiment_pages import demo_option, live_stage, pages_options, place_of_session, rig_at, run_on_pages
 from hapticd.cli.listening import Listening
 
 if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
+    from hapticd.config.configuration import Config
     from hapticd.experiment.front import Front
+    from hapticd.experiment.keys import Study
     from hapticd.experiment.pages.pages_front import PagesFront
     from hapticd.experiment.plan import Plan
     from hapticd.experiment.session_folder import SessionFolder
@@ -94,8 +96,9 @@ def run_command(
     With --count, --workers, --threads or --scheduler simulated participants are computed side by side. The same command
     goes on where it was interrupted.
     """
+    from hapticd.config.configuration import load_config
     from hapticd.config.shipped_files import file_of
-    from hapticd.experiment.bids import check_one_study
+    from hapticd.experiment.bids import check_one_study, other_version
     from hapticd.experiment.plan import plan
     from hapticd.experiment.session import begin
     from hapticd.experiment.session_folder import check_new, numbered
@@ -129,6 +132,10 @@ def run_command(
         raise click.UsageError("--count is of one --participant simulated:NAME", ctx)
     found = load_study(study)
     source = Path(file_of(study, "experiments")).read_bytes()
+    if (other := other_version(output, source)) is not None:
+        note(f"{study}: was changed since the session in {other}, which `analyze` will put together with this one")
+    if offline:
+        _note_undisplayable(found, load_config({}))
     if side_by_side:
         from hapticd.cli.experiment_bulk import run_bulk
 
@@ -138,8 +145,8 @@ def run_command(
     def run_one(label: str, simulated: bool) -> int:
         made = plan(found, label, session, found.order.seed if seed is None else seed)
         # Before a daemon or a page is started.
-        check_new(output, label, session)
         check_one_study(output, found.title)
+        check_new(output, label, session)
         return _with_stage(
             ctx,
             made,
@@ -220,23 +227,36 @@ def _with_stage(
     if offline:
         stage = OfflineStage(telemetry)
         folder, log = opens(stage)
-        return _run(stage, folder, log, made, _front(folder, made), keep=telemetry, clock=stage.now_s)
+        return _run(stage, folder, log, made, _front(folder, made), demo, keep=telemetry, clock=stage.now_s)
     with place_of_session(ctx, demo) as place:
+        _note_undisplayable(made.study, rig_at(place))
         if pages is not None:
-            return run_on_pages(place, pages, made, lsl, lambda stage, front: _run_shown(stage, front, opens, made))
+            return run_on_pages(
+                place, pages, made, lsl, lambda stage, front: _run_shown(stage, front, opens, made, demo)
+            )
         with live_stage(place, lsl) as live:
             folder, log = opens(live)
-            return _run(live, folder, log, made, _front(folder, made))
+            return _run(live, folder, log, made, _front(folder, made), demo)
 
 
-def _run_shown(stage: Stage, front: PagesFront, opens: _OPEN, made: Plan) -> int:
+def _note_undisplayable(study: Study, rig: Config) -> None:
+    """What of the study is not displayed as written: the session begins all the same."""
+    from hapticd.experiment.cells import cells_of
+    from hapticd.experiment.check import displayed
+
+    _, problems = displayed(study, cells_of(study), rig)
+    for problem in problems:
+        note(f"not displayed as written: {problem}")
+
+
+def _run_shown(stage: Stage, front: PagesFront, opens: _OPEN, made: Plan, demo: bool) -> int:
     """As `_run`; the pages say how it ended."""
     thanks = "# Thank you\n\nThis was all. You can take your hand off the handle."
     stopped = "# The session has stopped\n\nThe forces are off. You can take your hand off the handle."
     try:
         folder, log = opens(stage)
         front.opened(log.records)
-        code = _run(stage, folder, log, made, front)
+        code = _run(stage, folder, log, made, front, demo)
     except HapticdError as error:
         # Whether the forces went is not known: the daemon may be gone.
         front.over(
@@ -244,7 +264,8 @@ def _run_shown(stage: Stage, front: PagesFront, opens: _OPEN, made: Plan) -> int
         )
         raise
     ended = code == 0
-    told = "complete" if ended else f"stopped; go on with `hapticd experiment resume {folder.path}`"
+    command = f"hapticd experiment resume {folder.path}{' --demo' * demo}"
+    told = "complete" if ended else f"stopped; go on with `{command}`"
     front.over(told, thanks if ended else stopped, ended)
     return code
 
@@ -255,6 +276,7 @@ def _run(
     log: SessionLog,
     made: Plan,
     front: Front,
+    demo: bool,
     keep: bool = True,
     clock: Callable[[], float] | None = None,
 ) -> int:
@@ -284,12 +306,13 @@ def _run(
         # Also of a session that stopped: the tables hold what is in its log.
         write_tables(folder)
     unneeded = len(session.done) - session.answered
-    most, besides = ("at most ", f" ({unneeded} were not needed)") if unneeded else ("", "")
+    most = "at most " if made.study.may_end_early else ""
+    besides = f" ({unneeded} were not needed)" if unneeded else ""
     done = f"{folder.path}: {session.answered} of {most}{session.total} trials"
     if ending == "ended":
         click.echo(f"{done}, complete{besides}")
         return 0
-    click.echo(f"{done}{besides}; go on with `hapticd experiment resume {folder.path}`")
+    click.echo(f"{done}{besides}; go on with `hapticd experiment resume {folder.path}{' --demo' * demo}`")
     return 1
 
 

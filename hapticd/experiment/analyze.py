@@ -109,6 +109,7 @@ def _sections(used: Sequence[Row], behaviour: Behaviour, published: PublishedRes
     adaptive = [row for row in judged if row.get("level") is not None]
     if adaptive:
         found.append(measure_sections.psychometric(adaptive, facts))
+        found.append(measure_sections.staircases(adaptive, facts))
     answers = [row for row in used if row.get("response") is not None]
     fixed = [row for row in answers if row.get("level") is None]
     if facts.trial_type == "paired_comparison":

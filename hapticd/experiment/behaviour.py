@@ -17,6 +17,7 @@ from hapticd.base.errors import HapticdError, quoted
 from hapticd.base.yaml_source import Json, load_path
 from hapticd.config.schema import unit_of
 from hapticd.experiment.bids import TASK
+from hapticd.experiment.session_folder import LOG
 
 MISSING: Final = "n/a"
 NEEDED: Final = ("participant", "phase", "condition", "cell", "response", "correct")
@@ -105,6 +106,8 @@ class StudyFacts:
     published: str | None = None
     varied: Mapping[str, Varied] = field(default_factory=dict)
     """By the name of the adaptive procedure."""
+    staircases: Mapping[str, Mapping[str, Json]] = field(default_factory=dict)
+    """The methods of those procedures that are staircases."""
     crossed: bool = False
     """Whether cells are combinations of levels (trial.cross); else an adaptive trial's is named by its procedure."""
     conditions: tuple[str, ...] = ()
@@ -144,6 +147,11 @@ def _tables(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise HapticdError(f"{folder}: there is no such folder; give that of a session, a participant or a data set")
     found = sorted(folder.rglob("*_beh.tsv"))
+    if not found and any(folder.rglob(LOG)):
+        raise HapticdError(
+            f"{folder}: its sessions were interrupted before their tables were written; "
+            "go on with `hapticd experiment resume`, which writes them when it ends"
+        )
     if not found:
         raise HapticdError(f"{folder}: holds no *_beh.tsv; give the folder of a session, a participant or a data set")
     return found
@@ -186,6 +194,7 @@ def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
     listed = [_mapping(each) for each in answers] if isinstance(answers, list) else []
     meanings = {str(each["name"]): str(each["means"]) for each in listed if "name" in each and "means" in each}
     named = {str(each["name"]): _text(each["level"]) for each in listed if "name" in each and "level" in each}
+    methods = {name: _mapping(_mapping(each).get("method")) for name, each in _mapping(trial.get("procedures")).items()}
     items = []
     for factor in _mapping(study.get("factors")).values():
         levels = _mapping(factor).get("levels", _mapping(factor).get("variants"))
@@ -198,6 +207,7 @@ def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
         chance=float(chance) if isinstance(chance, int | float) else None,
         published=published if isinstance(published, str) else None,
         varied={name: _varied(_mapping(each), chance) for name, each in _mapping(trial.get("procedures")).items()},
+        staircases={name: method for name, method in methods.items() if method.get("kind") == "staircase"},
         crossed=bool(trial.get("cross")),
         conditions=tuple(_mapping(study.get("conditions"))),
         items=tuple(items),

@@ -17,7 +17,7 @@ from hapticd.base.errors import HapticdError, on_one_line
 from hapticd.base.partial_files import write_whole
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.measures import MEASURES
-from hapticd.experiment.session_folder import SessionFolder, participant_label
+from hapticd.experiment.session_folder import STUDY, SessionFolder, participant_label
 from hapticd.experiment.session_log import Record
 
 BIDS_VERSION: Final = "1.9.0"
@@ -200,6 +200,12 @@ def check_one_study(root: Path, title: str) -> None:
         raise HapticdError(
             f"{root}: has sessions of another study, {other}; give each study a folder of its own with -o"
         )
+
+
+def other_version(root: Path, source: bytes) -> Path | None:
+    """A session of the data set whose study is written otherwise than `source`; None: all are the same."""
+    studies = root.glob(f"sub-*/ses-*/{STUDY}")
+    return next((each.parent for each in studies if each.is_file() and each.read_bytes() != source), None)
 
 
 def table(columns: Sequence[str], rows: Sequence[Mapping[str, Json]]) -> str:

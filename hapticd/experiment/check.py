@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Final
 
 from hapticd.analysis.check import check as check_config
@@ -87,7 +88,7 @@ def check_study(study: Study, rig: Config) -> StudyReport:
     sample, cells = plan(study, "", 1, study.order.seed), cells_of(study)
     phases = [trial.phase for trial in sample.trials]
     breaks = breaks_of(sample)
-    device, undisplayable = _displayed(study, cells, rig)
+    device, undisplayable = displayed(study, cells, rig)
     correct = correct_words(study) if any(trial.correct is not None for trial in sample.trials) else None
     seconds = len(phases) * study.trial.expected_s + breaks * study.breaks.least_s
     return StudyReport(
@@ -110,12 +111,13 @@ def check_study(study: Study, rig: Config) -> StudyReport:
 
 
 def breaks_of(plan: Plan) -> int:
-    """How many breaks a session has: after every so many trials, and before each block but the first."""
+    """How many breaks the test has: after every so many trials, and before each block but the first."""
     breaks = plan.study.breaks
+    test = [trial for trial in plan.trials if trial.phase == "test"]
     return sum(
-        (breaks.every_trials is not None and trial.index % breaks.every_trials == 0)
+        (breaks.every_trials is not None and number % breaks.every_trials == 0)
         or (breaks.between_blocks and trial.block != before.block)
-        for before, trial in zip(plan.trials, plan.trials[1:], strict=False)
+        for number, (before, trial) in enumerate(pairwise(test), 1)
     )
 
 
@@ -158,8 +160,8 @@ def _power(study: Study, cells: int, trials: int) -> Power | None:
     return power_of_difference(effect, max(1, trials // groups))
 
 
-def _displayed(study: Study, cells: Sequence[Cell], rig: Config) -> tuple[str, tuple[Problem, ...]]:
-    """The device, and each problem once with the stimuli that have it."""
+def displayed(study: Study, cells: Sequence[Cell], rig: Config) -> tuple[str, tuple[Problem, ...]]:
+    """The device of `rig`, and once each problem that it has with the stimuli of a study's cells, with their names."""
     found: dict[tuple[str, str], list[str]] = {}
     device = ""
     for name, stimulus in _stimuli(study, cells):

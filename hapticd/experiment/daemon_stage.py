@@ -100,6 +100,11 @@ class DaemonStage:
         self._client.reset()
         self._revision = changed["revision"]
 
+    def position_m(self) -> tuple[float, float]:
+        """Of the newest sample."""
+        x, y = self._client.get_state()["position_m"]
+        return x, y
+
     def enable(self) -> None:
         """Raises where another client changed the scene since it was armed, the lease lapsed, or a fault stays."""
         revision = self._client.get_status()["revision"]
@@ -110,6 +115,7 @@ class DaemonStage:
             )
         # No forces without a lease: one that lapsed while they were off is not renewed, and they would stay on.
         self._client.lease(LEASE_S, self._token)
+        self._client.reset()  # the handle may have gone through a membrane while the forces were off
         self._client.set_forces(True)
         self._enabled = True
 

@@ -122,7 +122,14 @@ def _adaptive(study: Study, cell: Cell, adaptive: Adaptive) -> Iterator[Fault]:
     for at in variable.at:
         here = _at(plain, path_of(str(placed(at, place_of(study, 0)))))
         if isinstance(here, bool) or not isinstance(here, int | float):
-            yield (*where, "variable", "at"), f"{at} is no number in the configuration: a procedure varies numbers"
+            unknown = _faults(partial(_with_value, study, cell, variable, variable.reference))
+            text = "; ".join(
+                _sentence(path, fault) for path, fault in unknown if fault.startswith(UNKNOWN_KEY) or not path
+            )
+            yield (
+                (*where, "variable", "at"),
+                text or f"{at} is no number in the configuration: a procedure varies numbers",
+            )
             return
     low, high = adaptive.ends
     values = {"reference": variable.reference, "low": value_of(variable, low), "high": value_of(variable, high)}

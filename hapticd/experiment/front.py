@@ -6,6 +6,7 @@ factor or a condition.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
@@ -24,6 +25,18 @@ class Seen:
     normal: tuple[float, float]
     half_m: float
     """How far it goes either way from its point."""
+
+    def from_surface(self, position_m: tuple[float, float]) -> tuple[float, float]:
+        """How far a position is beyond the surface's end, and how far above the surface, in m. Behind it is
+        negative."""
+        (x, y), (p_x, p_y), (n_x, n_y) = position_m, self.point_m, self.normal
+        along = (x - p_x) * n_y - (y - p_y) * n_x
+        return max(0.0, abs(along) - self.half_m), (x - p_x) * n_x + (y - p_y) * n_y
+
+    def has_behind(self, position_m: tuple[float, float]) -> bool:
+        """Whether a position is behind the surface: in a body, or on the other side of a membrane."""
+        beyond, above = self.from_surface(position_m)
+        return beyond == 0.0 and above < 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +77,14 @@ class Shown:
     """What stands at the left and the right end of a slider."""
     most_characters: int | None = None
     time_limit_s: float | None = None
+
+    def surfaces_of(self, interval: int) -> Sequence[Seen]:
+        """All of them side by side; else that of an interval, counted from 1."""
+        return self.surfaces if self.in_places else self.surfaces[interval - 1 : interval]
+
+    def is_behind(self, position_m: tuple[float, float] | None, interval: int) -> bool:
+        """Whether a position is behind a surface of an interval; None, where no hand waits, is not."""
+        return position_m is not None and any(each.has_behind(position_m) for each in self.surfaces_of(interval))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +132,10 @@ class Front(Protocol):
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
         """The trial is armed; returns when the experimenter lets the forces on."""
+
+    def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
+        """The handle is behind a surface of an interval, counted from 1, which would be felt, or broken, from there;
+        returns once it is not."""
 
     def may_enable(self) -> Command | None:
         """Asked just before the forces are switched on, and just after: what speaks against it, or None."""

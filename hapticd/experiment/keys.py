@@ -295,7 +295,9 @@ class Warmup(Model):
 class Breaks(Model):
     """When the participant rests."""
 
-    every_trials: int | None = Field(default=None, ge=1, le=10_000, description="A break after so many trials.")
+    every_trials: int | None = Field(
+        default=None, ge=1, le=10_000, description="A break after so many trials of the test."
+    )
     between_blocks: bool = Field(default=False, description="Whether there is one before each further block.")
     least_s: float = Field(default=0.0, ge=0, le=3600, description="How long a break is at least.")
     text: Markdown | None = Field(default=None, description="What is shown in it.")

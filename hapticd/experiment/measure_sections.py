@@ -19,6 +19,7 @@ from hapticd.experiment.analysis.psychometric import PsychometricFit, bootstrap,
 from hapticd.experiment.analysis.psychometric_shapes import SHAPES
 from hapticd.experiment.answer_sections import by_condition
 from hapticd.experiment.behaviour import MEASURES, Row, StudyFacts, Varied
+from hapticd.experiment.procedures.staircase import Staircase, StaircaseParameters
 from hapticd.experiment.published_tables import PublishedResults
 from hapticd.experiment.results import Cell, Dots, Fitted, PairedValues, ResultTable, Section
 
@@ -26,7 +27,7 @@ POOLED: Final = "pooled"
 """In the place of a participant: the answers of all together."""
 RESAMPLES: Final = 1000
 _CURVE: Final = 200
-_AXIS_UNITS: Final = {True: "1 per unit of log level", False: "1 per unit of level"}
+_AXIS_UNITS: Final = {True: "1 per unit of ln level", False: "1 per unit of level"}
 
 
 def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
@@ -50,15 +51,19 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
             threshold, undetermined = None, found.undetermined(varied.unit)
             if undetermined is None:
                 estimates, fitness = bootstrap(found, RESAMPLES), goodness_of_fit(found, RESAMPLES)
-                ends = estimates["threshold"]
+                ends = estimates["pse"]
                 threshold = ends.value, ends.low, ends.high
                 listed += [
                     (
-                        *(condition, cell, procedures, who, found.shape, len(group)),
-                        *(figure, unit, each.value, each.low, each.high, fitness),
+                        *(condition, *((cell,) if facts.crossed else ()), procedures, who, found.shape, len(group)),
+                        *(figure, unit, each.value, *_ends(each), fitness),
                     )
                     for figure, unit, each in _figures(found, estimates, varied)
                 ]
+                lowest, highest = found.levels.min(), found.levels.max()
+                if ends.low < lowest or ends.high > highest:
+                    shown = f"{lowest:g} to {highest:g} {varied.unit}"
+                    notes.append(f"{name}: the threshold's interval goes beyond the levels that were shown, {shown}")
                 if found.as_steep_as_levels_show:
                     notes.append(f"{name}: the slope is the steepest that the distances of the levels can show")
             else:
@@ -70,7 +75,7 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
         return Section((), tuple(pictures), tuple(notes))
     head = (
         "condition",
-        "cell",
+        *(("cell",) if facts.crossed else ()),
         "procedures",
         "participant",
         "function",
@@ -83,9 +88,9 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
         "p of the fit",
     )
     note = (
-        "The threshold is the level at half of the way from chance to certainty (Weibull: 63 % of it); where the level "
-        "is a difference from a reference, threshold over reference is the Weber fraction. Intervals and p of the "
-        "deviance are of a parametric bootstrap. The function is the one of greatest likelihood."
+        "The threshold is the level at half of the way from guess to 1 less lapse; where the level is a difference "
+        "from a reference, threshold over reference is the Weber fraction. Intervals and p of the deviance are of a "
+        "parametric bootstrap; a lapse of 0 has no interval. The function is the one of greatest likelihood."
     )
     return Section(
         (ResultTable("psychometric", "Psychometric functions", head, tuple(listed), note),),
@@ -107,6 +112,34 @@ def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str,
 def _procedure(row: Row) -> str:
     """The name in the study; a row's has condition and levels behind it."""
     return (row.get("procedure") or "").partition(".")[0]
+
+
+def staircases(rows: Sequence[Row], facts: StudyFacts) -> Section:
+    """The mean of the reversals of each staircase of each session, as Levitt (1971) estimates a threshold."""
+    runs: dict[tuple[str, ...], list[Row]] = defaultdict(list)
+    for row in rows:
+        if _procedure(row) in facts.staircases:
+            runs[row["participant"], row["session"], row["condition"], row["procedure"]].append(row)
+    table: list[tuple[Cell, ...]] = []
+    for (participant, session, condition, procedure), own in runs.items():
+        name = _procedure(own[0])
+        staircase = Staircase(StaircaseParameters.model_validate(facts.staircases[name]))
+        for row in own:
+            level = staircase.level()
+            if level is None:
+                break
+            staircase.answer(level, row.right is True)
+        unit = facts.varied[name].unit
+        counts = len(staircase.answers), len(staircase.reversals)
+        table.append((condition, procedure, participant, session, *counts, staircase.reversal_mean(), unit))
+    if not table:
+        return Section(())
+    head = ("condition", "procedure", "participant", "session", "trials", "reversals", "mean of reversals", "unit")
+    note = (
+        "Without the first reversals, as many as `discard` says; on a logarithmic axis the geometric mean. A staircase "
+        "with too few reversals has none."
+    )
+    return Section((ResultTable("staircases", "Staircases", head, tuple(table), note),))
 
 
 def ratings(rows: Sequence[Row]) -> Section:
@@ -263,12 +296,17 @@ def _figures(
     found: PsychometricFit, estimates: Mapping[str, Estimate], varied: Varied
 ) -> list[tuple[str, str, Estimate]]:
     """Names, units and values."""
-    threshold, reference = estimates["threshold"], varied.reference
+    threshold, reference = estimates["pse"], varied.reference
     figures = [("threshold", varied.unit, threshold)]
     if varied.level == "added" and reference:
         figures.append(("weber_fraction", "ratio", threshold.mapped(lambda level: level / abs(reference))))
     slope_unit = _AXIS_UNITS[found.logarithmic]
     return [*figures, ("slope", slope_unit, estimates["slope"]), ("lapse", "probability", estimates["lapse"])]
+
+
+def _ends(found: Estimate) -> tuple[float | None, float | None]:
+    """Of the interval; a figure that is held by its bound in every resample has none."""
+    return (None, None) if found.low == found.high else (found.low, found.high)
 
 
 def _best(rows: Sequence[Row], varied: Varied) -> PsychometricFit:

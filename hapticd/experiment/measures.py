@@ -53,7 +53,7 @@ def measure_text(name: str, value: float) -> str:
 def why_not_done(name: str, value: float | None) -> str | None:
     """Why a trial that is to give this measure was not done, as a participant reads it; None: it was."""
     if name == "overtravel_m" and value is None:
-        return "No membrane broke."
+        return "No membrane broke. Push further, until it breaks."
     if name == "peak_force_n" and not value:
         return "No force was felt."
     return None

@@ -52,6 +52,9 @@ class OfflineStage:
         self.fade()
         self._config = config
 
+    def position_m(self) -> None:
+        """Each motion begins where its waypoints do."""
+
     def enable(self) -> None:
         if self._config is None:
             raise HapticdError("no scene is armed")

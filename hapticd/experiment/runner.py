@@ -171,15 +171,14 @@ class Session:
         left = [trial for trial in self._plan.trials if trial.index not in self._progress.done]
         before: PlannedTrial | None = None
         # A break comes before a trial that is the first of this run only where the run goes on in the middle.
-        ran = len(self._progress.done)
+        ran = sum(self._plan.trials[index].phase == "test" for index in self._progress.done)
         for trial in left:
             because = self._stops()
             if because is not None:
                 self._end(because)
                 return
             self._between(before, trial, ran)
-            if self._run_trial(trial):
-                ran += 1
+            ran += self._run_trial(trial) and trial.phase == "test"
             before = trial
         self._end("all trials are done")
 
@@ -276,10 +275,13 @@ class Session:
         mark = partial(self._mark, trial=armed.trial.index, attempt=attempt)
         onset_s = asked_s = 0.0
         for number, config in enumerate(armed.configs, 1):
+            # Once before the scene is put in force: the handle breaks no membrane on its way out.
+            self._await_way_out(armed, attempt, number)
             stage.arm(config)
             if number == 1:
                 mark(EventCode.TRIAL_ARMED)
                 self._heed(armed, attempt, lambda: self._front.ready(shown, self._watched(armed, attempt)))
+            self._await_way_out(armed, attempt, number)
             # What was said while the scene was put in force is heard before they are on, what came then at once.
             self._heed(armed, attempt, self._front.may_enable)
             stage.enable()
@@ -299,6 +301,11 @@ class Session:
         stage.fade()
         mark(EventCode.FORCES_OFF, interval=len(armed.configs))
         return reply, onset_s, asked_s
+
+    def _await_way_out(self, armed: _Armed, attempt: int, interval: int) -> None:
+        """Returns once the handle is behind no surface of an interval, counted from 1."""
+        if armed.shown.is_behind(self._stage.position_m(), interval):
+            self._heed(armed, attempt, partial(self._front.withdraw, armed.shown, interval, self._stage))
 
     def _answer(
         self,

@@ -58,7 +58,8 @@ def check_new(root: Path, participant: str, session: int) -> Path:
     check_regular(path / LOG)
     if (path / LOG).exists():
         raise HapticdError(
-            f"{path}: this session exists; go on with `hapticd experiment resume {path}`, or give another --session"
+            f"{path}: this session exists; if it is not over, go on with `hapticd experiment resume {path}`; "
+            "a new one needs another --session"
         )
     return path
 

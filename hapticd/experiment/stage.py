@@ -71,8 +71,12 @@ class Stage(Protocol):
         When it returns, nothing of the scene before is felt any more, and the forces are still off.
         """
 
+    def position_m(self) -> tuple[float, float] | None:
+        """Where the handle is; None where no hand waits between motions."""
+
     def enable(self) -> None:
-        """Brings the force in. Raises where the scene is not the one that was armed."""
+        """Heals what was broken since `arm`, and brings the force in. Raises where the scene is not the one that was
+        armed."""
 
     def fade(self) -> None:
         """Takes the force out, and returns once it is zero."""

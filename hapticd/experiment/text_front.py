@@ -32,6 +32,8 @@ from hapticd.experiment.stage import Stage
 
 LOOKED_AFTER_S: Final = 0.5
 """Between two looks whether the stage is still there, while somebody is waited for."""
+WITHDRAWN_S: Final = 0.05
+"""Between two looks whether the handle is out of a surface."""
 COMMANDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
 _SEQUENCES: Final = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left", " ": "space"}
 _ESCAPE: Final = "escape"
@@ -141,6 +143,15 @@ class TextFront:
         total = f"at most {shown.total}" if shown.at_most else f"{shown.total}"
         self._say(f"\nTrial {shown.number} of {total}{again}. {watched.answered} answered.")
         return self._go_on("Enter lets the forces on.")
+
+    def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
+        self._say("Move the stylus out of the surfaces; the forces come on then.")
+        with self._keys.single():
+            while shown.is_behind(stage.position_m(), interval):
+                said = self._next(stage, time.monotonic() + WITHDRAWN_S)
+                if isinstance(said, Command):
+                    return said
+        return None
 
     def may_enable(self) -> Command | None:
         return None

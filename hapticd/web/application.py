@@ -116,7 +116,7 @@ class Pages:
 
     async def close(self) -> None:
         """Returns once none of them has anything any more."""
-        self.end("hapticd web ends")
+        self.end("The server of this page ends.")
         await asyncio.gather(*self._lives)
 
     def add_routes(self, app: web.Application) -> None:

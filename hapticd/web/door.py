@@ -32,10 +32,9 @@ def no_address(used: bool) -> str:
     body = f"""<p>{why}</p>
 <p>To get a new address, do one of these:</p>
 <ul>
-<li>In a browser that has the page open, ask the page for an address for another browser.</li>
-<li>In a terminal of the user that runs <code>hapticd web</code>: <code>kill -USR1 {os.getpid()}</code>. It prints a new
-address, for a service into the journal.</li>
-<li>Stop <code>hapticd web</code> and start it again.</li>
+<li>In a terminal of the user that runs the server of this page: <code>kill -USR1 {os.getpid()}</code>. It prints new
+addresses, for a service into the journal.</li>
+<li>If a browser has the page of <code>hapticd web</code> open: ask that page for an address for another browser.</li>
 </ul>"""
     return _PAGE.format(title="hapticd: a new address is needed", head="", body=body)
 

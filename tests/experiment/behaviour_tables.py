@@ -100,7 +100,7 @@ def puncture(root: Path, people: Sequence[str]) -> None:
 def frequency(root: Path, people: Sequence[str], threshold: float = 40.0) -> None:
     """A Weibull observer of two intervals, at levels on a logarithmic axis."""
     variable = {"name": "frequency_hz", "at": "materials.surface.tap.frequency_hz", "reference": 200, "level": "added"}
-    procedure = {"variable": variable, "method": {"kind": "staircase", "axis": "logarithmic"}}
+    procedure = {"variable": variable, "method": {"kind": "constant_stimuli", "axis": "logarithmic"}}
     study = {
         "experiment": 1,
         "title": "The just noticeable difference of a tap's frequency",
@@ -126,7 +126,10 @@ def staircases(
 ) -> None:
     """Two procedures of one variable in each cell of a factor, where the observer has a threshold of its own."""
     variable = {"name": "stiffness_n_per_m", "at": "materials.tested.stiffness_n_per_m", "reference": 400}
-    made = {"variable": {**variable, "level": "added"}, "method": {"kind": "staircase", "guess": 0.5, "harder": harder}}
+    made = {
+        "variable": {**variable, "level": "added"},
+        "method": {"kind": "constant_stimuli", "guess": 0.5, "rising": harder == "lower"},
+    }
     study = {
         "experiment": 1,
         "title": "How much stiffer is felt as stiffer?",

@@ -118,6 +118,8 @@ class NotedStage:
         self.done: list[str] = []
         self.configs: list[Any] = []
         self.marks: list[tuple[str, Any]] = []
+        self.positions: list[tuple[float, float]] = []
+        """Of the handle, each time that it is asked for; without one nobody's hand waits."""
         self._fails = fails
 
     def _do(self, what: str) -> None:
@@ -133,6 +135,9 @@ class NotedStage:
     def arm(self, config: Any) -> None:
         self._do("arm")
         self.configs.append(config)
+
+    def position_m(self) -> tuple[float, float] | None:
+        return self.positions.pop(0) if self.positions else None
 
     def enable(self) -> None:
         self._do("enable")
@@ -188,6 +193,9 @@ class ScriptedFront:
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
         self.watched.append(watched)
         return self._command("ready")
+
+    def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
+        return self._command("withdraw")
 
     def may_enable(self) -> Command | None:
         return None

@@ -99,15 +99,15 @@ def test_measures_are_compared_in_the_papers_direction(tmp_path: Path) -> None:
 def test_a_threshold_is_found(tmp_path: Path) -> None:
     tables.frequency(tmp_path, PEOPLE[:2])
     found = analyze([tmp_path])
-    own = row(found, "psychometric", "all", "", "down", "pooled")
+    own = row(found, "psychometric", "all", "down", "pooled")
     low, high = own["low 95 %"], own["high 95 %"]
     assert isinstance(low, float) and isinstance(high, float)
-    truth = {"weibull": 40.0}.get(str(own["function"]), 40 * math.log(2) ** (1 / 2.5))
+    truth = 40 * math.log(2) ** (1 / 2.5)
     assert low < truth < high
     assert own["unit"] == "Hz"
-    weber = next(each for each in table(found, "psychometric").rows if each[6] == "weber_fraction")
-    assert weber[8] == pytest.approx(float(str(own["value"])) / 200)
-    assert {each[3] for each in table(found, "psychometric").rows} == {"pooled", "P01", "P02"}
+    weber = next(each for each in table(found, "psychometric").rows if each[5] == "weber_fraction")
+    assert weber[7] == pytest.approx(float(str(own["value"])) / 200)
+    assert {each[2] for each in table(found, "psychometric").rows} == {"pooled", "P01", "P02"}
 
 
 @pytest.mark.parametrize("harder", ["lower", "higher"])
@@ -123,6 +123,32 @@ def test_each_cell_has_a_threshold_of_its_own(harder: str, tmp_path: Path) -> No
         assert isinstance(low, float) and isinstance(high, float)
         assert low < truth < high and high - low < 15
     assert found.notes == ()
+
+
+def test_the_mean_of_the_reversals_is_that_by_hand(tmp_path: Path) -> None:
+    """Levels 10, 8, 10, 8, 10, 8: the last four of five reversals are at 10, 8, 10 and 8."""
+    variable = {"name": "force_n", "at": "scene.x", "reference": 0, "level": "added"}
+    method = {"kind": "staircase", "rule": "1-up-1-down", "start": 10, "least": 0, "most": 20, "steps": [2]}
+    whole = {**method, "reversals": 5, "discard": 1}
+    study = {
+        "title": "t",
+        "trial": {"type": "forced_choice", "procedures": {"down": {"variable": variable, "method": whole}}},
+    }
+    levels = [10, 8, 10, 8, 10, 8]
+    rows = [
+        {"condition": "all", "cell": "down", "procedure": "down", "level": level, "correct": int(level == 10)}
+        for level in levels
+    ]
+    tables.write_session(tmp_path, "P01", "t", study, [{**row, "response": "first"} for row in rows])
+    own = row(analyze([tmp_path]), "staircases", "all", "down", "P01")
+    assert (own["trials"], own["reversals"], own["mean of reversals"], own["unit"]) == (6, 5, 9.0, "N")
+
+
+def test_sessions_without_tables_were_interrupted(tmp_path: Path) -> None:
+    (tmp_path / "sub-P01" / "ses-01").mkdir(parents=True)
+    (tmp_path / "sub-P01" / "ses-01" / "log.jsonl").touch()
+    with pytest.raises(HapticdError, match="were interrupted before their tables were written; go on with"):
+        analyze([tmp_path])
 
 
 def test_a_threshold_that_the_answers_leave_open_is_a_note_and_no_figure(tmp_path: Path) -> None:

@@ -34,17 +34,17 @@ def test_trials_minutes_and_breaks_are_counted() -> None:
     report = check_study(_study(PAIRS), FAST)
     assert (report.practice_trials, report.training_trials, report.test_trials) == (2, 0, 20)
     assert [cell.trials for cell in report.cells] == [1] * 20
-    # 22 trials at 20 s, and a break of 10 s after 5, 10, 15 and 20 of them.
-    assert report.breaks == 4
-    assert report.minutes == pytest.approx((22 * 20 + 4 * 10) / 60)
+    # 22 trials at 20 s, and a break of 10 s after 5, 10 and 15 of the test's 20.
+    assert report.breaks == 3
+    assert report.minutes == pytest.approx((22 * 20 + 3 * 10) / 60)
     assert report.chance is None
     assert not report.at_most and report.faults == 0 and report.to_look_at == ()
 
 
 def test_breaks_between_blocks_are_counted_once_with_others() -> None:
     study = _study(PAIRS, breaks={"every_trials": 2, "between_blocks": True})
-    # After 2 trials of practice a block begins, too; the second block of the test begins after 12.
-    assert breaks_of(plan(study, "P1", 1, 1)) == 10
+    # After 2, 4, ..., 18 trials of the test; its second block begins after 10.
+    assert breaks_of(plan(study, "P1", 1, 1)) == 9
 
 
 def test_procedures_have_at_most_their_trials() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser
 
+from hapticd.base.core import Flag
 from hapticd.experiment.event_codes import EventCode
 from hapticd.recording.recording import load
 from tests.experiment.browser_session import Session
@@ -41,6 +42,11 @@ def daemon(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 @pytest.fixture
 def session(browser: Browser, daemon: Daemon, tmp_path: Path) -> Iterator[Callable[..., Session]]:
     """Starts a session of a study, which is killed after the test if it still runs."""
+    # The test before may have left the hand below a surface, where it holds up the forces.
+    with connect(daemon.directory) as client:
+        client.set_scene({"objects": {}}, wait=True)
+        client.set_operator(waypoints=[[0.1, 0.0, 0.02]])
+        assert client.wait_gesture(timeout_s=PATIENCE_S)["completed"]
     started: list[Session] = []
     words = ("--runtime-dir", str(daemon.directory))
 
@@ -183,13 +189,8 @@ def test_a_break_says_why_nobody_goes_on_yet_and_that_the_experimenter_is_away(
 
 
 def test_overtravel_of_a_push_with_the_mouse_is_that_of_its_recording(
-    daemon: Daemon, session: Callable[..., Session], tmp_path: Path
+    session: Callable[..., Session], tmp_path: Path
 ) -> None:
-    # The test before may have left the hand where it would be below the membrane.
-    with connect(daemon.directory) as client:
-        client.set_scene({"objects": {}}, wait=True)
-        client.set_operator(waypoints=[[0.1, 0.0, 0.02]])
-        assert client.wait_gesture(timeout_s=PATIENCE_S)["completed"]
     study = tmp_path / "study.yaml"
     study.write_text(STUDY)
     here = session(str(study))
@@ -257,3 +258,30 @@ def test_a_mouse_button_that_is_down_when_the_forces_come_on_moves_the_hand(
     here.answer("Enter")
     here.running.process.send_signal(signal.SIGTERM)
     assert here.running.ended()[0] == 1
+
+
+def test_forces_wait_until_the_stylus_is_out_of_the_membrane(session: Callable[..., Session], tmp_path: Path) -> None:
+    """It broke the one of the trial before, and is below where the next one is."""
+    study = tmp_path / "study.yaml"
+    study.write_text(STUDY)
+    here = session(str(study))
+    here.begin()
+    here.next_question()
+    over, below = here.places(0, 0.02)
+    here.participant.mouse.move(*over)
+    here.participant.mouse.down()
+    here.participant.mouse.move(*below, steps=30)
+    here.touches(0, 0.005)
+    here.answer("Enter")
+    here.participant.wait_for_function("() => participant.screen.number === 2 && participant.screen.withdraws")
+    here.experimenter.wait_for_function("() => hapticd.session.state.doing === 'withdraws'")
+    here.participant.mouse.move(*over, steps=30)
+    assert here.next_question()["number"] == 2
+    here.participant.mouse.up()
+    here.running.process.send_signal(signal.SIGTERM)
+    assert here.running.ended()[0] == 1
+    (file,) = (tmp_path / SESSION).glob("trial-0001*.mcap")
+    found = load(file)
+    assert not any(event["event"] == "puncture" for event in found.events)
+    on = found.samples["flags"] & Flag.FORCES_ON != 0
+    assert on.any() and found.samples["position_m"][on, 1].min() >= 0.0

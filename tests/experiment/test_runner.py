@@ -109,7 +109,7 @@ def test_a_session_that_is_over_does_not_run_again(tmp_path: Path) -> None:
     started(tmp_path, NotedStage(), ScriptedFront()).run()
     with pytest.raises(HapticdError, match="this session is over"):
         resumed(tmp_path / SESSION, NotedStage(), ScriptedFront()).run()
-    with pytest.raises(HapticdError, match="this session exists; go on with"):
+    with pytest.raises(HapticdError, match="this session exists; if it is not over, go on with"):
         started(tmp_path, NotedStage(), ScriptedFront())
 
 
@@ -201,6 +201,21 @@ def test_forces_that_are_lost_in_a_trial_make_it_begin_again(tmp_path: Path) -> 
     assert _records(root, "answer") == []
 
 
+def test_forces_come_on_when_the_handle_is_out_of_every_surface(tmp_path: Path) -> None:
+    """It is looked at before the scene is in force and before the forces come on: 1 mm below the left box's top, then
+    above; in the second trial beside the box as deep, then below again."""
+    stage, front = NotedStage(), ScriptedFront()
+    stage.positions = [(-0.03, -0.011), (-0.03, 0.001), (0.0, -0.011), (-0.03, -0.011)]
+    assert started(tmp_path, stage, front).run() == "ended"
+    asked = [each for each in front.asked if each in ("withdraw", "ready", "ask")]
+    assert asked[:6] == ["withdraw", "ready", "ask", "ready", "withdraw", "ask"]
+    stage.positions, root = [(-0.03, -0.011)], tmp_path / "stopped"
+    front.commands["withdraw"] = [Command("abort")]
+    stage.done.clear()
+    assert started(root, stage, front).run() == "aborted"
+    assert "enable" not in stage.done
+
+
 MOTOR: dict[str, Any] = {
     **{key: STAIRCASE[key] for key in ("experiment", "instructions")},
     "title": "Push through",
@@ -240,9 +255,12 @@ def test_a_motor_task_that_was_not_done_begins_again(tmp_path: Path) -> None:
     assert [answer["attempt"] for answer in _records(tmp_path, "answer")] == [2, 1]
     assert [answer["answer"] for answer in _records(tmp_path, "answer")] == [pytest.approx(3e-3)] * 2
     (given_up,) = _records(tmp_path, "trial_given_up")
-    assert (given_up["trial"], given_up["because"]) == (0, "not done: No membrane broke.")
+    assert (given_up["trial"], given_up["because"]) == (
+        0,
+        "not done: No membrane broke. Push further, until it breaks.",
+    )
     measured = "Largest force: 2 N. Overtravel: 3 mm."
-    assert front.feedbacks == ["1: No membrane broke.", measured, measured]
+    assert front.feedbacks == ["1: No membrane broke. Push further, until it breaks.", measured, measured]
 
 
 @pytest.mark.parametrize("measure", ["overtravel_m", "peak_force_n"])

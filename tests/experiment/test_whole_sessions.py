@@ -138,7 +138,32 @@ def test_what_has_no_session_left_to_run_starts_no_daemon_and_no_page(ranked: Pa
     study = ["experiment", "run", str(ranked.parent / "ranking.yaml"), "--participant", "simA", "--demo"]
     result = CliRunner().invoke(cli, [*study, "-o", str(ranked)])
     assert result.output == ""
-    assert str(result.exception).startswith(f"{session}: this session exists; go on with")
+    assert str(result.exception).startswith(f"{session}: this session exists; if it is not over, go on with")
+
+
+def test_a_study_that_was_changed_since_is_told(
+    ranked: Path, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    changed = tmp_path / "ranking.yaml"
+    changed.write_text(RANKING.replace("repetitions: 2", "repetitions: 1"))
+    data = tmp_path / "data"
+    assert _run(ranked.parent / "ranking.yaml", data, "--offline", people=("A",)).exit_code == 0
+    same = _run(ranked.parent / "ranking.yaml", data, "--offline", people=("B",))
+    assert "was changed" not in same.output + capfd.readouterr().err
+    other = _run(changed, data, "--offline", people=("C",))
+    assert f"{changed}: was changed since the session in {data}" in other.output + capfd.readouterr().err
+
+
+def test_what_cannot_be_displayed_is_told_before_a_session(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    study = tmp_path / "stiff.yaml"
+    study.write_text(
+        RANKING.replace("surface: wood}", "surface: wood, hard: {stiffness_n_per_m: 90000}}").replace(
+            "    objects:\n",
+            "    objects:\n      below: {kind: wall, point_m: [0, -0.05], normal: [0, 1], material: hard}\n",
+        )
+    )
+    found = _run(study, tmp_path / "data", "--offline", people=("A",))
+    assert "not displayed as written: " in found.output + capfd.readouterr().err
 
 
 def test_a_demo_at_the_terminal_has_no_hand(ranked: Path, tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ class PsychometricFit:
     def undetermined(self, unit: str) -> str | None:
         """Why the answers determine no threshold, and what would; None: they determine one. `unit`: that of the
         levels."""
-        threshold, slope = self.figures["threshold"], self.parameters[SLOPE]
+        threshold, slope = self.figures["pse"], self.parameters[SLOPE]
         low, high = float(self.levels.min()), float(self.levels.max())
         shares = self.positive / self.trials
         center = np.average(_places(self), weights=self.trials)

@@ -11,7 +11,7 @@ from hapticd.experiment.front import Watched
 from hapticd.experiment.plan import PlannedTrial
 from hapticd.experiment.session_log import Record
 
-Doing: TypeAlias = Literal["begins", "reads", "armed", "felt", "rests", "paused", "over"]
+Doing: TypeAlias = Literal["begins", "reads", "armed", "withdraws", "felt", "rests", "paused", "over"]
 MOST_LINES: Final = 200
 
 

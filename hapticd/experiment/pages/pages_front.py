@@ -28,11 +28,13 @@ from hapticd.experiment.stage import Stage
 Who: TypeAlias = Literal["participant", "experimenter"]
 LOOKED_AFTER_S: Final = 0.5
 """Interval at which the stage is checked while a page is waited for, in seconds."""
+WITHDRAWN_S: Final = 0.05
+"""Interval at which the handle's position is looked at until it is out of a surface, in seconds."""
 STUCK_S: Final = 3.0
 """The pages' server counts as stuck if it did not report for this time, in seconds."""
 _WAIT: Final = "Please wait for the experimenter."
 _EXPERIMENTER_AWAY: Final = (
-    "The experimenter is away. The session waits, without forces, and goes on when the experimenter is back."
+    "The experimenter is away. The session waits, without forces, until the experimenter is back and continues it."
 )
 _NAMES: Final = {"participant": "the participant's page", "experimenter": "the experimenter's page"}
 
@@ -78,6 +80,8 @@ class PagesFront:
         """End of the current screen's time limit, or of its shortest break, on time.monotonic."""
         self._least_s = 0.0
         """Shortest duration of the current break, in seconds."""
+        self._break_ends_s: float | None = None
+        """End of that, on time.monotonic, also while the break is interrupted by a pause; None: there is no break."""
 
     # ---- Content of the pages; for any thread -------------------------------------------------------------------
 
@@ -99,7 +103,7 @@ class PagesFront:
         """The surfaces of the current trial."""
         with self._lock:
             shown, screen = self._shown, self._screen
-        return () if shown is None else screens.surfaces_of(shown, int(str(screen["interval"])))
+        return () if shown is None else shown.surfaces_of(int(str(screen["interval"])))
 
     def console(self) -> dict[str, Any]:
         """The content of the experimenter's page without the answers; `answers` is their number.
@@ -166,7 +170,7 @@ class PagesFront:
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
         self._set(done=done, total=total, at_most=at_most)
-        self._show(screens.read(f"# {title}\n\n{instructions}", None), "begins", "Begin")
+        self._show(screens.read(f"# {title}\n\n{instructions}\n\n---\n\n{_WAIT}", None), "begins", "Begin")
         return self._until_gone_on("experimenter")
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
@@ -182,6 +186,15 @@ class PagesFront:
         screen = screens.trial(shown, interval=1, felt=False, asks=False, told=self._told)
         self._show(screen, "armed", "Let the forces on", shown)
         return self._until_gone_on("experimenter", by_itself=True)
+
+    def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
+        screen = screens.trial(shown, interval=interval, felt=False, asks=False, withdraws=True, told=self._told)
+        self._show(screen, "withdraws", None, shown)
+        while shown.is_behind(stage.position_m(), interval):
+            said = self._wait(lambda each: None, deadline=time.monotonic() + WITHDRAWN_S) or self._away()
+            if isinstance(said, Command):
+                return said
+        return None
 
     def may_enable(self) -> Command | None:
         if self._stopped.is_set():
@@ -213,11 +226,17 @@ class PagesFront:
         self.tell(f"trial {trial} begins again: {why}")
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
+        if self._break_ends_s is None:
+            self._break_ends_s = time.monotonic() + least_s
         if self._console.doing != "rests":
-            self._least_s, self._until_s = least_s, time.monotonic() + least_s
+            self._least_s, self._until_s = least_s, self._break_ends_s
             self._show(screens.read(text or "A break.", "Go on", least_s), "rests", "Go on")
         said = self._wait(self._too_early, deadline=self._until_s)
-        return said if isinstance(said, Command) else self._until_gone_on("participant", "experimenter")
+        if not isinstance(said, Command):
+            said = self._until_gone_on("participant", "experimenter")
+        if said is None:
+            self._break_ends_s = None
+        return said
 
     def _too_early(self, said: _Said | None) -> None:
         """Shows the remaining time to an experimenter who continues before the shortest break is over."""

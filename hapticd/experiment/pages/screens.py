@@ -5,6 +5,7 @@ A screen is a map with `kind` and `screen`, its number, which what the page says
     read    html, go_on (label of the button, or none), least_s: a text; it may be left after so long
     wait    html: the experimenter is waited for
     trial   number, total, at_most, phase, surfaces, stimuli, in_places, interval; felt: whether the forces are on;
+            withdraws: whether the handle is to be moved out before they come on;
             question, where it is asked: kind, html, answers, low, high, step, ends, most_characters, left_s
     over    html: the session is over
 
@@ -14,13 +15,12 @@ cell, or an answer.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from typing import Final, TypeAlias
 
 from markdown_it import MarkdownIt
 
-from hapticd.experiment.front import Seen, Shown
+from hapticd.experiment.front import Shown
 
 Screen: TypeAlias = "dict[str, object]"
 MEASURED: Final = "Done"
@@ -51,9 +51,17 @@ def over(markdown: str) -> Screen:
 
 
 def trial(
-    shown: Shown, *, interval: int, felt: bool, asks: bool, left_s: float | None = None, told: str = ""
+    shown: Shown,
+    *,
+    interval: int,
+    felt: bool,
+    asks: bool,
+    withdraws: bool = False,
+    left_s: float | None = None,
+    told: str = "",
 ) -> Screen:
-    """A trial. `interval`: counted from 1; `left_s`: of the time limit; `told`: of the trial before."""
+    """A trial. `interval`: counted from 1; `withdraws`: the handle is behind a surface; `left_s`: of the time limit;
+    `told`: of the trial before."""
     return {
         "kind": "trial",
         "number": shown.number,
@@ -65,17 +73,13 @@ def trial(
         "interval": interval,
         "surfaces": [
             {"point_m": list(each.point_m), "normal": list(each.normal), "half_m": each.half_m}
-            for each in surfaces_of(shown, interval)
+            for each in shown.surfaces_of(interval)
         ],
         "felt": felt,
+        "withdraws": withdraws,
         "told": told,
         "question": _question(shown, left_s) if asks else None,
     }
-
-
-def surfaces_of(shown: Shown, interval: int) -> Sequence[Seen]:
-    """All of them side by side; else that of an interval, counted from 1."""
-    return shown.surfaces if shown.in_places else shown.surfaces[interval - 1 : interval]
 
 
 def _question(shown: Shown, left_s: float | None) -> dict[str, object]:

@@ -18,15 +18,9 @@ def drawn_at(position_m: tuple[float, float], touches: bool, surfaces: Sequence[
     behind a membrane that was punctured.
     """
     x, y = position_m
-    below = [found for each in surfaces if (found := _below(x, y, each))[1] < 0.0] if touches else []
+    found = [(*each.from_surface(position_m), each.normal) for each in surfaces] if touches else []
+    below = [each for each in found if each[1] < 0.0]
     if not below:
         return x, y
     _, above, (n_x, n_y) = min(below)
     return x - above * n_x, y - above * n_y
-
-
-def _below(x: float, y: float, surface: Seen) -> tuple[float, float, tuple[float, float]]:
-    """How far beyond the surface's end, how far above it, and its normal."""
-    (p_x, p_y), (n_x, n_y) = surface.point_m, surface.normal
-    along = (x - p_x) * n_y - (y - p_y) * n_x
-    return max(0.0, abs(along) - surface.half_m), (x - p_x) * n_x + (y - p_y) * n_y, surface.normal

@@ -18,6 +18,8 @@ from hapticd.experiment.stage import Waypoints
 
 STEP_S: Final = 0.005
 """Between two waypoints."""
+WAY_OUT_S: Final = 0.5
+"""Duration of the way out of a surface."""
 HEIGHT_M: Final = 0.008
 """Above a surface, before it is touched."""
 TREMOR_HZ: Final = (8.0, 12.0)
@@ -83,6 +85,11 @@ class Hand:
         speed = self._varied(self.parameters.press_speed_m_per_s)
         deep = 0.05
         return self._way(surface, [(0.2, 0.0, HEIGHT_M), ((HEIGHT_M + deep) / speed, 0.0, -deep)], smooth=False)
+
+    def way_out(self, surface: Seen) -> Waypoints:
+        """From wherever the hand is to above the middle of a surface, (1, 3)."""
+        (x, y), (n_x, n_y) = surface.point_m, surface.normal
+        return np.array([[WAY_OUT_S, x + HEIGHT_M * n_x, y + HEIGHT_M * n_y]])
 
     def withdrawal(self, surface: Seen, pressed: Waypoints, at_s: float) -> Waypoints:
         """From where the reference of a press is at `at_s`: stop, and back out."""

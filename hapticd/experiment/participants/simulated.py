@@ -62,6 +62,11 @@ class SimulatedFront:
         self._percepts = []
         return None
 
+    def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
+        for surface in shown.surfaces_of(interval):
+            stage.move(Motion(self._hand.way_out(surface)))
+        return None
+
     def may_enable(self) -> Command | None:
         return None
 

@@ -199,8 +199,8 @@ function drawAlerts(bar) {
   const lines = [];
   if (!link.connected && waiting !== null) {
     lines.push(["bad", waiting.refused
-      ? "hapticd web was started again. Open the address that it printed."
-      : `hapticd web does not answer. The next try is in ${number.format(waiting.pause_s)} s.`]);
+      ? "The server of this page was started again. Open the address that it printed."
+      : `The server of this page does not answer. The next try is in ${number.format(waiting.pause_s)} s.`]);
   } else if (link.connected && (model.away || silent(bar))) {
     lines.push(["bad", "The daemon does not answer. `hapticd status` says more; the page goes on when it is back."]);
   } else if (link.connected) {

@@ -78,8 +78,9 @@ function show(next) {
   const element = part("screen");
   element.replaceChildren();
   (trial ? showTrial : showText)(element, next);
-  hand.allow(moves && trial && next.felt);
-  if (pressedAt !== null && trial && next.felt) {
+  const free = moves && trial && (next.felt || next.withdraws);
+  hand.allow(free);
+  if (pressedAt !== null && free) {
     grasp(); // the pointer went down before the forces came on
   }
   if (next.kind === "over") {
@@ -119,8 +120,14 @@ function showTrial(element, trial) {
     element.append(make("p", { class: "told", text: trial.told }));
   }
   if (!trial.felt) {
-    element.append(make("p", { class: "left", text: "The next trial is ready. Please wait for the experimenter." }));
+    const text = trial.withdraws
+      ? "Please move the stylus out, to where it touches nothing. Then the trial begins."
+      : "The next trial is ready. Please wait for the experimenter.";
+    element.append(make("p", { class: "left", text }));
     return;
+  }
+  if (moves) {
+    element.append(make("p", { class: "left", text: "Hold the mouse button down on the picture to move the stylus." }));
   }
   if (!trial.in_places && trial.stimuli > 1) {
     element.append(make("p", { class: "told", text: `${trial.interval} of ${trial.stimuli}` }));

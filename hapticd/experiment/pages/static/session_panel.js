@@ -5,6 +5,7 @@ const DOING = {
   begins: "The participant reads the instructions.",
   reads: "The participant reads.",
   armed: "The next trial is ready. The forces are off.",
+  withdraws: "The stylus is behind a surface. The forces come on once it is out.",
   felt: "The participant feels and answers.",
   rests: "A break.",
   paused: "Paused. The forces are off.",
