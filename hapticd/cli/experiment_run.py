@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
+from hapticd.base import wording
 from hapticd.base.errors import HapticdError, quoted
 from hapticd.cli.common import note
 from hapticd.cli.engine import Where, engine_options
@@ -132,10 +133,11 @@ def run_command(
         raise click.UsageError("--count is of one --participant simulated:NAME", ctx)
     found = load_study(study)
     source = Path(file_of(study, "experiments")).read_bytes()
+    check_one_study(output, found.title)  # before a daemon or a page is started
     if (other := other_version(output, source)) is not None:
         note(f"{study}: was changed since the session in {other}, which `analyze` will put together with this one")
     if offline:
-        _note_undisplayable(found, load_config({}))
+        _note_undisplayable(found, load_config({}), named=True)
     if side_by_side:
         from hapticd.cli.experiment_bulk import run_bulk
 
@@ -144,9 +146,7 @@ def run_command(
 
     def run_one(label: str, simulated: bool) -> int:
         made = plan(found, label, session, found.order.seed if seed is None else seed)
-        # Before a daemon or a page is started.
-        check_one_study(output, found.title)
-        check_new(output, label, session)
+        check_new(output, label, session)  # before a daemon or a page is started
         return _with_stage(
             ctx,
             made,
@@ -229,7 +229,7 @@ def _with_stage(
         folder, log = opens(stage)
         return _run(stage, folder, log, made, _front(folder, made), demo, keep=telemetry, clock=stage.now_s)
     with place_of_session(ctx, demo) as place:
-        _note_undisplayable(made.study, rig_at(place))
+        _note_undisplayable(made.study, rig_at(place), named=pages is not None)
         if pages is not None:
             return run_on_pages(
                 place, pages, made, lsl, lambda stage, front: _run_shown(stage, front, opens, made, demo)
@@ -239,14 +239,18 @@ def _with_stage(
             return _run(live, folder, log, made, _front(folder, made), demo)
 
 
-def _note_undisplayable(study: Study, rig: Config) -> None:
-    """What of the study is not displayed as written: the session begins all the same."""
+def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
+    """What of the study is not displayed as written: the session begins all the same. `named`: with the names of
+    stimuli, which a participant at this terminal is not to read."""
     from hapticd.experiment.cells import cells_of
     from hapticd.experiment.check import displayed
 
     _, problems = displayed(study, cells_of(study), rig)
-    for problem in problems:
+    for problem in problems if named else ():
         note(f"not displayed as written: {problem}")
+    if problems and not named:
+        things = wording.count(len(problems), "thing")
+        note(f"{things} of the study cannot be displayed as written; `hapticd experiment check` says which")
 
 
 def _run_shown(stage: Stage, front: PagesFront, opens: _OPEN, made: Plan, demo: bool) -> int:

@@ -80,7 +80,7 @@ def analysis_of(behaviour: Behaviour) -> Analysis:
     published = published_results(facts.published) if facts.published else PublishedResults()
     places = {name: place for place, name in enumerate(facts.conditions)}
     used.sort(key=lambda row: places.get(row["condition"], len(places)))
-    sections = _sections(used, behaviour, published)
+    sections = _sections(tested, used, behaviour, published)
     people = len({row["participant"] for row in used})
     left = len(tested) - len(used)
     counts = (_count(people, "participant"), _count(len(behaviour.files), "session"), _count(len(used), "trial"))
@@ -101,7 +101,9 @@ def analysis_of(behaviour: Behaviour) -> Analysis:
     )
 
 
-def _sections(used: Sequence[Row], behaviour: Behaviour, published: PublishedResults) -> list[Section]:
+def _sections(
+    tested: Sequence[Row], used: Sequence[Row], behaviour: Behaviour, published: PublishedResults
+) -> list[Section]:
     facts, found = behaviour.facts, []
     judged = [row for row in used if row.right is not None]
     if judged:
@@ -109,7 +111,7 @@ def _sections(used: Sequence[Row], behaviour: Behaviour, published: PublishedRes
     adaptive = [row for row in judged if row.get("level") is not None]
     if adaptive:
         found.append(measure_sections.psychometric(adaptive, facts))
-        found.append(measure_sections.staircases(adaptive, facts))
+        found.append(measure_sections.staircases(tested, facts))
     answers = [row for row in used if row.get("response") is not None]
     fixed = [row for row in answers if row.get("level") is None]
     if facts.trial_type == "paired_comparison":

@@ -150,7 +150,7 @@ def _tables(folder: Path) -> list[Path]:
     if not found and any(folder.rglob(LOG)):
         raise HapticdError(
             f"{folder}: its sessions were interrupted before their tables were written; "
-            "go on with `hapticd experiment resume`, which writes them when it ends"
+            "go on with `hapticd experiment resume`, which writes them when it ends or stops"
         )
     if not found:
         raise HapticdError(f"{folder}: holds no *_beh.tsv; give the folder of a session, a participant or a data set")

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias
+from typing import Final, Literal, Protocol, TypeAlias
 
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.stage import Stage
 
+CLEAR_S: Final = 0.05
 CommandKind: TypeAlias = Literal["pause", "repeat", "abort", "note"]
 QuestionKind: TypeAlias = Literal["choice", "ranking", "slider", "number", "text", "measure"]
 
@@ -32,11 +33,6 @@ class Seen:
         (x, y), (p_x, p_y), (n_x, n_y) = position_m, self.point_m, self.normal
         along = (x - p_x) * n_y - (y - p_y) * n_x
         return max(0.0, abs(along) - self.half_m), (x - p_x) * n_x + (y - p_y) * n_y
-
-    def has_behind(self, position_m: tuple[float, float]) -> bool:
-        """Whether a position is behind the surface: in a body, or on the other side of a membrane."""
-        beyond, above = self.from_surface(position_m)
-        return beyond == 0.0 and above < 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +77,6 @@ class Shown:
     def surfaces_of(self, interval: int) -> Sequence[Seen]:
         """All of them side by side; else that of an interval, counted from 1."""
         return self.surfaces if self.in_places else self.surfaces[interval - 1 : interval]
-
-    def is_behind(self, position_m: tuple[float, float] | None, interval: int) -> bool:
-        """Whether a position is behind a surface of an interval; None, where no hand waits, is not."""
-        return position_m is not None and any(each.has_behind(position_m) for each in self.surfaces_of(interval))
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,8 +126,8 @@ class Front(Protocol):
         """The trial is armed; returns when the experimenter lets the forces on."""
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """The handle is behind a surface of an interval, counted from 1, which would be felt, or broken, from there;
-        returns once it is not."""
+        """The handle is inside something, or behind a membrane, of the scene of an interval, counted from 1; returns
+        once `stage.is_clear`, which it asks every CLEAR_S."""
 
     def may_enable(self) -> Command | None:
         """Asked just before the forces are switched on, and just after: what speaks against it, or None."""
@@ -157,7 +149,7 @@ class Front(Protocol):
         """An answer is on disk. `response_s`: from the beginning of the last interval to the answer."""
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """A break; returns when the participant goes on."""
+        """A break, which lasts `least_s` more at least; returns when the participant goes on."""
 
     def paused(self) -> Command | None:
         """The experimenter paused; returns when it goes on."""

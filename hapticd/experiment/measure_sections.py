@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -10,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError
+from hapticd.base.errors import HapticdError
 from hapticd.base.wording import listed as listing
 from hapticd.config.schema import unit_of
 from hapticd.experiment.analysis.motor import paired
@@ -19,6 +21,7 @@ from hapticd.experiment.analysis.psychometric import PsychometricFit, bootstrap,
 from hapticd.experiment.analysis.psychometric_shapes import SHAPES
 from hapticd.experiment.answer_sections import by_condition
 from hapticd.experiment.behaviour import MEASURES, Row, StudyFacts, Varied
+from hapticd.experiment.procedures.procedure import ProcedureError
 from hapticd.experiment.procedures.staircase import Staircase, StaircaseParameters
 from hapticd.experiment.published_tables import PublishedResults
 from hapticd.experiment.results import Cell, Dots, Fitted, PairedValues, ResultTable, Section
@@ -90,7 +93,7 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
     note = (
         "The threshold is the level at half of the way from guess to 1 less lapse; where the level is a difference "
         "from a reference, threshold over reference is the Weber fraction. Intervals and p of the deviance are of a "
-        "parametric bootstrap; a lapse of 0 has no interval. The function is the one of greatest likelihood."
+        "parametric bootstrap; a lapse that is 0 in all of it has none. The function is the one of greatest likelihood."
     )
     return Section(
         (ResultTable("psychometric", "Psychometric functions", head, tuple(listed), note),),
@@ -121,25 +124,37 @@ def staircases(rows: Sequence[Row], facts: StudyFacts) -> Section:
         if _procedure(row) in facts.staircases:
             runs[row["participant"], row["session"], row["condition"], row["procedure"]].append(row)
     table: list[tuple[Cell, ...]] = []
+    notes = []
     for (participant, session, condition, procedure), own in runs.items():
         name = _procedure(own[0])
-        staircase = Staircase(StaircaseParameters.model_validate(facts.staircases[name]))
-        for row in own:
-            level = staircase.level()
-            if level is None:
-                break
-            staircase.answer(level, row.right is True)
+        try:
+            staircase = _repeated(StaircaseParameters.model_validate(facts.staircases[name]), own)
+        except HapticdError as error:
+            notes.append(f"mean of reversals, {participant}, session {session}, {procedure}: {error}")
+            continue
         unit = facts.varied[name].unit
         counts = len(staircase.answers), len(staircase.reversals)
         table.append((condition, procedure, participant, session, *counts, staircase.reversal_mean(), unit))
     if not table:
-        return Section(())
+        return Section((), (), tuple(notes))
     head = ("condition", "procedure", "participant", "session", "trials", "reversals", "mean of reversals", "unit")
     note = (
         "Without the first reversals, as many as `discard` says; on a logarithmic axis the geometric mean. A staircase "
         "with too few reversals has none."
     )
-    return Section((ResultTable("staircases", "Staircases", head, tuple(table), note),))
+    return Section((ResultTable("staircases", "Staircases", head, tuple(table), note),), (), tuple(notes))
+
+
+def _repeated(parameters: StaircaseParameters, rows: Sequence[Row]) -> Staircase:
+    """The staircase after the answers of its rows, in their order. Raises ProcedureError where a level was not due."""
+    staircase = Staircase(parameters)
+    for row in rows:
+        shown, due = row.number("level"), staircase.level()
+        # A table has nine digits of a level.
+        if due is None or shown is None or not math.isclose(shown, due, rel_tol=1e-7, abs_tol=1e-12):
+            raise ProcedureError(f"{row.where}: the staircase of the study would not show this level")
+        staircase.answer(due, row.right is True)
+    return staircase
 
 
 def ratings(rows: Sequence[Row]) -> Section:

@@ -52,8 +52,9 @@ class OfflineStage:
         self.fade()
         self._config = config
 
-    def position_m(self) -> None:
+    def is_clear(self) -> bool:
         """Each motion begins where its waypoints do."""
+        return True
 
     def enable(self) -> None:
         if self._config is None:

@@ -36,6 +36,7 @@ class Progress:
     """Time on the session's clock of the last record that has one."""
     correct: int = 0
     answered: int = 0
+    answered_in_test: int = 0
     wrong_in_a_row: int = 0
     """Wrong answers of the test since the last one that was not."""
     test_began_s: float | None = None
@@ -68,8 +69,9 @@ class Progress:
             self.ended = str(record["because"])
 
     def _take_answer(self, answer: Record) -> None:
-        """What the stop rules ask for."""
+        """What breaks and stop rules ask for."""
         if answer.get("phase") == "test":
+            self.answered_in_test += 1
             if self.test_began_s is None:
                 self.test_began_s = cast(float, answer["onset_s"])
             self.wrong_in_a_row = self.wrong_in_a_row + 1 if answer.get("correct") == 0 else 0

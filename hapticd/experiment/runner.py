@@ -170,15 +170,16 @@ class Session:
     def _run_trials(self) -> None:
         left = [trial for trial in self._plan.trials if trial.index not in self._progress.done]
         before: PlannedTrial | None = None
-        # A break comes before a trial that is the first of this run only where the run goes on in the middle.
-        ran = sum(self._plan.trials[index].phase == "test" for index in self._progress.done)
         for trial in left:
+            if trial.procedure is not None and self._procedure(trial.procedure).level() is None:
+                self._record("trial_skipped", trial=trial.index, because="its procedure has ended")
+                continue
             because = self._stops()
             if because is not None:
                 self._end(because)
                 return
-            self._between(before, trial, ran)
-            ran += self._run_trial(trial) and trial.phase == "test"
+            self._between(before, trial)
+            self._run_trial(trial)
             before = trial
         self._end("all trials are done")
 
@@ -198,8 +199,8 @@ class Session:
             return f"{wrong} wrong answers in a row"
         return None
 
-    def _between(self, before: PlannedTrial | None, trial: PlannedTrial, ran: int) -> None:
-        """Instructions of a new phase, and breaks."""
+    def _between(self, before: PlannedTrial | None, trial: PlannedTrial) -> None:
+        """Instructions of a new phase, and breaks. Before the first trial of a run (None) everybody is rested."""
         study = self._plan.study
         if before is None or before.phase != trial.phase:
             warmup = {"practice": study.practice, "training": study.training}.get(trial.phase)
@@ -207,27 +208,26 @@ class Session:
         if before is None or trial.phase != "test":
             return
         breaks = study.breaks
-        every = breaks.every_trials
+        every, ran = breaks.every_trials, self._progress.answered_in_test
         new_block = breaks.between_blocks and before.phase == "test" and before.block != trial.block
         if new_block or (every is not None and ran > 0 and ran % every == 0):
             self._record("break", before_trial=trial.index)
             self._mark(EventCode.BREAK_BEGIN)
-            self._obey(lambda: self._front.rest(breaks.text, breaks.least_s))
+            ends_s = self._elapsed_s() + breaks.least_s
+            # Asked again after a note or a pause: what is over of the break is over.
+            self._obey(lambda: self._front.rest(breaks.text, max(0.0, ends_s - self._elapsed_s())))
             self._mark(EventCode.BREAK_END)
 
     # ---- A trial --------------------------------------------------------------------------------------------
 
-    def _run_trial(self, trial: PlannedTrial) -> bool:
-        """Until it is answered; False where its procedure does not need it."""
+    def _run_trial(self, trial: PlannedTrial) -> None:
+        """Until it is answered."""
         while True:
             armed = self._armed(trial)
-            if armed is None:
-                self._record("trial_skipped", trial=trial.index, because="its procedure has ended")
-                return False
             attempt = self._progress.attempts.get(trial.index, 0) + 1
             try:
                 self._attempt(armed, attempt)
-                return True
+                return
             except _Again as again:
                 if again.paused:
                     self._pause()
@@ -235,12 +235,11 @@ class Session:
                 self._record("trial_given_up", trial=trial.index, attempt=attempt, because="aborted")
                 raise
 
-    def _armed(self, trial: PlannedTrial) -> _Armed | None:
+    def _armed(self, trial: PlannedTrial) -> _Armed:
         level, stimuli = None, trial.stimuli
         if trial.procedure is not None:
             level = self._procedure(trial.procedure).level()
-            if level is None:
-                return None
+            assert level is not None
             stimuli = self._at_level(trial, level)
         configs = configurations(self._plan.study, stimuli)
         return _Armed(trial, level, stimuli, configs, self._shown(trial, stimuli, configs))
@@ -275,13 +274,12 @@ class Session:
         mark = partial(self._mark, trial=armed.trial.index, attempt=attempt)
         onset_s = asked_s = 0.0
         for number, config in enumerate(armed.configs, 1):
-            # Once before the scene is put in force: the handle breaks no membrane on its way out.
-            self._await_way_out(armed, attempt, number)
             stage.arm(config)
             if number == 1:
                 mark(EventCode.TRIAL_ARMED)
                 self._heed(armed, attempt, lambda: self._front.ready(shown, self._watched(armed, attempt)))
-            self._await_way_out(armed, attempt, number)
+            if not stage.is_clear():
+                self._heed(armed, attempt, partial(self._front.withdraw, shown, number, stage))
             # What was said while the scene was put in force is heard before they are on, what came then at once.
             self._heed(armed, attempt, self._front.may_enable)
             stage.enable()
@@ -301,11 +299,6 @@ class Session:
         stage.fade()
         mark(EventCode.FORCES_OFF, interval=len(armed.configs))
         return reply, onset_s, asked_s
-
-    def _await_way_out(self, armed: _Armed, attempt: int, interval: int) -> None:
-        """Returns once the handle is behind no surface of an interval, counted from 1."""
-        if armed.shown.is_behind(self._stage.position_m(), interval):
-            self._heed(armed, attempt, partial(self._front.withdraw, armed.shown, interval, self._stage))
 
     def _answer(
         self,

@@ -71,8 +71,9 @@ class Stage(Protocol):
         When it returns, nothing of the scene before is felt any more, and the forces are still off.
         """
 
-    def position_m(self) -> tuple[float, float] | None:
-        """Where the handle is; None where no hand waits between motions."""
+    def is_clear(self) -> bool:
+        """Whether the handle is inside nothing of the scene that is armed, and behind no membrane of it. True where no
+        hand waits between motions."""
 
     def enable(self) -> None:
         """Heals what was broken since `arm`, and brings the force in. Raises where the scene is not the one that was

@@ -26,14 +26,12 @@ from rich.markdown import Markdown
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.front import Choice, Command, CommandKind, Reply, Shown, Watched
+from hapticd.experiment.front import CLEAR_S, Choice, Command, CommandKind, Reply, Shown, Watched
 from hapticd.experiment.replies import typed_reply
 from hapticd.experiment.stage import Stage
 
 LOOKED_AFTER_S: Final = 0.5
 """Between two looks whether the stage is still there, while somebody is waited for."""
-WITHDRAWN_S: Final = 0.05
-"""Between two looks whether the handle is out of a surface."""
 COMMANDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
 _SEQUENCES: Final = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left", " ": "space"}
 _ESCAPE: Final = "escape"
@@ -145,10 +143,11 @@ class TextFront:
         return self._go_on("Enter lets the forces on.")
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        self._say("Move the stylus out of the surfaces; the forces come on then.")
+        self._say("Move the stylus to where it touches nothing; the forces come on then.")
         with self._keys.single():
-            while shown.is_behind(stage.position_m(), interval):
-                said = self._next(stage, time.monotonic() + WITHDRAWN_S)
+            while not stage.is_clear():
+                # Without a look at the stage: a fault stays until the forces are switched on again.
+                said = self._next(None, time.monotonic() + CLEAR_S)
                 if isinstance(said, Command):
                     return said
         return None

@@ -118,8 +118,8 @@ class NotedStage:
         self.done: list[str] = []
         self.configs: list[Any] = []
         self.marks: list[tuple[str, Any]] = []
-        self.positions: list[tuple[float, float]] = []
-        """Of the handle, each time that it is asked for; without one nobody's hand waits."""
+        self.clear: list[bool] = []
+        """Whether the handle is out of everything, each time that it is asked for; then always."""
         self._fails = fails
 
     def _do(self, what: str) -> None:
@@ -136,8 +136,8 @@ class NotedStage:
         self._do("arm")
         self.configs.append(config)
 
-    def position_m(self) -> tuple[float, float] | None:
-        return self.positions.pop(0) if self.positions else None
+    def is_clear(self) -> bool:
+        return self.clear.pop(0) if self.clear else True
 
     def enable(self) -> None:
         self._do("enable")

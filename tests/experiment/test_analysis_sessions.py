@@ -126,7 +126,8 @@ def test_each_cell_has_a_threshold_of_its_own(harder: str, tmp_path: Path) -> No
 
 
 def test_the_mean_of_the_reversals_is_that_by_hand(tmp_path: Path) -> None:
-    """Levels 10, 8, 10, 8, 10, 8: the last four of five reversals are at 10, 8, 10 and 8."""
+    """Levels 10, 8, 10, 8, 10, 8: the last four of five reversals are at 10, 8, 10 and 8. An answer at 8 never came:
+    the staircase took it for a wrong one."""
     variable = {"name": "force_n", "at": "scene.x", "reference": 0, "level": "added"}
     method = {"kind": "staircase", "rule": "1-up-1-down", "start": 10, "least": 0, "most": 20, "steps": [2]}
     whole = {**method, "reversals": 5, "discard": 1}
@@ -134,14 +135,32 @@ def test_the_mean_of_the_reversals_is_that_by_hand(tmp_path: Path) -> None:
         "title": "t",
         "trial": {"type": "forced_choice", "procedures": {"down": {"variable": variable, "method": whole}}},
     }
-    levels = [10, 8, 10, 8, 10, 8]
+    answers = [(10, 1, "first"), (8, 0, "first"), (10, 1, "first"), (8, 0, "n/a"), (10, 1, "first"), (8, 0, "first")]
     rows = [
-        {"condition": "all", "cell": "down", "procedure": "down", "level": level, "correct": int(level == 10)}
-        for level in levels
+        {
+            **{"condition": "all", "cell": "down", "procedure": "down"},
+            "level": level,
+            "correct": correct,
+            "response": response,
+        }
+        for level, correct, response in answers
     ]
-    tables.write_session(tmp_path, "P01", "t", study, [{**row, "response": "first"} for row in rows])
+    tables.write_session(tmp_path, "P01", "t", study, rows)
     own = row(analyze([tmp_path]), "staircases", "all", "down", "P01")
     assert (own["trials"], own["reversals"], own["mean of reversals"], own["unit"]) == (6, 5, 9.0, "N")
+
+
+def test_a_staircase_that_is_not_the_studys_has_a_note_and_no_mean(tmp_path: Path) -> None:
+    variable = {"name": "force_n", "at": "scene.x", "reference": 0, "level": "added"}
+    method = {"kind": "staircase", "rule": "1-up-1-down", "start": 16, "least": 0, "most": 20, "steps": [2]}
+    procedures = {"down": {"variable": variable, "method": method}}
+    study = {"title": "t", "trial": {"type": "forced_choice", "procedures": procedures}}
+    answer = {"condition": "all", "cell": "down", "procedure": "down", "correct": 1, "response": "first"}
+    tables.write_session(tmp_path, "P01", "t", study, [{**answer, "level": 10}, {**answer, "level": 8}])
+    found = analyze([tmp_path])
+    assert not any(each.name == "staircases" for each in found.tables)
+    (told,) = (each for each in found.notes if each.startswith("mean of reversals"))
+    assert told.endswith("_task-t_beh.tsv:2: the staircase of the study would not show this level")
 
 
 def test_sessions_without_tables_were_interrupted(tmp_path: Path) -> None:

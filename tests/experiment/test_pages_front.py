@@ -283,27 +283,6 @@ def test_who_goes_on_before_a_break_is_over_reads_how_long_it_takes() -> None:
     assert re.fullmatch(r"The break lasts at least 3600 s: 3[56]\d\d s left", *front.console()["lines"])
 
 
-def test_a_pause_within_a_break_does_not_lengthen_it() -> None:
-    left: list[float] = []
-
-    def looks(front: PagesFront) -> None:
-        if front.console()["doing"] == "rests":
-            left.append(front.console()["left_s"])
-            assert front._break_ends_s is not None
-            front._break_ends_s -= 1000.0  # as if so much time had passed
-            front.command(Command("pause" if len(left) == 1 else "abort"))
-        elif front.console()["doing"] == "paused":
-            front.go_on("experimenter", int(str(front.screen["screen"])))
-
-    front = Played(looks).front
-    front.here("participant", True)
-    front.here("experimenter", True)
-    assert front.rest(None, 3600.0) == Command("pause")
-    assert front.paused() is None
-    assert front.rest(None, 3600.0) == Command("abort")
-    assert left[0] > 3500.0 and left[1] < 2600.0
-
-
 def test_both_pages_have_the_time_that_is_left_of_a_break_whenever_they_are_opened() -> None:
     seen: list[tuple[Any, Any]] = []
 

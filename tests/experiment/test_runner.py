@@ -14,6 +14,7 @@ import pytest
 
 from hapticd.base.core import SAMPLE_DTYPE, Flag
 from hapticd.base.errors import HapticdError
+from hapticd.config.configuration import load_config
 from hapticd.experiment.daemon_stage import DaemonStage
 from hapticd.experiment.front import Command, Reply, Shown
 from hapticd.experiment.session import plan_document, plan_of
@@ -201,19 +202,50 @@ def test_forces_that_are_lost_in_a_trial_make_it_begin_again(tmp_path: Path) -> 
     assert _records(root, "answer") == []
 
 
-def test_forces_come_on_when_the_handle_is_out_of_every_surface(tmp_path: Path) -> None:
-    """It is looked at before the scene is in force and before the forces come on: 1 mm below the left box's top, then
-    above; in the second trial beside the box as deep, then below again."""
+def test_forces_come_on_when_the_handle_is_out_of_everything(tmp_path: Path) -> None:
     stage, front = NotedStage(), ScriptedFront()
-    stage.positions = [(-0.03, -0.011), (-0.03, 0.001), (0.0, -0.011), (-0.03, -0.011)]
+    stage.clear = [True, False]
     assert started(tmp_path, stage, front).run() == "ended"
     asked = [each for each in front.asked if each in ("withdraw", "ready", "ask")]
-    assert asked[:6] == ["withdraw", "ready", "ask", "ready", "withdraw", "ask"]
-    stage.positions, root = [(-0.03, -0.011)], tmp_path / "stopped"
+    assert asked[:7] == ["ready", "ask", "ready", "withdraw", "ask", "ready", "ask"]
+    stage.clear = [False]
     front.commands["withdraw"] = [Command("abort")]
     stage.done.clear()
-    assert started(root, stage, front).run() == "aborted"
+    assert started(tmp_path / "stopped", stage, front).run() == "aborted"
     assert "enable" not in stage.done
+
+
+WALL = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+MEMBRANE = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.04, "material": "cellophane"}
+DISC = {"kind": "disc", "center_m": [0, 0], "radius_m": 0.008, "material": "wood"}
+
+
+def test_a_handle_is_clear_inside_nothing_and_behind_no_membrane(tmp_path: Path) -> None:
+    cases = [
+        (WALL, (0.0, 0.001), True), (WALL, (0.0, -0.02), False),
+        (MEMBRANE, (0.0, 0.001), True), (MEMBRANE, (0.01, -0.02), False), (MEMBRANE, (0.03, -0.02), True),
+        (DISC, (0.0, 0.001), False), (DISC, (0.03, -0.001), True),
+    ]  # fmt: skip
+    with (
+        running_daemon("-c", str(_config(tmp_path))) as daemon,
+        connect(daemon.directory) as client,
+        DaemonStage(client) as stage,
+    ):
+        for item, position_m, clear in cases:
+            client.set_operator([[0.05, *position_m]])
+            assert client.wait_gesture(timeout_s=60.0)["completed"]
+            stage.arm(load_config({"scene": {"objects": {"item": item}}}))
+            assert stage.is_clear() is clear, (item, position_m)
+
+
+def test_a_procedure_that_has_ended_gives_no_more_breaks(tmp_path: Path) -> None:
+    """After its last answer its other trials are not needed, and no break comes before them."""
+    front = ScriptedFront(_level)
+    study = {**STAIRCASE, "breaks": {"every_trials": 1}}
+    assert started(tmp_path, NotedStage(), front, study).run() == "ended"
+    answers = len(_records(tmp_path, "answer"))
+    assert len(_records(tmp_path, "trial_skipped")) > 0
+    assert front.asked.count("rest") == answers - 1
 
 
 MOTOR: dict[str, Any] = {

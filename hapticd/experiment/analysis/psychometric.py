@@ -83,9 +83,9 @@ class PsychometricFit:
         return float(_deviance(self, self.positive[None], self.parameters[None])[0])
 
     def undetermined(self, unit: str) -> str | None:
-        """Why the answers determine no threshold, and what would; None: they determine one. `unit`: that of the
-        levels."""
-        threshold, slope = self.figures["pse"], self.parameters[SLOPE]
+        """Why the answers do not determine where the function is half of its way up; what would. None: they do.
+        `unit`: that of the levels."""
+        half_way, slope = self.figures["pse"], self.parameters[SLOPE]
         low, high = float(self.levels.min()), float(self.levels.max())
         shares = self.positive / self.trials
         center = np.average(_places(self), weights=self.trials)
@@ -95,14 +95,14 @@ class PsychometricFit:
                 f"correct answers do not become {way} from {low:g} to {high:g} {unit}: if they should become "
                 f"{'fewer' if self.rising else 'more'}, the procedure needs {keys}; else other levels are needed"
             )
-        if not low <= threshold <= high:
-            beyond = f"above the highest level, {high:g}" if threshold > high else f"below the lowest level, {low:g}"
+        if not low <= half_way <= high:
+            beyond = f"above the highest level, {high:g}" if half_way > high else f"below the lowest level, {low:g}"
             return f"the threshold is {beyond} {unit}: levels beyond it are needed"
         if slope <= self.box.low[SLOPE]:
             return f"from {low:g} to {high:g} {unit} the answers hardly depend on the level: a wider range is needed"
         rises = rise(self.shape, _sign(self) * (_places(self) - self.parameters[THRESHOLD]) * np.exp(slope))
         if not ((rises > _AT_AN_END) & (rises < 1 - _AT_AN_END)).any():
-            below, above = self.levels[self.levels <= threshold].max(), self.levels[self.levels >= threshold].min()
+            below, above = self.levels[self.levels <= half_way].max(), self.levels[self.levels >= half_way].min()
             return (
                 f"the answers fit a step from chance to certainty between {below:g} and {above:g} {unit}: more answers "
                 "near it are needed"

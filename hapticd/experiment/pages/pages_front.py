@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.front import Command, Reply, Seen, Shown, Watched
+from hapticd.experiment.front import CLEAR_S, Command, Reply, Seen, Shown, Watched
 from hapticd.experiment.pages import screens
 from hapticd.experiment.pages.console import Console, Doing, Row, rows_of
 from hapticd.experiment.pages.screens import Screen
@@ -28,8 +28,6 @@ from hapticd.experiment.stage import Stage
 Who: TypeAlias = Literal["participant", "experimenter"]
 LOOKED_AFTER_S: Final = 0.5
 """Interval at which the stage is checked while a page is waited for, in seconds."""
-WITHDRAWN_S: Final = 0.05
-"""Interval at which the handle's position is looked at until it is out of a surface, in seconds."""
 STUCK_S: Final = 3.0
 """The pages' server counts as stuck if it did not report for this time, in seconds."""
 _WAIT: Final = "Please wait for the experimenter."
@@ -80,8 +78,6 @@ class PagesFront:
         """End of the current screen's time limit, or of its shortest break, on time.monotonic."""
         self._least_s = 0.0
         """Shortest duration of the current break, in seconds."""
-        self._break_ends_s: float | None = None
-        """End of that, on time.monotonic, also while the break is interrupted by a pause; None: there is no break."""
 
     # ---- Content of the pages; for any thread -------------------------------------------------------------------
 
@@ -190,8 +186,8 @@ class PagesFront:
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
         screen = screens.trial(shown, interval=interval, felt=False, asks=False, withdraws=True, told=self._told)
         self._show(screen, "withdraws", None, shown)
-        while shown.is_behind(stage.position_m(), interval):
-            said = self._wait(lambda each: None, deadline=time.monotonic() + WITHDRAWN_S) or self._away()
+        while not stage.is_clear():
+            said = self._wait(lambda each: None, deadline=time.monotonic() + CLEAR_S) or self._away()
             if isinstance(said, Command):
                 return said
         return None
@@ -226,17 +222,11 @@ class PagesFront:
         self.tell(f"trial {trial} begins again: {why}")
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        if self._break_ends_s is None:
-            self._break_ends_s = time.monotonic() + least_s
         if self._console.doing != "rests":
-            self._least_s, self._until_s = least_s, self._break_ends_s
+            self._least_s, self._until_s = least_s, time.monotonic() + least_s
             self._show(screens.read(text or "A break.", "Go on", least_s), "rests", "Go on")
         said = self._wait(self._too_early, deadline=self._until_s)
-        if not isinstance(said, Command):
-            said = self._until_gone_on("participant", "experimenter")
-        if said is None:
-            self._break_ends_s = None
-        return said
+        return said if isinstance(said, Command) else self._until_gone_on("participant", "experimenter")
 
     def _too_early(self, said: _Said | None) -> None:
         """Shows the remaining time to an experimenter who continues before the shortest break is over."""

@@ -119,15 +119,15 @@ function showTrial(element, trial) {
   if (trial.told) {
     element.append(make("p", { class: "told", text: trial.told }));
   }
+  if (moves && (trial.felt || trial.withdraws)) {
+    element.append(make("p", { class: "left", text: "Hold the mouse button down on the picture to move the stylus." }));
+  }
   if (!trial.felt) {
     const text = trial.withdraws
       ? "Please move the stylus out, to where it touches nothing. Then the trial begins."
       : "The next trial is ready. Please wait for the experimenter.";
     element.append(make("p", { class: "left", text }));
     return;
-  }
-  if (moves) {
-    element.append(make("p", { class: "left", text: "Hold the mouse button down on the picture to move the stylus." }));
   }
   if (!trial.in_places && trial.stimuli > 1) {
     element.append(make("p", { class: "told", text: `${trial.interval} of ${trial.stimuli}` }));
