@@ -247,7 +247,7 @@ def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
 
     _, problems = displayed(study, cells_of(study), rig)
     for problem in problems if named else ():
-        note(f"not displayed as written: {problem}")
+        note(f"on this device: {problem}")
     if problems and not named:
         things = wording.count(len(problems), "thing")
         note(f"{things} of the study cannot be displayed as written; `hapticd experiment check` says which")

@@ -173,6 +173,10 @@ class Script:
             await self.participant.call("participant.screen")
             await self.participant.run("participant.beat")
 
+    async def withdraw(self, page: Page) -> None:
+        """Its hand is nowhere that it would have to leave."""
+        raise AssertionError("the hand is inside something")
+
     async def answer(self, page: Page, screen: dict[str, Any]) -> None:
         """Feels nothing, and answers at once."""
         answer = answer_of(screen["question"], screen["stimuli"])
@@ -188,6 +192,8 @@ class Script:
             return
         self.screens.append(screen)
         number = screen["screen"]
+        if screen["kind"] == "trial" and screen["withdraws"]:
+            await self.withdraw(page)
         if screen["kind"] == "trial" and screen["felt"]:
             if screen["question"] is None:
                 await page.call("participant.go_on", screen=number)

@@ -199,7 +199,9 @@ def test_a_session_that_was_stopped_goes_on_to_its_end_with_the_pages(
     again, script = start("experiment", "resume", str(tmp_path / SESSION), "--port", "0"), Script()
     asyncio.run(script.play(again.links))
     code, out, said = again.ended()
-    assert (code, said) == (0, "") and "complete" in out
+    # A servo of 1 kHz holds less stiffness than the study has.
+    assert all(line.startswith("hapticd: on this device: ") for line in said.splitlines())
+    assert code == 0 and "complete" in out
     assert sorted(answered(tmp_path)) == list(range(5))
     assert script.screens[-1]["kind"] == "over"
     kinds = {screen["question"]["kind"] for screen in script.screens if screen.get("question")}

@@ -163,7 +163,7 @@ def test_what_cannot_be_displayed_is_told_before_a_session(tmp_path: Path, capfd
         )
     )
     found = _run(study, tmp_path / "data", "--offline", people=("A",))
-    assert "not displayed as written: " in found.output + capfd.readouterr().err
+    assert "on this device: " in found.output + capfd.readouterr().err
 
 
 def test_a_demo_at_the_terminal_has_no_hand(ranked: Path, tmp_path: Path) -> None:

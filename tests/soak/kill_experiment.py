@@ -109,6 +109,9 @@ class Pressing(Script):
         self._answers.add(task)
         task.add_done_callback(self._answers.discard)
 
+    async def withdraw(self, page: Page) -> None:
+        await page.call("stream_target", seq=int(1e6 * time.monotonic()), position_m=[-0.03, 0.02])
+
     async def _later(self, page: Page, screen: dict[str, Any]) -> None:
         try:
             await page.call("stream_target", seq=int(1e6 * time.monotonic()), position_m=[-0.03, -0.02])
