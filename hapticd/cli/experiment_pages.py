@@ -74,18 +74,20 @@ def live_stage(place: RuntimePaths, lsl: bool) -> Iterator[DaemonStage]:
 
 
 def run_on_pages(
-    place: RuntimePaths, listening: Listening, made: Plan, lsl: bool, session: Callable[[Stage, PagesFront], int]
+    place: RuntimePaths,
+    simulated: bool,
+    listening: Listening,
+    made: Plan,
+    lsl: bool,
+    session: Callable[[Stage, PagesFront], int],
 ) -> int:
-    """Shows both pages while `session` runs on the daemon at `place`; returns what it returns."""
+    """Shows both pages while `session` runs on the daemon at `place`; returns what it returns. `simulated`: that daemon
+    has the simulated joystick."""
     if importlib.util.find_spec("aiohttp") is None:
         raise HapticdError("the pages of a session need aiohttp: pip install 'hapticd[experiment,web]'")
-    from hapticd.client.blocking import Client
     from hapticd.experiment.pages.pages_front import PagesFront
     from hapticd.experiment.pages.process import News, Options, run
-    from hapticd.protocol.calls import TIMEOUT_S
 
-    with Client.at(place, TIMEOUT_S) as client:
-        simulated = client.get_status()["device"] == "sim"
     news = News()
     front = PagesFront(made, news)
 

@@ -229,10 +229,16 @@ def _with_stage(
         folder, log = opens(stage)
         return _run(stage, folder, log, made, _front(folder, made), demo, keep=telemetry, clock=stage.now_s)
     with place_of_session(ctx, demo) as place:
-        _note_undisplayable(made.study, rig_at(place), named=pages is not None)
+        rig = rig_at(place)
+        _note_undisplayable(made.study, rig, named=pages is not None)
         if pages is not None:
             return run_on_pages(
-                place, pages, made, lsl, lambda stage, front: _run_shown(stage, front, opens, made, demo)
+                place,
+                rig.device.kind == "sim",
+                pages,
+                made,
+                lsl,
+                lambda stage, front: _run_shown(stage, front, opens, made, demo),
             )
         with live_stage(place, lsl) as live:
             folder, log = opens(live)
@@ -268,8 +274,7 @@ def _run_shown(stage: Stage, front: PagesFront, opens: _OPEN, made: Plan, demo: 
         )
         raise
     ended = code == 0
-    command = f"hapticd experiment resume {folder.path}{' --demo' * demo}"
-    told = "complete" if ended else f"stopped; go on with `{command}`"
+    told = "complete" if ended else f"stopped; {_how_to_resume(folder, demo)}"
     front.over(told, thanks if ended else stopped, ended)
     return code
 
@@ -316,8 +321,12 @@ def _run(
     if ending == "ended":
         click.echo(f"{done}, complete{besides}")
         return 0
-    click.echo(f"{done}{besides}; go on with `hapticd experiment resume {folder.path}{' --demo' * demo}`")
+    click.echo(f"{done}{besides}; {_how_to_resume(folder, demo)}")
     return 1
+
+
+def _how_to_resume(folder: SessionFolder, demo: bool) -> str:
+    return f"go on with `hapticd experiment resume {folder.path}{' --demo' if demo else ''}`"
 
 
 def _front(folder: SessionFolder, made: Plan) -> Front:

@@ -16,7 +16,7 @@ from typing import Final
 from hapticd.base.errors import HapticdError, quoted
 from hapticd.base.yaml_source import Json, load_path
 from hapticd.config.schema import unit_of
-from hapticd.experiment.bids import TASK
+from hapticd.experiment.bids import TASK_IN_FILE_NAME
 from hapticd.experiment.session_folder import LOG
 
 MISSING: Final = "n/a"
@@ -133,7 +133,7 @@ class Behaviour:
 def read_behaviour(folders: Sequence[Path]) -> Behaviour:
     """Reads every session below the folders. Raises HapticdError: no table, several studies, a row that is none."""
     files = sorted({file.resolve(): file for folder in folders for file in _tables(folder)}.values())
-    tasks = sorted({match[1] if (match := TASK.search(file.name)) else file.name for file in files})
+    tasks = sorted({match[1] if (match := TASK_IN_FILE_NAME.search(file.name)) else file.name for file in files})
     if len(tasks) > 1:
         raise HapticdError(f"tables of {len(tasks)} studies ({', '.join(tasks)}): analyze the folders of one at a time")
     rows = [row for file in files for row in _rows(file)]

@@ -32,7 +32,7 @@ checksum.
 seed, versions and device. A `.mcap` file is the telemetry of a trial. `hapticd experiment analyze` makes statistics and
 a report.
 """
-TASK: Final = re.compile(r"_task-([^_]+)_beh\.tsv$")
+TASK_IN_FILE_NAME: Final = re.compile(r"_task-([^_]+)_beh\.tsv$")
 """The study's label in the name of a table of answers."""
 _FIXED: Final = (
     "onset", "duration", "participant", "session", "phase", "block", "trial", "condition", "cell", "repetition",
@@ -195,7 +195,9 @@ def check_one_study(root: Path, title: str) -> None:
     """Raises HapticdError where a data set has tables of a study with another title."""
     label = task_label(title)
     tables = root.glob("sub-*/ses-*/beh/*_beh.tsv")
-    other = next((found[1] for each in tables if (found := TASK.search(each.name)) and found[1] != label), None)
+    other = next(
+        (found[1] for each in tables if (found := TASK_IN_FILE_NAME.search(each.name)) and found[1] != label), None
+    )
     if other is not None:
         raise HapticdError(
             f"{root}: has sessions of another study, {other}; give each study a folder of its own with -o"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -19,9 +18,10 @@ from hapticd.client.blocking import Client, Subscription
 from hapticd.client.samples import SampleBatch
 from hapticd.config.configuration import Config
 from hapticd.config.materials import shipped_materials
-from hapticd.config.scene import Membrane
 from hapticd.experiment.event_codes import EventCode
+from hapticd.experiment.front import Seen
 from hapticd.experiment.stage import ForcesLost, ForcesStopped, Motion, Samples, Telemetry
+from hapticd.experiment.trial_scenes import membranes
 from hapticd.protocol.calls import RemoteError
 from hapticd.protocol.messages import Code
 from hapticd.protocol.results import Event
@@ -48,7 +48,7 @@ class DaemonStage:
         self._token = ""
         self._enabled = False
         self._revision: int | None = None
-        self._membranes: list[Membrane] = []
+        self._membranes: tuple[Seen, ...] = ()
         """Of the scene that is armed."""
         self._file: Path | None = None
 
@@ -103,13 +103,14 @@ class DaemonStage:
         changed = self._client.apply(materials=materials or None, scene=config.scene, wait=True)
         self._client.reset()
         self._revision = changed["revision"]
-        self._membranes = [item for item in config.scene.objects.values() if isinstance(item, Membrane)]
+        self._membranes = membranes(config)
 
     def is_clear(self) -> bool:
         """By the newest sample."""
         state = self._client.get_state()
         x, y = state["position_m"]
-        return not state["touching"] and not any(_is_behind(x, y, each) for each in self._membranes)
+        from_membranes = [each.from_surface((x, y)) for each in self._membranes]
+        return not state["touching"] and not any(beyond == 0.0 and above < 0.0 for beyond, above in from_membranes)
 
     def enable(self) -> None:
         """Raises where another client changed the scene since it was armed, the lease lapsed, or a fault stays."""
@@ -199,14 +200,6 @@ class DaemonStage:
             inside &= ticks <= ended[-1]
         first = begun[-1] if begun else 0
         return Telemetry(found.samples[inside], [each for each in found.events if each["tick"] >= first])
-
-
-def _is_behind(x: float, y: float, membrane: Membrane) -> bool:
-    """Whether a position is on the far side of a membrane at rest, within its width."""
-    (c_x, c_y), (n_x, n_y) = membrane.center_m, membrane.normal
-    length = math.hypot(n_x, n_y)
-    above, along = (x - c_x) * n_x + (y - c_y) * n_y, (x - c_x) * n_y - (y - c_y) * n_x
-    return above < 0.0 and abs(along) < 0.5 * membrane.width_m * length
 
 
 _BATCH_S: Final = 0.02

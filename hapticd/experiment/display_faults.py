@@ -49,7 +49,8 @@ def display_faults(study: Study) -> list[Fault]:
                     seen.add((place, stimulus))
                     faults = _stimulus(study, cell.condition, levels, place)
                     found += faults
-                    faulty.update([stimulus] if faults else [])
+                    if faults:
+                        faulty.add(stimulus)
                 if cell.listed:
                     break
         # A fault of the factors' levels would be one of every value of the variable.

@@ -14,6 +14,7 @@ from hapticd.base.yaml_source import Json
 from hapticd.experiment.stage import Stage
 
 CLEAR_S: Final = 0.05
+"""Between two looks whether the handle is out of everything."""
 CommandKind: TypeAlias = Literal["pause", "repeat", "abort", "note"]
 QuestionKind: TypeAlias = Literal["choice", "ranking", "slider", "number", "text", "measure"]
 

@@ -366,15 +366,13 @@ class Session:
         """The measures of a trial, without that of a motor task which was not done. Raises _Again for such an attempt
         until there were MOST_NOT_DONE, or its time was up."""
         question = self._plan.study.questions[armed.trial.question]
-        why = (
-            why_not_done(question.measure, measures[question.measure])
-            if isinstance(question, MeasureQuestion)
-            else None
-        )
-        self._attempts_not_done = 0 if why is None else self._attempts_not_done + 1
-        if why is None:
+        if not isinstance(question, MeasureQuestion):
             return measures
-        assert isinstance(question, MeasureQuestion)
+        why = why_not_done(question.measure, measures[question.measure])
+        if why is None:
+            self._attempts_not_done = 0
+            return measures
+        self._attempts_not_done += 1
         if reply.timed_out or self._attempts_not_done >= MOST_NOT_DONE:
             self._attempts_not_done = 0
             return {**measures, question.measure: None}

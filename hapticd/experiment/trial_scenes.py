@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config
-from hapticd.config.scene import Wall
+from hapticd.config.scene import Membrane, Wall
 from hapticd.experiment.front import Seen
 from hapticd.experiment.keys import Study
 from hapticd.experiment.stimuli import Stimulus, config_with
@@ -33,6 +33,12 @@ def seen(study: Study, configs: Sequence[Config], stimuli: int) -> tuple[Seen, .
         ordered = sorted((each for _, each in found), key=lambda each: each.point_m[0])
         return _enough(named if len(named) >= stimuli else ordered, stimuli)
     return tuple(_enough([each for _, each in _surfaces(config)], 1)[0] for config in configs)
+
+
+def membranes(config: Config) -> tuple[Seen, ...]:
+    """The surface of each membrane at rest."""
+    found = [target_of(item, config.materials) for item in config.scene.objects.values() if isinstance(item, Membrane)]
+    return tuple(Seen(each.point_m, each.normal, each.half_m) for each in found if each is not None)
 
 
 def _surfaces(config: Config) -> Iterator[tuple[str, Seen]]:
