@@ -304,7 +304,7 @@ warnings: build
 verify-units: tools ## systemd's own word on the units: valid, and exposed as little as docs/service.md says
 	@if command -v systemd-analyze >/dev/null; then \
 		$(BIN)/python -m pytest -q tests/system/test_service_files.py -k 'the_units_are' && \
-		for unit in hapticd hapticd-bridge hapticd-web; do \
+		for unit in hapticd hapticd-web; do \
 			systemd-analyze security --offline=true --no-pager systemd/$$unit.service | tail -n 1; \
 		done; \
 	else \
@@ -446,7 +446,7 @@ fuzz: tools ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, 
 	$(BIN)/python -m tests.soak.fuzz_messages --runs $(MESSAGES)
 	$(BIN)/python -m tests.soak.fuzz_zmtp --runs $(CONVERSATIONS)
 	$(BIN)/python -m tests.soak.fuzz_yaml --runs $(DOCUMENTS)
-	@for kind in check bridge operator key; do \
+	@for kind in check operator; do \
 		$(BIN)/python -m tests.soak.fuzz_yaml --kind $$kind --runs $$(($(DOCUMENTS) / 50)) || exit 1; \
 	done
 	$(BIN)/python -m tests.soak.fuzz_yaml --kind reload --runs $(RELOADS)

@@ -14,8 +14,6 @@ from pathlib import Path
 from hapticd.base import codec
 from hapticd.base.model import Model
 from hapticd.base.yaml_source import Json
-from hapticd.bridge import gate, http, relay
-from hapticd.bridge.config import MOST_CONNECTIONS, BridgeConfig, BridgeLimits
 from hapticd.config.configuration import Device
 from hapticd.config.schema import config_schema, unit_of
 from hapticd.daemon import backlog, peers, publisher, router
@@ -176,32 +174,6 @@ def fit(page: str) -> str:
     return page
 
 
-def bridge(page: str) -> str:
-    """Defaults of the bridge's file, and its limits."""
-    defaults = {name: BridgeConfig.model_fields[name].default for name in ("listen", "server_key", "metrics")}
-    for name, default in defaults.items():
-        page = filled(page, f"`{name}`", {1: f"`{default}`"})
-    for name, field in BridgeLimits.model_fields.items():
-        page = filled(page, f"`limits.{name}`", {1: f"{field.default:.0f}"})
-    return block(
-        page,
-        "limits",
-        [
-            ("connections of all clients", f"{MOST_CONNECTIONS} at most, whatever `limits.connections` says"),
-            ("connections that have not shown a key yet", gate.HANDSHAKES),
-            ("of them from one address", gate.HANDSHAKES_PER_HOST),
-            ("each of them", f"{gate.HANDSHAKE_S:g} s and {gate._HANDSHAKE_BYTES // 1024} KiB"),
-            ("age from which it gives its place to a new one", f"{gate.PEACE_S:g} s"),
-            ("subscriptions of a connection", gate._SUBSCRIPTIONS),
-            ("bytes sent up the telemetry socket", f"{gate._WATCHER_BYTES // 2**20} MiB"),
-            ("telemetry kept for a client that does not read", f"{gate._TELEMETRY_WAITING} messages"),
-            ("time in which the daemon answers", f"{relay.ANSWER_S:g} s"),
-            ("a request for metrics", f"{http.REQUEST_BYTES // 1024} KiB and {http.REQUEST_S:g} s"),
-            ("requests for metrics at once", http.AT_ONCE),
-        ],
-    )
-
-
 def protocol(page: str) -> str:
     """Limits of connections and of bodies, and the version."""
     mib = 2**20
@@ -249,7 +221,6 @@ def protocol(page: str) -> str:
 PAGES: dict[str, Callable[[str], str]] = {
     "materials.md": materials,
     "fit.md": fit,
-    "bridge.md": bridge,
     "protocol.md": protocol,
 }
 

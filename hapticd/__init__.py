@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from hapticd.protocol.calls import (
         DaemonNotRunning,
         ForcesOff,
-        KeyRefused,
         MissedPeriods,
         RemoteError,
         TelemetryLoss,
@@ -93,7 +92,6 @@ __all__ = [
     "HapticdError",
     "InvalidError",
     "Json",
-    "KeyRefused",
     "LeaseResult",
     "Material",
     "MaterialsResult",
@@ -146,7 +144,6 @@ _HOMES = {
     "FlightResult": "protocol.results",
     "ForcesResult": "protocol.results",
     "GestureEnd": "protocol.results",
-    "KeyRefused": "protocol.calls",
     "LeaseResult": "protocol.results",
     "MaterialsResult": "protocol.results",
     "OperatorResult": "protocol.results",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-# Not by way of hapticd.base.core, which needs numpy: 11 MB that a bridge does without.
+# Not by way of hapticd.base.core, which needs numpy: 11 MB that others do without.
 from hapticd._core import ffi, lib
 from hapticd.base.errors import HapticdError
 

@@ -18,8 +18,6 @@ CLIENT: Final = 2
 """Threads of libzmq: one for the connections, one that closes sockets."""
 DAEMON: Final = 16
 """More than the daemon has with a device, and while it reads its configuration again."""
-BRIDGE: Final = 4
-"""Those of libzmq, and two that look up names and probe the daemon."""
 
 
 def refused() -> str:

@@ -78,39 +78,12 @@ _HOMES: Final = {
     "sweep": "sweep",
     "lsl": "lsl",
     "web": "web",
-    "bridge": "bridge",
-    "key": "key",
     "doctor": "doctor",
     "install-service": "service",
     "stop-device": "service",
     "completion": "completion",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
-
-_HERE_ALONE: Final = frozenset(
-    [
-        "run",
-        "recover",
-        "replay",
-        "simulate",
-        "check",
-        "paths",
-        "schema",
-        "devices",
-        "bench",
-        "calibrate",
-        "verify",
-        "fit",
-        "sweep",
-        "bridge",
-        "key",
-        "doctor",
-        "install-service",
-        "stop-device",
-        "completion",
-    ]
-)
-"""Those that ask no daemon, or only this machine's: --connect means nothing to them."""
 
 
 class _LazyGroup(click.Group):
@@ -151,8 +124,6 @@ _ENVIRONMENT: Final = """\b
 Environment:
   HAPTICD_CONFIG       Configuration files where no -c is given; several are separated by colons.
   HAPTICD_RUNTIME_DIR  Where the sockets are, as --runtime-dir.
-  HAPTICD_CONNECT, HAPTICD_KEY, HAPTICD_SERVER_KEY
-                       As --connect, --key and --server-key.
 """
 
 
@@ -170,41 +141,9 @@ Environment:
     help="Where the sockets are  [env var: HAPTICD_RUNTIME_DIR; default: $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR/hapticd "
     "or /tmp/hapticd-UID]",
 )
-@click.option(
-    "--connect",
-    metavar="tcp://HOST[:PORT]",
-    envvar="HAPTICD_CONNECT",
-    show_envvar=True,
-    help="A bridge to a daemon on another machine, instead; needs both keys.",
-)
-@click.option(
-    "--key", type=click.Path(), metavar="FILE", envvar="HAPTICD_KEY", show_envvar=True, help="This client's secret key."
-)
-@click.option(
-    "--server-key",
-    type=click.Path(),
-    metavar="FILE",
-    envvar="HAPTICD_SERVER_KEY",
-    show_envvar=True,
-    help="The bridge's public key.",
-)
 @click.pass_context
-def cli(
-    ctx: click.Context, runtime_dir: str | None, connect: str | None, key: str | None, server_key: str | None
-) -> None:
+def cli(ctx: click.Context, runtime_dir: str | None) -> None:
     """A haptic daemon: taps, combs, sandpaper, friction, solids and membranes on a joystick, commanded over ZeroMQ."""
-    if connect is not None and runtime_dir is not None:
-        given = ctx.get_parameter_source("connect") == click.core.ParameterSource.COMMANDLINE
-        name = "--connect" if given else "HAPTICD_CONNECT"
-        raise click.UsageError(f"{name} and --runtime-dir name two places: give one", ctx)
-    for option in ("key", "server_key"):
-        if connect is None and ctx.get_parameter_source(option) == click.core.ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"--{option.replace('_', '-')} is for --connect, which says where", ctx)
-    if (
-        ctx.invoked_subcommand in _HERE_ALONE
-        and ctx.get_parameter_source("connect") == click.core.ParameterSource.COMMANDLINE
-    ):
-        raise click.UsageError(f"{ctx.invoked_subcommand} is for this machine alone: leave --connect out", ctx)
     ctx.obj = runtime_dir
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

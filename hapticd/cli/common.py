@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
-from click.core import ParameterSource
 
-from hapticd.base.errors import HapticdError, known_names, quoted
+from hapticd.base.errors import known_names, quoted
 from hapticd.base.yaml_text import yaml_text
 from hapticd.cli import names
 from hapticd.cli.shell import shell_words
@@ -22,7 +21,6 @@ from hapticd.system.journal import LEVELS
 if TYPE_CHECKING:
     from hapticd.client.blocking import Client
     from hapticd.config.shipped_files import Folder
-    from hapticd.system.paths import RuntimePaths
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -59,46 +57,7 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     from hapticd.client.blocking import connect
     from hapticd.protocol.calls import TIMEOUT_S
 
-    named, key, server_key = place_words(ctx)
-    return connect(named, TIMEOUT_S if timeout_s is None else timeout_s, key=key, server_key=server_key)
-
-
-def place_words(ctx: click.Context) -> tuple[str | None, str | None, str | None]:
-    """Where the command line says that the daemon is, for `connect` and `place_of`: place, key and the bridge's key."""
-    from hapticd.protocol.remote import PORT, host_and_port
-
-    root = ctx.find_root()
-    # What stands in the environment is taken from there by `connect`, which names the variable in its errors.
-    place, key, server_key = (
-        root.params.get(name) if root.get_parameter_source(name) == ParameterSource.COMMANDLINE else None
-        for name in ("connect", "key", "server_key")
-    )
-    if place is None:
-        return cast("str | None", root.obj), key, server_key
-    try:
-        host_and_port(place, PORT)
-    except ValueError as error:
-        raise click.UsageError(f"--connect: {quoted(place)} {error}", root) from None
-    missing = [f"--{name.replace('_', '-')}" for name in ("key", "server_key") if root.params.get(name) is None]
-    if missing:
-        raise click.UsageError(
-            f"--connect needs {' and '.join(missing)}, or the variables HAPTICD_KEY and HAPTICD_SERVER_KEY", root
-        )
-    return place, key, server_key
-
-
-def place_here(ctx: click.Context) -> RuntimePaths:
-    """The daemon's runtime directory, for a command that must run on the daemon's machine.
-
-    Raises HapticdError where the command line or HAPTICD_CONNECT names a bridge.
-    """
-    from hapticd.protocol.places import place_of
-    from hapticd.protocol.remote import Remote
-
-    place = place_of(*place_words(ctx))
-    if isinstance(place, Remote):
-        raise HapticdError(f"{place}: {ctx.command_path} runs on the daemon's machine, and takes no other")
-    return place
+    return connect(ctx.find_root().obj, TIMEOUT_S if timeout_s is None else timeout_s)
 
 
 def config_option(command: _F) -> _F:

@@ -36,7 +36,7 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     config, first = taken(choose(configs))
 
     def asked() -> Mapping[str, object] | None:
-        # Of this machine, whatever HAPTICD_CONNECT says: our own, else the service's.
+        # Our own, else the service's.
         named = ctx.find_root().obj
         for place in (named,) if named is not None else (daemon_paths().directory, SYSTEM_DIRECTORY):
             there = holder(runtime_paths(place).command)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import click
 
 from hapticd.base.errors import HapticdError
-from hapticd.cli.common import place_here
 from hapticd.cli.listening import Listening, listening_options, refuse_another_daemon
 
 if TYPE_CHECKING:
@@ -38,7 +37,9 @@ demo_option = click.option(
 def place_of_session(ctx: click.Context, demo: bool) -> Iterator[RuntimePaths]:
     """Where the daemon of a session is; with `demo` one of its own, as long as the context lasts."""
     if not demo:
-        yield place_here(ctx)
+        from hapticd.protocol.places import place_of
+
+        yield place_of(ctx.find_root().obj)
         return
     refuse_another_daemon(ctx)
     from hapticd.web.demo import DemoDaemon

@@ -45,7 +45,5 @@ def listening_options(what: str, port: int, port_help: str, last_port: int = 655
 
 def refuse_another_daemon(ctx: click.Context) -> None:
     """For --demo. Raises UsageError where the command line says which daemon to take."""
-    root = ctx.find_root()
-    for option in ("connect", "runtime_dir"):
-        if root.get_parameter_source(option) == ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"--demo starts a daemon of its own: leave --{option.replace('_', '-')} out", ctx)
+    if ctx.find_root().get_parameter_source("runtime_dir") == ParameterSource.COMMANDLINE:
+        raise click.UsageError("--demo starts a daemon of its own: leave --runtime-dir out", ctx)

@@ -8,7 +8,7 @@ import threading
 import click
 
 from hapticd.base import wording
-from hapticd.cli.common import for_option, json_option, note, place_here, print_json
+from hapticd.cli.common import daemon, for_option, json_option, note, print_json
 
 
 @click.command("lsl", short_help="Samples and event codes as outlets of Lab Streaming Layer.")
@@ -23,9 +23,7 @@ def lsl_command(ctx: click.Context, duration_s: float | None, as_json: bool) -> 
     """
     from dataclasses import asdict
 
-    from hapticd.client.blocking import Client
     from hapticd.experiment.lsl import EVENTS, SAMPLES, stream
-    from hapticd.protocol.calls import TIMEOUT_S
 
     stop = threading.Event()
     received: list[int] = []
@@ -34,7 +32,7 @@ def lsl_command(ctx: click.Context, duration_s: float | None, as_json: bool) -> 
         received.append(number)
         stop.set()
 
-    with Client.at(place_here(ctx), TIMEOUT_S) as client:
+    with daemon(ctx) as client:
         timer = None if duration_s is None else threading.Timer(duration_s, stop.set)
 
         def started() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -98,27 +99,19 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
     """Have the flight recorder write the last seconds of samples and events to a file, and write what is in it to FILE
     (.npz, .csv or .mcap), too.
 
-    Through a bridge the file stays on the daemon's machine: FILE is for a daemon of this one.
+    The file of a daemon on another machine stays there.
     """
     from hapticd.client.flight_summary import summed_up, written_flight
 
-    here = ctx.find_root().params["connect"] is None
-    if file is not None and not here:
-        given = ctx.find_root().get_parameter_source("connect") == click.core.ParameterSource.COMMANDLINE
-        raise click.UsageError(
-            f"FILE is for a daemon of this machine; {'--connect' if given else 'HAPTICD_CONNECT'} names a bridge, and "
-            "through a bridge its file stays there",
-            ctx,
-        )
     if file is not None:
         from hapticd.recording.formats import check_target
 
         check_target(file, overwrite)
     with daemon(ctx) as client:
-        written = written_flight(client, here)
+        written = written_flight(client)
     found: dict[str, object] = {"file": written}
-    line = written  # through a bridge all that is known of it
-    if here:
+    line = f"{written} on the daemon's machine"
+    if file is not None or os.path.exists(written):
         found, line = summed_up(written, file, overwrite)
     if as_json:
         print_json(found)

@@ -10,7 +10,7 @@ import click
 
 from hapticd.base.errors import HapticdError
 from hapticd.cli import names
-from hapticd.cli.common import log_options, place_here
+from hapticd.cli.common import log_options
 from hapticd.cli.listening import Listening, listening_options, refuse_another_daemon
 
 
@@ -33,6 +33,7 @@ from hapticd.cli.listening import Listening, listening_options, refuse_another_d
     metavar="DIR",
     help="Folder of what is recorded on the page; by default $XDG_DATA_HOME/hapticd/recordings.",
 )
+@click.option("--metrics", type=click.IntRange(0, 65535), metavar="PORT", help="Serve figures for Prometheus at PORT.")
 @log_options
 @click.pass_context
 def web_command(
@@ -42,6 +43,7 @@ def web_command(
     listening: Listening,
     set_password: str | None,
     recordings: Path | None,
+    metrics: int | None,
     log_level: str,
 ) -> int:
     """Show scene, forces and an oscilloscope in a page of the browser, and let its mouse be the hand.
@@ -58,9 +60,10 @@ def web_command(
         refuse_another_daemon(ctx)
     if configs and not demo:
         raise click.UsageError("--config is for --demo: a daemon that runs has a configuration already", ctx)
-    place = None if demo else place_here(ctx)
+    from hapticd.protocol.places import place_of
     from hapticd.web.process import Options, run
 
+    place = None if demo else place_of(ctx.find_root().obj)
     return run(
         Options(
             place=place,
@@ -68,6 +71,7 @@ def web_command(
             **listening,
             log_level=log_level,
             recordings=recordings,
+            metrics=metrics,
         )
     )
 

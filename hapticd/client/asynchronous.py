@@ -26,9 +26,8 @@ from hapticd.client.methods import Call, Listen, Send, documented
 from hapticd.client.streams import StreamBase
 from hapticd.protocol import calls, messages, places
 from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning, RemoteError, TelemetryLoss, TimedOut
-from hapticd.protocol.places import KeySource, Place
-from hapticd.protocol.remote import Remote
 from hapticd.protocol.results import GestureEnd
+from hapticd.system.paths import RuntimePaths
 
 if TYPE_CHECKING:
     from hapticd.client.background import Recorder
@@ -54,8 +53,6 @@ def connect(
     timeout_s: float = TIMEOUT_S,
     *,
     wait_s: float = 0.0,
-    key: KeySource = None,
-    server_key: str | os.PathLike[str] | None = None,
 ) -> Connecting:
     """A client of the daemon at `runtime_dir` (by default where the environment says):
     `async with connect() as daemon`, or `daemon = await connect()`, which is to be closed.
@@ -63,20 +60,17 @@ def connect(
     `timeout_s` is how long each call waits for its answer. `wait_s` is how long to wait for a daemon that is not ready
     yet. Raises DaemonNotRunning where nobody listens.
 
-    `tcp://HOST:PORT` in its place is a bridge on another machine; then `key` is the file of our secret key, and
-    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises KeyRefused.
-
-    What is not given is taken from the environment: HAPTICD_CONNECT, the address of a bridge, or else
-    HAPTICD_RUNTIME_DIR; HAPTICD_KEY and HAPTICD_SERVER_KEY.
+    Without `runtime_dir` HAPTICD_RUNTIME_DIR counts, then the user's own. A daemon on another machine is reached by a
+    directory of forwarded sockets (docs/remote.md).
     """
     timeout_s, wait_s = arguments.seconds("timeout_s", timeout_s), arguments.seconds("wait_s", wait_s, zero=True)
-    return Connecting(lambda: places.place_of(runtime_dir, key, server_key), timeout_s, wait_s)
+    return Connecting(lambda: places.place_of(runtime_dir), timeout_s, wait_s)
 
 
 class Connecting:
     """A client that is still to be connected: await it, or enter it."""
 
-    def __init__(self, find: Callable[[], Place], timeout_s: float, wait_s: float) -> None:
+    def __init__(self, find: Callable[[], RuntimePaths], timeout_s: float, wait_s: float) -> None:
         self._find, self._timeout_s, self._wait_s = find, timeout_s, wait_s
         self._client: Client | None = None
 
@@ -100,13 +94,13 @@ class Connecting:
                 await _await_ready(place, self._wait_s)
                 # The runtime directory may have been made meanwhile.
                 place = self._find()
-            await asyncio.to_thread(places.probe, place, self._timeout_s)
+            await asyncio.to_thread(places.probe, place)
         except DaemonNotRunning as error:
             raise places.after_waiting(error, self._wait_s) from None
         return Client(place, self._timeout_s)
 
 
-async def _await_ready(place: Place, wait_s: float) -> None:
+async def _await_ready(place: RuntimePaths, wait_s: float) -> None:
     given_up = threading.Event()
     try:
         await asyncio.to_thread(places.await_ready, place, wait_s, given_up.is_set)
@@ -154,19 +148,17 @@ class Client(ClientBase):
     daemon refuses, and DaemonNotRunning where it does not answer within `timeout_s`.
     """
 
-    def __init__(self, place: Place, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, place: RuntimePaths, timeout_s: float = TIMEOUT_S) -> None:
         super().__init__(place, timeout_s)
         self._waiting: dict[int, asyncio.Future[Response]] = {}
         self._opening = asyncio.Lock()
-        # Opened when it is first used: who may only watch has none.
+        # Opened when it is first used: a subscription needs none.
         self._socket: zmq.asyncio.Socket | None = None
         self._reader: asyncio.Task[None] | None = None
 
     async def _opened(self) -> zmq.asyncio.Socket:
         async with self._opening:
             if self._socket is None:
-                if isinstance(self.paths, Remote):
-                    await asyncio.to_thread(places.probe, self.paths, self.timeout_s, True)
                 self._socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
                 self._connect(self._socket)
                 self._reader = asyncio.create_task(self._read(self._socket), name="hapticd-answers")
@@ -385,18 +377,16 @@ class Subscription(FeedSocket[T], Generic[T]):
     It is in effect from the entry into `async with`, or else from the first item on.
     """
 
-    def __init__(self, place: Place, feed: Feed[T], timeout_s: float) -> None:
+    def __init__(self, place: RuntimePaths, feed: Feed[T], timeout_s: float) -> None:
         self._socket = zmq.asyncio.Context.instance().socket(zmq.SUB)
         super().__init__(self._socket, place, feed, timeout_s)
 
     async def _receive(self) -> tuple[T, ...]:
         """What the next message yields."""
         try:
-            async with asyncio.timeout(min(self._timeout_s, places.AWAY_S) if self._away else self._timeout_s):
+            async with asyncio.timeout(self._timeout_s):
                 frames = await self._socket.recv_multipart()
         except TimeoutError:
-            if self._away:
-                raise places.no_daemon_behind(self._place) from None
             raise await asyncio.to_thread(places.no_telemetry, self._place, self._timeout_s) from None
         return self._accept(frames)
 

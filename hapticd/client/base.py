@@ -16,29 +16,26 @@ from hapticd.client.methods import Listen
 from hapticd.client.streams import Sender
 from hapticd.protocol import calls
 from hapticd.protocol.calls import DaemonNotRunning, ForcesOff, RemoteError
-from hapticd.protocol.places import Place, place_name
-from hapticd.protocol.remote import Remote
 from hapticd.protocol.results import LeaseResult
+from hapticd.system.paths import RuntimePaths
 
 T = TypeVar("T")
 S = TypeVar("S", bound=FeedSocket[Any])
 
 
-def connect_commands(socket: zmq.Socket[Any], place: Place) -> None:
+def connect_commands(socket: zmq.Socket[Any], place: RuntimePaths) -> None:
     """Connects a DEALER socket to the commands of a daemon."""
     socket.setsockopt(zmq.LINGER, 0)
     # Nothing waits in a queue for a daemon that is not there: what was meant for a dead one must not reach the next.
     socket.setsockopt(zmq.IMMEDIATE, 1)
-    if isinstance(place, Remote):
-        place.secure(socket)
     socket.connect(place.command_endpoint)
 
 
 class ClientBase:
     """A client's place, its calls and its subscriptions."""
 
-    def __init__(self, place: Place, timeout_s: float) -> None:
-        self.paths: Place = place
+    def __init__(self, place: RuntimePaths, timeout_s: float) -> None:
+        self.paths: RuntimePaths = place
         self.timeout_s = timeout_s
         self._lock = threading.Lock()
         self._last_id = 0
@@ -60,12 +57,12 @@ class ClientBase:
 
     def _result(self, response: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None) -> object:
         """The result of a call, or its error raised."""
-        return calls.result_of(response, params, place_name(self.paths))
+        return calls.result_of(response, params)
 
     def _connect(self, socket: zmq.Socket[Any]) -> None:
         connect_commands(socket, self.paths)
 
-    def _listen(self, listen: Listen[T], subscription: Callable[[Place, Feed[T], float], S]) -> S:
+    def _listen(self, listen: Listen[T], subscription: Callable[[RuntimePaths, Feed[T], float], S]) -> S:
         """A subscription that is closed with the client."""
         self._refuse_closed()
         timeout_s = self.timeout_s if listen.timeout_s is None else arguments.seconds("timeout_s", listen.timeout_s)

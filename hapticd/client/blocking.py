@@ -26,9 +26,8 @@ from hapticd.client.methods import Call, Listen, Send, documented
 from hapticd.client.streams import StreamBase
 from hapticd.protocol import calls, messages, places
 from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning, RemoteError, TelemetryLoss, TimedOut
-from hapticd.protocol.places import KeySource, Place
-from hapticd.protocol.remote import Remote
 from hapticd.protocol.results import GestureEnd
+from hapticd.system.paths import RuntimePaths
 
 if TYPE_CHECKING:
     from hapticd.client.background import Recorder
@@ -44,21 +43,16 @@ def connect(
     timeout_s: float = TIMEOUT_S,
     *,
     wait_s: float = 0.0,
-    key: KeySource = None,
-    server_key: str | os.PathLike[str] | None = None,
 ) -> Client:
     """A client of the daemon at `runtime_dir` (by default where the environment says), to be used in `with`.
 
     `timeout_s` is how long each call waits for its answer. `wait_s` is how long to wait for a daemon that is not ready
     yet. Raises DaemonNotRunning where nobody listens.
 
-    `tcp://HOST:PORT` in its place is a bridge on another machine; then `key` is the file of our secret key, and
-    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises KeyRefused.
-
-    What is not given is taken from the environment: HAPTICD_CONNECT, the address of a bridge, or else
-    HAPTICD_RUNTIME_DIR; HAPTICD_KEY and HAPTICD_SERVER_KEY.
+    Without `runtime_dir` HAPTICD_RUNTIME_DIR counts, then the user's own. A daemon on another machine is reached by a
+    directory of forwarded sockets (docs/remote.md).
     """
-    return Client(runtime_dir, timeout_s, wait_s=wait_s, key=key, server_key=server_key)
+    return Client(runtime_dir, timeout_s, wait_s=wait_s)
 
 
 def _method(described: Callable[P, Call[T]]) -> Callable[Concatenate[Client, P], T]:
@@ -96,37 +90,33 @@ class Client(ClientBase):
         timeout_s: float = TIMEOUT_S,
         *,
         wait_s: float = 0.0,
-        key: KeySource = None,
-        server_key: str | os.PathLike[str] | None = None,
     ) -> None:
         """As `connect`."""
         timeout_s, wait_s = arguments.seconds("timeout_s", timeout_s), arguments.seconds("wait_s", wait_s, zero=True)
-        place = places.place_of(runtime_dir, key, server_key)
+        place = places.place_of(runtime_dir)
         try:
             if wait_s > 0:
                 places.await_ready(place, wait_s)
                 # The runtime directory may have been made meanwhile.
-                place = places.place_of(runtime_dir, key, server_key)
+                place = places.place_of(runtime_dir)
             self._begin(place, timeout_s)
         except DaemonNotRunning as error:
             raise places.after_waiting(error, wait_s) from None
 
-    def _begin(self, place: Place, timeout_s: float) -> None:
+    def _begin(self, place: RuntimePaths, timeout_s: float) -> None:
         super().__init__(place, timeout_s)
-        # Opened when it is first used: who may only watch has none.
+        # Opened when it is first used: a subscription needs none.
         self._socket: zmq.Socket[bytes] | None = None
-        places.probe(place, timeout_s)
+        places.probe(place)
 
     @classmethod
-    def at(cls, place: Place, timeout_s: float) -> Self:
+    def at(cls, place: RuntimePaths, timeout_s: float) -> Self:
         """A client of the daemon at a place that is known."""
         client = cls.__new__(cls)
         client._begin(place, timeout_s)
         return client
 
     def _open(self) -> zmq.Socket[bytes]:
-        if isinstance(self.paths, Remote):
-            places.probe(self.paths, self.timeout_s, command=True)
         socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
         socket.setsockopt(zmq.SNDTIMEO, _milliseconds(self.timeout_s))
         socket.setsockopt(zmq.RCVTIMEO, _milliseconds(self.timeout_s))
@@ -341,7 +331,7 @@ class Stream(StreamBase):
 class Subscription(FeedSocket[T], Generic[T]):
     """An endless iterator over telemetry, in effect from its creation until `close` or the end of `with`."""
 
-    def __init__(self, place: Place, feed: Feed[T], timeout_s: float) -> None:
+    def __init__(self, place: RuntimePaths, feed: Feed[T], timeout_s: float) -> None:
         self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.SUB)
         super().__init__(self._socket, place, feed, timeout_s)
         try:
@@ -351,22 +341,14 @@ class Subscription(FeedSocket[T], Generic[T]):
             raise
 
     def _begin(self) -> None:
-        """Waits for the first message of a daemon, less long where a bridge says that there is none."""
+        """Waits for the first message of a daemon."""
         deadline = time.monotonic() + self._timeout_s
         while not self._ready:
             try:
                 items = self._receive(deadline)
             except zmq.Again:
-                raise self._silence() from None
+                raise places.no_telemetry(self._place, self._timeout_s) from None
             self._first += () if self._feed.on_demand else items
-            if self._away:
-                deadline = min(deadline, time.monotonic() + places.AWAY_S)
-
-    def _silence(self) -> DaemonNotRunning:
-        """Why nothing came."""
-        if self._away:
-            return places.no_daemon_behind(self._place)
-        return places.no_telemetry(self._place, self._timeout_s)
 
     def _receive(self, deadline: float) -> tuple[T, ...]:
         """What the next message yields. Raises zmq.Again."""

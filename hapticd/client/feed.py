@@ -12,9 +12,9 @@ from hapticd.base import arguments
 from hapticd.base.errors import HapticdError
 from hapticd.protocol import messages
 from hapticd.protocol.calls import Topic
-from hapticd.protocol.places import ALIVE, BRIDGE, Place, shows_daemon
-from hapticd.protocol.remote import Remote
+from hapticd.protocol.places import ALIVE
 from hapticd.protocol.results import GestureEnd, Status
+from hapticd.system.paths import RuntimePaths
 
 T = TypeVar("T")
 
@@ -58,19 +58,16 @@ class Feed(Generic[T]):
 class FeedSocket(Generic[T]):
     """A SUB socket and its feed: what blocking and asyncio subscriptions share."""
 
-    def __init__(self, socket: zmq.Socket[Any], place: Place, feed: Feed[T], timeout_s: float) -> None:
+    def __init__(self, socket: zmq.Socket[Any], place: RuntimePaths, feed: Feed[T], timeout_s: float) -> None:
         self._place, self._feed, self._timeout_s = place, feed, timeout_s
         self._zmq = socket
         self._first: list[T] = []
         """Items that came before they were asked for."""
-        self._ready = self._away = False
+        self._ready = False
         socket.setsockopt(zmq.LINGER, 0)
         try:
             for topic in feed.subscriptions:
                 socket.setsockopt(zmq.SUBSCRIBE, topic)
-            if isinstance(place, Remote):
-                place.secure(socket)
-                socket.setsockopt(zmq.SUBSCRIBE, BRIDGE)
             socket.connect(place.telemetry_endpoint)
         except BaseException:
             socket.close()
@@ -85,16 +82,11 @@ class FeedSocket(Generic[T]):
         self._zmq.close()
 
     def _accept(self, frames: list[bytes]) -> tuple[T, ...]:
-        """What one message yields. The first one of a daemon shows that all is in effect; a bridge may say before that
-        there is none."""
+        """What one message yields. The first one shows that all subscriptions are in effect."""
         if not self._ready:
-            self._away = not shows_daemon(frames)
-            if frames[0] != BRIDGE:
-                self._ready = True
-                if isinstance(self._place, Remote):
-                    self._zmq.setsockopt(zmq.UNSUBSCRIBE, BRIDGE)
-                for topic in self._feed.surplus:
-                    self._zmq.setsockopt(zmq.UNSUBSCRIBE, topic)
+            self._ready = True
+            for topic in self._feed.surplus:
+                self._zmq.setsockopt(zmq.UNSUBSCRIBE, topic)
         return self._feed.accept(frames)
 
     @contextmanager

@@ -13,18 +13,20 @@ from hapticd.recording.missed_periods import missed_text
 from hapticd.recording.recording import load
 
 
-def written_flight(client: Client, here: bool) -> str:
-    """Has the flight recorder write its file: its name, once a daemon of this machine has it whole. Raises
-    HapticdError."""
+def written_flight(client: Client) -> str:
+    """Has the flight recorder write its file: its name on the daemon's machine, once it is whole.
+
+    Raises HapticdError where it cannot be written.
+    """
     file = client.dump_flight()["file"]
     # The file's name appears when it is whole; where it does not come, the status says why.
-    while not (here and os.path.exists(file)):
+    while not os.path.exists(file):
         flight = client.get_status()["flight"]
-        if flight is None or (flight["under_way"] == 0 and not (here and os.path.exists(file))):
-            problem = flight["problem"] if flight else None
-            if flight and not here and problem is None:
-                break
-            raise HapticdError(f"the flight recorder did not write {file}: {problem or 'its log says why'}")
+        if flight is None or (flight["under_way"] == 0 and flight["problem"] is not None):
+            problem = "its log says why" if flight is None else flight["problem"]
+            raise HapticdError(f"the flight recorder did not write {file}: {problem}")
+        if flight["under_way"] == 0:
+            break  # by a daemon on another machine, where its sockets are forwarded to this one
         time.sleep(0.05)
     return file
 

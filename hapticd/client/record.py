@@ -24,11 +24,12 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.merge_patch import replace_members
 from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.protocol.calls import DaemonNotRunning, Topic
-from hapticd.protocol.places import Place, has_ended, no_telemetry
+from hapticd.protocol.places import has_ended, no_telemetry
 from hapticd.protocol.results import ConfigResult, MaterialsResult, SceneResult, Status
 from hapticd.recording.formats import open_writer
 from hapticd.recording.missed_periods import MOST_GAPS, gaps_of, missed_periods, missed_text, share
 from hapticd.recording.writer import DiskFullError, RecordingWriter, Samples
+from hapticd.system.paths import RuntimePaths
 
 if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
@@ -113,7 +114,7 @@ class Messages(Protocol):
 class Daemon(Protocol):
     """What a recording needs of a client, which itself needs recordings."""
 
-    paths: Place
+    paths: RuntimePaths
     timeout_s: float
 
     def get_status(self, detail: bool = False) -> Status: ...
@@ -191,8 +192,6 @@ class _Session:
         self._status: Mapping[str, Any] = {}
         """At the start."""
         self._newest: Mapping[str, Any] = {}
-        self._away = False
-        """A bridge says that there is no daemon behind it."""
         self._rates: list[tuple[int, float]] = []
         """The servo's from a tick on."""
         self._missed_at, self._missed = array("Q"), array("Q")
@@ -203,7 +202,7 @@ class _Session:
         client, interval = self._client, self._interval
         # Who is not there says so at once to a question; to wait for telemetry takes longer.
         client.get_status()
-        with client.telemetry("samples", "event", "change", "status", "bridge") as messages:
+        with client.telemetry("samples", "event", "change", "status") as messages:
             self._begin()
             silent_since, ended = time.monotonic(), 0
             while not interval.over:
@@ -217,15 +216,13 @@ class _Session:
                     if silent_s > client.timeout_s:
                         return str(no_telemetry(client.paths, client.timeout_s))
                     # Twice in a row: what was on its way when its socket went is here then.
-                    ended = ended + 1 if silent_s > ENDED_AFTER_S and self._has_ended() else 0
+                    ended = ended + 1 if silent_s > ENDED_AFTER_S and has_ended(client.paths) else 0
                     if ended > 1:
                         return ENDED
                     continue
                 silent_since, ended = time.monotonic(), 0
                 topic, message = received
-                if topic == "bridge":
-                    self._away = message.get("daemon") is False
-                elif topic == "samples":
+                if topic == "samples":
                     batch = self._stream.convert(topic, message)
                     if self._stream.restarts or (batch.lost and self._restarted()):
                         return "the daemon was restarted"
@@ -242,9 +239,6 @@ class _Session:
                     self._writer.write_status(message)
             self._await_changes(messages)
         return STOPPED if interval.ends else None
-
-    def _has_ended(self) -> bool:
-        return self._away or has_ended(self._client.paths)
 
     def _current_tick(self) -> int | None:
         """The tick that the servo is at; None where nobody answers."""

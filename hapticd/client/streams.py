@@ -18,8 +18,8 @@ from hapticd.base.errors import HapticdError
 from hapticd.client.methods import Send
 from hapticd.protocol import calls, messages, places, streams
 from hapticd.protocol.calls import DaemonNotRunning, ForcesOff, RemoteError
-from hapticd.protocol.places import Place
 from hapticd.protocol.streams import Kind
+from hapticd.system.paths import RuntimePaths
 
 ASK_EVERY_S: Final = 0.5
 """One message of each kind in so long has an id: its answer says what is wrong."""
@@ -32,7 +32,7 @@ _LINGER_MS: Final = 1000
 class Sender:
     """Sends the streams of one client. For any thread, one at a time."""
 
-    def __init__(self, place: Place, timeout_s: float, connect: Callable[[zmq.Socket[Any]], None]) -> None:
+    def __init__(self, place: RuntimePaths, timeout_s: float, connect: Callable[[zmq.Socket[Any]], None]) -> None:
         """`connect` connects a DEALER to the daemon's commands."""
         self._place, self._timeout_s, self._connect = place, timeout_s, connect
         self._lock = threading.Lock()
@@ -46,11 +46,11 @@ class Sender:
         """Messages that were dropped here, as the daemon did not read those before; it counts them as lost."""
 
     def open(self) -> None:
-        """Connects, once. Raises DaemonNotRunning, and KeyRefused where a bridge takes no commands from us."""
+        """Connects, once. Raises DaemonNotRunning."""
         with self._lock:
             if self._socket is not None:
                 return
-            places.probe(self._place, self._timeout_s, command=True)
+            places.probe(self._place)
             socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
             socket.setsockopt(zmq.SNDHWM, _WAITING)
             self._connect(socket)
@@ -136,7 +136,7 @@ class Sender:
                 raise places.no_answer(self._place, self._timeout_s)
             if now_s >= self._probe_at_s:
                 self._probe_at_s = now_s + _PROBE_EVERY_S
-                places.probe(self._place, self._timeout_s, command=True)
+                places.probe(self._place)
         except HapticdError:
             self._asked.clear()  # no answer comes from there any more
             raise

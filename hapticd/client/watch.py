@@ -24,7 +24,6 @@ from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.client.blocking import Client, Subscription
 from hapticd.protocol.calls import Topic
-from hapticd.protocol.remote import Remote
 from hapticd.protocol.results import State, Status
 
 REFRESH_S: Final = 1 / 15
@@ -388,7 +387,7 @@ def watch(
     """
     console = console or Console()
     ends_s = math.inf if duration_s is None else time.monotonic() + duration_s
-    with client.telemetry("state", "event", "status", "bridge") as messages:
+    with client.telemetry("state", "event", "status") as messages:
         if as_json or not console.is_terminal:
             for line in _lines(client, messages, as_json, ends_s):
                 console.file.write(line + "\n")
@@ -411,20 +410,18 @@ def _draw(client: Client, messages: _Messages, console: Console, ends_s: float) 
     """Draws until the time is over (true) or the terminal is gone (false)."""
     view = View()
     heard = shown = time.monotonic()
-    asked, asks = -math.inf, _is_here(client)
+    asked = -math.inf
     with Live(console=console, screen=True, auto_refresh=False) as live:
-        _first_status(client, view)
+        view.feed("status", client.get_status())
         while (now := time.monotonic()) < ends_s:
             item = messages.receive(min(REFRESH_S, ends_s - now))
             now = time.monotonic()
-            if item is not None and item[0] == "bridge":
-                asks = item[1]["may"] == "command"
-            elif item is not None:
+            if item is not None:
                 heard = now
                 view.feed(*item)
             elif now - heard > LOST_AFTER_S:
                 view.lost_for_s = now - heard
-            if asks and view.wants_scene and now - asked > 1.0:
+            if view.wants_scene and now - asked > 1.0:
                 asked = now
                 # Asked again if there is no answer; that the daemon is gone shows by its silence.
                 with suppress(HapticdError):
@@ -438,22 +435,11 @@ def _draw(client: Client, messages: _Messages, console: Console, ends_s: float) 
     return True
 
 
-def _is_here(client: Client) -> bool:
-    """Whether we may ask. A bridge says whether our key may; its command socket would count a refusal otherwise."""
-    return not isinstance(client.paths, Remote)
-
-
-def _first_status(client: Client, view: View) -> None:
-    # Who does not ask gets the status within a second all the same.
-    if _is_here(client):
-        view.feed("status", client.get_status())
-
-
 def _lines(client: Client, messages: _Messages, as_json: bool, ends_s: float) -> Iterator[str]:
     view = View()
     heard = time.monotonic()
     due = -math.inf
-    _first_status(client, view)
+    view.feed("status", client.get_status())
     while (now := time.monotonic()) < ends_s:
         item = messages.receive(min(LOST_AFTER_S, ends_s - now))
         now = time.monotonic()
@@ -465,8 +451,6 @@ def _lines(client: Client, messages: _Messages, as_json: bool, ends_s: float) ->
             view.lost_for_s = now - heard
             continue
         topic, message = item
-        if topic == "bridge":
-            continue
         heard = now
         view.feed(topic, message)
         if topic == "event" and as_json:

@@ -21,7 +21,6 @@ Kind: TypeAlias = Literal[
     "bare materials",
     "waypoints",
     "gesture",
-    "bridge",
     "study",
     "sweep",
 ]
@@ -35,7 +34,6 @@ MATERIAL: Final = (
 )  # fmt: skip
 OPERATOR: Final = ("waypoints", "interpolation", "gesture")
 GESTURE_KINDS: Final = ("tap", "stroke", "puncture")
-BRIDGE: Final = ("listen", "server_key", "metrics", "limits", "clients")
 STUDY: Final = ("experiment", "factors", "trial", "questions")
 SWEEP: Final = ("vary", "measure", "refine")
 
@@ -49,7 +47,6 @@ _HOLDS: Final[dict[Kind, str]] = {
     "bare materials": "materials",
     "waypoints": "waypoints",
     "gesture": "a gesture",
-    "bridge": "the configuration of a bridge",
     "study": "a study",
     "sweep": "a sweep",
 }
@@ -63,7 +60,6 @@ _TAKER: Final[dict[Kind, str]] = {
     "bare materials": "material set",
     "waypoints": "operator",
     "gesture": "operator",
-    "bridge": "bridge -c",
     "study": "experiment check",
     "sweep": "sweep run",
 }
@@ -72,7 +68,6 @@ _KEYS: Final[dict[Kind, tuple[str, ...]]] = {
     "bare scene": SCENE,
     "waypoints": ("waypoints", "interpolation"),
     "gesture": ("gesture",),
-    "bridge": BRIDGE,
     "study": STUDY,
     "sweep": SWEEP,
 }

@@ -24,7 +24,7 @@ from hapticd.client.blocking import Client
 from hapticd.client.record import ENDED, ENDED_AFTER_S
 from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.experiment.event_codes import TRIAL_NUMBERS, EventCode, code_of
-from hapticd.protocol.places import has_ended, no_telemetry, place_name
+from hapticd.protocol.places import has_ended, no_telemetry
 from hapticd.protocol.results import Status
 
 SAMPLES: Final = "hapticd samples"
@@ -178,7 +178,7 @@ def stream(client: Client, stop: threading.Event, started: Callable[[], None] = 
     last_tick: int | None = None
     with (
         client.telemetry("samples", "event") as messages,
-        Outlets(status, place_name(client.paths)) as outlets,
+        Outlets(status, str(client.paths.directory)) as outlets,
     ):
         started()
         heard_s = time.monotonic()

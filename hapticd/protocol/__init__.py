@@ -19,9 +19,7 @@ What messages say:
 
 Where a daemon is:
 
-    places                   a daemon's address, whether it is there, and why it does not answer
-    remote                   a daemon behind `hapticd bridge`
-    keys                     CURVE keys in files
+    places                   whether a daemon is there, and why it does not answer
 
 Questions, and where to begin:
 

@@ -13,7 +13,7 @@ from hapticd.protocol import messages
 TIMEOUT_S: Final = 5.0
 """How long a client waits for an answer by default."""
 
-Topic: TypeAlias = Literal["samples", "state", "event", "change", "status", "bridge"]
+Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
 
 
 class RemoteError(HapticdError):
@@ -46,10 +46,6 @@ def _problems(data: object) -> tuple[Problem, ...]:
 
 class DaemonNotRunning(HapticdError):
     """Nobody answers at the runtime directory, or nobody any more."""
-
-
-class KeyRefused(HapticdError):
-    """A bridge is there and does not let us in: our key is not known there, or may only watch."""
 
 
 class TimedOut(HapticdError, TimeoutError):
@@ -85,12 +81,10 @@ def encode_request(id: int, method: str, params: Mapping[str, object] | None) ->
     return body
 
 
-def result_of(
-    result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None, place: str
-) -> object:
+def result_of(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None) -> object:
     """The result of a call, or its error raised; places in params that came from a file are those in the file."""
-    if isinstance(result, DaemonNotRunning):  # a bridge says so, and does not know by which address it is known
-        raise DaemonNotRunning(f"{place}: {result}")
+    if isinstance(result, DaemonNotRunning):
+        raise result
     if isinstance(result, RemoteError):
         if params and result.problems:
             from hapticd.config.file_faults import placed
@@ -105,7 +99,7 @@ def result_of(
     return result
 
 
-def decode_response(body: bytes) -> tuple[messages.Id, object | RemoteError | DaemonNotRunning]:
+def decode_response(body: bytes) -> tuple[messages.Id, object | RemoteError]:
     """The id that an answer carries, and the result or the error in it."""
     message = messages.decode_trusted(body)
     if not isinstance(message, dict):
@@ -117,8 +111,6 @@ def decode_response(body: bytes) -> tuple[messages.Id, object | RemoteError | Da
     if not isinstance(error, dict):
         raise _not_an_answer()
     code, message = int(error.get("code", 0)), str(error.get("message", ""))
-    if code == messages.Code.DAEMON_AWAY:
-        return id, DaemonNotRunning(message)
     return id, RemoteError(code, message, error.get("data"))
 
 

@@ -1,4 +1,4 @@
-"""What systemd hears of the daemon and of the bridge: ready, alive, reloading, stopping, and a line of state.
+"""What systemd hears of the daemon and of `hapticd web`: ready, alive, reloading, stopping, and a line of state.
 
 The protocol is that of sd_notify(3): a datagram to the socket that `$NOTIFY_SOCKET` names. Where nothing is named,
 nothing is sent, and every function says so by False. A message that cannot be sent is logged and changes nothing.

@@ -174,7 +174,6 @@ class Service:
         root = self._root or Path("/")
         bodies = {
             "systemd/system/hapticd.service": self._adapted(_shipped("units", "hapticd.service")),
-            "systemd/system/hapticd-bridge.service": self._adapted(_shipped("units", "hapticd-bridge.service")),
             "systemd/system/hapticd-web.service": self._adapted(_shipped("units", "hapticd-web.service")),
             "sysusers.d/hapticd.conf": _shipped("units", "sysusers.conf"),
             "tmpfiles.d/hapticd.conf": _shipped("units", "tmpfiles.conf"),

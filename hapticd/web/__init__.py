@@ -15,6 +15,7 @@ One thread, one event loop, in this order:
     passwords       the password file, and how often a password may be tried
     door            what somebody sees who has not been let in
     telemetry_hub   the daemon's telemetry, passed on to every page as it came
+    metrics         figures for Prometheus, from the daemon's status
     page            one page: its WebSocket, what it may ask and what it is answered
     outbox          what waits to be sent to a page
     page_limits     how much a page may ask

@@ -8,7 +8,7 @@ import signal
 from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -31,6 +31,9 @@ from hapticd.web.recording_folder import default_folder
 from hapticd.web.recording_methods import Recordings
 from hapticd.web.sessions import Sessions
 from hapticd.web.telemetry_hub import TelemetryHub
+
+if TYPE_CHECKING:
+    from hapticd.web.metrics import DaemonCollector
 
 _FOUND_S: Final = 0.3
 """So long the first page waits, that it may say at once that there is a daemon."""
@@ -55,6 +58,8 @@ class Options:
     log_level: str = "info"
     recordings: Path | None = None
     """Folder of recordings; None: that of recording_folder.default_folder."""
+    metrics: int | None = None
+    """Port of the figures for Prometheus; None: there are none."""
 
 
 def run(options: Options) -> int:
@@ -63,12 +68,17 @@ def run(options: Options) -> int:
     with journal.attached(options.log_level), ExitStack() as stack:
         at = listen(options.host, options.port, options.tls_cert, options.tls_key, options.password_file)
         stack.callback(at.socket.close)
+        collector = None
+        if options.metrics is not None:
+            from hapticd.web.metrics import served  # and prometheus-client, where it is used
+
+            collector = stack.enter_context(served(options.metrics))
         if options.place is not None:
             _knock(options.place)
-            server = _Server(at, options.place, None, options)
+            server = _Server(at, options.place, None, options, collector)
         else:
             demo = stack.enter_context(DemoDaemon(options.configs))
-            server = _Server(at, demo.place, demo, options)
+            server = _Server(at, demo.place, demo, options, collector)
         return asyncio.run(server.run())
 
 
@@ -81,8 +91,15 @@ def _knock(place: RuntimePaths) -> None:
 
 
 class _Server:
-    def __init__(self, at: Listening, place: RuntimePaths, demo: DemoDaemon | None, options: Options) -> None:
-        self._at, self._place, self._demo, self._options = at, place, demo, options
+    def __init__(
+        self,
+        at: Listening,
+        place: RuntimePaths,
+        demo: DemoDaemon | None,
+        options: Options,
+        collector: DaemonCollector | None,
+    ) -> None:
+        self._at, self._place, self._demo, self._options, self._collector = at, place, demo, options, collector
         self._sessions = Sessions()
 
     async def run(self) -> int:
@@ -99,6 +116,8 @@ class _Server:
                 self._options.recordings or default_folder(), lambda: blocking.Client.at(self._place, TIMEOUT_S)
             )
             pages = Pages(self._place, hub, control, self._demo is not None, self._new_address, recordings)
+            if self._collector is not None:
+                self._collector.follow(hub)
             connections = Connections()
             site = Site(STATIC / "index.html", pages.add_routes)
             await stack.enter_async_context(serving(self._at, self._sessions, site, connections))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import resource
 import shutil
@@ -17,7 +16,6 @@ import pytest
 
 from hapticd.base import threads
 from hapticd.base.errors import HapticdError
-from hapticd.protocol.keys import new_certificate, write_certificate
 from tests.support.marks import rest_slow
 
 NOBODY = 64321
@@ -65,13 +63,8 @@ def test_a_daemon_without_threads_does_not_start_and_says_so(folder: Path, most:
     assert not (folder / "run" / "hapticd.command").exists()
 
 
-@pytest.mark.parametrize("words", [["status"], ["record", "a.npz"], ["bridge", "-c", "bridge.yaml"]])
+@pytest.mark.parametrize("words", [["status"], ["record", "a.npz"]])
 def test_a_client_without_threads_is_one_line(folder: Path, words: list[str]) -> None:
-    server, client = new_certificate(), new_certificate()
-    write_certificate(server, "server", folder)
-    clients = {"ann": {"public_key": client.public_key, "may": "watch"}}
-    text = json.dumps({"server_key": str(folder / "server.key_secret"), "clients": clients})
-    (folder / "bridge.yaml").write_text(text)
     done = limited(2, folder, *(str(folder / word) if "." in word else word for word in words))
     assert done.returncode == 1
     assert done.stderr.startswith("hapticd: the system refuses another thread: ") and done.stderr.count("\n") == 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import json
 import os
 import re
@@ -20,7 +19,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import hapticd.cli
 from hapticd import __version__
 from hapticd.base.yaml_source import load_text
 from hapticd.cli import main
@@ -76,20 +74,6 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         assert "Usage: hapticd " + command in capsys.readouterr().out
 
 
-def test_commands_for_this_machine_alone_are_those_that_ask_no_daemon() -> None:
-    homes, alone = hapticd.cli._HOMES, hapticd.cli._HERE_ALONE
-    assert alone < homes.keys()
-    modules = {home: importlib.import_module(f"hapticd.cli.{home}") for home in homes.values()}
-    ways = ("daemon", "change", "place_words", "place_here")
-    # A group's commands may stand in modules of their own, which its home takes in: experiment_run.
-    taken_in = {
-        home: [module, *(part for name, part in vars(hapticd.cli).items() if name.startswith(f"{home}_"))]
-        for home, module in modules.items()
-    }
-    asking = {home for home, parts in taken_in.items() if any(hasattr(part, way) for part in parts for way in ways)}
-    assert asking == {home for command, home in homes.items() if command not in alone}
-
-
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"hapticd {__version__}\n"
@@ -115,7 +99,7 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("group", ["", "scene", "material", "devices", "fit", "fit synthesize", "key"])
+@pytest.mark.parametrize("group", ["", "scene", "material", "devices", "fit", "fit synthesize"])
 def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str], group: str) -> None:
     assert main([*group.split(), "--help"]) == 0
     listed = capsys.readouterr().out.partition("Commands:\n")[2].partition("\n\n")[0]
@@ -137,7 +121,6 @@ def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str]
         (["-z", "run"], "No such option '-z'. (see"),
         (["-z"], "No such option '-z'. (see"),
         (["status", "--runtime-dir", "x"], "--runtime-dir belongs before the command: hapticd --runtime-dir ..."),
-        (["scene", "set", "--key", "x"], "--key belongs before the command: hapticd --key ..."),
         (["scene"], "Missing command: known: get, list, set, update"),
         (["scene", "load", "x"], "No such command 'load': known: get, list, set, update"),
         (["scene", "gte"], "No such command 'gte'. Did you mean 'get'?"),
@@ -148,7 +131,6 @@ def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str]
             ["simulate", "s.yaml", "tap.yaml"],
             "Got unexpected extra argument (tap.yaml): what the hand does is given with --operator",
         ),
-        (["--connect", "tcp://a", "status"], "or the variables HAPTICD_KEY and HAPTICD_SERVER_KEY"),
         (["play", "--amplitude", "1"], "needs a MATERIAL or --mode"),
         (["play", "wood", "--mode", "frequency_hz=1", "--amplitude", "1"], "not both"),
         (["play", "--mode", "frequency_hz", "--amplitude", "1"], "write it as frequency_hz=200"),

@@ -28,7 +28,6 @@ from hapticd.protocol.calls import DaemonNotRunning, RemoteError, result_of
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.messages import Code
 from hapticd.protocol.results import Status
-from hapticd.system.paths import runtime_paths
 from tests.support.cli import said
 from tests.support.fake_daemon import fake_daemon
 
@@ -239,7 +238,6 @@ WITH_JSON = [
     ["verify", "-c", "none.yaml"],
     ["fit", "tap", "none.csv"],
     ["fit", "synthesize", "tap", "--material", "none", "-o", "x.npz"],
-    ["key", "new", "a/b"],
 ]
 
 
@@ -302,7 +300,7 @@ def test_faults_that_the_daemon_finds_are_told_by_line(tmp_path: Path) -> None:
     params = {"objects": patch_tree(file, "objects")}
     found = [{"where": f"objects.{id}.point_m", "problem": "is missing"} for id in ("a", "b", "c")]
     with pytest.raises(RemoteError) as caught:
-        result_of(RemoteError(Code.INVALID_PARAMS, "", found), params, runtime_paths(tmp_path))
+        result_of(RemoteError(Code.INVALID_PARAMS, "", found), params)
     assert [problem.where for problem in caught.value.problems] == [
         f"{file}:1:1: b.point_m",
         f"{file}:1:1: c.point_m",
@@ -389,7 +387,7 @@ def test_a_command_that_is_mistyped(arguments: list[str], told: str, capsys: pyt
     assert said(capsys, 2, *arguments) == f"hapticd: {told}\n"
 
 
-@pytest.mark.parametrize("command", ["run", "bridge"])
+@pytest.mark.parametrize("command", ["run", "web"])
 @pytest.mark.parametrize("options", [["-q", "-v"], ["-v", "--log-level", "info"]])
 def test_one_level_of_the_log(command: str, options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert "-q, -v and --log-level say the same" in said(capsys, 2, command, *options)

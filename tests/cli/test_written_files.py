@@ -46,13 +46,3 @@ def test_what_is_no_regular_file_is_left_alone(
         for overwrite in ([], ["--overwrite"]):
             with untouched(tmp_path):
                 assert said(capsys, 1, *asked, *overwrite) == f"hapticd: {refused(place, kind)}\n"
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("ending", ["key", "key_secret"])
-def test_keys_leave_it_alone_and_write_neither(
-    ending: str, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    told = special(tmp_path / f"alice.{ending}", kind)
-    with untouched(tmp_path):
-        assert said(capsys, 1, "key", "new", "alice", "--dir", str(tmp_path)) == f"hapticd: {told}\n"

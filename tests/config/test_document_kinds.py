@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from hapticd.base.yaml_source import Json, load_text
-from hapticd.bridge.config import BridgeConfig
 from hapticd.config import document_kinds
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.document_kinds import kind_of, likely_kind_of
@@ -36,7 +35,6 @@ KINDS: list[tuple[str, str | None]] = [
     (PATH, "waypoints"),
     (TAP, "gesture"),
     ("{kind: tap, object: floor, speed_m_per_s: 0.1}\n", "gesture"),
-    ("listen: tcp://127.0.0.1:1\n", "bridge"),
     (f"floor: {FLOOR}\n", "objects"),
     (f"device: {FLOOR}\nhoney: null\n", "objects"),
     ("pine: {stiffness_n_per_m: 700}\n", "bare materials"),
@@ -76,7 +74,6 @@ def test_the_keys_are_those_of_the_models() -> None:
     assert set(document_kinds.SCENE) == set(Scene.model_fields)
     assert set(document_kinds.MATERIAL) == set(Material.model_fields)
     assert set(document_kinds.OPERATOR) == set(OperatorParams.model_fields)
-    assert set(document_kinds.BRIDGE) == set(BridgeConfig.model_fields)
     assert set(document_kinds.GESTURE_KINDS) == kinds(Gesture)
     assert set(document_kinds.OBJECT_KINDS) == {
         kind for member in get_args(SceneObject) for kind in get_args(member.model_fields["kind"].annotation)
@@ -87,7 +84,6 @@ READERS = {
     "check -c": ["check", "-c"],
     "run -c": ["run", "-c"],
     "apply": ["apply"],
-    "bridge -c": ["bridge", "-c"],
     "simulate": ["simulate", "--operator", "stroke", "-o", "x.npz"],
     "simulate --operator": ["simulate", "comb", "-o", "x.npz", "--operator"],
     "replay": ["replay"],
@@ -101,7 +97,6 @@ FILES = {
     "tap.yaml": (TAP, "a gesture", "operator"),
     "path.yaml": (PATH, "waypoints", "operator"),
     "config.yaml": ("servo: {}\n", "a configuration", "run -c"),
-    "bridge.yaml": ("clients: {}\n", "the configuration of a bridge", "bridge -c"),
     "tap.npz": (None, "a recording", "replay"),
 }
 CONFIGURATION = {"scene.yaml", "pine.yaml", "both.yaml", "config.yaml"}
@@ -109,7 +104,6 @@ TAKEN = {
     "check -c": CONFIGURATION,
     "run -c": CONFIGURATION,
     "apply": {"scene.yaml", "pine.yaml", "both.yaml"},
-    "bridge -c": {"bridge.yaml"},
     "simulate": {"scene.yaml", "both.yaml", "config.yaml"},
     "simulate --operator": {"tap.yaml", "path.yaml"},
     "replay": {"tap.npz"},

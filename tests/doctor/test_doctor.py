@@ -581,12 +581,10 @@ def test_whose_daemon_is_asked(
 
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setenv("HAPTICD_CONNECT", "tcp://127.0.0.1:1")
     monkeypatch.setattr("hapticd.system.paths.SYSTEM_DIRECTORY", tmp_path / "service")
     monkeypatch.setattr("hapticd.client.blocking.connect", connect)
     main(["doctor"])
     assert asked == [str(tmp_path / "hapticd"), str(tmp_path / "service")]
     asked.clear()
-    monkeypatch.delenv("HAPTICD_CONNECT")
     main(["--runtime-dir", str(tmp_path / "named"), "doctor"])
     assert asked == [str(tmp_path / "named")]

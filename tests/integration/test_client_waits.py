@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 import threading
 import warnings
 from collections.abc import Callable, Mapping
@@ -17,9 +16,7 @@ from hapticd import DaemonNotRunning, HapticdError, TimedOut
 from hapticd.client.blocking import Client
 from hapticd.client.feed import gesture_end
 from hapticd.protocol import places
-from hapticd.protocol.keys import new_certificate, write_certificate
 from hapticd.protocol.messages import GESTURE_ENDS
-from tests.support.bridge_process import running_bridge
 from tests.support.daemon_process import Daemon, connect
 from tests.support.fake_daemon import fake_daemon, result
 
@@ -107,18 +104,6 @@ def test_who_gives_up_waiting_waits_no_longer(tmp_path: Path) -> None:
     assert isinstance(answer(), TimeoutError)
 
 
-@pytest.mark.slow
-def test_a_client_may_come_before_the_bridge(daemon: Daemon, tmp_path: Path) -> None:
-    with running_bridge(tmp_path, daemon.directory, {"alice": "command"}) as bridge:
-        address, keys = bridge.address, bridge.as_client("alice")
-        with connect(address, wait_s=60.0, **keys) as client:
-            assert client.get_status()["state"] == "running"
-        with pytest.raises(hapticd.KeyRefused, match="refuses our key"):
-            connect(address, wait_s=60.0, **bridge.as_client("stranger"))
-    with pytest.raises(DaemonNotRunning, match=f"no bridge at {address}: "):
-        connect(address, wait_s=0.05, **keys)
-
-
 def test_asyncio_connects_in_both_ways(daemon: Daemon) -> None:
     async def main() -> None:
         client = await hapticd.aio.connect(daemon.directory)
@@ -132,67 +117,6 @@ def test_asyncio_connects_in_both_ways(daemon: Daemon) -> None:
             await other.state()
 
     asyncio.run(main())
-
-
-# ---- Where the environment says --------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_the_environment_names_a_bridge_and_its_keys(
-    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with running_bridge(tmp_path, daemon.directory, {"alice": "command"}) as bridge:
-        _, secret = write_certificate(bridge.keys["alice"], "alice", tmp_path)
-        monkeypatch.setenv("HAPTICD_CONNECT", bridge.address)
-        monkeypatch.setenv("HAPTICD_KEY", str(secret))
-        monkeypatch.setenv("HAPTICD_SERVER_KEY", bridge.keys["server"].public_key)
-        with connect() as client:
-            assert client.get_status()["state"] == "running"
-            assert str(client.paths) == bridge.address
-
-        async def status() -> object:
-            async with hapticd.aio.connect() as client:
-                return (await client.get_status())["state"]
-
-        assert asyncio.run(status()) == "running"
-        with connect(daemon.directory) as client:
-            assert not isinstance(client.paths, hapticd.protocol.remote.Remote), "what is given wins"
-        monkeypatch.delenv("HAPTICD_CONNECT")
-        with connect(bridge.address) as client:
-            assert client.get_status()["state"] == "running", "the keys are taken from there, too"
-
-
-def test_the_variable_is_blamed_that_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _, secret = write_certificate(new_certificate(), "alice", tmp_path)
-    public = new_certificate().public_key
-    monkeypatch.setenv("HAPTICD_CONNECT", "lab:9410")
-    with pytest.raises(HapticdError, match=r"^HAPTICD_CONNECT: lab:9410: must be tcp://HOST:PORT"):
-        connect()
-    monkeypatch.setenv("HAPTICD_CONNECT", "tcp://lab")
-    with pytest.raises(HapticdError, match=r"^HAPTICD_CONNECT: tcp://lab: a bridge needs key, .*; or HAPTICD_KEY and"):
-        connect()
-    monkeypatch.setenv("HAPTICD_KEY", str(tmp_path / "nobody"))
-    monkeypatch.setenv("HAPTICD_SERVER_KEY", "none")
-    with pytest.raises(HapticdError, match=f"^HAPTICD_KEY: {tmp_path / 'nobody'}"):
-        connect()
-    with pytest.raises(HapticdError, match=r"^HAPTICD_SERVER_KEY: "):
-        connect(key=secret)
-    with pytest.raises(HapticdError) as caught:
-        connect("tcp://lab", key=tmp_path / "nobody", server_key=public)
-    assert "HAPTICD" not in str(caught.value)
-
-
-def test_a_bridge_is_told_by_the_address_that_it_was_given_by(tmp_path: Path) -> None:
-    certificate = new_certificate()
-    keys: dict[str, Any] = {"key": certificate, "server_key": certificate.public_key}
-    with pytest.raises(DaemonNotRunning) as caught:
-        connect("tcp://127.0.0.1:9", **keys)
-    assert str(caught.value) == "no bridge at tcp://127.0.0.1:9: nobody takes connections there"
-    # Where its port for telemetry alone is closed, that is what is wrong.
-    with socket.create_server(("127.0.0.1", 0)) as open_one:
-        port = open_one.getsockname()[1]
-        with pytest.raises(DaemonNotRunning, match=f"127.0.0.1:{port} is there, but not its port {port + 1} for telem"):
-            connect(f"tcp://127.0.0.1:{port}", **keys)
 
 
 # ---- The end of a gesture --------------------------------------------------------------------------------------------

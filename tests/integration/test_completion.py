@@ -32,13 +32,12 @@ TYPED = {
     "hapticd force of": ["force", "off"],
     "hapticd replay ta": ["replay", "tap 1.npz"],
     "hapticd run -c below/qu": ["run", "-c", "below/quiet.yaml"],
-    "hapticd --key ta": ["--key", "tap 1.npz"],
     "hapticd simulate com": ["simulate", "comb"],
     "hapticd simulate camer": ["simulate", "camera.yaml"],
     "hapticd simulate ta": ["simulate", "tap 1.npz"],
     "hapticd play cello": ["play", "cellophane"],
     "hapticd fit tap a.csv --rep": ["fit", "tap", "a.csv", "--report"],
-    "hapticd key new --dir bel": ["key", "new", "--dir", "below"],
+    "hapticd --runtime-dir bel": ["--runtime-dir", "below"],
 }
 # Nothing is offered, and nothing is said.
 IN_VAIN = ["hapticd force up", "hapticd reset flo", "hapticd record --nothing"]
@@ -79,7 +78,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "below").mkdir()
     for name in ("tap 1.npz", "camera.yaml", "below/quiet.yaml"):
         (tmp_path / name).touch()
-    for name in ("HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY", "HAPTICD_CONNECT"):
+    for name in ("HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     for name in ("HOME", "ZDOTDIR", "XDG_CONFIG_HOME", "XDG_DATA_HOME"):
@@ -243,8 +242,6 @@ def test_names_of_a_daemon(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
         place = ("--runtime-dir", str(daemon.directory))
         assert offered(*place, "reset") == ["shelf"]
         assert {"pine", "wood"} < set(offered(*place, "play"))
-        monkeypatch.setenv("HAPTICD_CONNECT", "tcp://192.0.2.1")  # never asked: it may be far
-        assert offered("reset") == []
 
 
 def test_a_daemon_that_does_not_answer_holds_nobody_up(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import pytest
 
 from hapticd.config.materials import validate_materials
 from hapticd.config.scene import validate_object
-from tests.soak import attackers, bridged, hostile, under_attack
+from tests.soak import attackers, hostile, under_attack
 
 
 @pytest.mark.slow
@@ -27,17 +27,6 @@ def test_everything_at_once_is_borne() -> None:
     found = hostile.attack(seconds=10.0, rate_hz=2000.0, connections=500, settle_s=0.0, nice=19)
     assert found.kept(), found.table().markdown()
     assert found.samples > 0
-
-
-@pytest.mark.slow
-@pytest.mark.alone
-def test_strangers_and_forgotten_clients_of_a_bridge_are_borne() -> None:
-    """All places for handshakes are taken all the time, and a client comes in, asks and leaves."""
-    found = bridged.attack(seconds=5.0, rate_hz=2000.0, connections=500, settle_s=0.0, nice=19)
-    assert found.kept(), found.table().markdown()
-    assert found.samples > 0
-    # 64 without a key, 64 with one, eight descriptors each, and what the bridge has alone.
-    assert found.descriptors < 8 * 128 + 64
 
 
 def test_long_changes_are_valid() -> None:

@@ -24,8 +24,7 @@ import pytest
 import hapticd.aio
 from hapticd.base.errors import HapticdError, InvalidError
 from hapticd.protocol import streams
-from hapticd.protocol.calls import DaemonNotRunning, ForcesOff, KeyRefused, RemoteError
-from tests.support.bridge_process import running_bridge
+from hapticd.protocol.calls import DaemonNotRunning, ForcesOff, RemoteError
 from tests.support.daemon_process import PATIENCE_S, Daemon, Wire, connect, running_daemon, until, wired
 from tests.support.fake_daemon import fake_daemon, result
 
@@ -395,28 +394,6 @@ def test_a_question_that_went_to_a_daemon_that_is_gone_is_not_waited_for(tmp_pat
         client.stream() as stream,
     ):
         stream.target(0.0, 0.0)
-
-
-# ---- Other ways in ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_through_a_bridge_who_may_command_streams_and_who_may_watch_does_not(
-    daemon: Daemon, wire: Wire, tmp_path: Path
-) -> None:
-    before = counted(wire)
-    clients = {"alice": "command", "bob": "watch"}
-    with running_bridge(tmp_path, daemon.directory, clients) as bridge:
-        with connect(bridge.address, **bridge.as_client("alice")) as client, client.stream() as stream:
-            for _ in range(100):
-                stream.force(0.0, 0.2)
-        with (
-            connect(bridge.address, **bridge.as_client("bob")) as client,
-            pytest.raises(KeyRefused, match="may only watch"),
-            client.stream(),
-        ):
-            pass
-    assert more(counted(wire), before, "received", "lost", "refused") == [101, 0, 0]
 
 
 TOLD = json.loads((ROOT / "tests" / "data" / "conversation-1.1.json").read_text())

@@ -1,5 +1,5 @@
-"""Daemon and bridge with the system calls that their units leave them, and no others: as systemd would have the kernel
-refuse the rest."""
+"""Daemon and page server with the system calls that their units leave them, and no others: as systemd would have the
+kernel refuse the rest."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from pathlib import Path
 import pytest
 
 from hapticd.client.blocking import connect
-from hapticd.protocol.keys import new_certificate, write_certificate
 from tests.support.daemon_process import PATIENCE_S, running_daemon
 from tests.web.served import asked
 
@@ -125,7 +124,7 @@ def service(unit: str, ready: str, *words: str) -> Iterator[re.Match[str]]:
 def test_a_filter_refuses() -> None:
     """Or nothing below would say anything."""
     code = "import os\ntry: os.chroot('/')\nexcept PermissionError: print('refused')"
-    for unit in ("hapticd.service", "hapticd-bridge.service", "hapticd-web.service"):
+    for unit in ("hapticd.service", "hapticd-web.service"):
         done = subprocess.run(
             [sys.executable, "-c", code],
             capture_output=True,
@@ -142,7 +141,7 @@ def test_a_filter_refuses() -> None:
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
-        preexec_fn=restricted("hapticd-bridge.service"),
+        preexec_fn=restricted("hapticd-web.service"),
         timeout=PATIENCE_S,
     )
     assert done.stdout == "refused\ntaken\n", done.stderr
@@ -157,24 +156,6 @@ def test_the_daemon(tmp_path: Path) -> None:
         client.set_forces(False)
         with client.states() as states:
             next(states)
-
-
-@pytest.mark.slow
-def test_the_bridge(tmp_path: Path) -> None:
-    server, alice = new_certificate(), new_certificate()
-    write_certificate(server, "server", tmp_path / "keys")
-    file = tmp_path / "bridge.yaml"
-    clients = f"{{alice: {{public_key: '{alice.public_key}', may: command}}}}"
-    file.write_text(f"listen: tcp://127.0.0.1:0\nmetrics: 127.0.0.1:0\nclients: {clients}\n")
-    with running_daemon() as daemon:
-        words = "--runtime-dir", str(daemon.directory), "bridge", "-c", str(file)
-        with (
-            service("hapticd-bridge.service", r"ready: commands at ([^,]+),", *words) as ready,
-            connect(ready[1], timeout_s=PATIENCE_S, key=alice, server_key=server.public_key) as client,
-        ):
-            assert client.get_status()["protocol"] == 1
-            with client.states() as states:
-                next(states)
 
 
 def test_the_page_server() -> None:

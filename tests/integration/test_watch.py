@@ -25,9 +25,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hapticd.client.watch import View, bar, draw_scene, event_line, signed_bar
-from hapticd.protocol.keys import write_certificate
 from hapticd.protocol.results import State, Status
-from tests.support.bridge_process import running_bridge
 from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 
 ROOT = Path(__file__).parents[2]
@@ -378,32 +376,6 @@ def test_a_daemon_that_goes_away_is_waited_for(daemon: Daemon, quiet_config: str
         finally:
             assert again.stop() == 0
         assert terminal.end(signal.SIGINT) == (130, b"")
-
-
-@pytest.mark.slow
-def test_through_a_bridge_who_may_only_watch_asks_nothing(daemon: Daemon, tmp_path: Path) -> None:
-    """A refusal would be logged and counted; who may command sees the scene, too."""
-    with running_bridge(tmp_path, daemon.directory, {"alice": "command", "bob": "watch"}) as bridge:
-        with connect(daemon.directory) as client:
-            client.set_scene({"objects": {"floor": SCENE["objects"]["floor"]}})
-        secrets = {name: write_certificate(bridge.keys[name], name, tmp_path)[1] for name in ("alice", "bob")}
-
-        def command(name: str) -> list[str]:
-            server = bridge.keys["server"].public_key
-            there = ["--connect", bridge.address, "--key", str(secrets[name]), "--server-key", server]
-            return [sys.executable, "-m", "hapticd", *there, "watch"]
-
-        with Terminal(command("bob")) as terminal:
-            terminal.read_until("forces on")
-            terminal.read_until("●")
-            assert terminal.end(signal.SIGINT) == (130, b"")
-        lines = subprocess.run([*command("bob"), "--for", "2s"], capture_output=True, text=True, timeout=60)
-        assert (lines.returncode, lines.stderr) == (0, "") and "tick" in lines.stdout
-        with Terminal(command("alice")) as terminal:
-            terminal.read_until("░")
-            assert terminal.end(signal.SIGINT) == (130, b"")
-        bridge.hears("alice: command")
-        assert not bridge.said("refused")
 
 
 def test_into_a_pipe_it_prints_lines(daemon: Daemon) -> None:

@@ -34,9 +34,7 @@ def test_zmtp() -> None:
     assert 0 < fuzz_zmtp.run(random.Random(105), 2000) < 2000
 
 
-@pytest.mark.parametrize(
-    ("kind", "runs"), [("config", 200), ("check", 20), ("bridge", 100), ("operator", 100), ("key", 100)]
-)
+@pytest.mark.parametrize(("kind", "runs"), [("config", 200), ("check", 20), ("operator", 100)])
 def test_documents(kind: str, runs: int) -> None:
     found = fuzz_yaml.run(kind, random.Random(102), runs)
     assert found.outcomes["taken"] > 0

@@ -62,7 +62,7 @@ def test_every_command_has_a_page_with_its_help(pages: dict[str, str]) -> None:
             assert all(spelling in shown for spelling in option.opts), (name, option.opts)
             assert option.help is None or option.help.split()[0] in shown
     assert r"\fBhapticd\-devices\-dump\fP(1)" in pages["hapticd-devices"]
-    assert "HAPTICD_CONNECT" in pages["hapticd"] and "130" in pages["hapticd"].partition(".SH EXIT STATUS")[2]
+    assert "HAPTICD_RUNTIME_DIR" in pages["hapticd"] and "130" in pages["hapticd"].partition(".SH EXIT STATUS")[2]
 
 
 def contexts(ctx: click.Context) -> Iterator[tuple[str, click.Context]]:
@@ -107,7 +107,7 @@ def test_what_is_made_for_share_depends_on_the_commands_alone(pages: dict[str, s
         "PATH": os.environ["PATH"],
         "HOME": "/elsewhere",
         "COLUMNS": "40",
-        "HAPTICD_CONNECT": "tcp://x",
+        "HAPTICD_RUNTIME_DIR": "/x",
         "TZ": "Asia/Tokyo",
         "LC_ALL": "C",
     }

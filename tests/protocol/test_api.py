@@ -106,7 +106,7 @@ try:
     with hapticd.connect(wait_s=2.0) as client:
         run(client)
     asyncio.run(both())
-except (hapticd.DaemonNotRunning, hapticd.KeyRefused, hapticd.RemoteError, hapticd.TimedOut) as error:
+except (hapticd.DaemonNotRunning, hapticd.RemoteError, hapticd.TimedOut) as error:
     print(error)
 except hapticd.InvalidError as error:
     problems: tuple[hapticd.Problem, ...] = error.problems

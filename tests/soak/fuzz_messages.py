@@ -35,7 +35,7 @@ from typing import Final
 import msgpack
 import zmq
 
-from tests.soak.fuzz_yaml import DEVICES, GESTURES, KEY, MATERIALS, OBJECTS, config_tree
+from tests.soak.fuzz_yaml import DEVICES, GESTURES, MATERIALS, OBJECTS, config_tree
 from tests.support import fuzzing
 from tests.support.daemon_process import Daemon
 from tests.support.fuzzing import Tree
@@ -498,7 +498,7 @@ def mutated(source: random.Random, tree: Tree) -> None:
 
 def _graft(source: random.Random) -> Tree:
     """A part that is valid, of something else."""
-    tree: Tree = source.choice((*OBJECTS, *MATERIALS, *GESTURES, *DEVICES, KEY))
+    tree: Tree = source.choice((*OBJECTS, *MATERIALS, *GESTURES, *DEVICES))
     if type(tree) is dict and source.random() < 0.5:
         tree = tree[source.choice(tuple(tree))]
     return msgpack.unpackb(msgpack.packb(tree))

@@ -3,9 +3,8 @@
     python -m tests.soak.fuzz_yaml [--runs 1000000] [--seed 0] [--kind config]
 
 Kinds: `config` is what `hapticd run -c` loads, compiled where it is valid; `check` what `hapticd check` says of it;
-`bridge` the bridge's file; `operator` YAML, JSON and CSV of operators; `key` key files; `reload` has a live daemon take
-bad configurations by SIGHUP, none of which may change its scene. The tests do a few hundred of each; `make fuzz` does
-many. A document that fails is printed.
+`operator` YAML, JSON and CSV of operators; `reload` has a live daemon take bad configurations by SIGHUP, none of which
+may change its scene. The tests do a few hundred of each; `make fuzz` does many. A document that fails is printed.
 """
 
 from __future__ import annotations
@@ -30,10 +29,8 @@ from pathlib import Path
 from hapticd.analysis.check import check
 from hapticd.base.errors import HapticdError, InvalidError
 from hapticd.base.yaml_source import load_bytes
-from hapticd.bridge.config import load_bridge
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.operator import Grip, Operator, load_operator
-from hapticd.protocol.keys import Certificate, load_certificate, new_certificate
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import rate_faults
@@ -272,26 +269,6 @@ def config_tree(source: random.Random) -> Tree:
     return tree
 
 
-KEY = "rq:rM>}U?@Lns47E1%kR.o@n%FcmmsL/@{H8]yf7"
-"""A public key of the ZeroMQ specification's own example."""
-
-
-def bridge_tree(source: random.Random) -> Tree:
-    """A valid bridge.yaml."""
-    limits = {"requests_per_s": 100, "bytes_per_s": 1e6, "message_bytes": 65536, "connections_per_client": 4}
-    tree: Tree = {
-        "listen": source.choice(("tcp://*:9410", "tcp://127.0.0.1:0", "tcp://[::1]:9410")),
-        "server_key": "keys/server.key_secret",
-        "metrics": source.choice((None, "127.0.0.1:9417", "[::1]:9417")),
-        "limits": limits,
-        "clients": {"alice": {"public_key": KEY, "may": source.choice(("watch", "command"))}},
-    }
-    for key in list(tree):
-        if source.random() < 0.4:
-            del tree[key]
-    return tree
-
-
 # ---- Writing -----------------------------------------------------------------------------------------------------
 
 
@@ -519,18 +496,6 @@ def run_check(source: random.Random, path: Path) -> str:
     return run_config(source, path, lambda config: json.dumps(check(config).to_dict()))
 
 
-def run_bridge(source: random.Random, path: Path) -> str:
-    """One bridge.yaml."""
-    case = case_of(source, bridge_tree, list)
-    path.write_bytes(case.content)
-    try:
-        load_bridge(path)
-    except HapticdError as error:
-        check_refusal(error, path, case.content)
-        return "refused"
-    return "taken"
-
-
 GRIP = Grip(300.0)
 
 
@@ -563,35 +528,6 @@ def run_operator(source: random.Random, path: Path) -> str:
         assert operator.waypoints
         rows_ = operator.waypoints_for(lambda _: None, GRIP, (0.0, 0.0))
         assert rows_.shape == (len(operator.waypoints), 3)
-    return "taken"
-
-
-@cache
-def certificate() -> str:
-    """A key file with both keys."""
-    made = new_certificate()
-    return (
-        f'# a key\nmetadata\n    name = "me"\ncurve\n    public-key = "{made.public_key}"\n'
-        f'    secret-key = "{made.secret_key}"\n'
-    )
-
-
-def run_key(source: random.Random, path: Path) -> str:
-    """One key file."""
-    text = certificate()
-    if source.random() < 0.3:
-        at = source.randrange(len(text))
-        text = text[:at] + chr(source.choice((source.randrange(32, 127), source.randrange(0x3000)))) + text[at + 1 :]
-    content = torn(source, text) if source.random() < 0.7 else text.encode("utf-8", "surrogatepass")
-    path.write_bytes(content)
-    try:
-        found = load_certificate(path)
-    except HapticdError as error:
-        check_refusal(error, path, content, lined=False)
-        return "refused"
-    assert isinstance(found, Certificate)
-    for key in (found.public_key, found.secret_key):
-        assert key is None or len(key) == 40
     return "taken"
 
 
@@ -693,9 +629,7 @@ def _all_of(wire: Wire) -> tuple[dict[str, Tree], ...]:
 KINDS: dict[str, Callable[[random.Random, Path], str]] = {
     "config": run_config,
     "check": run_check,
-    "bridge": run_bridge,
     "operator": run_operator,
-    "key": run_key,
 }
 
 

@@ -1,6 +1,6 @@
 """A daemon under attack by members of its group, everything at once: what do a subscriber and `force off` notice of it?
 
-python -m tests.soak.hostile [--for 3600] [--rate 10000] [--connections 2000] [--bridge] [--out build/hostile.md]
+python -m tests.soak.hostile [--for 3600] [--rate 10000] [--connections 2000] [--out build/hostile.md]
 
 Attackers in processes of their own (`tests.soak.attackers`)
 
@@ -15,7 +15,6 @@ Beside them one client reads every sample and event, and another one turns the f
 yield the processors to whoever else wants them (nice 10), and daemon and clients come first if we have the right: what
 is measured is what the daemon makes of it, not how the kernel shares the processors.
 
-With `--bridge` it is a bridge that is attacked, from its network (`tests.soak.bridged`).
 
 Asked: no fault, no sample lost, `force off` answered within 50 ms (p99.9), and memory afterwards within 32 MiB of its
 start, once scene and materials are as they were. Exit code 1 if one of them is missed. Says every ten seconds how it
@@ -37,7 +36,7 @@ from bench.report import ROOT
 from hapticd.base.errors import HapticdError
 from hapticd.client.blocking import Client, RemoteError, connect
 from hapticd.protocol import messages
-from tests.soak import attackers, bridged
+from tests.soak import attackers
 from tests.soak.under_attack import PATIENCE_S, Found, Measure, Watcher, attacked, memory_mib, scheduled_s
 
 SETTLE_S = 15.0
@@ -113,12 +112,11 @@ def attack(
     return found
 
 
-def main(seconds: float, rate_hz: float, connections: int, out: Path, bridge: bool = False) -> int:
+def main(seconds: float, rate_hz: float, connections: int, out: Path) -> int:
     """Attacks, prints and writes; the exit code."""
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
-    how = bridged.attack if bridge else attack
-    found = how(seconds, rate_hz, connections, SETTLE_S, NICE, lambda line: print(line, flush=True))
+    found = attack(seconds, rate_hz, connections, SETTLE_S, NICE, lambda line: print(line, flush=True))
     text = found.table().markdown()
     print(text)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -132,6 +130,5 @@ if __name__ == "__main__":
     parser.add_argument("--rate", type=float, default=10_000.0, metavar="HZ")
     parser.add_argument("--connections", type=int, default=2000, metavar="COUNT")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "hostile.md", metavar="FILE")
-    parser.add_argument("--bridge", action="store_true", help="attack a bridge from its network instead")
     arguments = parser.parse_args()
-    sys.exit(main(arguments.seconds, arguments.rate, arguments.connections, arguments.out, arguments.bridge))
+    sys.exit(main(arguments.seconds, arguments.rate, arguments.connections, arguments.out))

@@ -1,16 +1,16 @@
-"""A daemon and a bridge under everything at once, for as long as one likes: does anything get lost, or grow?
+"""A daemon under everything at once, for as long as one likes: does anything get lost, or grow?
 
 python -m tests.soak.soak [--for 3600s] [--rate 10000] [--warm-up 300s] [--seed 1] [--out build/soak]
 
-One daemon on the simulated joystick, in front of it a bridge. The hand taps, strokes over grooves and sandpaper and
+One daemon on the simulated joystick. The hand taps, strokes over grooves and sandpaper and
 punctures a membrane; some twenty times a second an object or a material changes, each change at the revision that is
 expected; ten clients come, ask, subscribe and leave, some of them killed, two of them never reading what they
-subscribed to, two through the bridge; `hapticd record` writes .npz, .mcap and .csv in turn, `hapticd flight` and
-`hapticd watch` run now and then; the configuration is reloaded; a lease is renewed. Two clients, one beside the daemon
-and one behind the bridge, read every sample, and recordings must hold the very same bytes.
+subscribed to; `hapticd record` writes .npz, .mcap and .csv in turn, `hapticd flight` and `hapticd watch` run now and
+then; the configuration is reloaded; a lease is renewed. A client reads every sample, and recordings must hold the very
+same bytes.
 
-Each ten seconds memory, threads and descriptors of both processes are looked at. After the warm-up their memory must
-not grow by a mebibyte or more: medians of the last tenth and of the first. What was found goes into soak.json and
+Each ten seconds memory, threads and descriptors of the daemon are looked at. After the warm-up its memory must not grow
+by a mebibyte or more: medians of the last tenth and of the first. What was found goes into soak.json and
 soak.png. Exit code 1 if anything was lost, wrong, or grew.
 
 python -m tests.soak.soak --samples FILE      says of a recording, read without hapticd, which ticks it has; JSON
@@ -49,7 +49,6 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.merge_patch import merge_patch
 from hapticd.client.blocking import Client, connect
 from hapticd.client.samples import SampleStream
-from hapticd.protocol.keys import new_certificate, write_certificate
 from tests.soak.visitor import Visit
 
 if TYPE_CHECKING:
@@ -64,7 +63,6 @@ KEPT_BLOCKS = 6000
 """Checksums that are kept of what was sent: ten minutes at 10 kHz."""
 CLIENTS = 10
 DEAF = (0, 1)
-REMOTE = (2, 3)
 KILLED_EVERY = 4
 """Of each client's visits, one in so many ends by SIGKILL; those that do not read are always left alone."""
 VISIT_S = (4.0, 16.0)
@@ -135,7 +133,7 @@ GESTURES: tuple[dict[str, Any], ...] = (
 )
 TELEMETRY = ("samples", "event", "status")
 
-# What daemon and bridge may say in their logs. Anything else is a finding.
+# What the daemon may say in its log. Anything else is a finding.
 EXPECTED = (
     r"ready: ",
     r"SIGTERM: stopping",
@@ -146,7 +144,6 @@ EXPECTED = (
     r"flight recorder: /",
     r"reloaded",
     r"reload: ",
-    r"(visitor|reader): (command|telemetry) from 127\.0\.0\.1",
 )
 
 
@@ -230,7 +227,7 @@ def look_at(pid: int) -> Look:
 
 
 class Served:
-    """A daemon or a bridge in a process of its own, and its log."""
+    """The daemon in a process of its own, and its log."""
 
     def __init__(self, name: str, folder: Path, arguments: Sequence[str]) -> None:
         self.name = name
@@ -279,7 +276,6 @@ class Seen:
 
     at_s: float
     daemon: Look
-    bridge: Look
     lateness_us: list[float]
     """p50, p99, p99.9, largest."""
     answer_us: list[float]
@@ -294,14 +290,14 @@ class Counted:
 
     done: Counter[str] = field(default_factory=Counter)
     events: Counter[str] = field(default_factory=Counter)
-    samples: dict[str, int] = field(default_factory=dict)
+    samples: int = 0
 
 
 class Soak:
     """Everything under way. Each party runs in a thread of its own, with connections of its own."""
 
-    def __init__(self, folder: Path, daemon: Served, bridge: Served, address: str, seed: int) -> None:
-        self.folder, self.daemon, self.bridge, self.address, self.seed = folder, daemon, bridge, address, seed
+    def __init__(self, folder: Path, daemon: Served, seed: int) -> None:
+        self.folder, self.daemon, self.seed = folder, daemon, seed
         self.place = folder / "run"
         self.began = time.monotonic()
         self.stop = threading.Event()
@@ -341,10 +337,7 @@ class Soak:
     def rng(self, name: str) -> random.Random:
         return random.Random(f"{self.seed} {name}")
 
-    def client(self, remote: bool = False) -> Client:
-        if remote:
-            keys = self.folder / "keys"
-            return connect(self.address, TIMEOUT_S, key=keys / "reader.key_secret", server_key=keys / "server.key")
+    def client(self) -> Client:
         return connect(self.place, TIMEOUT_S)
 
     def parties(self) -> dict[str, Callable[[], None]]:
@@ -353,8 +346,7 @@ class Soak:
             "update": self._update,
             "operator": self._operate,
             "lease": self._lease,
-            "reader": lambda: self._read(False),
-            "remote reader": lambda: self._read(True),
+            "reader": self._read,
             "record": self._record,
             "flight": self._flight,
             "watch": self._watch,
@@ -492,25 +484,25 @@ class Soak:
 
     # ---- Telemetry ---------------------------------------------------------------------------------------------------
 
-    def _read(self, remote: bool) -> None:
-        name = "remote reader" if remote else "reader"
+    def _read(self) -> None:
         stream = SampleStream(warn=False)
-        with self.client(remote) as client, client.telemetry(*TELEMETRY, timeout_s=TIMEOUT_S) as feed:  # type: ignore[arg-type]
+        with self.client() as client, client.telemetry(*TELEMETRY, timeout_s=TIMEOUT_S) as feed:  # type: ignore[arg-type]
             while not self.stop.is_set():
                 received = feed.receive(1.0)
                 if received is None:
-                    self.fail(name, "no telemetry for a second")
+                    self.fail("reader", "no telemetry for a second")
                     continue
                 topic, message = received
                 if topic == "samples":
                     batch = stream.convert(topic, message)
                     if batch.lost or stream.dropped or stream.restarts:
-                        self.fail(name, f"before tick {batch.first_tick}: {batch.lost} lost, {stream.dropped} dropped")
+                        self.fail(
+                            "reader", f"before tick {batch.first_tick}: {batch.lost} lost, {stream.dropped} dropped"
+                        )
                         stream.dropped = stream.restarts = 0
-                    self.counted.samples[name] = stream.received
-                    if not remote:
-                        self._take(batch.view(np.ndarray))
-                elif not remote:
+                    self.counted.samples = stream.received
+                    self._take(batch.view(np.ndarray))
+                else:
                     self._judge(str(topic), message)
 
     def _take(self, batch: npt.NDArray[np.void]) -> None:
@@ -611,14 +603,10 @@ class Soak:
 
     def _visit(self, slot: int) -> None:
         rng = self.rng(f"client {slot}")
-        keys = self.folder / "keys"
         number = 0
         while not self.stop.is_set():
             number += 1
             visit = Visit(str(self.place), rng.getrandbits(32), rng.uniform(*VISIT_S), slot not in DEAF)
-            if slot in REMOTE:
-                key, server = str(keys / "visitor.key_secret"), str(keys / "server.key")
-                visit = Visit(self.address, visit.seed, visit.seconds, visit.reads, key, server)
             killed = slot not in DEAF and number % KILLED_EVERY == 0
             process = subprocess.Popen(
                 [*LATER, sys.executable, "-m", "tests.soak.visitor", json.dumps(asdict(visit))],
@@ -660,7 +648,6 @@ class Soak:
         one = Seen(
             self.elapsed_s(),
             look_at(self.daemon.process.pid),
-            look_at(self.bridge.process.pid),
             [*_percentiles(late, (50, 99, 99.9)), float(late.max(initial=0))],
             [*_percentiles(np.array(answers), (50, 99)), max(answers, default=0.0)],
             missed,
@@ -690,35 +677,32 @@ def growth(times_s: Sequence[float], values: Sequence[float]) -> dict[str, float
     return {"first_kib": first, "last_kib": last, "growth_kib": last - first, "slope_kib_per_hour": slope}
 
 
-def judge(soak: Soak, warm_up_s: float, before: dict[str, Look], after: dict[str, Look]) -> dict[str, Any]:
+def judge(soak: Soak, warm_up_s: float, before: Look, after: Look) -> dict[str, Any]:
     """What grew; failures are noted."""
     warm = [one for one in soak.seen if one.at_s >= warm_up_s]
+    looks = [one.daemon for one in warm]
     found: dict[str, Any] = {}
-    for name in ("daemon", "bridge"):
-        looks: list[Look] = [getattr(one, name) for one in warm]
-        found[name] = {}
-        for what in ("rss", "anonymous", "locked"):
-            grown = growth([one.at_s for one in warm], [getattr(look, what) for look in looks])
-            found[name][what] = grown
-            if what != "locked" and grown["growth_kib"] >= GROWTH_KIB:
-                soak.fail(name, f"{what} grew by {grown['growth_kib'] / 1024:.2f} MiB")
-        for what in ("threads", "descriptors"):
-            told = [getattr(look, what) for look in (before[name], *looks, after[name])]
-            found[name][what] = {"before": told[0], "most": max(told), "after": told[-1]}
-            if told[-1] > told[0]:
-                soak.fail(name, f"{told[-1]} {what} when everybody had left, {told[0]} before anybody came")
+    for what in ("rss", "anonymous", "locked"):
+        grown = growth([one.at_s for one in warm], [getattr(look, what) for look in looks])
+        found[what] = grown
+        if what != "locked" and grown["growth_kib"] >= GROWTH_KIB:
+            soak.fail("daemon", f"{what} grew by {grown['growth_kib'] / 1024:.2f} MiB")
+    for what in ("threads", "descriptors"):
+        told = [getattr(look, what) for look in (before, *looks, after)]
+        found[what] = {"before": told[0], "most": max(told), "after": told[-1]}
+        if told[-1] > told[0]:
+            soak.fail("daemon", f"{told[-1]} {what} when everybody had left, {told[0]} before anybody came")
     return found
 
 
-def _settled(before: dict[str, Look], servers: dict[str, Served]) -> dict[str, Look]:
-    """Both processes when everybody has left; what is closed last has half a one."""
+def _settled(before: Look, daemon: Served) -> Look:
+    """The daemon when everybody has left; what is closed last has half a minute."""
     deadline = time.monotonic() + 30
     while True:
-        after = {name: look_at(server.process.pid) for name, server in servers.items()}
-        same = all(after[name].descriptors <= before[name].descriptors for name in servers)
-        if same or time.monotonic() > deadline:
+        after = look_at(daemon.process.pid)
+        if after.descriptors <= before.descriptors or time.monotonic() > deadline:
             return after
-        time.sleep(0.5)  # two other processes, which tell nobody
+        time.sleep(0.5)  # another process, which tells nobody
 
 
 def draw(seen: Sequence[Seen], warm_up_s: float, path: Path) -> None:
@@ -728,22 +712,21 @@ def draw(seen: Sequence[Seen], warm_up_s: float, path: Path) -> None:
 
     canvas = Figure(figsize=(10.0, 9.0), dpi=100, layout="constrained")
     FigureCanvasAgg(canvas)
-    axes: Sequence[Axes] = canvas.subplots(4, 1, sharex=True)
+    axes: Sequence[Axes] = canvas.subplots(3, 1, sharex=True)
     at = [one.at_s / 60 for one in seen]
-    for name, axis in zip(("daemon", "bridge"), axes, strict=False):
-        for what, label in (("rss", "resident"), ("anonymous", "of it anonymous")):
-            axis.plot(at, [getattr(getattr(one, name), what) / 1024 for one in seen], label=label)
-        axis.set_ylabel(f"{name}, MiB")
-        axis.axvspan(0, warm_up_s / 60, alpha=0.1, label="warm-up")
-        axis.legend(loc="lower right")
+    for what, label in (("rss", "resident"), ("anonymous", "of it anonymous")):
+        axes[0].plot(at, [getattr(one.daemon, what) / 1024 for one in seen], label=label)
+    axes[0].set_ylabel("memory, MiB")
+    axes[0].axvspan(0, warm_up_s / 60, alpha=0.1, label="warm-up")
+    axes[0].legend(loc="lower right")
     for index, label in enumerate(("p50", "p99", "p99.9", "largest")):
-        axes[2].plot(at, [max(one.lateness_us[index], 0.1) for one in seen], label=label)
-    axes[2].set_yscale("log")
-    axes[2].set_ylabel("lateness, us")
-    axes[2].legend(loc="upper right")
-    axes[3].plot(at, [one.missed for one in seen])
-    axes[3].set_ylabel(f"periods missed in {LOOK_S:g} s")
-    axes[3].set_xlabel("minutes")
+        axes[1].plot(at, [max(one.lateness_us[index], 0.1) for one in seen], label=label)
+    axes[1].set_yscale("log")
+    axes[1].set_ylabel("lateness, us")
+    axes[1].legend(loc="upper right")
+    axes[2].plot(at, [one.missed for one in seen])
+    axes[2].set_ylabel(f"periods missed in {LOOK_S:g} s")
+    axes[2].set_xlabel("minutes")
     canvas.savefig(path, metadata={"Software": None})
 
 
@@ -751,39 +734,23 @@ def draw(seen: Sequence[Seen], warm_up_s: float, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def served(folder: Path, rate_hz: float) -> Iterator[tuple[Served, Served, str]]:
-    """A daemon and a bridge in front of it; both are stopped at the end."""
-    place = folder / "run"
+def served(folder: Path, rate_hz: float) -> Iterator[Served]:
+    """A daemon; it is stopped at the end."""
     config = folder / "daemon.yaml"
-    scene = {"servo": {"rate_hz": rate_hz}, "materials": MATERIALS, "scene": SCENE}
-    config.write_text(json.dumps(scene))
-    keys = folder / "keys"
-    write_certificate(new_certificate(), "server", keys)
-    clients = {}
-    for name in ("reader", "visitor"):
-        certificate = new_certificate()
-        write_certificate(certificate, name, keys)
-        clients[name] = {"public_key": certificate.public_key, "may": "command"}
-    bridge_config = folder / "bridge.yaml"
-    bridge_config.write_text(json.dumps({"listen": "tcp://127.0.0.1:0", "metrics": None, "clients": clients}))
-    common = ["--runtime-dir", str(place)]
-    with contextlib.ExitStack() as stack:
-        daemon = Served("daemon", folder, [*common, "run", "-c", str(config)])
-        stack.callback(daemon.stop)
+    config.write_text(json.dumps({"servo": {"rate_hz": rate_hz}, "materials": MATERIALS, "scene": SCENE}))
+    daemon = Served("daemon", folder, ["--runtime-dir", str(folder / "run"), "run", "-c", str(config)])
+    try:
         print(daemon.wait_ready(), flush=True)
-        bridge = Served("bridge", folder, [*common, "bridge", "-c", str(bridge_config)])
-        stack.callback(bridge.stop)
-        told = bridge.wait_ready()
-        print(told, flush=True)
-        yield daemon, bridge, told.split("commands at ")[1].split(",")[0]
+        yield daemon
+    finally:
+        daemon.stop()
 
 
 def _progress(one: Seen, soak: Soak, total_s: float) -> str:
     done = soak.counted.done
     return (
         f"{one.at_s:5.0f} of {total_s:.0f} s: daemon {one.daemon.rss / 1024:.2f} MiB, "
-        f"{one.daemon.descriptors} descriptors, {one.daemon.threads} threads; bridge "
-        f"{one.bridge.rss / 1024:.2f} MiB, {one.bridge.descriptors} descriptors; lateness p99 "
+        f"{one.daemon.descriptors} descriptors, {one.daemon.threads} threads; lateness p99 "
         f"{one.lateness_us[1]:.0f} us, answers p99 {1e-3 * one.answer_us[1]:.1f} ms; "
         f"{sum(number for name, number in done.items() if 'changes' in name)} changes, {done['visits']} visits, "
         f"{sum(number for name, number in done.items() if name.startswith('recordings'))} recordings; "
@@ -798,10 +765,9 @@ def run(total_s: float, rate_hz: float, warm_up_s: float, seed: int, out: Path) 
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="hapticd-soak-") as name:
         folder = Path(name)
-        with served(folder, rate_hz) as (daemon, bridge, address):
-            soak = Soak(folder, daemon, bridge, address, seed)
-            servers = {"daemon": daemon, "bridge": bridge}
-            before = {name: look_at(server.process.pid) for name, server in servers.items()}
+        with served(folder, rate_hz) as daemon:
+            soak = Soak(folder, daemon, seed)
+            before = look_at(daemon.process.pid)
             with soak.client() as client:
                 granted = client.get_status()["realtime"]
                 soak.prepare(client)
@@ -821,10 +787,9 @@ def run(total_s: float, rate_hz: float, warm_up_s: float, seed: int, out: Path) 
                         if one.at_s >= next_told:
                             next_told += TELL_S
                             print(_progress(one, soak, total_s), flush=True)
-                        for server in servers.values():
-                            if server.process.poll() is not None:
-                                soak.fail(server.name, f"ended with {server.process.returncode}")
-                                soak.stop.set()
+                        if daemon.process.poll() is not None:
+                            soak.fail("daemon", f"ended with {daemon.process.returncode}")
+                            soak.stop.set()
                 except KeyboardInterrupt:
                     soak.fail("soak", "interrupted")
                 finally:
@@ -833,13 +798,12 @@ def run(total_s: float, rate_hz: float, warm_up_s: float, seed: int, out: Path) 
                     for thread in threads:
                         thread.join()
                 status = client.get_status()
-            after = _settled(before, servers)
+            after = _settled(before, daemon)
             grown = judge(soak, warm_up_s, before, after)
-        for server in servers.values():
-            if server.process.returncode:
-                soak.fail(server.name, f"ended with {server.process.returncode}")
-            for line in server.unexpected():
-                soak.fail(f"{server.name}'s log", line)
+        if daemon.process.returncode:
+            soak.fail("daemon", f"ended with {daemon.process.returncode}")
+        for line in daemon.unexpected():
+            soak.fail("daemon's log", line)
     draw(soak.seen, warm_up_s, out / "soak.png")
     found = {
         "machine": on,
@@ -863,21 +827,20 @@ def run(total_s: float, rate_hz: float, warm_up_s: float, seed: int, out: Path) 
 
 
 def _tell(found: dict[str, Any], out: Path) -> None:
-    print(f"\n{found['seconds']:.0f} s at {found['rate_hz']:g} Hz")
-    for what in ("done", "events", "samples", "counters"):
+    print(f"\n{found['seconds']:.0f} s at {found['rate_hz']:g} Hz, {found['samples']} samples")
+    for what in ("done", "events", "counters"):
         print(f"{what}: {', '.join(f'{name} {number}' for name, number in found[what].items())}")
     print("| | first tenth, MiB | last tenth, MiB | growth, KiB | slope, KiB/h |")
     print("| --- | ---: | ---: | ---: | ---: |")
-    for name, parts in found["memory"].items():
-        for what in ("rss", "anonymous", "locked"):
-            each = parts[what]
-            print(
-                f"| {name}, {what} | {each['first_kib'] / 1024:.2f} | {each['last_kib'] / 1024:.2f} | "
-                f"{each['growth_kib']:+.0f} | {each['slope_kib_per_hour']:+.0f} |"
-            )
-        for what in ("threads", "descriptors"):
-            each = parts[what]
-            print(f"{name}, {what}: {each['before']} before, {each['most']} at most, {each['after']} after")
+    for what in ("rss", "anonymous", "locked"):
+        each = found["memory"][what]
+        print(
+            f"| {what} | {each['first_kib'] / 1024:.2f} | {each['last_kib'] / 1024:.2f} | "
+            f"{each['growth_kib']:+.0f} | {each['slope_kib_per_hour']:+.0f} |"
+        )
+    for what in ("threads", "descriptors"):
+        each = found["memory"][what]
+        print(f"{what}: {each['before']} before, {each['most']} at most, {each['after']} after")
     print(f"{len(found['failures'])} failures; written: {out / 'soak.json'}, {out / 'soak.png'}")
 
 

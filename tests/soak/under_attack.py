@@ -1,4 +1,4 @@
-"""What a subscriber and `force off` notice while a daemon or a bridge is attacked, and what it costs them."""
+"""What a subscriber and `force off` notice while a daemon is attacked, and what it costs them."""
 
 from __future__ import annotations
 

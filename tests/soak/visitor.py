@@ -28,14 +28,12 @@ class Visit:
     """What a visitor does."""
 
     place: str
-    """A runtime directory, or a bridge's address."""
+    """The runtime directory."""
     seed: int
     seconds: float
     """How long it stays subscribed."""
     reads: bool = True
     """Whether it reads what it subscribed to."""
-    key: str | None = None
-    server_key: str | None = None
 
 
 @dataclass(slots=True)
@@ -121,7 +119,7 @@ def _ignore(client: Client, seconds: float) -> None:
 def pay(visit: Visit) -> Told:
     """Does it. Raises HapticdError where something is not as it should be."""
     rng, told = random.Random(visit.seed), Told()
-    with connect(visit.place, TIMEOUT_S, key=visit.key, server_key=visit.server_key) as client:
+    with connect(visit.place, TIMEOUT_S) as client:
         for question in rng.choices(QUESTIONS, k=rng.randint(3, 12)):
             question(client)
             told.asked += 1

@@ -23,10 +23,9 @@ from tests.support.special_files import KINDS, special, untouched
 
 ROOT = Path(__file__).parents[2]
 HERE = Installation(Path("/opt/hapticd/bin/hapticd"), (Path("/opt/hapticd"),))
-UNITS = ("hapticd.service", "hapticd-bridge.service", "hapticd-web.service")
+UNITS = ("hapticd.service", "hapticd-web.service")
 FILES = {
     "etc/systemd/system/hapticd.service",
-    "etc/systemd/system/hapticd-bridge.service",
     "etc/systemd/system/hapticd-web.service",
     "etc/sysusers.d/hapticd.conf",
     "etc/tmpfiles.d/hapticd.conf",
@@ -142,9 +141,8 @@ def test_lines_behind_the_checksum_do_not_hide_what_a_file_was_made_from(system:
 
 
 def test_clients_are_told_the_directory_of_the_units() -> None:
-    daemon, bridge, page = ((ROOT / "systemd" / name).read_text() for name in UNITS)
+    daemon, page = ((ROOT / "systemd" / name).read_text() for name in UNITS)
     assert f"\nRuntimeDirectory={SYSTEM_DIRECTORY.relative_to('/run')}\n" in daemon
-    assert f" --runtime-dir {SYSTEM_DIRECTORY} bridge\n" in bridge
     assert f" --runtime-dir {SYSTEM_DIRECTORY} web\n" in page
 
 
@@ -489,9 +487,7 @@ def test_the_units_are_valid(tmp_path: Path, home: bool) -> None:
 
 
 @analyze
-@pytest.mark.parametrize(
-    ("name", "most"), [("hapticd.service", 1.0), ("hapticd-bridge.service", 1.6), ("hapticd-web.service", 1.6)]
-)
+@pytest.mark.parametrize(("name", "most"), [("hapticd.service", 1.0), ("hapticd-web.service", 1.6)])
 def test_the_units_are_exposed_as_little_as_promised(name: str, most: float) -> None:
     path = str(ROOT / "systemd" / name)
     words = ["systemd-analyze", "security", "--offline=true", f"--threshold={round(10 * most)}", "--no-pager", path]

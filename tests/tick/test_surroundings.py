@@ -36,7 +36,7 @@ def test_started_from_a_script_or_by_nohup() -> None:
     """A job in the background of a script has interrupts ignored, and so does what it starts."""
     tests = [f"{HERE}::{name}" for name in PARTS]
     words = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", *tests]
-    environment = {**os.environ, "HAPTICD_RUNTIME_DIR": "/nowhere", "HAPTICD_CONNECT": "tcp://nowhere"}
+    environment = {**os.environ, "HAPTICD_RUNTIME_DIR": "/nowhere"}
     done = subprocess.run(
         ["sh", "-c", 'trap "" INT HUP; exec "$@"', "sh", *words],
         cwd=HERE.parents[2],

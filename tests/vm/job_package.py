@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = next((ROOT / "build" / "deb").glob("hapticd_*.deb"))
 BEFORE = next((ROOT / "build" / "deb" / "before").glob("hapticd_*.deb"))
 """The same with a lower version and another configuration: tests/vm/test.sh makes it."""
-ACCOUNTS = ("hapticd", "hapticd-bridge", "hapticd-web")
+ACCOUNTS = ("hapticd", "hapticd-web")
 USER = "someone-of-the-group"
 WHOLE = ("/etc", "/usr/lib/systemd", "/usr/lib/sysusers.d", "/usr/lib/tmpfiles.d", "/usr/lib/udev", "/var/lib/systemd")
 LISTED = ("/run", "/usr/bin", "/usr/lib", "/usr/share", "/usr/share/doc", "/usr/share/man/man1", "/var/lib")
@@ -90,12 +90,10 @@ def three_commands() -> None:
     apt("apt install ./hapticd_*.deb", "install", str(BEFORE))
     check(shown("hapticd", "ActiveState") == "active", "the service runs", shown("hapticd", "StatusText"))
     check(systemctl("is-enabled", "hapticd") == "enabled", "and will at the next start")
-    for unit in ("hapticd-web", "hapticd-bridge"):
-        seen = systemctl("is-enabled", unit), shown(unit, "ActiveState")
-        check(seen == ("disabled", "inactive"), f"{unit} waits for whoever enables it", *seen)
+    seen = systemctl("is-enabled", "hapticd-web"), shown("hapticd-web", "ActiveState")
+    check(seen == ("disabled", "inactive"), "hapticd-web waits for whoever enables it", *seen)
     for user in ACCOUNTS:
         check(pwd.getpwnam(user).pw_shell.endswith("nologin"), f"the user {user}", pwd.getpwnam(user))
-    check(node_of(Path("/etc/hapticd/keys")) == ("hapticd-bridge", "0o750"), "the folder of keys")
     node = node_of(Path("/dev/cpu_dma_latency"))
     check(node == ("hapticd", "0o660"), "udev gave /dev/cpu_dma_latency to the group", node)
     succeeds("adduser", "adduser", USER, "hapticd")

@@ -25,7 +25,6 @@ from rig import check, scenario, until
 
 import hapticd
 from hapticd.client.blocking import Client
-from hapticd.protocol.keys import new_certificate, write_certificate
 
 HAPTICD = str(Path(sys.executable).with_name("hapticd"))
 CONFIG = Path("/etc/hapticd/config.yaml")
@@ -104,13 +103,8 @@ def installed() -> None:
     scenario("hapticd install-service")
     said = succeeds("install-service", HAPTICD, "install-service")
     print("    " + said.replace("\n", "\n    ").rstrip())
-    for user in ("hapticd", "hapticd-bridge", "hapticd-web"):
+    for user in ("hapticd", "hapticd-web"):
         check(pwd.getpwnam(user).pw_shell.endswith("nologin"), f"sysusers made {user}", pwd.getpwnam(user))
-    keys = Path("/etc/hapticd/keys").stat()
-    check(
-        (stat.S_IMODE(keys.st_mode), grp.getgrgid(keys.st_gid).gr_name) == (0o750, "hapticd-bridge"),
-        "tmpfiles made keys",
-    )
     check(
         bool(until(lambda: node_of(Path("/dev/cpu_dma_latency")) == ("hapticd", "0o660"), 5)),
         "udev gave /dev/cpu_dma_latency to the group",
@@ -225,48 +219,6 @@ def reloaded() -> None:
     check(shown("hapticd", "MainPID") == pid, "still the same process")
 
 
-def bridged() -> None:
-    scenario("the bridge")
-    succeeds("hapticd key new server", HAPTICD, "key", "new", "server")
-    succeeds("install-service once more", HAPTICD, "install-service")
-    key = Path("/etc/hapticd/keys/server.key_secret")
-    check(node_of(key) == ("hapticd-bridge", "0o640"), "the bridge may read its key", node_of(key))
-    alice, bob = new_certificate(), new_certificate()
-    for name, certificate in (("alice", alice), ("bob", bob)):
-        write_certificate(certificate, name, Path("/root"))
-    clients = {"alice": {"public_key": alice.public_key, "may": "command"}}
-    file = Path("/etc/hapticd/bridge.yaml")
-    file.write_text(yaml.safe_dump({"clients": clients}))
-    succeeds("start", "systemctl", "start", "hapticd-bridge")
-    check(shown("hapticd-bridge", "ActiveState") == "active", "active", shown("hapticd-bridge", "StatusText"))
-    server = next(
-        line for line in Path("/etc/hapticd/keys/server.key").read_text().splitlines() if "public-key" in line
-    )
-    server = server.split('"')[1]
-    with hapticd.connect("tcp://127.0.0.1", timeout_s=60, key=alice, server_key=server) as client:
-        check(client.get_status()["protocol"] == 1, "a client with a key")
-    try:
-        with hapticd.connect("tcp://127.0.0.1", timeout_s=60, key=bob, server_key=server) as client:
-            client.get_status()
-        check(False, "one without is refused")
-    except hapticd.HapticdError as error:
-        check("refuses our key" in str(error), "one without is refused", error)
-    refusals = [line for line in journal(unit="hapticd-bridge") if str(line["MESSAGE"]).startswith("refused ")]
-    check(
-        bool(refusals) and refusals[-1]["PRIORITY"] == "4" and refusals[-1].get("SYSLOG_IDENTIFIER") == "hapticd",
-        "told in the journal, as a warning",
-        [(line["PRIORITY"], line["MESSAGE"]) for line in refusals[-1:]],
-    )
-    clients["bob"] = {"public_key": bob.public_key, "may": "command"}
-    file.write_text(yaml.safe_dump({"clients": clients}))
-    succeeds("reload with a new key", "systemctl", "reload", "hapticd-bridge")
-    check(bool(until(lambda: told("reloaded: 2 clients", "hapticd-bridge"), 10, 0.2)), "taken")
-    with hapticd.connect("tcp://127.0.0.1", timeout_s=60, key=bob, server_key=server) as client:
-        check(client.get_status()["protocol"] == 1, "whose client comes in now")
-    succeeds("stop", "systemctl", "stop", "hapticd-bridge")
-    check(shown("hapticd-bridge", "Result") == "success", "ends well", shown("hapticd-bridge", "Result"))
-
-
 def unplugged() -> None:
     scenario("the joystick has been unplugged, and comes back")
     with connected() as client:
@@ -339,12 +291,11 @@ def main() -> None:
         killed(joystick, signal.SIGKILL)
         killed(joystick, signal.SIGSTOP)
         reloaded()
-        bridged()
         pushing(joystick)
         check(not joystick.faults, "nothing that the device refuses", joystick.faults[:3])
     unplugged()
     of_a_user()
-    for unit in ("hapticd", "hapticd-bridge", "hapticd-web"):
+    for unit in ("hapticd", "hapticd-web"):
         print("    " + run("systemd-analyze", "security", "--no-pager", f"{unit}.service").stdout.splitlines()[-1])
     rig.done()
 

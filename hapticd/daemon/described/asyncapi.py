@@ -24,7 +24,6 @@ endings of names say which. Requests and their answers are in the OpenRPC docume
 - A message of telemetry has two frames, the topic in ASCII and a map in msgpack, which the payload describes. Clients
   ignore members that they do not know. A subscriber that reads too slowly loses messages.
 - A message of a stream has one frame, a map in msgpack: a JSON-RPC 2.0 notification.
-- A bridge to other machines has a topic of its own beside these, `bridge`.
 """
 
 

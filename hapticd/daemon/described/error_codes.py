@@ -65,7 +65,7 @@ CODES: Final[dict[Code, CodeInWords]] = {
         "`set_operator` or `stream_target`, but the device is not the simulated joystick",
     ),
     Code.DAEMON_AWAY: CodeInWords(
-        "from a bridge: no daemon took the request, or none answered it",
+        "from the server of the page: no daemon took the request, or none answered it",
     ),
     Code.STREAM_HELD: CodeInWords(
         "the stream of another connection is under way",
