@@ -3,45 +3,46 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import click
 
-from hapticd.base.errors import HapticdError
-from hapticd.cli.common import json_option, print_json
+from hapticd.cli.common import json_option, note, print_json
+
+if TYPE_CHECKING:
+    from hapticd.system.service_files import Action
 
 
 @click.command("install-service", short_help="Put the service of systemd in place.")
 @click.option("--user", is_flag=True, help="For yourself alone, without rights of the system's.")
-@click.option("--dry-run", is_flag=True, help="Say what would be done.")
-@click.option("--uninstall", is_flag=True, help="Take it away again, but for what somebody changed.")
+@click.option("--dry-run", is_flag=True, help="Print the commands, and run none.")
+@click.option("--uninstall", is_flag=True, help="Remove it again; users and configuration stay.")
 @click.option(
     "--root",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Into another root, as for a package, made if it is missing; the running system is not touched.",
+    help="Write below DIR, as for a package; the running system is not touched.",
 )
-@json_option
-def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Path | None, as_json: bool) -> int:
-    """Put units, users, folders and udev rules in place, and say what was done."""
-    from hapticd.system.service_files import Installation, Service
+def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Path | None) -> None:
+    """Install units, users, folders and udev rules, and print each command."""
+    from hapticd.system.service_files import Installation, run
 
     if user and root is not None:
         raise click.UsageError("--root is for the system's service, not for --user")
-    service = Service(Installation.this(), user=user, root=root, dry_run=dry_run)
-    failed = []
-    steps = []
-    for step in service.uninstall() if uninstall else service.install():
-        steps.append(step.to_dict())
-        if step.kind == "failed":
-            failed.append(step)
-        if not as_json:
-            click.echo(step.would() if dry_run else str(step))
-    if as_json:
-        print_json(steps)
-    if failed:
-        raise HapticdError("; ".join(f"{step.what}: {step.detail}" for step in failed))
-    return 0
+    installation = Installation.this()
+    if uninstall:
+        action: Action = "remove-user" if user else "remove-system"
+    else:
+        action = "user" if user else "system"
+    for line in run(action, installation, root, dry_run):
+        click.echo(line)
+    if uninstall:
+        note("configuration, users and /var/lib/hapticd are left as they are")
+        return
+    if installation.is_temporary():
+        note(f"{installation.executable} may be gone at the next start; an installation elsewhere would last")
+    if root is None:
+        note(f"start it: systemctl {'--user ' if user else ''}enable --now hapticd")
 
 
 @click.command("stop-device", short_help="Stop a device that a daemon left.")

@@ -5,8 +5,7 @@
     journal            where the log goes, and which events of the servo it has
     repeated_lines     lines of the log that repeat each other, summed up
     notify             systemd's notifications: ready, alive, reloading, stopping, and a line of state
-    service_files      `hapticd install-service`: units, users, udev rules and a first configuration
-    rooted_files       files below a folder that stands for the root of a system
+    service_files      `hapticd install-service`: the units of this installation, put in place by systemd/install.sh
     trusted_files      files that decide who is let in: refused where somebody else may change them
     open_files         how many descriptors the process may have, and how many clients may take
     idle_states        keeps the processors out of deep idle states
