@@ -1,4 +1,4 @@
-"""What a wheel brings for a prefix's share/: man pages, made of the commands, and completion scripts.
+"""What a wheel brings for a prefix's share/: man pages by click-man, and click's completion scripts.
 
 Run by setuptools (setup.py), never imported by the package. It runs before anything is compiled, and with click alone
 of what the package needs.
@@ -9,12 +9,14 @@ from __future__ import annotations
 import datetime
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from copy import copy
+from inspect import cleandoc
 from pathlib import Path
 from typing import Final
 
 import click
-from click_man.man import ManPage
+from click_man.core import write_man_pages
 
 import hapticd.cli
 from hapticd._version import __version__
@@ -22,113 +24,45 @@ from hapticd.base.files import check_regular
 from hapticd.cli.completion import SHELLS, script
 
 _CHANGELOG: Final = Path(__file__).resolve().parent.parent / "CHANGELOG.md"
-# What roff would take for something else than the ASCII character that is meant.
-_ESCAPES: Final = str.maketrans({"\\": r"\(rs", "'": r"\(aq", "`": r"\(ga", "^": r"\(ha", "~": r"\(ti"})
-# A hyphen that begins an option; the others may stand at the end of a line.
-_DASH: Final = re.compile(r"(?<![\w-])-+(?=\w)|-(?=-)|(?<=-)-")
+_LITERAL: Final = re.compile(r"\x08\n(.*?)(?=\n\n|\Z)", re.DOTALL)
+"""A paragraph of a help text that is not wrapped, as click marks it."""
 
 
 def write(folder: Path) -> list[str]:
     """Writes all files, share/... below `folder`; returns their names there."""
-    files = {f"share/man/man1/{name}.1": page for name, page in man_pages().items()}
-    files |= {place: script(shell) for shell, place in SHELLS.items()}
-    for name, text in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        check_regular(path)
-        path.write_text(text, encoding="utf-8")
-    return list(files)
+    root = _commands()
+    files = [*(f"share/man/man1/{name}" for name in _page_names(root)), *SHELLS.values()]
+    for file in files:
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        check_regular(folder / file)
+    write_man_pages("hapticd", root, version=__version__, target_dir=str(folder / "share/man/man1"), date=_date())
+    for shell, file in SHELLS.items():
+        (folder / file).write_text(script(shell), encoding="utf-8")
+    return files
 
 
-def man_pages() -> dict[str, str]:
-    """The source of each page, by its name. The same commands give the same bytes, whenever and wherever."""
-    root = click.Context(hapticd.cli.cli, info_name="hapticd", **hapticd.cli.cli.context_settings)
-    return {_name(ctx): _page(ctx) for ctx in _contexts(root)}
+def _page_names(command: click.Command, path: str = "hapticd") -> Iterator[str]:
+    """The files of a command's man page and of those of its subcommands."""
+    yield f"{path}.1"
+    for name, below in getattr(command, "commands", {}).items():
+        yield from _page_names(below, f"{path}-{name}")
 
 
-def _contexts(ctx: click.Context) -> Iterator[click.Context]:
-    yield ctx
-    for name, command in _subcommands(ctx):
-        yield from _contexts(click.Context(command, info_name=name, parent=ctx))
+def _commands() -> click.Command:
+    """The commands, all loaded, with help texts whose literal paragraphs roff leaves as they are."""
+    ctx = click.Context(hapticd.cli.cli, info_name="hapticd")
+    commands = {name: hapticd.cli.cli.get_command(ctx, name) for name in hapticd.cli.cli.list_commands(ctx)}
+    return _for_roff(hapticd.cli.cli, {name: command for name, command in commands.items() if command is not None})
 
 
-def _subcommands(ctx: click.Context) -> Iterator[tuple[str, click.Command]]:
-    group = ctx.command
-    if isinstance(group, click.Group):
-        for name in group.list_commands(ctx):
-            command = group.get_command(ctx, name)
-            if command is not None and not command.hidden:
-                yield name, command
-
-
-def _page(ctx: click.Context) -> str:
-    page = ManPage(ctx.command_path)
-    page.short_help = _escaped(_short(ctx.command))
-    page.synopsis = " ".join(ctx.command.collect_usage_pieces(ctx))
-    page.description = _prose(ctx.command.help or "")
-    options = [each for each in ctx.command.get_params(ctx) if isinstance(each, click.Option)]
-    records = [each.get_help_record(ctx) for each in options]
-    page.options = [(_escaped(record[0]), _dashed(_escaped(record[1]))) for record in records if record is not None]
-    title, _, rest = str(page).partition("\n")
-    title = f'.TH "{_name(ctx).upper()}" "1" "{_date()}" "hapticd {__version__}" "hapticd"'
-    return "\n".join([title, rest.rstrip("\n"), *_commands(ctx), *_variables(ctx), *_ending(ctx), ""])
-
-
-def _commands(ctx: click.Context) -> Iterator[str]:
-    # click-man would name the page of a command in a group wrongly.
-    below = list(_subcommands(ctx))
-    if below:
-        yield ".SH COMMANDS"
-    for name, command in below:
-        yield from (".TP", _reference(f"{_name(ctx)}-{name}"), _dashed(_escaped(_short(command))) + ".")
-
-
-def _variables(ctx: click.Context) -> Iterator[str]:
-    options = [each for each in ctx.command.params if isinstance(each, click.Option) and each.envvar is not None]
-    if options:
-        yield ".SH ENVIRONMENT"
-    for option in options:
-        names = [option.envvar] if isinstance(option.envvar, str) else list(option.envvar or ())
-        yield from (".TP", f"\\fB{', '.join(names)}\\fP", f"Stands in for {_dashed(option.opts[0])}.")
-
-
-def _ending(ctx: click.Context) -> Iterator[str]:
-    if ctx.parent is not None:
-        yield from (".SH SEE ALSO", _reference(_name(ctx.parent)))
-        return
-    # The module's own words: its second paragraph is about exit codes.
-    yield from (".SH EXIT STATUS", _prose((hapticd.cli.__doc__ or "").split("\n\n")[1].strip()))
-
-
-def _name(ctx: click.Context) -> str:
-    return ctx.command_path.replace(" ", "-")
-
-
-def _reference(name: str) -> str:
-    return r"\fB{}\fP(1)".format(name.replace("-", r"\-"))
-
-
-def _short(command: click.Command) -> str:
-    return command.get_short_help_str(limit=200).rstrip(".")
-
-
-def _prose(text: str) -> str:
-    """Help as roff: paragraphs, and as they stand those that click must not wrap."""
-    blocks = []
-    for block in text.partition("\f")[0].strip("\n").split("\n\n"):
-        lines = [_dashed(_escaped(line)) for line in block.split("\n") if line.strip() != "\b"]
-        literal = block.lstrip().startswith("\b")
-        blocks.append("\n".join([".RS 4", ".nf", *lines, ".fi", ".RE"] if literal else map(str.strip, lines)))
-    return "\n\n".join(blocks)
-
-
-def _escaped(text: str) -> str:
-    # A line that began with a full stop would be a request of roff's.
-    return "\n".join(rf"\&{line}" if line.startswith(".") else line for line in text.translate(_ESCAPES).split("\n"))
-
-
-def _dashed(text: str) -> str:
-    return _DASH.sub(lambda found: found[0].replace("-", r"\-"), text)
+def _for_roff(command: click.Command, below: Mapping[str, click.Command]) -> click.Command:
+    """A copy of a command and of what is below it."""
+    made = copy(command)
+    made.short_help = command.get_short_help_str(limit=200)
+    made.help = _LITERAL.sub(r".nf\n\1\n.fi", cleandoc(command.help or ""))
+    if isinstance(made, click.Group):
+        made.commands = {name: _for_roff(each, getattr(each, "commands", {})) for name, each in below.items()}
+    return made
 
 
 def _date() -> str:

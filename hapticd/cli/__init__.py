@@ -9,9 +9,7 @@ not be done (output that nobody takes among it), 2 for a command that was not un
     engine      options and progress of commands that compute many pieces on dask
     failure     what a command that fails prints
     listening   options of what serves pages: where it listens, a browser, a daemon of its own
-    misplaced   hints for what is typed in the wrong place
     names       what a shell completes where a command takes a name
-    shell       the protocol's words as those of the command line
     streams     standard output and error that cannot be written
     synthesize  `hapticd fit synthesize`, which fit takes in
     fit_batch   `hapticd fit batch`, which fit takes in
@@ -45,7 +43,6 @@ import click
 from hapticd._version import __version__
 from hapticd.base.errors import HapticdError
 from hapticd.cli.failure import asks_for_json, tell
-from hapticd.cli.misplaced import with_hint
 from hapticd.cli.streams import guarded
 
 _HOMES: Final = {
@@ -171,7 +168,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except HapticdError as error:
         return tell(error, 1, as_json)
     except click.ClickException as error:
-        return tell(with_hint(error, given), error.exit_code, as_json)
+        return tell(error, error.exit_code, as_json)
     except (KeyboardInterrupt, click.Abort):
         return 130
     except MemoryError:

@@ -15,7 +15,6 @@ import click
 from hapticd.base.errors import known_names, quoted
 from hapticd.base.yaml_text import yaml_text
 from hapticd.cli import names
-from hapticd.cli.shell import shell_words
 from hapticd.system.journal import LEVELS
 
 if TYPE_CHECKING:
@@ -139,7 +138,7 @@ def note(text: str) -> None:
     ctx = click.get_current_context(silent=True)
     if ctx is not None and ctx.params.get("as_json"):
         return
-    click.echo(f"hapticd: {shell_words(text)}", err=True)
+    click.echo(f"hapticd: {text}", err=True)
 
 
 def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None:

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 import click
 
 from hapticd.base.errors import HapticdError, InvalidError, Problem, lines_of, on_one_line
-from hapticd.cli.shell import in_shell_words, shell_words
 
 
 def asks_for_json(arguments: Sequence[str]) -> bool:
@@ -34,7 +33,7 @@ def tell(error: BaseException | str, exit_code: int, as_json: bool) -> int:
         print(json.dumps({"error": told}, ensure_ascii=False), file=sys.stderr)
         return exit_code
     on_terminal = sys.stderr is not None and sys.stderr.isatty()
-    several = [on_one_line(shell_words(line)) for line in lines_of(found)] if len(found) > 1 and on_terminal else []
+    several = [on_one_line(line) for line in lines_of(found)] if len(found) > 1 and on_terminal else []
     for line in several or [message]:
         print("hapticd:", line, file=sys.stderr)
     return exit_code
@@ -46,7 +45,7 @@ def _message(error: BaseException | str, as_json: bool) -> str:
         if isinstance(error, click.UsageError) and error.ctx is not None and not as_json:
             hint = f" (see {error.ctx.command_path} --help)"
         return error.format_message() + hint
-    return in_shell_words(error) if isinstance(error, HapticdError) else str(error)
+    return str(error)
 
 
 def _problems(error: BaseException | str) -> tuple[Problem, ...]:

@@ -605,7 +605,7 @@ class Methods:
         if counters.faults:
             return {"forces": "faulted", "warning": self._off_because(counters.faults)}
         if not counters.forces_on:
-            warning = "nothing of it is felt while forces are off: set_forces turns them on"
+            warning = "nothing of it is felt while forces are off: `hapticd force on` or set_forces turns them on"
             return {"forces": "off", "warning": warning}
         return {"forces": "on"}
 
@@ -634,7 +634,7 @@ class Methods:
                 Code.FORCES_OFF, self._off_because(counters.faults), {"faults": fault_names(counters.faults)}
             )
         if not counters.forces_on:
-            raise MethodError(Code.FORCES_OFF, "forces are off: set_forces turns them on")
+            raise MethodError(Code.FORCES_OFF, "forces are off: `hapticd force on` or set_forces turns them on")
         if counters.signs.holds_back:
             waits = counters.signs.line() or "they come in once that is done"
             raise MethodError(Code.FORCES_OFF, f"forces are held back, the signs of the device are checked: {waits}")
@@ -645,7 +645,7 @@ class Methods:
         reasons = " and ".join(words[fault] for fault in Fault if fault in faults)
         if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
             return f"forces are off because {reasons}: {CORRECT}"
-        return f"forces are off because {reasons}: set_forces turns them on again"
+        return f"forces are off because {reasons}: `hapticd force on` or set_forces turns them on again"
 
 
 # `set_operator` takes what an operator file holds, which hapticd.config.operator validates.

@@ -312,7 +312,7 @@ def test_play_force_reset_operator(shell: Shell) -> None:
         "play", "felt", "--amplitude", "2"
     )
     assert shell("force", "off") == "forces off\n"
-    off = "hapticd: forces are off: `hapticd force on` turns them on\n"
+    off = "hapticd: forces are off: `hapticd force on` or set_forces turns them on\n"
     assert shell.fails("play", "wood", "--amplitude", "2") == off
     noted = shell.noted("operator", "operator.yaml")
     assert noted == "hapticd: forces are off: the hand moves, and nothing pushes it; `hapticd status` says why\n"

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from hapticd import __version__
-from hapticd._share import man_pages
 from hapticd.cli.completion import SHELLS
+from tests.support.cli import page_names
 
 ROOT = Path(__file__).parents[2]
 SHOW = "import hapticd; print(hapticd.connect.__module__, hapticd.__file__)"
@@ -135,7 +135,7 @@ def test_a_wheel_made_of_the_sdist_is_whole(tmp_path: Path) -> None:
     # Man pages and completion, where the prefix has them.
     for shell, place in SHELLS.items():
         assert (environment.folder / place).read_text() == environment.run("hapticd", "completion", shell, cwd=home)
-    assert {path.stem for path in (environment.folder / "share/man/man1").iterdir()} == man_pages().keys()
+    assert {path.stem for path in (environment.folder / "share/man/man1").iterdir()} == page_names()
     if shutil.which("man") is None:
         pytest.skip("all but man itself, which is not installed")
     found_at = subprocess.run(

@@ -8,17 +8,16 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import click
 import pytest
 
 from hapticd import __version__
-from hapticd._share import man_pages, write
+from hapticd._share import write
 from hapticd.base.errors import HapticdError
-from hapticd.cli import cli
 from hapticd.cli.completion import SHELLS, script
+from tests.support.cli import contexts, page_names
 from tests.support.special_files import KINDS, special, untouched
 
 ROOT = Path(__file__).parents[2]
@@ -43,49 +42,41 @@ def test_the_extra_for_fits_keeps_its_first_name() -> None:
     assert EXTRAS["plots"] == ["hapticd[fit]"]
 
 
-# ---- Man pages -------------------------------------------------------------------------------------------------------
+# ---- Man pages and completion ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def pages() -> dict[str, str]:
-    return man_pages()
+def share(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of what is made."""
+    folder = tmp_path_factory.mktemp("made")
+    names = write(folder)
+    assert {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} == set(names)
+    return folder / "share"
 
 
-def test_every_command_has_a_page_with_its_help(pages: dict[str, str]) -> None:
-    root = click.Context(cli, info_name="hapticd", **cli.context_settings)
-    found = dict(contexts(root))
-    assert pages.keys() == found.keys()
-    for name, ctx in found.items():
-        shown = pages[name].replace(r"\-", "-").replace(r"\(aq", "'").replace(r"\(rs", "\\")
-        assert shown.startswith(f'.TH "{name.upper()}" "1" ')
-        for option in (each for each in ctx.command.get_params(ctx) if isinstance(each, click.Option)):
-            assert all(spelling in shown for spelling in option.opts), (name, option.opts)
+def page(share: Path, name: str) -> str:
+    return (share / "man" / "man1" / f"{name}.1").read_text()
+
+
+def test_every_command_has_a_page_with_its_help(share: Path) -> None:
+    assert page_names() == {path.stem for path in (share / "man" / "man1").iterdir()}
+    for ctx in contexts():
+        shown = page(share, ctx.command_path.replace(" ", "-")).replace(r"\-", "-")
+        for option in (each for each in ctx.command.params if isinstance(each, click.Option)):
+            assert all(spelling in shown for spelling in option.opts), (ctx.command_path, option.opts)
             assert option.help is None or option.help.split()[0] in shown
-    assert r"\fBhapticd\-devices\-dump\fP(1)" in pages["hapticd-devices"]
-    assert "HAPTICD_RUNTIME_DIR" in pages["hapticd"] and "130" in pages["hapticd"].partition(".SH EXIT STATUS")[2]
-
-
-def contexts(ctx: click.Context) -> Iterator[tuple[str, click.Context]]:
-    yield ctx.command_path.replace(" ", "-"), ctx
-    if isinstance(ctx.command, click.Group):
-        for name in ctx.command.list_commands(ctx):
-            command = ctx.command.get_command(ctx, name)
-            assert command is not None
-            yield from contexts(click.Context(command, info_name=name, parent=ctx))
 
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="no groff is installed")
-def test_roff_has_nothing_to_say_about_the_pages(pages: dict[str, str], tmp_path: Path) -> None:
-    for name, page in pages.items():
-        (tmp_path / f"{name}.1").write_text(page)
-    files = sorted(tmp_path.glob("*.1"))
+def test_roff_has_nothing_to_say_about_the_pages(share: Path) -> None:
+    files = sorted((share / "man" / "man1").iterdir())
     done = subprocess.run(["groff", "-man", "-ww", "-Kutf8", "-Tutf8", *files], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     text = re.sub(r"\x1b\[\d*m|.\x08", "", done.stdout)
-    assert re.search(r"\n {10,}hapticd play --mode frequency_hz=200,decay_time_s=0.01 --amplitude 20\n", text)
+    assert re.search(r"\n +hapticd play --mode frequency_hz=200,decay_time_s=0.01 --amplitude 20\n", text)
 
 
-def test_what_is_made_for_share_depends_on_the_commands_alone(pages: dict[str, str], tmp_path: Path) -> None:
+def test_what_is_made_for_share_depends_on_the_commands_alone(share: Path, tmp_path: Path) -> None:
     """Neither on where and when it is made, nor on what is set there, nor on anything of hapticd's but click: whoever
     builds a wheel has nothing else."""
     program = """if True:
@@ -115,20 +106,15 @@ def test_what_is_made_for_share_depends_on_the_commands_alone(pages: dict[str, s
         [sys.executable, "-c", program, tmp_path], cwd=ROOT, env=environment, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
-    assert {path: (tmp_path / path).read_text() for path in done.stdout.split()} == (
-        {f"share/man/man1/{name}.1": page for name, page in pages.items()}
-        | {place: script(shell) for shell, place in SHELLS.items()}
-    )
+    for name in done.stdout.split():
+        assert (tmp_path / name).read_text() == (share.parent / name).read_text(), name
+    assert all((tmp_path / place).read_text() == script(shell) for shell, place in SHELLS.items())
 
 
-def test_the_day_of_a_page_is_that_of_the_sources(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
-    changes = (ROOT / "CHANGELOG.md").read_text()
-    released = re.search(rf"^## \[{re.escape(__version__)}\] - (.+)$", changes, re.MULTILINE)
-    assert released is not None
-    assert man_pages()["hapticd-run"].startswith(f'.TH "HAPTICD-RUN" "1" "{released[1]}" "hapticd {__version__}"')
+def test_the_day_of_a_page_is_that_of_the_sources(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1789000000")
-    assert man_pages()["hapticd-run"].startswith('.TH "HAPTICD-RUN" "1" "2026-09-10"')
+    write(tmp_path)
+    assert page(tmp_path / "share", "hapticd-run").startswith(f'.TH "HAPTICD RUN" "1" "2026-09-10" "{__version__}"')
 
 
 @pytest.mark.parametrize("kind", KINDS)

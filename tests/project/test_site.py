@@ -14,7 +14,7 @@ import pytest
 from markdown_it import MarkdownIt
 
 from docs.site_hooks import for_python_markdown, inside
-from hapticd._share import man_pages
+from tests.support.cli import page_names
 from tests.web.browser import running_browser
 
 ROOT = Path(__file__).parents[2]
@@ -121,7 +121,7 @@ def test_lists_blocks_and_tables_are_whole(site: Path, pages: dict[Path, Page]) 
 @pytest.mark.slow
 def test_commands_and_methods_are_there(site: Path) -> None:
     commands = (site / "reference" / "commands.html").read_text()
-    assert all(f'id="{name}"' in commands for name in man_pages())
+    assert all(f'id="{name}"' in commands for name in page_names())
     assert "Sentinel" not in commands
     python = (site / "reference" / "python.html").read_text()
     assert "Replaces the scene, all or nothing" in python

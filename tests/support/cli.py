@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 
+import click
 import pytest
 
-from hapticd.cli import main
+from hapticd.cli import cli, main
 from tests.support.daemon_process import PATIENCE_S
 
 HAPTICD = [
@@ -31,3 +33,19 @@ def said(capsys: pytest.CaptureFixture[str], code: int, *arguments: str) -> str:
         return f"hapticd: {told['error']['message']}\n"
     assert captured.err.startswith("hapticd: ") and captured.err.count("\n") == 1, captured.err
     return captured.err
+
+
+def contexts(ctx: click.Context | None = None) -> Iterator[click.Context]:
+    """Of every command, its parent's first."""
+    ctx = ctx or click.Context(cli, info_name="hapticd", **cli.context_settings)
+    yield ctx
+    if isinstance(ctx.command, click.Group):
+        for name in ctx.command.list_commands(ctx):
+            command = ctx.command.get_command(ctx, name)
+            assert command is not None
+            yield from contexts(click.Context(command, info_name=name, parent=ctx))
+
+
+def page_names() -> set[str]:
+    """The names of the commands' man pages."""
+    return {ctx.command_path.replace(" ", "-") for ctx in contexts()}
