@@ -19,7 +19,6 @@ What people and programs write, and what they read:
     plain_values       values of YAML that a model takes as they are
     arguments          arguments that a program passes to a client, checked before anything is sent
     yaml_source        YAML in: plain data and line numbers
-    yaml_mistakes      what a person most likely did wrong in YAML
     yaml_text          YAML out, as the loader reads it
     html_page          one HTML page without any other file: its frame and its tables
     codec              msgpack of plain data, and values that are encoded once and sent often

@@ -27,7 +27,6 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails
 
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, near_names, path_text, shown
-from hapticd.base.yaml_mistakes import hint, key_hint
 from hapticd.base.yaml_source import MAX_DEPTH, Json
 
 T = TypeVar("T")
@@ -337,15 +336,13 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
             entries = "entry" if context["min_length"] == 1 else "entries"
             return path, f"must hold at least {context['min_length']} {entries}, holds {len(value)}"
         case "extra_forbidden":
-            return path, f"{UNKNOWN_KEY}; {key_hint(str(path[-1]), value)}{known_names(str(path[-1]), known)}"
+            return path, f"{UNKNOWN_KEY}; {known_names(str(path[-1]), known)}"
         case "union_tag_invalid":
             kinds = context["expected_tags"].replace("'", "").split(", ")
             tag = context["tag"]
             return (*path, "kind"), f"unknown kind {shown(tag)}; {known_names(tag, kinds)}"
         case "union_tag_not_found":
-            slips = (key_hint(str(key), inner) for key, inner in value.items()) if isinstance(value, dict) else ()
-            slip = next((found for found in slips if found), "")
-            return (*path, "kind"), "is missing" + (f": {slip.removesuffix('; ')}" if slip else "")
+            return (*path, "kind"), "is missing"
         case "finite_number":
             return path, f"must be finite, is {shown(value)}"
         case "float_type" if isinstance(value, int) and not isinstance(value, bool):
@@ -396,7 +393,11 @@ _EXPECTED = {
 
 def _shown_with_hint(value: object) -> str:
     """A value of the wrong type, and what was probably meant by it."""
-    return shown(value) + (hint(value) if isinstance(value, str) else "")
+    if isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
+        return f"{shown(value)}; decimals have a point, not a comma"
+    if isinstance(value, str) and value[:1] in tuple("\u201c\u201d\u2018\u2019"):
+        return f"{shown(value)}; quotes are straight: \" or '"
+    return shown(value)
 
 
 def _choice(value: object, context: Mapping[str, Any]) -> str:

@@ -17,8 +17,9 @@ from typing import TypeAlias
 import yaml
 
 from hapticd.base.errors import HapticdError, InvalidError, Problem, path_text, quoted, shown
-from hapticd.base.yaml_mistakes import LINE_BREAKS, diagnose
 
+LINE_BREAKS = re.compile("\r\n|[\r\n\x85\u2028\u2029]")
+"""What ends a line in YAML."""
 MAX_DEPTH = 32
 _TOO_DEEP = "exceeded maximum nesting depth"
 """What libyaml says from 0.2.6 on (PyYAML 6.0.4), which scans ahead of the events that are counted here."""
@@ -168,16 +169,24 @@ def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.Bas
     try:
         return _build(loader(text), name)
     except yaml.MarkedYAMLError as error:
-        at = _place(error.problem_mark)
-        if error.problem == _TOO_DEEP:
-            raise _refusal(name, *(at or (0, 0)), f"nested deeper than {MAX_DEPTH} levels") from None
-        raise _refusal(
-            name, *diagnose(text, error.problem or "not YAML", at or (0, 0), _place(error.context_mark))
-        ) from None
+        raise _refusal(name, *_complaint(text, error)) from None
 
 
-def _place(mark: "yaml.Mark | yaml._yaml.Mark | None") -> tuple[int, int] | None:
-    return None if mark is None else (mark.line, mark.column)
+def _complaint(text: str, error: yaml.MarkedYAMLError) -> tuple[int, int, str]:
+    """Line and column, from 0, and the parser's words; a tab in the indentation comes before what it says of that."""
+    mark, problem = error.problem_mark, error.problem or "not YAML"
+    line, column = (0, 0) if mark is None else (mark.line, mark.column)
+    if problem == _TOO_DEEP:
+        return line, column, f"nested deeper than {MAX_DEPTH} levels"
+    rows = LINE_BREAKS.split(text)
+    row = rows[min(line, len(rows) - 1)]
+    indentation = row[: len(row) - len(row.lstrip(" \t"))]
+    if "\t" in indentation:
+        return line, indentation.index("\t"), "a tab; YAML indents by spaces"
+    begun = error.context_mark
+    if error.context and begun is not None:
+        problem += f", {error.context} at {begun.line + 1}:{begun.column + 1}"
+    return line, column, problem
 
 
 def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:

@@ -9,7 +9,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hapticd.base import yaml_mistakes, yaml_source
+from hapticd.base import yaml_source
 from hapticd.base.errors import HapticdError, InvalidError, Problem
 from hapticd.base.yaml_source import MAX_BYTES, MAX_DEPTH, Json, load_bytes, load_path, load_text
 from tests.support.marks import rest_slow
@@ -311,14 +311,6 @@ def test_thousands_of_directives_are_refused_before_they_are_parsed(
     assert str(refused.value) == f"f.yaml:{line}:1: more than 16 %TAG directives; none is needed here"
     few = "".join(f"%TAG !a{place}! x\n" for place in range(16))
     assert load_text(few + "---\na: 1\n", "f.yaml").data == {"a": 1}
-
-
-@pytest.mark.parametrize("text", ["a: " + "!a" * 3000, ": " * 3000, "x" * 6000 + ": 1"])
-def test_nobody_looks_for_slips_in_a_line_that_nobody_wrote(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What looks for them goes through the line for each of its characters."""
-    monkeypatch.setattr(yaml_mistakes, "_scan", lambda _: pytest.fail("looked for"))
-    with pytest.raises(InvalidError, match=r"^f\.yaml:1:\d+: "):
-        load_text(text, "f.yaml")
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def test_a_configuration_gives_materials_and_scene_and_leaves_out_the_rest() -> 
     [
         ("scene:\n  objects:\n    a: {kind: wal}\n", 3, "scene.objects.a.kind", "did you mean wall?"),
         ("materials:\n  a: {stiffness_n_per_m: -1}\n", 2, "materials.a.stiffness_n_per_m", "must be at least 0"),
-        ("scene:\n  objects: {\n", 2, "", "is not closed by }"),
+        ("scene:\n  objects: {\n", 3, "", "while parsing a flow "),
         ("servo: {rate_hz: 1}\nscene: {}\n", 1, "servo.rate_hz", "must be at least 1000"),
         ("servo: {rate_hz: 1000}\n", 1, "", "holds neither materials nor a scene"),
         ("gesture: {kind: tap, object: a}\n", None, "", "holds a gesture"),
