@@ -16,7 +16,7 @@ from hapticd.base.model import Model
 from hapticd.base.yaml_source import Json
 from hapticd.config.configuration import Device
 from hapticd.config.schema import config_schema, unit_of
-from hapticd.daemon import backlog, peers, publisher, router
+from hapticd.daemon import peers, publisher, router
 from hapticd.fit.verdict import AT_LEAST, AT_MOST
 from hapticd.protocol import messages
 
@@ -212,8 +212,8 @@ def protocol(page: str) -> str:
             ("length", f"{messages.MAX_BODY // mib} MiB"),
             ("depth, the body itself counted", codec.MAX_DEPTH),
             ("members of a map", f"{messages.MAX_MEMBERS:,}"),
-            ("messages of a topic that are kept for a slow subscriber", backlog.MESSAGES),
-            ("bytes of a topic that are kept for it", f"{backlog.BYTES // mib} MiB"),
+            ("messages that are kept for a slow subscriber", publisher.MESSAGES),
+            ("bytes that are kept for it", f"{publisher.BYTES // mib} MiB"),
         ],
     )
 

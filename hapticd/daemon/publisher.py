@@ -1,6 +1,7 @@
 """The telemetry socket, a PUB: sends the messages that `telemetry.py` made to those who subscribed to them.
 
-A subscriber that does not keep up loses the oldest of what waits for it (`backlog.py`).
+What a subscriber does not take at once waits in a queue, whose oldest messages are dropped beyond MESSAGES and BYTES.
+All queues share the same messages, so a thousand of them need little more memory than one.
 """
 
 from __future__ import annotations
@@ -10,16 +11,20 @@ import itertools
 import logging
 import socket
 import time
+from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
 from hapticd.base import wording
 from hapticd.base.core import ffi, lib
-from hapticd.daemon.backlog import Backlog, Reader
 from hapticd.daemon.peers import Limits, Peer, Peers
 from hapticd.protocol import zmtp
 from hapticd.system.repeated_lines import Since
 
+MESSAGES: Final = 400
+"""In the queue of a subscriber; eight seconds of samples."""
+BYTES: Final = 10 * 1024 * 1024
+"""In that queue, the newest message not counted."""
 MOST_USELESS: Final = 1000
 """Subscriptions to nothing that there is, and messages that are none, until a subscriber is disconnected."""
 
@@ -32,6 +37,40 @@ LIMITS: Final = Limits(zmtp.Bounds(frames=1, size=4096, kept=4096))
 _log = logging.getLogger(__name__)
 
 
+class Queue:
+    """Messages that wait for one subscriber, with their topics, and how many were dropped."""
+
+    __slots__ = ("_bytes", "_messages", "dropped")
+
+    def __init__(self) -> None:
+        self._messages: deque[tuple[bytes, bytes]] = deque()
+        self._bytes = 0
+        self.dropped = 0
+        """Since this was reported last."""
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def put(self, topic: bytes, data: bytes) -> None:
+        """Appends a message; the oldest give way."""
+        self._messages.append((topic, data))
+        self._bytes += len(data)
+        while len(self) > MESSAGES or (self._bytes > BYTES and len(self) > 1):
+            self.take()
+            self.dropped += 1
+
+    def take(self) -> bytes:
+        """The oldest message. Raises IndexError where there is none."""
+        _, data = self._messages.popleft()
+        self._bytes -= len(data)
+        return data
+
+    def remove(self, topic: bytes) -> None:
+        """Forgets the messages of a topic."""
+        self._messages = deque(each for each in self._messages if each[0] != topic)
+        self._bytes = sum(len(data) for _, data in self._messages)
+
+
 class Publisher(Peers):
     """The subscribers, and what each waits for. For one thread."""
 
@@ -42,34 +81,31 @@ class Publisher(Peers):
         """`topics`: all that will be published."""
         super().__init__(listening, limits)
         self._subscribers: dict[bytes, dict[Peer, None]] = {topic.encode(): {} for topic in topics}
-        """Those who keep up."""
-        self._behind: dict[Peer, Reader] = {}
-        self._backlog = Backlog(self._subscribers)
+        self._queues: dict[Peer, Queue] = {}
+        """Of those that do not keep up."""
         self._reported_s = time.monotonic()
         # Whatever else is subscribed to can match nothing.
         self._useful = {topic[:length] for topic in self._subscribers for length in range(len(topic) + 1)}
 
     def wants(self, topic: str) -> bool:
         """Whether anybody subscribed to it."""
-        name = topic.encode()
-        return bool(self._subscribers[name]) or self._backlog.waits(name)
+        return bool(self._subscribers[topic.encode()])
 
     def publish(self, topic: str, body: bytes, data: bytes | memoryview = b"") -> None:
         """To all who subscribed to it; `data` is sent from where it stands, behind `body`."""
         name = topic.encode()
-        listening = self._subscribers[name]
-        for peer in [each for each in listening if each.out]:
-            self._fall_behind(peer)
-        if not self.wants(topic):
-            return
         head = zmtp.header(len(name), zmtp.MORE) + name + zmtp.header(len(body) + len(data)) + body
-        if self._backlog.waits(name):
-            self._backlog.put(name, b"".join((head, data)))
+        waiting = [peer for peer in self._subscribers[name] if peer.out]
+        if waiting:
+            whole = b"".join((head, data))  # one copy for all: what stands in `data` is another message soon
+            for peer in waiting:
+                self._queues.setdefault(peer, Queue()).put(name, whole)
+        listening = [peer for peer in self._subscribers[name] if not peer.out]
         if listening:
-            self._send_each(list(listening), head, data)
+            self._send_each(listening, head, data)
 
     def _send_each(self, peers: list[Peer], head: bytes, data: bytes | memoryview) -> None:
-        """To those that keep up. Who does not take all of it falls behind."""
+        """To those that keep up; the rest of what one does not take waits."""
         size, taken = len(head) + len(data), ffi.new("int64_t[]", len(peers))
         sockets = ffi.new("int32_t[]", [peer.sock.fileno() for peer in peers])
         lib.hd_send_each(
@@ -88,10 +124,8 @@ class Publisher(Peers):
             if count < 0 and -count not in (errno.EAGAIN, errno.EWOULDBLOCK):
                 self._end(peer)
                 continue
-            if whole is None:  # one copy for all: what stands in `data` is another message soon
-                whole = b"".join((head, data))
+            whole = whole or b"".join((head, data))
             self._keep(peer, (memoryview(whole)[max(count, 0) :],))
-            self._fall_behind(peer)
 
     def wait(self, timeout_s: float) -> None:
         """Serves those who listen for so long, at least one of them; returns at once when somebody calls `wake`."""
@@ -131,72 +165,51 @@ class Publisher(Peers):
             peer.subscriptions[prefix] = count
         else:
             peer.subscriptions.pop(prefix, None)
-        behind = self._behind.get(peer)
         for topic, subscribers in self._subscribers.items():
-            wanted = any(topic.startswith(each) for each in peer.subscriptions)
-            if behind is None:
-                if wanted:
-                    subscribers[peer] = None
-                else:
-                    subscribers.pop(peer, None)
-            elif wanted:
-                self._backlog.join(behind, topic)
-            else:
-                self._backlog.leave(behind, topic)
+            if any(topic.startswith(each) for each in peer.subscriptions):
+                subscribers[peer] = None
+            elif peer in subscribers:
+                del subscribers[peer]
+                if peer in self._queues:
+                    self._queues[peer].remove(topic)
 
     def _useless(self, peer: Peer) -> None:
         peer.useless += 1
         if peer.useless > MOST_USELESS:
             self._end(peer, f"more than {MOST_USELESS:,} subscriptions to what there is not")
 
-    def _fall_behind(self, peer: Peer) -> None:
-        """What is sent from now on waits until it took what was sent before."""
-        behind = self._behind[peer] = Reader()
-        for topic, subscribers in self._subscribers.items():
-            if peer in subscribers:
-                del subscribers[peer]
-                self._backlog.join(behind, topic)
-
     def _refill(self, peer: Peer) -> None:
-        behind = self._behind.get(peer)
-        if behind is None:
-            return
-        data = self._backlog.take(behind)
-        if data is None:
-            topics = list(behind.next)
-            self._forget(peer)
-            for topic in topics:
-                self._subscribers[topic][peer] = None
-        else:
+        queue = self._queues.get(peer)
+        if queue:
+            data = queue.take()
             peer.out.append(data)
             peer.unsent += len(data)
+        elif queue is not None:
+            self._forget(peer)
 
     def _forget(self, peer: Peer) -> None:
-        """It is not behind any more."""
-        behind = self._behind.pop(peer, None)
-        if behind is not None:
-            self._tell_loss(peer, behind)
-            for topic in list(behind.next):
-                self._backlog.leave(behind, topic)
+        queue = self._queues.pop(peer, None)
+        if queue is not None:
+            self._tell_loss(peer, queue)
 
     def _tell_losses(self) -> None:
         """Once a second."""
         if time.monotonic() >= self._reported_s + _TELL_EVERY_S:
             self._reported_s = time.monotonic()
-            for peer, behind in self._behind.items():
-                self._tell_loss(peer, behind)
+            for peer, queue in self._queues.items():
+                self._tell_loss(peer, queue)
 
-    def _tell_loss(self, peer: Peer, behind: Reader) -> None:
-        lost = self._backlog.lost(behind)
-        if not lost:
+    def _tell_loss(self, peer: Peer, queue: Queue) -> None:
+        if not queue.dropped:
             return
-        peer.lost += lost
+        peer.lost += queue.dropped
 
         def tell(since: Since) -> None:
             lost = wording.count(since.amounts["messages"], "message")
             _log.info("%s does not keep up with telemetry: %s dropped %s", peer, lost, since.window)
 
-        self._repeats.note(f"lost {peer.uid} {peer.pid}", tell, {"messages": lost})
+        self._repeats.note(f"lost {peer.uid} {peer.pid}", tell, {"messages": queue.dropped})
+        queue.dropped = 0
 
     def _end(self, peer: Peer, why: str | None = None) -> None:
         super()._end(peer, why)

@@ -16,7 +16,7 @@ import pytest
 import zmq
 
 from hapticd.base.codec import Encoded
-from hapticd.daemon import backlog, peers, router
+from hapticd.daemon import peers, publisher, router
 from hapticd.daemon.peers import Peer, Peers
 from hapticd.daemon.publisher import Publisher
 from hapticd.daemon.router import Router
@@ -518,7 +518,9 @@ def test_who_does_not_read_loses_the_oldest_and_costs_nobody_anything(path: Path
         made.wait(0)
         read()
     assert came == list(range(1000))
-    assert len(made._backlog) == backlog.MESSAGES
+    assert {len(queue) for queue in made._queues.values()} == {publisher.MESSAGES}
+    kept = {id(data) for queue in made._queues.values() for _, data in queue._messages}
+    assert len(kept) <= publisher.MESSAGES + 1, "each has messages of its own"
     made._reported_s = 0.0  # as if a second had passed
     made.wait(0)
     lost = [peer.lost for peer in made._peers.values()]
@@ -533,14 +535,14 @@ def test_who_unsubscribes_without_reading_keeps_nothing_of_it(path: Path) -> Non
     while not made._subscribers[b"event"]:
         made.wait(0.01)
     (peer,) = made._peers.values()
-    while len(made._backlog) < 100:
+    while len(made._queues.get(peer, ())) < 100:
         made.publish("samples", bytes(20_000))
     made.publish("event", b"last")
     peer.unsent = 0  # as if it took what it is in the middle of
     deaf.socket.sendall(zmtp.message([b"\x00samples"]))
     while made.wants("samples"):
         made.wait(0.01)
-    assert len(made._backlog) == 1 and made.wants("event")
+    assert len(made._queues[peer]) == 1 and made.wants("event")
     made.close()
 
 
