@@ -31,9 +31,9 @@ UNSENT_BYTES: Final = 256 * 1024
 READ_BYTES: Final = 64 * 1024
 """What is read from a peer in one turn."""
 
-_ACCEPTED_AT_ONCE: Final = 2
+_ACCEPTED_AT_ONCE: Final = 16
+"""Then those that are connected get their turns; refusals among them cost newcomers no more than their own time."""
 _EVENTS_AT_ONCE: Final = 64
-_REFUSED_PAUSE_S: Final = 0.01
 _NO_DESCRIPTOR_PAUSE_S: Final = 0.1
 _WRITTEN_AT_ONCE: Final = 1024 * 1024
 _IN: Final = select.EPOLLIN | select.EPOLLET
@@ -328,12 +328,10 @@ class Peers:
             if len(self._owners.get(peer.uid, {}).get(peer.pid, ())) >= self._limits.process_connections:
                 sock.close()
                 self._tell_end(peer, f"it has {self._limits.process_connections:,} connections already")
-                self._accept_later(_REFUSED_PAUSE_S)
                 continue
             self._enter(peer)
             if len(self._peers) > self._limits.connections:
                 self._end(self._most_connected(), f"all {self._limits.connections:,} connections are taken")
-                self._accept_later(_REFUSED_PAUSE_S)
             self._send(peer, zmtp.GREETING)
 
     def _enter(self, peer: Peer) -> None:
