@@ -380,21 +380,21 @@ def draw_scene(
 def watch(
     client: Client, as_json: bool = False, console: Console | None = None, duration_s: float | None = None
 ) -> None:
-    """Shows the daemon live for `duration_s`, or until it is interrupted (KeyboardInterrupt). A daemon that goes away
-    is waited for; a terminal that does raises HapticdError.
+    """Shows the daemon live for `duration_s` from its first message, or until it is interrupted (KeyboardInterrupt). A
+    daemon that goes away is waited for; a terminal that does raises HapticdError.
 
     Where the console is no terminal, or for `as_json`, it prints a line a second and one for each event.
     """
     console = console or Console()
-    ends_s = math.inf if duration_s is None else time.monotonic() + duration_s
+    lasts_s = math.inf if duration_s is None else duration_s
     with client.telemetry("state", "event", "status") as messages:
         if as_json or not console.is_terminal:
-            for line in _lines(client, messages, as_json, ends_s):
+            for line in _lines(client, messages, as_json, lasts_s):
                 console.file.write(line + "\n")
                 console.file.flush()
         else:
             try:
-                if _draw(client, messages, console, ends_s):
+                if _draw(client, messages, console, lasts_s):
                     return
             except OSError:
                 if console.file.isatty():
@@ -406,18 +406,18 @@ def watch(
 _Messages: TypeAlias = Subscription[tuple[Topic, dict[str, object]]]
 
 
-def _draw(client: Client, messages: _Messages, console: Console, ends_s: float) -> bool:
+def _draw(client: Client, messages: _Messages, console: Console, lasts_s: float) -> bool:
     """Draws until the time is over (true) or the terminal is gone (false)."""
     view = View()
     heard = shown = time.monotonic()
-    asked = -math.inf
+    asked, ends_s = -math.inf, math.inf
     with Live(console=console, screen=True, auto_refresh=False) as live:
         view.feed("status", client.get_status())
         while (now := time.monotonic()) < ends_s:
             item = messages.receive(min(REFRESH_S, ends_s - now))
             now = time.monotonic()
             if item is not None:
-                heard = now
+                heard, ends_s = now, min(ends_s, now + lasts_s)
                 view.feed(*item)
             elif now - heard > LOST_AFTER_S:
                 view.lost_for_s = now - heard
@@ -435,10 +435,10 @@ def _draw(client: Client, messages: _Messages, console: Console, ends_s: float) 
     return True
 
 
-def _lines(client: Client, messages: _Messages, as_json: bool, ends_s: float) -> Iterator[str]:
+def _lines(client: Client, messages: _Messages, as_json: bool, lasts_s: float) -> Iterator[str]:
     view = View()
     heard = time.monotonic()
-    due = -math.inf
+    due, ends_s = -math.inf, math.inf
     view.feed("status", client.get_status())
     while (now := time.monotonic()) < ends_s:
         item = messages.receive(min(LOST_AFTER_S, ends_s - now))
@@ -451,7 +451,7 @@ def _lines(client: Client, messages: _Messages, as_json: bool, ends_s: float) ->
             view.lost_for_s = now - heard
             continue
         topic, message = item
-        heard = now
+        heard, ends_s = now, min(ends_s, now + lasts_s)
         view.feed(topic, message)
         if topic == "event" and as_json:
             yield json.dumps({"topic": topic, **message})

@@ -290,7 +290,7 @@ def test_reload_takes_scene_and_materials_and_keeps_what_is_open(tmp_path: Path)
         (QUIET.replace("1000", "2000") + "scene: {objects: {}}\n", ["servo.rate_hz", "2000", "restart"]),
         (QUIET + "device: {max_force_n: 3}\nflight: {keep: 3}\n", ["device.max_force_n", "flight.keep", "restart"]),
         (QUIET + "scene: {objects: {a: {kind: wall}}}\n", ["c.yaml:2", "point_m"]),
-        (QUIET + "scene: [\n", ["c.yaml:2:8", "not closed"]),
+        (QUIET + "scene: [\n", ["c.yaml:3:1", "did not find expected node content"]),
         (None, ["No such file"]),
     ],
 )
