@@ -7,9 +7,9 @@ The core and the process:
     memory             how a process that runs for months takes its memory
     garbage_collector  Python's collector, paused while very many objects are made
     threads            whether threads can be started under the user's limit of processes
+    steps              work that pauses between its parts
     tasks              the end of a task of an event loop
     token_bucket       how much somebody may ask: so much at once, and so much a second
-    worker_process     long computations in a separate process, while a long change is taken in
 
 What people and programs write, and what they read:
 

@@ -15,15 +15,12 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from hapticd.base.worker_process import apart
-
 Reflection: TypeAlias = tuple[float, ...]
 
 _EXACT: Final = Context(prec=100)
 """Digits for steps between coefficients and reflection, which lose up to the reciprocal of E_p in precision."""
 
 
-@apart
 def pole_radius(coefficients: Sequence[float]) -> float:
     """The largest magnitude of a pole of 1/(1 + sum a_i z^-i), from a_1 .. a_p; 0 without poles.
 
@@ -90,7 +87,6 @@ def reflection_of(coefficients: Sequence[float]) -> Reflection:
 
 
 @lru_cache(maxsize=1024)
-@apart
 def _reflection_of(coefficients: tuple[float, ...]) -> Reflection:
     with localcontext(_EXACT):
         stages, _ = _step_down([Decimal(1), *map(Decimal, coefficients)])

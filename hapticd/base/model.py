@@ -14,6 +14,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, Ty
 
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetJsonSchemaHandler,
@@ -27,6 +28,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails
 
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, near_names, path_text, shown
+from hapticd.base.steps import Steps
 from hapticd.base.yaml_source import MAX_DEPTH, Json
 
 T = TypeVar("T")
@@ -43,12 +45,7 @@ class DescribedAs:
 
 
 NAME_MAX_CHARACTERS = 64
-AT_ONCE: Final = 256
-"""Larger mappings are validated so many entries at a time: each call of pydantic's holds the interpreter's lock."""
-MOST_MEMBERS: Final = 2048
-"""So many members of mappings and lists, at any depth, end such a part: each may be a fault, and to report them is one
-call, too."""
-MOST_KEYS: Final = 1000
+MOST_KEYS: Final = 100
 """No mapping of known keys has more."""
 MAX_FAULTS = 200
 """So many are reported one by one; nobody reads more, and reporting thousands takes seconds."""
@@ -99,9 +96,9 @@ class Model(BaseModel):
             return super().model_validate_strings(obj, **options)
 
     @classmethod
-    def parsed(cls, data: object, context: Mapping[str, object] | None = None) -> Self:
+    def parsed(cls, data: object) -> Self:
         """For readers of documents, which report faults where they stand: raises ValidationError."""
-        return super().model_validate(data, context=context)
+        return super().model_validate(data)
 
     def __setattr__(self, name: str, value: object) -> None:
         raise _fixed(name)
@@ -175,58 +172,27 @@ def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
     return found
 
 
-def in_parts(
-    given: Mapping[str, object],
-    parse: Callable[[dict[str, object]], dict[str, T]],
-    root: Path,
-    name: str,
-    working: Callable[[], None],
-) -> dict[str, T]:
-    """What `parse` makes of a large mapping, which stands below `root` as `name`: AT_ONCE entries at a time, or fewer
-    with MOST_MEMBERS, so that others can go on between them.
+def one_by_one(
+    given: Mapping[str, object], parse: Callable[[str, object], T], root: Path, name: str
+) -> Steps[dict[str, T]]:
+    """What `parse` makes of each entry of a mapping, which stands below `root` as `name`; a pause after each.
 
-    Raises InvalidError; after MAX_FAULTS the rest is not read.
+    Raises InvalidError with the faults of all; after MAX_FAULTS the rest is not read.
     """
     found: dict[str, T] = {}
     problems: list[Problem] = []
-    for part in _parts(given):
+    for key, value in given.items():
         if len(problems) >= MAX_FAULTS:
             problems.append(Problem(path_text((*root, name)), "the rest was not looked at"))
             break
-        working()
         try:
-            found |= parse(part)
-        except ValidationError as error:
-            problems += problems_of(error, root)
+            found[key] = parse(key, value)
+        except InvalidError as error:
+            problems += error.problems
+        yield
     if problems:
         raise InvalidError(problems)
     return found
-
-
-def _parts(given: Mapping[str, object]) -> Iterator[dict[str, object]]:
-    part: dict[str, object] = {}
-    count = 0
-    for name, value in given.items():
-        part[name] = value
-        count += members(value)
-        if len(part) == AT_ONCE or count >= MOST_MEMBERS:
-            yield part
-            part, count = {}, 0
-    if part:
-        yield part
-
-
-def members(data: object) -> int:
-    """How many members the mappings and lists of plain data have, at any depth."""
-    count, level = 0, [data]
-    for _ in range(MAX_DEPTH):
-        below: list[object] = []
-        for value in level:
-            inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-            count += len(inner)
-            below += [each for each in inner if isinstance(each, dict | list)]
-        level = below
-    return count
 
 
 def refuse_many_keys(data: object, path: Path) -> None:
@@ -246,6 +212,17 @@ def refuse_many_keys(data: object, path: Path) -> None:
         if not below:
             return
         level = below
+
+
+def at_most(count: int) -> BeforeValidator:
+    """Refuses a longer list before its entries are validated: the faults of thousands take seconds."""
+
+    def check(given: object) -> object:
+        if isinstance(given, list | tuple) and len(given) > count:
+            raise ValueError(f"must hold at most {count} entries, holds {len(given)}")
+        return given
+
+    return BeforeValidator(check)
 
 
 _PLAIN: Final = frozenset({NoneType, bool, int, float, str})

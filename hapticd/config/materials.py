@@ -6,8 +6,8 @@ Virtual Environments", ICRA 1998, eq. 1 and 3), B the decay rate in 1/s, w the a
 
 import datetime
 import math
-from collections.abc import Callable, Mapping
-from functools import cache, partial
+from collections.abc import Mapping
+from functools import cache
 from importlib import resources
 from itertools import pairwise
 from types import MappingProxyType
@@ -24,21 +24,19 @@ from pydantic import (
     field_validator,
 )
 
-from hapticd.base.errors import InvalidError, Path, Problem, quoted
+from hapticd.base.errors import InvalidError, Path, Problem, path_text, quoted
 from hapticd.base.model import (
-    AT_ONCE,
-    MOST_MEMBERS,
     Damping,
     Model,
     Name,
     Stiffness,
     faults_of,
-    in_parts,
-    members,
+    one_by_one,
     one_of_two,
     problems_of,
     refuse_many_keys,
 )
+from hapticd.base.steps import Steps, finish
 from hapticd.base.yaml_source import Document, load_bytes
 from hapticd.config.mode_table import ModeTable
 from hapticd.config.modes import Attack as Attack
@@ -49,8 +47,7 @@ from hapticd.config.texture import WITHOUT_MODE, Grooves, Texture
 from hapticd.config.vibration_direction import ONE_DIRECTION, AimedKeys
 from hapticd.config.waveform import Waveform
 
-MAX_MATERIALS: Final = 2**20
-"""Room for addresses; memory follows what is used."""
+MAX_MATERIALS: Final = 1000
 LIBRARY: Final = "materials"
 _FIRST: Final = "okamura1998.yaml"
 MAX_TAP_POINTS: Final = 256
@@ -375,22 +372,25 @@ class _Library(Model):
 Materials: TypeAlias = Mapping[str, Material]
 
 
-def validate_materials(data: object, root: Path = (), working: Callable[[], None] | None = None) -> dict[str, Material]:
-    """Materials by name from plain data. Raises InvalidError; `where` starts with `root`, `materials`.
+def validate_materials(data: object, root: Path = ()) -> dict[str, Material]:
+    """Materials by name from plain data. Raises InvalidError; `where` starts with `root`, `materials`."""
+    return finish(material_steps(data, root))
 
-    `working` is called now and then: thousands of autoregressive models take seconds.
-    """
-    parse = partial(_Library.parsed, context={"working": working})
+
+def material_steps(data: object, root: Path = ()) -> Steps[dict[str, Material]]:
+    """As validate_materials, with a pause after each: tens of models of a texture take tens of milliseconds."""
+    if not isinstance(data, dict):
+        return _parsed(data, root)
+    if len(data) > MAX_MATERIALS:
+        problem = f"must hold at most {MAX_MATERIALS} entries, holds {len(data)}"
+        raise InvalidError([Problem(path_text((*root, "materials")), problem)])
+    return (yield from one_by_one(data, lambda name, each: _parsed({name: each}, root)[name], root, "materials"))
+
+
+def _parsed(data: object, root: Path) -> dict[str, Material]:
+    refuse_many_keys(data, (*root, "materials"))
     try:
-        if not isinstance(data, dict) or len(data) > MAX_MATERIALS:
-            return parse({"materials": data}).materials
-        for name, material in data.items():
-            refuse_many_keys(material, (*root, "materials", name))
-        if len(data) <= AT_ONCE and members(data) <= MOST_MEMBERS:
-            return parse({"materials": data}).materials
-        return in_parts(
-            data, lambda part: parse({"materials": part}).materials, root, "materials", working or (lambda: None)
-        )
+        return _Library.parsed({"materials": data}).materials
     except ValidationError as error:
         raise InvalidError(problems_of(error, root)) from None
 

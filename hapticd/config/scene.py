@@ -5,35 +5,34 @@ The workspace is a plane, x to the right and y up, in m. A normal points out of 
 
 import math
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from typing import Annotated, Final, Literal, TypeAlias, get_args
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from functools import partial
+from typing import Annotated, Final, Literal, Self, TypeAlias, get_args
 
-from pydantic import AfterValidator, Field, Strict, ValidationError
+from pydantic import AfterValidator, Field, Strict, ValidationError, model_validator
 
 from hapticd.base import arguments
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.base.model import (
-    AT_ONCE,
     MAX_FAULTS,
-    MOST_MEMBERS,
     Damping,
     Model,
     Name,
     Position,
     Stiffness,
     faults_of,
-    in_parts,
-    members,
+    one_by_one,
     plain,
     problems_of,
     refuse_many_keys,
 )
+from hapticd.base.steps import Steps, finish
 from hapticd.base.yaml_source import Document, Json, load_path
 from hapticd.config.document_kinds import refuse_other_keys, refuse_other_kinds
-from hapticd.config.patches import TOUCHING_M, GivenPatches, patches_of
+from hapticd.config.patches import MAX_SCENE_PATCHES, TOUCHING_M, Patches, in_order
 
-MAX_OBJECTS: Final = 2**20
-"""Address room; memory follows what is used."""
+MAX_OBJECTS: Final = 10_000
+"""The largest change that is allowed keeps the command thread for 50 ms (docs/adr/0058)."""
 MIN_NORMAL_LENGTH = 1e-9
 MAX_NORMAL_COMPONENT = 1e9
 _ROUNDING: Final = 4 * 2.0**-52
@@ -63,7 +62,7 @@ class Wall(Model):
     point_m: Position = Field(description="A point of the surface, [x, y].")
     normal: Normal = Field(description="Direction out of the solid, [x, y]; kept as a unit vector.")
     material: Name = Field(description="Name of a material.")
-    patches: GivenPatches = Field(default=(), description="Stretches of other materials; they do not overlap.")
+    patches: Patches = Field(default=(), description="Stretches of other materials; they do not overlap.")
     patch_ramp_m: float = Field(
         default=0.001, ge=1e-5, le=1, description="Over which one material goes over into the next, across the edge."
     )
@@ -72,14 +71,13 @@ class Wall(Model):
         """The whole wall in rising order, patches and the base material between them: where each stretch begins, -inf
         for the first, and its material. The last one has no end."""
         begins, materials = [-math.inf], [self.material]
-        patches = patches_of(self.patches)
-        for index in patches.order:
-            from_m = patches.begins_m[index]
-            if from_m - begins[-1] <= TOUCHING_M:  # the base material has no room between two patches
+        for index in in_order(self.patches):
+            patch = self.patches[index]
+            if patch.from_m - begins[-1] <= TOUCHING_M:  # the base material has no room between two patches
                 begins.pop()
                 materials.pop()
-            begins += from_m, patches.ends_m[index]
-            materials += patches.material(index), self.material
+            begins += patch.from_m, patch.to_m
+            materials += patch.material, self.material
         return begins, materials
 
 
@@ -153,18 +151,15 @@ def materials_of(item: SceneObject) -> tuple[str, ...]:
     """Names of the materials that an object is made of: its own first, then its patches'; none for a field."""
     # By kind: isinstance of a pydantic model that an object is not takes longer than all the rest.
     if item.kind == "wall" and item.patches:
-        patches = patches_of(item.patches)
-        return (item.material, *map(patches.material, range(len(patches))))
+        return (item.material, *(patch.material for patch in item.patches))
     if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
         return ()
     return (item.material,)
 
 
 def material_names(item: SceneObject) -> Collection[str]:
-    """As materials_of, each once: in time that does not grow with the patches."""
-    if item.kind == "wall" and item.patches:
-        return {item.material: None} | dict.fromkeys(patches_of(item.patches).first)
-    return materials_of(item)
+    """As materials_of, each once."""
+    return dict.fromkeys(materials_of(item))
 
 
 def same_materials(one: SceneObject | None, other: SceneObject) -> bool:
@@ -172,7 +167,7 @@ def same_materials(one: SceneObject | None, other: SceneObject) -> bool:
     if one is None or one.kind != other.kind:
         return False
     if one.kind == "wall":
-        return one.material == other.material and one.patches is other.patches  # type: ignore[union-attr]
+        return one.material == other.material and one.patches == other.patches  # type: ignore[union-attr]
     return getattr(one, "material", None) == getattr(other, "material", None)
 
 
@@ -180,11 +175,12 @@ def material_places(item: SceneObject) -> Iterator[tuple[str, Path]]:
     """The materials of an object, each once, and where it first names them."""
     if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
         return
+    seen = {item.material}
     yield item.material, ("material",)
-    if item.kind == "wall" and item.patches:
-        for name, index in patches_of(item.patches).first.items():
-            if name != item.material:
-                yield name, ("patches", index, "material")
+    for index, patch in enumerate(item.patches if item.kind == "wall" else ()):
+        if patch.material not in seen:
+            seen.add(patch.material)
+            yield patch.material, ("patches", index, "material")
 
 
 def field_ids(objects: Mapping[str, SceneObject]) -> list[str]:
@@ -216,6 +212,16 @@ class Display(Model):
     vibration: bool = Field(default=True, description="Ringing modes and the noise of textures.")
 
 
+def _size_faults(objects: Mapping[str, object]) -> list[str]:
+    """Of more objects, or more patches of theirs, than a scene holds."""
+    if len(objects) > MAX_OBJECTS:
+        return [f"must hold at most {MAX_OBJECTS} entries, holds {len(objects)}"]
+    patches = sum(len(item.patches) for item in objects.values() if isinstance(item, Wall))
+    if patches > MAX_SCENE_PATCHES:
+        return [f"must have at most {MAX_SCENE_PATCHES} patches in all, have {patches}"]
+    return []
+
+
 class Scene(Model):
     """Objects by id, and how they are displayed."""
 
@@ -231,11 +237,18 @@ class Scene(Model):
         default={}, max_length=MAX_OBJECTS, description="What is in the workspace, by id."
     )
 
+    @model_validator(mode="after")
+    def _is_not_too_large(self) -> Self:
+        faults = _size_faults(self.objects)
+        if faults:
+            raise ValueError("; ".join(f"objects {fault}" for fault in faults))
+        return self
+
     def with_objects(self, changes: Mapping[str, SceneObject | None]) -> "Scene":
         """This scene with some objects added or replaced, and those given as None removed.
 
         The objects are taken as validated (see validate_object); the others are the same instances as before.
-        Raises InvalidError for more than MAX_OBJECTS.
+        Raises InvalidError for more than MAX_OBJECTS, or MAX_SCENE_PATCHES of their patches.
         """
         objects = dict(self.objects)
         for name, changed in changes.items():
@@ -243,9 +256,9 @@ class Scene(Model):
                 objects.pop(name, None)
             else:
                 objects[name] = changed
-        if len(objects) > MAX_OBJECTS:
-            problem = f"must hold at most {MAX_OBJECTS} entries, holds {len(objects)}"
-            raise InvalidError([Problem("objects", problem)])
+        faults = _size_faults(objects)
+        if faults:
+            raise InvalidError([Problem("objects", fault) for fault in faults])
         # All is valid already; pydantic's ways to copy a model would cost more than the rest of an update.
         scene = Scene.__new__(Scene)
         values = {**self.__dict__, "objects": objects}
@@ -287,36 +300,27 @@ def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[S
         raise InvalidError(document.problem(root + path, text) for path, text in faults) from None
 
 
-def validate_scene(data: object, root: Path = (), working: Callable[[], None] = lambda: None) -> Scene:
-    """A scene from plain data. Raises InvalidError; `where` begins with `root`.
-
-    `working` is called now and then: thousands of objects take seconds.
-    """
-    try:
-        if not isinstance(data, dict):
-            return Scene.parsed(data)
-        given = data.get("objects")
-        rest = {key: value for key, value in data.items() if key != "objects"}
-        refuse_many_keys(rest, root)
-        if isinstance(given, dict) and len(given) <= MAX_OBJECTS:
-            for id, item in given.items():
-                refuse_many_keys(item, (*root, "objects", id))
-            if len(given) > AT_ONCE or members(given) > MOST_MEMBERS:
-                return _large(rest, given, root, working)
-        return Scene.parsed(data)
-    except ValidationError as error:
-        raise InvalidError(problems_of(error, root)) from None
+def validate_scene(data: object, root: Path = ()) -> Scene:
+    """A scene from plain data. Raises InvalidError; `where` begins with `root`."""
+    return finish(scene_steps(data, root))
 
 
-def _large(rest: dict[str, object], given: Mapping[str, object], root: Path, working: Callable[[], None]) -> Scene:
+def scene_steps(data: object, root: Path = ()) -> Steps[Scene]:
+    """As validate_scene, with a pause after each object."""
+    given = data.get("objects", {}) if isinstance(data, dict) else None
+    if not isinstance(data, dict) or not isinstance(given, dict):
+        return _parsed(data, root)
+    faults = _size_faults(given)
+    if faults:
+        raise InvalidError(Problem(path_text((*root, "objects")), fault) for fault in faults)
     problems: list[Problem] = []
     scene, objects = Scene(), dict[str, SceneObject]()
     try:
-        scene = Scene.parsed(rest)
-    except ValidationError as error:
-        problems += problems_of(error, root)
+        scene = _parsed({key: value for key, value in data.items() if key != "objects"}, root)
+    except InvalidError as error:
+        problems += error.problems
     try:
-        objects = in_parts(given, _objects, root, "objects", working)
+        objects = yield from one_by_one(given, partial(validate_object, root=root), root, "objects")
     except InvalidError as error:
         problems += error.problems
     if problems:
@@ -324,18 +328,17 @@ def _large(rest: dict[str, object], given: Mapping[str, object], root: Path, wor
     return scene.with_objects(objects)
 
 
-def _objects(part: dict[str, object]) -> dict[str, SceneObject]:
-    return Scene.parsed({"objects": part}).objects
+def _parsed(data: object, root: Path) -> Scene:
+    refuse_many_keys(data, root)
+    try:
+        return Scene.parsed(data)
+    except ValidationError as error:
+        raise InvalidError(problems_of(error, root)) from None
 
 
 def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
     """One object from plain data. Raises InvalidError; `where` starts with `root`, `objects`, `name`."""
-    if isinstance(data, dict) and (len(data) > AT_ONCE or "patches" in data):
-        refuse_many_keys(data, (*root, "objects", name))
-    try:
-        return Scene.parsed({"objects": {name: data}}).objects[name]
-    except ValidationError as error:
-        raise InvalidError(problems_of(error, root)) from None
+    return _parsed({"objects": {name: data}}, root).objects[name]
 
 
 def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:

@@ -11,19 +11,17 @@ from dataclasses import replace
 from typing import Annotated, Final, Literal, Self, TypeAlias
 
 from pydantic import (
-    BeforeValidator,
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
     Strict,
-    ValidationError,
-    ValidationInfo,
     model_serializer,
     model_validator,
 )
 from pydantic.config import JsonDict, JsonValue
 
-from hapticd.base.model import MAX_FAULTS, CheckedTogether, Damping, Model, one_of_two
+from hapticd.base.lattice import pole_radius, reflection_of
+from hapticd.base.model import CheckedTogether, Damping, Model, at_most, one_of_two
 from hapticd.config.modes import (
     AngularFrequency,
     DecayRate,
@@ -39,10 +37,7 @@ from hapticd.config.rising_points import MAX_POINTS, around, rising_faults
 from hapticd.config.vibration_direction import Direction
 
 MAX_ORDER: Final = 32
-MAX_MODELS: Final = 400
-MAX_DISTINCT: Final = 256
-"""Different speeds, and different forces, of the models of a texture."""
-_FEW_MODELS: Final = 8
+MAX_MODELS: Final = 64
 MAX_SEED: Final = 2**53
 MAX_RMS_M_PER_S2: Final = 1e6
 
@@ -253,7 +248,7 @@ class Stochastic(Model):
         return self
 
 
-class AutoregressiveModel(Model):
+class AutoregressiveModel(CheckedTogether):
     """A model identified at one speed and force: x[n] = -(a_1 x[n-1] + ... + a_p x[n-p]) + e[n]."""
 
     model_config = ConfigDict(json_schema_extra=one_of("rms_m_per_s2", "variance_m2_per_s4"))
@@ -278,10 +273,7 @@ class AutoregressiveModel(Model):
         power = math.prod(1.0 - k * k for k in reflection)
         return math.sqrt(self.variance_m2_per_s4 / power) if power > 0 else math.inf
 
-    def _cross_faults(self) -> list[str]:
-        # The analysis may run in a separate process: most of what reads a material does without those modules.
-        from hapticd.base.lattice import pole_radius, reflection_of
-
+    def cross_faults(self) -> list[str]:
         faults = one_of_two(self, "rms_m_per_s2", "variance_m2_per_s4")
         one_level = not faults
         try:
@@ -295,50 +287,13 @@ class AutoregressiveModel(Model):
             faults.append(f"has an RMS of {rms:.6g} m/s^2 with these coefficients, at most {MAX_RMS_M_PER_S2:g}")
         return faults
 
-    @model_validator(mode="after")
-    def _refuse_cross_faults(self, info: ValidationInfo) -> Self:
-        working = (info.context or {}).get("working")
-        if working is not None:
-            working()
-        faults = self._cross_faults()
-        if faults:
-            raise ValueError("; ".join(faults))
-        return self
-
-
-def _not_too_many(models: object) -> object:
-    """Reported before thousands of models are analysed one by one."""
-    if isinstance(models, list | tuple) and len(models) > MAX_MODELS:
-        raise ValueError(f"must hold at most {MAX_MODELS} entries, holds {len(models)}")
-    return models
-
-
-def _one_by_one(models: object, info: ValidationInfo) -> object:
-    """Many models, each validated alone: the faults of all are reported in one call, in which nobody else goes on.
-    After MAX_FAULTS the rest is not read."""
-    if not isinstance(models, list) or len(models) <= _FEW_MODELS:
-        return models
-    found: list[object] = []
-    faults = 0
-    for model in models:
-        try:
-            found.append(AutoregressiveModel.parsed(model, info.context))
-        except ValidationError as error:
-            found.append(model)
-            faults += error.error_count()
-            if faults >= MAX_FAULTS:
-                break
-    return found
-
 
 class Autoregressive(CheckedTogether):
     """Coloured noise by models identified from recordings, blended over speed and force."""
 
     kind: Literal["autoregressive"] = Field(description="Which kind of texture this is.")
     rate_hz: float = Field(ge=100, le=1e5, description="Sampling rate of the recordings.")
-    models: Annotated[
-        tuple[AutoregressiveModel, ...], Strict(False), BeforeValidator(_one_by_one), BeforeValidator(_not_too_many)
-    ] = Field(
+    models: Annotated[tuple[AutoregressiveModel, ...], Strict(False), at_most(MAX_MODELS)] = Field(
         min_length=1, max_length=MAX_MODELS, description="Each at a different speed and force, on a grid or scattered."
     )
     threshold_m_per_s: Threshold = Field(
@@ -349,10 +304,6 @@ class Autoregressive(CheckedTogether):
 
     def cross_faults(self) -> list[str]:
         faults = []
-        for key in ("speed_m_per_s", "force_n"):
-            distinct = len({getattr(model, key) for model in self.models})
-            if distinct > MAX_DISTINCT:
-                faults.append(f"models may have at most {MAX_DISTINCT} different {key}, have {distinct}")
         first: dict[tuple[float, float], int] = {}
         for index, model in enumerate(self.models):
             place = (model.speed_m_per_s + 0.0, model.force_n + 0.0)  # -0 is 0

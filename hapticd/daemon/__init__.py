@@ -7,8 +7,7 @@ From a request to the servo, and back:
     turns            whose turn it is among users, their processes and their connections
     router           the command socket: frames in, answers out
     server           the command thread: one request after the other, and the beat between them
-    dispatch         answers a request on the command thread, or has the intake thread do it
-    intake           the intake thread: one long change at a time
+    dispatch         answers requests; makes changes in steps, and answers others between them
     methods          the protocol's methods: what each does and answers, and the code of each error
     params           what the methods take
     described/       the protocol as OpenRPC and AsyncAPI documents, made of params, results and records
@@ -33,11 +32,11 @@ What the servo reports:
 Questions, and where to begin:
 
     What happens when a method is called?
-        dispatch (take) decodes it, methods (perform) checks its parameters and carries it out on the engine.
+        dispatch (take) decodes it, methods (perform, change) checks its parameters and carries it out on the engine.
     How does a scene reach the servo?
         methods (_set_scene), then engine, which has rendering/compiler/table rewrite what changed and publishes it.
     Why did a request get an error?
-        methods (perform and the handlers) maps exceptions to codes: of LeaseHeldError it makes Code.LEASE_HELD.
+        methods (_refusals and the handlers) maps exceptions to codes: of LeaseHeldError it makes Code.LEASE_HELD.
     Where does a sample go?
         telemetry drains it; publisher sends it; flight_recorder keeps it.
     What ends the force?

@@ -1,9 +1,8 @@
-"""Who answers a request: the thread that serves commands, or one beside it for what takes long to take in.
+"""Answers requests, on the command thread alone.
 
-Scene and materials change in the order in which requests came. While a long change is taken in, brief ones wait for at
-most WAIT_S, and another long one is refused. Everything else is answered meanwhile; `get_state` when the thread that
-reads the samples has come to it. A reload of the configuration is a long change, one for all signals that asked for it
-before it began.
+Scene and materials change in the order in which requests came, one change at a time and in steps: between two steps
+other requests are answered (docs/adr/0058). `get_state` is answered when the thread that reads the samples has come to
+it. A reload of the configuration is a change, one for all signals that asked for it before it began.
 """
 
 from __future__ import annotations
@@ -19,19 +18,17 @@ from typing import Final
 
 from hapticd.base import codec
 from hapticd.base.errors import quoted
-from hapticd.daemon.intake import GivenUpError, Work
-from hapticd.daemon.methods import CHANGES, Changed, Done, MethodError, Methods, TakesLongError
+from hapticd.base.steps import Steps
+from hapticd.daemon.methods import CHANGES, Changed, Done, MethodError, Methods
 from hapticd.protocol import messages, streams
 from hapticd.system import notify
 from hapticd.system.repeated_lines import Repeats
 
 WAIT_S: Final = 1.0
-"""So long a brief change waits for a long one."""
+"""So long `get_state` waits for a tick."""
 MOST_WAITING: Final = 64
-LARGE_BODY: Final = 64 * 1024
-"""Larger bodies, bytes, are decoded beside."""
-BRIEF_BODY: Final = 16 * 1024
-"""Changes with larger ones take long."""
+SLICE_NS: Final = 5_000_000
+"""So long a change goes on before other requests are looked at, and until the step is over that is under way then."""
 
 _log = logging.getLogger("hapticd.server")
 
@@ -49,40 +46,62 @@ class _Asked:
     reply: Reply
 
 
-@dataclass(frozen=True, slots=True)
-class _Waiting:
-    """A change that waits for another one."""
+@dataclass(slots=True)
+class _Change:
+    """A change that was asked for."""
 
     request: messages.Request
-    size: int
-    until_ns: int
+    steps: Steps[Changed]
     reply: Reply
+    over: bool = False
+    """It is in force, or was refused."""
+
+    def go_on(self) -> Changed | None:
+        """Does some steps; None: there are more. Raises what refuses the change."""
+        until_ns = monotonic_ns() + SLICE_NS
+        self.over = True
+        try:
+            next(self.steps)
+            while monotonic_ns() < until_ns:
+                next(self.steps)
+        except StopIteration as end:
+            done: Changed = end.value
+            return done
+        self.over = False
+        return None
 
 
 class Dispatch:
     """Answers requests; everything but `ask_reload` is for the thread that serves commands."""
 
-    def __init__(self, methods: Methods, repeats: Repeats | None = None) -> None:
-        """What a client causes is reported in the log as `repeats` says."""
+    def __init__(
+        self, methods: Methods, repeats: Repeats | None = None, wake: Callable[[], None] = lambda: None
+    ) -> None:
+        """What a client causes is reported in the log as `repeats` says. `wake` has the thread that serves commands
+        call `turn`, and is called by any."""
         self.repeats = Repeats() if repeats is None else repeats
         self._methods = methods
-        self._waiting: deque[_Waiting] = deque()
+        self._wake = wake
+        self._changes: deque[_Change] = deque()
+        """In the order in which they came; the first one is under way."""
         self._asked: deque[_Asked] = deque()
         self._reload = threading.Event()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a change is under way, or waits: `go_on` is to be called soon."""
+        return bool(self._changes) or self._reload.is_set()
 
     def ask_reload(self) -> None:
         """Has the configuration reloaded in its turn; what nobody has begun yet is one. For any thread."""
         self._reload.set()
-        self._methods.intake.wake()
+        self._wake()
 
     def take(self, body: bytes | None, reply: Reply, sender: object = None) -> None:
-        """Answers a body by `reply`, now or in a later `turn`; a notification not at all. Never raises for what was
-        sent. `sender`: the connection that it came over, which is whose a stream is."""
-        if body is not None:
-            if self._methods.streams.take_body(sender, body):
-                return
-            if len(body) > LARGE_BODY and self._take_large(body, reply):
-                return
+        """Answers a body by `reply`, now or in a later `turn` or `go_on`; a notification not at all. Never raises for
+        what was sent. `sender`: the connection that it came over, which is whose a stream is."""
+        if body is not None and self._methods.streams.take_body(sender, body):
+            return
         try:
             if body is None:
                 raise messages.WireError(
@@ -92,33 +111,21 @@ class Dispatch:
         except messages.WireError as error:
             if error.method in streams.METHODS:
                 self._methods.streams.refused(error.method)
-            _answer_error(error, reply)
+            if not error.silent:
+                reply(messages.error_reply(error.id, error.code, error.message))
             return
         if request.method in streams.METHODS:
             self._answer(request, lambda: self._methods.stream(request.method, request.params, sender), reply)
         elif request.method not in CHANGES:
             self._answer(request, lambda: self._methods.perform(request.method, request.params), reply)
-        elif self._methods.intake.work is None and not self._waiting:
-            self._change(request, len(body), reply)
-        elif self._is_long(request, len(body)) or len(self._waiting) >= MOST_WAITING:
-            self._refuse(request, reply)
+        elif len(self._changes) < MOST_WAITING:
+            self._begin(request, reply)
         else:
-            until_ns = monotonic_ns() + int(WAIT_S * 1e9)
-            self._waiting.append(_Waiting(request, len(body), until_ns, reply))
+            self._answer(request, _too_many_changes, reply)
 
     def turn(self) -> None:
-        """Answers what is over, and does what has waited for it. To be called when intake's `wake` was, and often."""
-        intake = self._methods.intake
-        intake.finished()
-        if not (self._waiting or self._asked or self._reload.is_set()):
-            return
-        while self._waiting and intake.work is None:
-            waited = self._waiting.popleft()
-            self._change(waited.request, waited.size, waited.reply)
+        """Answers what another thread was asked for. To be called when `wake` was, and often."""
         now_ns = monotonic_ns()
-        while self._waiting and self._waiting[0].until_ns < now_ns:
-            waited = self._waiting.popleft()
-            self._refuse(waited.request, waited.reply)
         for _ in range(len(self._asked)):
             asked = self._asked.popleft()
             if asked.answer.done():
@@ -127,76 +134,24 @@ class Dispatch:
                 self._answer(asked.request, _late, asked.reply)
             else:
                 self._asked.append(asked)
-        if self._reload.is_set() and intake.work is None:
+
+    def go_on(self) -> None:
+        """Goes on with the change that is under way, or begins the one that waits."""
+        if not self._changes and self._reload.is_set():
             self._reload.clear()
             notify.reloading()
             # What comes of it is logged, a defect too.
-            self._beside(messages.Request(0, True, "reload", {}), lambda _: _ready())
+            self._begin(messages.Request(0, True, "reload", {}), _tell_ready)
+        elif self._changes:
+            change = self._changes[0]
+            self._answer(change.request, change.go_on, change.reply)
+            if change.over:
+                self._changes.popleft()
 
-    def _take_large(self, body: bytes, reply: Reply) -> bool:
-        """Whether this was a change; it is taken in beside, or refused."""
-        found = messages.peek(body)
-        if found is None or found.method not in CHANGES:
-            return False
-        if self._methods.intake.work is not None or self._waiting:
-            self._refuse(found, reply)
-            return True
-
-        def do(work: Work) -> Callable[[], object]:
-            try:
-                request = messages.parse_request(messages.decode(body))
-            except messages.WireError as error:
-                failure = error
-                return lambda: _answer_error(failure, reply)
-            return self._long(request, work, reply)
-
-        self._methods.intake.begin(found.method, do)
-        return True
-
-    def _is_long(self, request: messages.Request, size: int) -> bool:
-        return size > BRIEF_BODY or self._methods.takes_long(request.method, request.params)
-
-    def _change(self, request: messages.Request, size: int, reply: Reply) -> None:
-        if not self._is_long(request, size):
-            try:
-                self._answer(request, lambda: self._methods.perform(request.method, request.params, brief=True), reply)
-                return
-            except TakesLongError:
-                pass
-        self._beside(request, reply)
-
-    def _beside(self, request: messages.Request, reply: Reply) -> None:
-        self._methods.intake.begin(request.method, lambda work: self._long(request, work, reply))
-
-    def _long(self, request: messages.Request, work: Work, reply: Reply) -> Callable[[], object]:
-        """In a separate thread: makes a change; what is returned answers it."""
-        with self._methods.beside(work):
-            try:
-                done = self._methods.perform(request.method, request.params)
-            except BaseException as error:
-                failure = error
-                if isinstance(error, MethodError):
-                    error.__traceback__ = None  # which would keep the whole message
-
-                def fail() -> Changed:
-                    raise failure
-
-                return lambda: self._answer(request, fail, reply)
-        return lambda: self._answer(request, lambda: done, reply)
-
-    def _refuse(self, request: messages.Request, reply: Reply) -> None:
-        work = self._methods.intake.work
-
-        def refused() -> Changed:
-            method = "another change" if work is None else f"{work.method} of another request"
-            data = None if work is None else {"intake": work.status()}
-            raise MethodError(
-                messages.Code.RING_FULL,
-                f"{method} is still being taken in; nothing of this was done: send it again",
-                data,
-            )
-
-        self._answer(request, refused, reply)
+    def _begin(self, request: messages.Request, reply: Reply) -> None:
+        self._changes.append(_Change(request, self._methods.change(request.method, request.params), reply))
+        if len(self._changes) == 1:
+            self.go_on()
 
     def _wait_for(self, request: messages.Request, answer: Future[dict[str, object]], reply: Reply) -> None:
         """Answers once the other thread has; meanwhile others are served. Raises MethodError."""
@@ -205,23 +160,21 @@ class Dispatch:
                 messages.Code.RING_FULL, f"{MOST_WAITING} of {request.method} are under way; send it again later"
             )
         self._asked.append(_Asked(request, answer, monotonic_ns() + int(WAIT_S * 1e9), reply))
-        answer.add_done_callback(lambda _: self._methods.intake.wake())
+        answer.add_done_callback(lambda _: self._wake())
 
     def _answer(
-        self, request: messages.Request, perform: Callable[[], Done | Future[dict[str, object]]], reply: Reply
+        self, request: messages.Request, perform: Callable[[], Done | Future[dict[str, object]] | None], reply: Reply
     ) -> None:
-        """Answers a request by what was performed for it, at once or later. Raises TakesLongError."""
+        """Answers a request by what was performed for it, at once or later; None: it goes on."""
         try:
             done = perform()
+            if done is None:
+                return
             if isinstance(done, Future):
                 self._wait_for(request, done, reply)
                 return
             result = self._methods.finish(done)
             _log.debug("%s: done", request.method)
-        except TakesLongError:
-            raise
-        except GivenUpError:
-            return  # nobody is answered any more
         except MethodError as error:
             _log.debug("%s: refused, %d: %s", quoted(request.method), error.code, quoted(error.message))
             if request.has_id:
@@ -249,10 +202,11 @@ def _late() -> Done:
     raise MethodError(messages.Code.WAIT_TIMED_OUT, f"no tick was rendered within {WAIT_S:g} s")
 
 
-def _ready() -> None:
+def _tell_ready(_: bytes | codec.Encoded) -> None:
     notify.ready()
 
 
-def _answer_error(error: messages.WireError, reply: Reply) -> None:
-    if not error.silent:
-        reply(messages.error_reply(error.id, error.code, error.message))
+def _too_many_changes() -> Done:
+    raise MethodError(
+        messages.Code.RING_FULL, f"{MOST_WAITING} changes wait for their turn; nothing of this was done: send it again"
+    )

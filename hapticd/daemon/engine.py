@@ -12,7 +12,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
@@ -39,6 +39,7 @@ from hapticd.base.core import (
     pointer,
 )
 from hapticd.base.errors import HapticdError, InvalidError, Problem
+from hapticd.base.steps import Steps
 from hapticd.config.configuration import Config, Device
 from hapticd.config.materials import Material, Materials
 from hapticd.config.modes import Attack, Mode
@@ -63,7 +64,6 @@ from hapticd.protocol.changes import Change, Reset, Revised, revised
 from hapticd.protocol.displayability_warnings import MaterialReport
 from hapticd.protocol.marks import Mark, Marks, MarksFullError
 from hapticd.protocol.messages import GESTURE_ENDS
-from hapticd.rendering.compiler.materials import Progress
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.displayability import (
@@ -111,17 +111,6 @@ class State(NamedTuple):
     scene: Scene
     materials: Materials
     revision: int
-
-
-class _Working(threading.local):
-    """Called often in what takes long: the thread that serves commands beats, another one tells its progress."""
-
-    def __init__(self, beat: Callable[[], None]) -> None:
-        self.beat = beat
-        self.progress: Progress | None = None
-
-    def __call__(self) -> None:
-        (self.beat if self.progress is None else self.progress.step)()
 
 
 class Engine:
@@ -217,9 +206,7 @@ class Engine:
         # It holds what its thread uses: the collector of garbage frees what it finds in any order.
         held = self._servo = ffi.gc(made, lib.hd_servo_free)
         self._ring = CommandRing(held, self.look_after)
-        # Whoever compiles for seconds is at work all the while.
-        self._working = _Working(lambda: lib.hd_servo_beat(held))
-        self._compiler = Compiler(self.output, self._working, self._offload)
+        self._compiler = Compiler(self.output, lambda: lib.hd_servo_beat(held), self._offload)
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
     def _output_at(self, rate_hz: float) -> Output:
@@ -310,23 +297,6 @@ class Engine:
         """The thread that serves commands lives; without a beat for a second the forces fade out."""
         lib.hd_servo_beat(self._servo)
 
-    def working(self) -> None:
-        """Called often by who changes something: beats in the thread that serves commands, and tells another one's
-        progress, which raises what ends it."""
-        if self._working.progress is None:
-            self.beat()
-        else:
-            self._working()
-
-    @contextmanager
-    def beside(self, progress: Progress) -> Iterator[None]:
-        """What this thread changes, it changes beside the one that serves commands."""
-        self._working.progress = progress
-        try:
-            yield
-        finally:
-            self._working.progress = None
-
     # ---- What the servo cannot do alone --------------------------------------------------------------------------
 
     def look_after(self) -> None:
@@ -343,12 +313,9 @@ class Engine:
             if self.connection is not None:
                 self.connection.suspect()
         self._signs.note(counters.signs)
-        # While another thread compiles, the rate stays; it is checked again soon.
-        if counters.overloaded and not counters.running and self._compiling.acquire(blocking=False):
-            try:
+        if counters.overloaded and not counters.running:
+            with self._compiling:
                 self._step_down()
-            finally:
-                self._compiling.release()
 
     def _step_down(self) -> None:
         """Half the rate, or, where that cannot be, the same with a fault."""
@@ -409,10 +376,10 @@ class Engine:
         """Takes validated materials that define every name the scene uses; returns the revision."""
         return self._take(self.scene, (), materials, expected)
 
-    def missing(self, objects: Iterable[SceneObject], materials: Materials) -> int:
-        """Filters, shapes and spectra that are yet to be found for these objects and for what is in use, with these
-        materials; a few milliseconds each."""
-        return self._compiler.missing(used_materials(objects), materials)
+    def prepare(self, objects: Iterable[SceneObject], materials: Materials) -> Steps[None]:
+        """Finds what takes long of the next change, which brings these objects and materials: the filters of textures
+        above all. Pauses after each."""
+        return self._compiler.prepare(used_materials(objects), materials)
 
     def wait_revision(self, revision: int) -> int:
         """The first tick rendered with this revision or a later one. Raises WaitTimeoutError."""
@@ -475,15 +442,6 @@ class Engine:
 
     def _take(self, scene: Scene, changed: Iterable[str], materials: Materials, expected: int | None) -> int:
         changed = tuple(changed)
-        objects = scene.objects
-        # What takes long comes first: whoever wants to know the state, or another rate, waits for the rest alone.
-        names = used_materials(objects[id] for id in changed if id in objects)
-        progress = self._working.progress
-        self._compiler.prepare(names, materials, progress)
-        if progress is not None:
-            for name in names:  # or who asks for the status first would have to find it out
-                self.report_of(name, materials[name])
-                progress.step()
         with self._compiling:
             before = self.state
             if expected is not None and expected != before.revision:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -16,11 +16,12 @@ from typing import Any, Final, NamedTuple, TypeAlias, cast
 
 from pydantic import ValidationError
 
-from hapticd.base import wording, worker_process
+from hapticd.base import wording
 from hapticd.base.codec import Encoded
 from hapticd.base.core import Fault, SignsState
 from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.base.model import MAX_FAULTS, Model, problems_of
+from hapticd.base.steps import Steps, finish
 from hapticd.config.configuration import Config
 from hapticd.config.materials import Materials
 from hapticd.config.operator import Target, parse_operator
@@ -30,17 +31,12 @@ from hapticd.config.scene import (
     materials_of,
     reference_problems,
     same_materials,
+    scene_steps,
     used_materials,
-    validate_scene,
 )
-from hapticd.config.texture import Autoregressive
 from hapticd.daemon.command_ring import RingFullError, WaitTimeoutError
-from hapticd.daemon.engine import (
-    Engine,
-    StaleRevisionError,
-)
+from hapticd.daemon.engine import Engine, StaleRevisionError
 from hapticd.daemon.flight_recorder import Flight
-from hapticd.daemon.intake import GivenUpError, Intake, Work
 from hapticd.daemon.lease import Lease, LeaseHeldError, LeaseLapsedError
 from hapticd.daemon.params import (
     ApplyParams,
@@ -63,8 +59,7 @@ from hapticd.daemon.reload import needing_restart, read_again
 from hapticd.daemon.status import Status
 from hapticd.daemon.streams import HeldError, LateError, Streams
 from hapticd.hid.signs import CORRECT
-from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
-from hapticd.protocol.encoded_scene import EncodedScene
+from hapticd.protocol.displayability_warnings import MaterialReport, above_rate, change_warnings, operator_warnings
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
 from hapticd.protocol.messages import Code, decode_trusted
@@ -112,19 +107,13 @@ class Changed(NamedTuple):
     warnings: list[Problem]
 
 
-class TakesLongError(Exception):
-    """A change is not brief."""
-
-
 CHANGES: Final = frozenset(("set_scene", "update_scene", "set_materials", "update_materials", "apply", "reload"))
-"""Methods that change scene or materials. What else there is stays brief whatever they take."""
-_MANY_OBJECTS: Final = 2000
-"""Taking the place of more objects takes long."""
-_BRIEF_FILTERS: Final = 4
-"""Designing more filters does."""
+"""Methods that change scene or materials, in steps: one may take seconds. What else there is takes milliseconds."""
 Done: TypeAlias = dict[str, object] | Encoded | Changed
 """What was performed."""
-_Handler = Callable[["Methods", Any], Done | Future[dict[str, object]]]
+_Reports: TypeAlias = Mapping[str, MaterialReport]
+"""By material."""
+_Handler = Callable[["Methods", Any], Done | Future[dict[str, object]] | Steps[Changed]]
 
 
 def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
@@ -152,8 +141,6 @@ class Methods:
         """`load` reads the configuration again, for `reload`; `ask_state` asks telemetry for the newest sample."""
         self._engine = engine
         self._load = load
-        self.intake = Intake()
-        self._encoded = EncodedScene()
         self._flight = flight
         self._ask_state = ask_state
         self.repeats = Repeats()
@@ -161,13 +148,12 @@ class Methods:
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self.streams = Streams(engine, engine.connection is None, round(1e9 * engine.config.servo.stream_timeout_s))
         self._sender: object = None
-        self._status = Status(engine, self._lease, self.intake, flight, self.streams)
+        self._status = Status(engine, self._lease, flight, self.streams)
         self._reference_m = engine.config.device.sim.start_m
-        self._brief = False
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
         """The result of a method, however long it takes. Raises MethodError."""
-        done = self.perform(method, params)
+        done = finish(self.change(method, params)) if method in CHANGES else self.perform(method, params)
         result = done.result() if isinstance(done, Future) else self.finish(done)
         return cast(dict[str, object], decode_trusted(bytes(result))) if isinstance(result, Encoded) else result
 
@@ -186,51 +172,41 @@ class Methods:
             result["warning"] = self._off_because(faults)
         return result
 
-    def takes_long(self, method: str, params: Mapping[str, object]) -> bool:
-        """Whether it is known of a change, before anything is done, that it takes longer than others should wait."""
-        if method == "reload":
-            return True
-        if method in ("set_scene", "apply") and len(self._engine.scene.objects) > _MANY_OBJECTS:
-            return True
-        materials = params.get("materials")
-        return isinstance(materials, dict) and any(
-            self._is_analysed(name, material) for name, material in materials.items()
-        )
+    def perform(self, method: str, params: Mapping[str, object]) -> Done | Future[dict[str, object]]:
+        """Does what a method is for that changes neither scene nor materials; `finish` makes the result of it. Raises
+        MethodError."""
+        with self._refusals(params):
+            return cast("Done | Future[dict[str, object]]", self._handled(method, params))
 
-    def _is_analysed(self, name: str, given: object) -> bool:
-        """Whether a material, or one that is patched, has models to be analysed, or a new waveform."""
-        tap = given.get("tap") if isinstance(given, dict) else None
-        if isinstance(tap, dict) and "waveform" in tap:
-            return True
-        texture = given.get("texture") if isinstance(given, dict) else None
-        if isinstance(texture, dict) and "models" in texture:
-            return True
-        before = self._engine.materials.get(name)
-        return before is not None and isinstance(before.texture, Autoregressive)
+    def change(self, method: str, params: Mapping[str, object]) -> Steps[Changed]:
+        """Does one of CHANGES, in steps that take milliseconds each. Nothing is changed before the last one. Raises
+        MethodError."""
+        with self._refusals(params):
+            try:
+                return (yield from cast("Steps[Changed]", self._handled(method, params)))
+            except ValidationError as error:
+                engine = self._engine
+                more = yield from faults_beside(method, params, engine.scene, engine.materials)
+                raise _faulty([*problems_of(error), *more]) from None
 
-    def perform(
-        self, method: str, params: Mapping[str, object], brief: bool = False
-    ) -> Done | Future[dict[str, object]]:
-        """Does what a method is for; `finish` makes the result of it. Raises MethodError.
-
-        `brief`: a change that turns out to take long raises TakesLongError, with nothing changed. Methods of CHANGES
-        may be performed by another thread than the one that serves commands, by one at a time.
-        """
-        if method in CHANGES:
-            self._brief = brief
+    def _handled(self, method: str, params: Mapping[str, object]) -> Done | Future[dict[str, object]] | Steps[Changed]:
+        """What the handler of a method returns. Raises ValidationError, and what `_refusals` names."""
         entry = _METHODS.get(method)
         if entry is None:
             raise MethodError(Code.NO_SUCH_METHOD, f"no such method; {known_names(method, _METHODS)}")
         model, handler = entry
         if len(params) > _MOST_PARAMS:
             raise _faulty([Problem("", f"has {len(params)} parameters, no method takes more than {_MOST_PARAMS}")])
-        self._engine.working()
+        self._engine.beat()
+        return handler(self, params if model is None else model.parsed(params))
+
+    @contextmanager
+    def _refusals(self, params: Mapping[str, object]) -> Iterator[None]:
+        """What is refused, as the error object of the answer."""
         try:
-            return handler(self, params if model is None else model.parsed(params))
+            yield
         except ValidationError as error:
-            engine = self._engine
-            more = faults_beside(method, params, engine.scene, engine.materials, engine.working)
-            raise _faulty([*problems_of(error), *more]) from None
+            raise _faulty(problems_of(error)) from None
         except InvalidError as error:
             raise _faulty(error.problems) from None
         except StaleRevisionError:
@@ -239,8 +215,6 @@ class Methods:
             raise MethodError(Code.RING_FULL, str(error)) from None
         except WaitTimeoutError as error:
             raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
-        except worker_process.ApartError as error:
-            raise MethodError(Code.INTERNAL, f"{error}; nothing of this was done: send it again") from None
 
     def stream(self, method: str, params: Mapping[str, object], sender: object) -> dict[str, object]:
         """Does one of the methods that stream, for this sender; what is not taken is counted. Raises MethodError."""
@@ -256,16 +230,6 @@ class Methods:
     def status(self) -> dict[str, object]:
         """The body of the status topic: the result of get_status with every detail."""
         return self._status.report()
-
-    @contextmanager
-    def beside(self, work: Work) -> Iterator[None]:
-        """This thread performs beside the one that serves commands meanwhile, and tells `work` how far it is."""
-        with self._engine.beside(work):
-            yield
-
-    def end(self) -> None:
-        """Gives up what is being taken in: the daemon ends. For any thread."""
-        self.intake.end()
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------
 
@@ -283,24 +247,23 @@ class Methods:
 
     def _get_scene(self, _: NoParams) -> dict[str, object]:
         state = self._engine.state
-        return {"scene": self._encoded.scene(state.scene), "revision": state.revision}
+        return {"scene": state.scene.to_dict(), "revision": state.revision}
 
-    def _set_scene(self, params: SetSceneParams) -> Changed:
+    def _set_scene(self, params: SetSceneParams) -> Steps[Changed]:
         self._expect(params)
-        scene = validate_scene(params.scene, ("scene",), self._engine.working)
-        self._engine.working()  # the largest scenes take their time; every stage shows that somebody is at work
+        engine = self._engine
+        scene = yield from scene_steps(params.scene, ("scene",))
         problems = self._problems_of(scene.objects, ("scene",))
         if problems:
             raise _faulty(problems)
-        self._weigh(scene.objects, self._engine.materials)
-        self._encoded.prepare(scene.objects)
-        revision = self._engine.set_scene(scene, params.expect_revision)
-        return Changed(revision, params.wait, self._warnings(scene.objects, ("scene", "objects")))
+        reports = yield from self._prepared(scene.objects, engine.materials)
+        revision = engine.set_scene(scene, params.expect_revision)
+        return Changed(revision, params.wait, self._warnings(scene.objects, ("scene", "objects"), reports))
 
-    def _update_scene(self, params: UpdateSceneParams) -> Changed:
+    def _update_scene(self, params: UpdateSceneParams) -> Steps[Changed]:
         self._expect(params)
         engine = self._engine
-        changes = patched_objects(params.objects, engine.scene)
+        changes = yield from patched_objects(params.objects, engine.scene)
         present = {id: item for id, item in changes.items() if item is not None}
         # What is made of the same as before is known to go together with it.
         before = engine.scene.objects
@@ -309,16 +272,22 @@ class Methods:
             problems = self._problems_of(others)
             if problems:
                 raise _faulty(problems)
-            self._weigh(others, engine.materials)
-        self._encoded.prepare(present)
+        reports = yield from self._prepared(present, engine.materials)
         revision = engine.update_objects(changes, params.expect_revision)
-        return Changed(revision, params.wait, self._warnings(present, ("objects",)))
+        return Changed(revision, params.wait, self._warnings(present, ("objects",), reports))
 
-    def _weigh(self, objects: Mapping[str, SceneObject], materials: Materials) -> None:
-        """Raises TakesLongError if what is performed is to be brief, and these would not be."""
-        self._engine.working()
-        if self._brief and self._engine.missing(objects.values(), materials) > _BRIEF_FILTERS:
-            raise TakesLongError
+    def _prepared(
+        self, objects: Mapping[str, SceneObject], materials: Materials, sent: Iterable[str] = ()
+    ) -> Steps[_Reports]:
+        """Finds what takes long of a change that brings these objects and materials, and what is reported of these
+        objects' materials and of those that were `sent`."""
+        engine = self._engine
+        yield from engine.prepare(objects.values(), materials)
+        reports = {}
+        for name in dict.fromkeys([*sent, *used_materials(objects.values())]):
+            reports[name] = engine.report_of(name, materials[name])
+            yield
+        return reports
 
     def _problems_of(
         self, objects: Mapping[str, SceneObject], root: Path = (), materials: Materials | None = None
@@ -346,20 +315,41 @@ class Methods:
 
     def _get_materials(self, _: NoParams) -> dict[str, object]:
         state = self._engine.state
-        return {"materials": self._encoded.materials(state.materials), "revision": state.revision}
+        materials = {name: material.to_dict() for name, material in state.materials.items()}
+        return {"materials": materials, "revision": state.revision}
 
-    def _set_materials(self, params: SetMaterialsParams) -> Changed:
+    def _set_materials(self, params: SetMaterialsParams) -> Steps[Changed]:
+        self._expect(params)
+        materials = yield from whole_materials(params.materials, self._engine.materials)
+        return (yield from self._changed_materials(params, materials, params.materials))
+
+    def _update_materials(self, params: UpdateMaterialsParams) -> Steps[Changed]:
         self._expect(params)
         engine = self._engine
-        materials = whole_materials(params.materials, engine.materials, engine.working)
+        materials, patched = yield from patched_materials(params.materials, engine.materials)
+        missing = [
+            Problem(path_text(("materials", name)), f"is used by object {quoted(id)} of the scene, so it must stay")
+            for id, item in engine.scene.objects.items()
+            for name in material_names(item)
+            if name not in materials
+        ]
+        if missing:
+            raise _faulty(missing)
+        return (yield from self._changed_materials(params, materials, patched))
+
+    def _changed_materials(
+        self, params: SetMaterialsParams | UpdateMaterialsParams, materials: Materials, sent: Collection[str]
+    ) -> Steps[Changed]:
+        """Takes all materials, of which some were sent."""
+        engine = self._engine
         refused = rate_faults(engine.scene.objects, materials, engine.output)
         if refused:
             raise _faulty(refused)
-        self._weigh({}, materials)
+        reports = yield from self._prepared({}, materials, sent)
         revision = engine.set_materials(materials, params.expect_revision)
-        return Changed(revision, params.wait, self._material_warnings(params.materials))
+        return Changed(revision, params.wait, self._warnings({}, (), reports, sent))
 
-    def _apply(self, params: ApplyParams) -> Changed:
+    def _apply(self, params: ApplyParams) -> Steps[Changed]:
         """Every fault of either part is reported; materials and scene change at one tick, or neither does."""
         self._expect(params)
         engine = self._engine
@@ -369,78 +359,54 @@ class Methods:
             raise _faulty([Problem("", "needs materials, scene or both")])
         if params.materials is not None:
             try:
-                materials = whole_materials(params.materials, engine.materials, engine.working)
+                materials = yield from whole_materials(params.materials, engine.materials)
             except InvalidError as error:
                 problems += error.problems
         if "scene" in params.model_fields_set:
             try:
-                scene = validate_scene(params.scene, ("scene",), self._engine.working)
+                scene = yield from scene_steps(params.scene, ("scene",))
             except InvalidError as error:
                 problems += error.problems
-        engine.working()
         if not problems:
             sent = {name: materials[name] for name in params.materials or ()}
             problems = rate_faults(scene.objects, sent, engine.output)
-            # The objects of the scene before still have the material while the filters of the new one are designed.
+            # What the scene before is made of is compiled anew before its objects go.
             problems = problems or rate_faults(engine.scene.objects, sent, engine.output)
-        if not problems:
-            problems = self._problems_of(scene.objects, ("scene",), materials)
+            problems = problems or self._problems_of(scene.objects, ("scene",), materials)
         if problems:
             raise _faulty(problems)
-        self._weigh(scene.objects, materials)
-        self._encoded.prepare(scene.objects)
-        revision = engine.replace(scene, materials, params.expect_revision)
         objects = scene.objects if "scene" in params.model_fields_set else {}
-        warnings = self._warnings(objects, ("scene", "objects"), params.materials or ())
+        reports = yield from self._prepared(objects, materials, params.materials or ())
+        revision = engine.replace(scene, materials, params.expect_revision)
+        warnings = self._warnings(objects, ("scene", "objects"), reports, params.materials or ())
         return Changed(revision, params.wait, warnings)
 
-    def _update_materials(self, params: UpdateMaterialsParams) -> Changed:
-        self._expect(params)
-        engine = self._engine
-        materials, patched = patched_materials(params.materials, engine.materials, engine.working)
-        missing = [
-            Problem(path_text(("materials", name)), f"is used by object {quoted(id)} of the scene, so it must stay")
-            for id, item in engine.scene.objects.items()
-            for name in material_names(item)
-            if name not in materials
-        ]
-        if missing:
-            raise _faulty(missing)
-        refused = rate_faults(engine.scene.objects, materials, engine.output)
-        if refused:
-            raise _faulty(refused)
-        self._weigh({}, materials)
-        revision = engine.set_materials(materials, params.expect_revision)
-        return Changed(revision, params.wait, self._material_warnings(patched))
-
-    def _reload(self, params: ReloadParams) -> Changed:
+    def _reload(self, params: ReloadParams) -> Steps[Changed]:
         """All or nothing: what needs a restart refuses the rest, too."""
         self._expect(params)
         engine = self._engine
         if self._load is None:
             raise MethodError(Code.INTERNAL, "this daemon has no configuration to read")
         try:
-            config = read_again(self._load, engine.working, self.intake.ending)
-            engine.working()
+            config = yield from read_again(self._load)
             fixed = needing_restart(engine.config, config)
             if fixed:
                 raise InvalidError(fixed)
             refused = rate_faults(config.scene.objects, config.materials, engine.output)
             if refused:
                 raise InvalidError(refused)
-            engine.working()
             before = engine.scene
+            reports = yield from self._prepared(config.scene.objects, config.materials)
             same = config.scene == before and config.materials == engine.materials
             if same:
                 self._expect(params)
                 revision = engine.revision
             else:
-                self._encoded.prepare(config.scene.objects)
                 revision = engine.replace(config.scene, config.materials, params.expect_revision)
         except InvalidError as error:
             self._tell(logging.ERROR, f"not reloaded: {error}")
             raise _faulty(error.problems) from None
-        except (StaleRevisionError, GivenUpError):
+        except StaleRevisionError:
             raise
         except HapticdError as error:
             self._tell(logging.ERROR, f"not reloaded: {error}")
@@ -448,8 +414,8 @@ class Methods:
         old, new = before.objects, config.scene.objects
         changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
         self._tell(logging.INFO, f"reloaded: revision {revision}, {wording.count(changed, 'object')} changed")
-        warnings = self._warnings(new, ("scene", "objects"), used_materials(new.values()))
-        return Changed(revision, params.wait, warnings)
+        sent = used_materials(new.values())
+        return Changed(revision, params.wait, self._warnings(new, ("scene", "objects"), reports, sent))
 
     def _tell(self, level: int, line: str) -> None:
         """What came of a reload: one line a second at most, though a client may ask for hundreds."""
@@ -475,13 +441,12 @@ class Methods:
             {"revision": revision},
         )
 
-    def _warnings(self, objects: Mapping[str, SceneObject], root: Path, sent: Collection[str] = ()) -> list[Problem]:
+    def _warnings(
+        self, objects: Mapping[str, SceneObject], root: Path, reports: _Reports, sent: Collection[str] = ()
+    ) -> list[Problem]:
         """What of these objects and materials, which are in force, is not displayed as it was meant."""
         engine = self._engine
-        return change_warnings(objects, sent, engine.materials, engine.report_of, root, engine.played(), engine.working)
-
-    def _material_warnings(self, sent: Collection[str]) -> list[Problem]:
-        return self._warnings({}, (), sent)
+        return change_warnings(objects, sent, reports, root, engine.played())
 
     # ---- Commands --------------------------------------------------------------------------------------------------
 

@@ -117,14 +117,12 @@ def _run(
     _thread("flight", flight.run, failures, stack, wake=flight.wake)
     _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
-    stack.callback(methods.intake.join)
     stack.callback(engine.stop)
     _log_limits(engine, granted, chosen)
     router = Router(mine.listen(paths.command), COMMAND_LIMITS.of(connections))
     stack.callback(router.close)
     watch = notify.Watch(lambda: _progress(engine))
-    dispatch = Dispatch(methods, methods.repeats)
-    methods.intake.wake = router.wake
+    dispatch = Dispatch(methods, methods.repeats, router.wake)
 
     def between() -> None:
         watch()
@@ -137,7 +135,6 @@ def _run(
         stack,
         wake=router.wake,
     )
-    stack.callback(methods.end)  # what is being taken in is given up
     # What garbage there is by now is little; to look for it would hold up the first answer.
     gc.freeze()
     gc.enable()

@@ -6,46 +6,39 @@ import json
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Final
 
-from hapticd.base import worker_process
 from hapticd.base.errors import HapticdError, Path, Problem, path_text
+from hapticd.base.steps import Steps
 from hapticd.config.configuration import Config
 
 LOAD_S: Final = 10.0
-"""So long the files of a configuration may take to be read. Commands and the end wait for it: the units' TimeoutStopSec
-and WatchdogSec are more."""
-_BEAT_S: Final = 0.1
+"""So long the files of a configuration may take to be read."""
+_LOOK_S: Final = 0.01
 
 
-def read_again(load: Callable[[], Config], working: Callable[[], None], ending: threading.Event) -> Config:
-    """Reads the files, for LOAD_S at most and until the daemon ends; meanwhile it says by `working` that it works, as
-    large ones take longer than the servo waits. Raises HapticdError."""
-    found: list[Config | BaseException] = []
-    computed = worker_process.used()
+def read_again(load: Callable[[], Config]) -> Steps[Config]:
+    """Reads the files in a thread, for LOAD_S at most: a disk may not answer, and large files take seconds. Raises
+    HapticdError."""
+    found: Future[Config] = Future()
 
     def read() -> None:
         try:
-            with worker_process.using(computed):
-                found.append(load())
+            found.set_result(load())
         except BaseException as error:
-            found.append(error)
+            found.set_exception(error)
 
     # A daemon's thread: one that waits for a file for ever does not hold up the end of the process.
     reader = threading.Thread(target=read, name="reload", daemon=True)
     reader.start()
     until_s = time.monotonic() + LOAD_S
     while reader.is_alive():
-        if ending.is_set():
-            raise HapticdError("the daemon ends")
         if time.monotonic() > until_s:
             raise HapticdError(f"the files of the configuration were not read within {LOAD_S:g} s")
-        working()
-        reader.join(_BEAT_S)
-    (result,) = found
-    if isinstance(result, BaseException):
-        raise result
-    return result
+        reader.join(_LOOK_S)
+        yield
+    return found.result()
 
 
 def needing_restart(before: Config, after: Config) -> list[Problem]:

@@ -1,7 +1,7 @@
 """The command thread: takes one request after the other from `router.py`, and beats between them.
 
-It waits for a request, answers it and waits again (docs/adr/0002, 0024). Between requests it beats, so that the
-servo knows that somebody serves commands.
+It waits for a request, answers it and waits again (docs/adr/0002, 0024). Between requests it goes on with the change
+that is under way, and beats, so that the servo knows that somebody serves commands.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from hapticd.daemon.router import Router
 from hapticd.protocol import messages
 
 BEAT_EVERY_S: Final = 0.1
-"""At the least; a request that takes long beats meanwhile."""
+"""At the least."""
 LOOK_EVERY_S: Final = 0.02
-"""At the most: between requests that come faster nothing else is done."""
+"""At the most: between requests that come faster nothing else is done, and no change goes on."""
 
 
 def serve(
@@ -40,9 +40,11 @@ def serve(
             engine.beat()
             engine.look_after()
             between()
+            dispatch.go_on()
         dispatch.turn()
-        request = router.receive(BEAT_EVERY_S)
+        request = router.receive(0.0 if dispatch.busy else BEAT_EVERY_S)
         if request is None:
+            dispatch.go_on()
             continue
         if stop.is_set():
             break

@@ -17,7 +17,6 @@ from hapticd.base.model import MAX_FAULTS
 from hapticd.daemon.counters import TOTALS, Counters, Granted
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.flight_recorder import Flight
-from hapticd.daemon.intake import Intake
 from hapticd.daemon.lease import Lease
 from hapticd.daemon.streams import Streams
 from hapticd.protocol.events import fault_names
@@ -28,8 +27,8 @@ from hapticd.rendering.scene_stability import Stability
 class Status:
     """Reports one engine's status. For any thread."""
 
-    def __init__(self, engine: Engine, lease: Lease, intake: Intake, flight: Flight | None, streams: Streams) -> None:
-        self._engine, self._lease, self._intake, self._flight = engine, lease, intake, flight
+    def __init__(self, engine: Engine, lease: Lease, flight: Flight | None, streams: Streams) -> None:
+        self._engine, self._lease, self._flight = engine, lease, flight
         self._streams = streams
         self._started_ns = monotonic_ns()
         self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
@@ -89,7 +88,7 @@ class Status:
         }
 
     def _changing(self, counters: Counters) -> dict[str, object]:
-        engine, taken_in = self._engine, self._intake.work
+        engine = self._engine
         connection, moment = engine.connection, clock.read()
         # As long as nobody streams, it is among what lasts.
         streams = {"streams": self._streams.status()} if self._streams.received else {}
@@ -102,7 +101,6 @@ class Status:
             "forces": "faulted" if counters.latched else "on" if counters.forces_on else "off",
             "faults": fault_names(counters.faults) if counters.latched else [],
             "lease_s": self._lease.remaining_s,
-            "intake": None if taken_in is None else taken_in.status(),
             "counters": dict(zip(TOTALS, counters)),  # noqa: B905 - the others are no totals
             "overruns": {**self._overruns, "missed_share": counters.missed_share},
             "passivity": {

@@ -12,7 +12,6 @@ What messages say:
     results                  the types of what methods answer and telemetry holds
     validation               objects and materials of a message, validated with every fault at its place
     displayability_warnings  what of a message cannot be displayed as it was meant
-    encoded_scene            scene and materials encoded for answers, unchanged parts once
     events                   events as maps with named members
     changes                  what commands changed, as the topic `change` publishes it
     marks                    marks on their way through the servo

@@ -3,7 +3,7 @@
 It is what `get_status` says of the scene (rendering/displayability.py), of no more than the message held.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from itertools import islice
 from typing import Final, NamedTuple, Self
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hapticd.base.errors import Path, Problem, path_text
 from hapticd.base.model import MAX_FAULTS
-from hapticd.config.materials import Material, Materials
+from hapticd.config.materials import Material
 from hapticd.config.scene import SceneObject, Wall, material_names, material_places
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import (
@@ -74,19 +74,17 @@ def above_rate(frequency_hz: float, shown_hz: float | None, output: Output) -> s
 def change_warnings(
     objects: Mapping[str, SceneObject],
     sent: Collection[str],
-    materials: Materials,
-    report: Callable[[str, Material], MaterialReport],
+    reports: Mapping[str, MaterialReport],
     root: Path,
     played: Collection[tuple[str, str]] = (),
-    working: Callable[[], None] = lambda: None,
 ) -> list[Problem]:
     """Of objects and materials that were sent, and of materials that these objects name, at most MAX_FAULTS.
 
     `objects` stand below `root`, the materials named in `sent` below `materials`; another material is reported where
-    the first object names it. `report` finds what is reported of a material, or knows it; `played`: materials and modes
-    that the device plays itself.
+    the first object names it. `reports` are those of all these materials; `played`: materials and modes that the device
+    plays itself.
     """
-    if not sent and all(_is_fine(item, materials, report) for item in objects.values()):
+    if not sent and all(_is_fine(item, reports) for item in objects.values()):
         return []
     found: list[Problem] = []
     places: dict[str, Path] = {}
@@ -95,20 +93,19 @@ def change_warnings(
             places.setdefault(name, (*root, id, *inner))
         if isinstance(item, Wall) and item.patches:
             found += patch_warnings(item, (*root, id))
-    named = {name: materials[name] for name in (*sent, *(name for name in places if name not in sent))}
-    for name, material in islice(named.items(), MAX_FAULTS):
-        working()
-        problems = report(name, material).problems(name, played)
+    named = dict.fromkeys([*sent, *places])
+    for name in islice(named, MAX_FAULTS):
+        problems = reports[name].problems(name, played)
         # Of a material that stood elsewhere, the whole warning is what is wrong with naming it.
         found += problems if name in sent else [Problem(path_text(places[name]), str(each)) for each in problems]
     return found[:MAX_FAULTS]
 
 
-def _is_fine(item: SceneObject, materials: Materials, report: Callable[[str, Material], MaterialReport]) -> bool:
+def _is_fine(item: SceneObject, reports: Mapping[str, MaterialReport]) -> bool:
     """Whether there is surely nothing to report of an object."""
     if item.kind == "wall" and item.patches:
         return False
-    return all(report(name, materials[name]).fine for name in material_names(item))
+    return all(reports[name].fine for name in material_names(item))
 
 
 def operator_warnings(waypoints: npt.NDArray[np.float64], workspace_m: float, where: str | None) -> list[Problem]:

@@ -60,7 +60,6 @@ class Status(TypedDict):
     forces: Literal["on", "off", "faulted"]
     faults: list[str]
     lease_s: float | None
-    intake: dict[str, Json] | None
     counters: dict[str, int]
     overruns: dict[str, Json]
     histograms: NotRequired[dict[str, dict[str, Json]]]

@@ -4,28 +4,17 @@ faulty, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, cast
 
 from pydantic import ValidationError
 
-from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text
+from hapticd.base.errors import InvalidError, Problem, known_names, path_text
 from hapticd.base.merge_patch import merge_patch
 from hapticd.base.model import MAX_FAULTS
-from hapticd.config.materials import MAX_MATERIALS, Material, Materials, shipped_materials, validate_materials
-from hapticd.config.patches import Patch
-from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, validate_object, validate_scene
-
-_Working = Callable[[], None]
-
-
-def _kept_patches(before: SceneObject | None, patch: object) -> Sequence[Patch] | None:
-    """The patches of a wall that a merge patch says nothing of; None where there are none, or it does."""
-    if before is None or before.kind != "wall" or not isinstance(patch, dict):
-        return None
-    if "patches" in patch or patch.get("kind", "wall") != "wall":
-        return None
-    return before.patches or None
+from hapticd.base.steps import Steps
+from hapticd.config.materials import MAX_MATERIALS, Material, Materials, material_steps, shipped_materials
+from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, scene_steps, validate_object
 
 
 def _same_kind(before: SceneObject, patch: object) -> SceneObject | None:
@@ -42,13 +31,15 @@ def _same_kind(before: SceneObject, patch: object) -> SceneObject | None:
         return None
 
 
-def patched_objects(given: Mapping[str, object], scene: Scene) -> dict[str, SceneObject | None]:
-    """What merge patches make of objects; None for those that go. Raises InvalidError with the faults of all."""
+def patched_objects(given: Mapping[str, object], scene: Scene) -> Steps[dict[str, SceneObject | None]]:
+    """What merge patches make of objects, with a pause after each; None for those that go. Raises InvalidError with the
+    faults of all."""
     changes: dict[str, SceneObject | None] = {}
     problems: list[Problem] = []
     if len(given) > MAX_OBJECTS:
         raise InvalidError([Problem("objects", f"must hold at most {MAX_OBJECTS} entries, holds {len(given)}")])
     for id, patch in given.items():
+        yield
         if len(problems) > MAX_FAULTS:
             problems.append(Problem("objects", "the rest was not looked at"))
             break
@@ -60,16 +51,12 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> dict[str, Scen
         if before is not None and (item := _same_kind(before, patch)) is not None:
             changes[id] = item
             continue
-        # Thousands of patches are not written out and validated again where nothing is said of them.
-        kept = _kept_patches(before, patch)
-        old = None if before is None else before.to_dict() if kept is None else before.to_dict({"patches"})
-        merged = merge_patch(old, cast(Any, patch))
+        merged = merge_patch(None if before is None else before.to_dict(), cast(Any, patch))
         if before is None and isinstance(merged, dict) and "kind" not in merged:
             problems.append(Problem(path_text(("objects", id)), _no_object(id, scene)))
             continue
         try:
-            item = validate_object(id, merged)
-            changes[id] = item if kept is None else item.model_copy(update={"patches": kept})
+            changes[id] = validate_object(id, merged)
         except InvalidError as error:
             problems += error.problems
     if problems:
@@ -85,15 +72,13 @@ def _no_object(id: str, scene: Scene) -> str:
     return f"there is no object of this id, and a new one needs a kind; {told}"
 
 
-def whole_materials(given: Mapping[str, object], before: Materials, working: _Working) -> dict[str, Material]:
-    """All materials once those given took their places. Raises InvalidError."""
+def whole_materials(given: Mapping[str, object], before: Materials) -> Steps[dict[str, Material]]:
+    """All materials once those given took their places, with a pause after each. Raises InvalidError."""
     told = "must be a mapping, is null; update_materials removes a material"
     problems = [Problem(path_text(("materials", name)), told) for name, each in given.items() if each is None]
     materials = dict(before)
     try:
-        materials.update(
-            validate_materials({name: each for name, each in given.items() if each is not None}, working=working)
-        )
+        materials.update((yield from material_steps({name: each for name, each in given.items() if each is not None})))
     except InvalidError as error:
         problems += error.problems
     if problems:
@@ -101,10 +86,9 @@ def whole_materials(given: Mapping[str, object], before: Materials, working: _Wo
     return _not_too_many(materials)
 
 
-def patched_materials(
-    given: Mapping[str, object], before: Materials, working: _Working
-) -> tuple[dict[str, Material], list[str]]:
-    """All materials once those given were merged or removed, and the names of the merged. Raises InvalidError."""
+def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[tuple[dict[str, Material], list[str]]]:
+    """All materials once those given were merged or removed, and the names of the merged; with a pause after each.
+    Raises InvalidError."""
     materials, shipped = dict(before), shipped_materials()
     patched: dict[str, object] = {}
     for name, patch in given.items():
@@ -115,7 +99,7 @@ def patched_materials(
         else:
             old = before.get(name)
             patched[name] = merge_patch(None if old is None else old.to_dict(), cast(Any, patch))
-    materials.update(validate_materials(patched, working=working))
+    materials.update((yield from material_steps(patched)))
     return _not_too_many(materials), list(patched)
 
 
@@ -127,25 +111,23 @@ def _not_too_many(materials: dict[str, Material]) -> dict[str, Material]:
 
 
 def faults_beside(
-    method: str, params: Mapping[str, object], scene: Scene, materials: Materials, working: _Working
-) -> list[Problem]:
+    method: str, params: Mapping[str, object], scene: Scene, materials: Materials
+) -> Steps[list[Problem]]:
     """Faults of the scene, objects and materials in parameters of which others are faulty, so that all are reported."""
     objects, given = params.get("objects"), params.get("materials")
+    looks: list[Steps[object]] = []
+    if method == "update_scene" and isinstance(objects, dict):
+        looks.append(patched_objects(objects, scene))
+    if method in ("set_materials", "apply") and isinstance(given, dict):
+        looks.append(whole_materials(given, materials))
+    if method == "update_materials" and isinstance(given, dict):
+        looks.append(patched_materials(given, materials))
+    if method in ("set_scene", "apply") and "scene" in params:
+        looks.append(scene_steps(params["scene"], ("scene",)))
     problems: list[Problem] = []
-
-    def look(validate: Callable[[], object]) -> None:
+    for look in looks:
         try:
-            validate()
+            yield from look
         except InvalidError as error:
             problems.extend(error.problems)
-
-    if method == "update_scene" and isinstance(objects, dict):
-        look(lambda: patched_objects(objects, scene))
-    if method in ("set_materials", "apply") and isinstance(given, dict):
-        look(lambda: whole_materials(given, materials, working))
-    if method == "update_materials" and isinstance(given, dict):
-        look(lambda: patched_materials(given, materials, working))
-    if method in ("set_scene", "apply") and "scene" in params:
-        root: Path = ("scene",)
-        look(lambda: validate_scene(params["scene"], root, working))
     return problems

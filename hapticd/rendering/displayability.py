@@ -18,7 +18,7 @@ from hapticd.base.lattice import reflection_of
 from hapticd.base.model import MAX_FAULTS
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
-from hapticd.config.patches import TOUCHING_M, Patches, patches_of
+from hapticd.config.patches import TOUCHING_M, in_order
 from hapticd.config.scene import SceneObject, Wall, used_materials
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
@@ -362,20 +362,19 @@ def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output)
 
 def patch_warnings(wall: Wall, root: Path) -> list[Problem]:
     """As warnings, of a wall's patches; `where` begins with `root`, the wall's own place. MAX_FAULTS are reported."""
-    patches = patches_of(wall.patches)
-    known = patches.narrow
-    if known is None or known[0] != wall.patch_ramp_m:
-        known = patches.narrow = wall.patch_ramp_m, list(islice(_narrow(patches, wall.patch_ramp_m), MAX_FAULTS))
-    return [Problem(path_text((*root, "patches", index)), problem) for index, problem in known[1]]
+    found = islice(_narrow(wall), MAX_FAULTS)
+    return [Problem(path_text((*root, "patches", index)), problem) for index, problem in found]
 
 
-def _narrow(patches: Patches, ramp_m: float) -> Iterator[tuple[int, str]]:
+def _narrow(wall: Wall) -> Iterator[tuple[int, str]]:
+    """The index of each patch that is too narrow for the ramp, or too near another one, and what is wrong with it."""
+    patches, ramp_m = wall.patches, wall.patch_ramp_m
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None
-    for index in patches.order:
-        from_m, to_m = patches.begins_m[index], patches.ends_m[index]
+    for index in in_order(patches):
+        from_m, to_m = patches[index].from_m, patches[index].to_m
         if before is not None:
-            gap = from_m - patches.ends_m[before]
+            gap = from_m - patches[before].to_m
             if TOUCHING_M < gap < ramp_m - TOUCHING_M:
                 yield index, f"is {gap:.4g} from patches[{before}], nearer than {narrow}"
         if to_m - from_m < ramp_m - TOUCHING_M:

@@ -26,7 +26,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.lattice import Reflection, realised
-from hapticd.base.worker_process import apart
 
 Array: TypeAlias = npt.NDArray[np.float64]
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
@@ -173,7 +172,6 @@ def peak_of(reflection: Reflection, rate_hz: float) -> float:
 
 
 @lru_cache(maxsize=4096)
-@apart
 def stochastic_filter(peak_hz: float, mean_hz: float, rate_hz: float) -> Filter:
     """The noise whose density is largest at `peak_hz` and whose power centroid from 0 to rate/2 is `mean_hz`.
 

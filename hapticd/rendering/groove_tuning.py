@@ -83,11 +83,6 @@ def table_of(material: Material) -> FrequencyTable | None:
     return texture.frequency_table if isinstance(texture, Grooves) else None
 
 
-def shapes_needed(material: Material) -> int:
-    """So many modes are designed for what is compensated, beside those that have one frequency: a few ms each."""
-    return 0 if table_of(material) is None else 2 * NODES
-
-
 def tuning_of(material: Material, output: Output) -> Tuning | None:
     """Of a material whose grooves have a table of frequencies."""
     table, modes = table_of(material), material.groove_modes

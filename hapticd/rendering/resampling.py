@@ -9,7 +9,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hapticd.base.lattice import Reflection, with_poles
-from hapticd.base.worker_process import apart
 from hapticd.rendering.filter_design import (
     COARSE,
     MAX_ORDER,
@@ -78,7 +77,6 @@ def resampled(reflection: Sequence[float], from_rate_hz: float, to_rate_hz: floa
 
 
 @lru_cache(maxsize=1024)
-@apart
 def _resampled(model: Reflection, ratio: float, order: int) -> Resampled:
     # Angles of the new rate, as far as the band goes; poles are where the model has them.
     poles = poles_of(model)

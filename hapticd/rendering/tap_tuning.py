@@ -57,12 +57,6 @@ class TapTuning:
         return np.concatenate((self.table.speeds_m_per_s, angular, self.table.decay_times_s, self.nodes.ravel()))
 
 
-def tap_shapes_needed(material: Material) -> int:
-    """So many modes are designed for what is compensated, beside those of one mode."""
-    table = None if material.tap is None else material.tap.mode_table
-    return 0 if table is None else 2 * len(_speeds(table))
-
-
 def tap_tuning_of(material: Material, output: Output) -> TapTuning | None:
     """Of a material whose tap has a mode table."""
     tap = material.tap

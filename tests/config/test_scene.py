@@ -8,13 +8,11 @@ from random import Random
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
-from hapticd.base import model
-from hapticd.base.errors import InvalidError, Path, Problem
+from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.model import MAX_FAULTS
 from hapticd.base.yaml_source import Json
-from hapticd.config.materials import shipped_materials, validate_materials
+from hapticd.config.materials import shipped_materials
 from hapticd.config.scene import (
     MAX_OBJECTS,
     Scene,
@@ -23,6 +21,7 @@ from hapticd.config.scene import (
     load_scene,
     materials_of,
     reference_problems,
+    scene_steps,
     used_materials,
     validate_object,
     validate_scene,
@@ -183,9 +182,9 @@ def test_number_of_objects_is_limited() -> None:
     objects: dict[str, object] = {f"o{i}": one for i in range(MAX_OBJECTS)}
     scene = validate_scene({"objects": objects})
     objects["one"] = one
-    with pytest.raises(InvalidError, match="objects: must hold at most 1048576 entries, holds 1048577"):
+    with pytest.raises(InvalidError, match="objects: must hold at most 10000 entries, holds 10001"):
         validate_scene({"objects": objects})
-    with pytest.raises(InvalidError, match="objects: must hold at most 1048576 entries, holds 1048577"):
+    with pytest.raises(InvalidError, match="objects: must hold at most 10000 entries, holds 10001"):
         scene.with_objects({"one": one})
     assert len(scene.with_objects({"one": one, "o1": None}).objects) == MAX_OBJECTS
 
@@ -433,14 +432,13 @@ def test_faults_in_a_file_name_the_line(tmp_path: pathlib.Path, text: str, probl
         load_scene(path)
 
 
-def test_large_scenes_are_validated_in_parts_and_come_out_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenes_are_validated_object_by_object_and_come_out_the_same() -> None:
     wall = {"kind": "wall", "point_m": [0, 0], "normal": [0, 3], "material": "wood"}
-    patches = [{"from_m": 0.001 * at, "to_m": 0.001 * at + 0.0004, "material": "steel"} for at in range(600)]
+    patches = [{"from_m": 0.001 * at, "to_m": 0.001 * at + 0.0004, "material": "steel"} for at in range(500)]
     data = {"ramp_s": 0.1, "objects": {f"wall {at}": wall for at in range(600)} | {"one": wall | {"patches": patches}}}
-    steps: list[int] = []
-    found = validate_scene(data, working=lambda: steps.append(1))
-    assert len(steps) == 3 and found.ramp_s == 0.1
-    assert found == Scene.parsed(data)
+    found = validate_scene(data)
+    assert sum(1 for _ in scene_steps(data)) == 601
+    assert found.ramp_s == 0.1 and found == Scene.parsed(data)
     assert list(found.objects) == list(data["objects"])  # type: ignore[call-overload]
 
 
@@ -448,16 +446,11 @@ def test_of_thousands_of_faults_the_first_are_told() -> None:
     wall = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
     with pytest.raises(InvalidError) as refused:
         validate_scene({"objects": {f"w{at}": 1 for at in range(5000)}}, ("scene",))
-    assert len(refused.value.problems) == 202
+    assert len(refused.value.problems) == 201
     assert [problem.where for problem in refused.value.problems[:2]] == ["scene.objects.w0", "scene.objects.w1"]
     assert str(refused.value.problems[-1]) == "scene.objects: the rest was not looked at"
-    with pytest.raises(InvalidError) as refused:
+    with pytest.raises(InvalidError, match="patches: must hold at most 512 entries, holds 60000"):
         validate_scene({"objects": {"one": wall | {"patches": [1] * 60_000}}})
-    assert [problem.where for problem in refused.value.problems[:2]] == [
-        "objects.one.patches[0]",
-        "objects.one.patches[1]",
-    ]
-    assert len(refused.value.problems) == 200
     many = {f"k{at}": 1 for at in range(2000)}
     deep = {"objects": {"one": wall | {"patches": [{"from_m": 0, "to_m": 1, "material": many}]}}}
     for data, where in (
@@ -469,27 +462,4 @@ def test_of_thousands_of_faults_the_first_are_told() -> None:
         with pytest.raises(InvalidError) as refused:
             validate_scene(data, ("scene",))
         (problem,) = refused.value.problems
-        assert problem.where == where and "keys; nothing has more than 1000" in problem.problem
-
-
-def test_few_entries_with_thousands_of_faults_are_validated_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    counts: list[int] = []
-    errors_of = model.faults_of
-
-    def counted(error: ValidationError) -> list[tuple[Path, str]]:
-        counts.append(error.error_count())
-        return errors_of(error)
-
-    monkeypatch.setattr(model, "faults_of", counted)
-    wrong = {"kind": "disc", "center_m": [0, 0], "radius_m": 1, "material": "wood"} | {f"k{at}": 1 for at in range(900)}
-    with pytest.raises(InvalidError) as refused:
-        validate_scene({"ramp_s": 7, "objects": {f"o{at}": wrong for at in range(20)}})
-    assert str(refused.value.problems[0]) == "ramp_s: must be at most 1, is 7"
-    models = [{"speed_m_per_s": at, "force_n": 1, "coefficients": ["x"] * 32, "rms_m_per_s2": 1} for at in range(100)]
-    texture = {"kind": "autoregressive", "rate_hz": 1000, "models": models}
-    with pytest.raises(InvalidError) as refused:
-        validate_materials({"one": {"stiffness_n_per_m": 1, "texture": texture}})
-    assert refused.value.problems[0].where == "materials.one.texture.models[0].coefficients[0]"
-    assert len(refused.value.problems) > 150
-    # Each is one call of pydantic's, which holds up all threads: 18,000 faults took half a second.
-    assert max(counts) < model.MOST_MEMBERS + 1000
+        assert problem.where == where and "keys; nothing has more than 100" in problem.problem

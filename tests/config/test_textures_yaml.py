@@ -153,11 +153,6 @@ LOUD: Keys = {"variance_m2_per_s4": 1e10, "rms_m_per_s2": None, "coefficients": 
             "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0, or it is never heard",
         ),
         (models({}, {"force_n": 2}, {}), "models[0] and models[2] are both at 0.1 m/s and 1 N"),
-        (
-            models(*({"speed_m_per_s": i / 64} for i in range(257))),
-            "models may have at most 256 different speed_m_per_s, have 257",
-        ),
-        (models(*({"force_n": i / 4} for i in range(257))), "models may have at most 256 different force_n, have 257"),
     ],
 )
 def test_faults_between_keys(keys: Keys, problem: str) -> None:
@@ -183,7 +178,7 @@ def test_the_fault_of_a_tap_is_not_told_twice() -> None:
         ({**STOCHASTIC, "spacing_m": 1}, "spacing_m", "unknown key; known: kind, peak_hz"),
         ({**AUTOREGRESSIVE, "models": []}, "models", "must hold at least 1 entry, holds 0"),
         ({**AUTOREGRESSIVE, "models": 3}, "models", "must be a list, is 3"),
-        (models(*({"force_n": i / 8} for i in range(401))), "models", "must hold at most 400 entries, holds 401"),
+        (models(*({"force_n": i / 8} for i in range(65))), "models", "must hold at most 64 entries, holds 65"),
         (models({"coefficients": []}), "models[0].coefficients", "must hold at least 1 entry, holds 0"),
         (models({}, {"coefficients": [0.0] * 33}), "models[1].coefficients", "must hold at most 32 entries, holds 33"),
         (models({"coefficients": [0, "x"]}), "models[0].coefficients[1]", 'must be a number, is "x"'),
@@ -226,12 +221,6 @@ def test_unstable_models_are_told_with_their_pole_radius(radius: float, angle: f
         assert problem.startswith("is unstable: its largest pole has a radius of ")
         told = float(problem.split(" of ")[1].split(",")[0])
         assert told == pytest.approx(largest, rel=2e-5)
-
-
-def test_too_many_models_are_refused_before_any_is_analysed(monkeypatch: pytest.MonkeyPatch) -> None:
-    unstable: Keys = {"coefficients": [1e9, -1e9]}
-    monkeypatch.setattr("hapticd.base.lattice.pole_radius", lambda _: pytest.fail("was analysed"))
-    assert faults(texture=models(*[unstable] * 401)) == {"texture.models": "must hold at most 400 entries, holds 401"}
 
 
 def test_models_at_a_negative_zero_are_at_zero() -> None:

@@ -6,6 +6,7 @@ import pytest
 
 from hapticd.config.configuration import default_config
 from hapticd.config.modes import Mode
+from hapticd.config.patches import MAX_PATCHES
 from hapticd.config.scene import Scene, SceneObject, validate_object, validate_scene
 from hapticd.daemon.flight_scene import MOST_CHANGED, FlightScene
 from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES, Change, Played, Reset, Revised, revised
@@ -114,21 +115,23 @@ def patched(count: int) -> SceneObject:
 
 
 def test_patches_count_as_objects_do() -> None:
-    """Each takes as many words: twenty moves of a wall of 40,000 made a file of the recorder take a gigabyte."""
+    """Each takes as many words."""
     before = validate_scene({"objects": {"floor": FLOOR}})
     scene = FlightScene(before, MATERIALS, 1, RATE_HZ)
-    many = before.with_objects({"wall": patched(FLIGHT_PIECES)})
-    change = revised(2, before, many, ["wall"], MATERIALS, MATERIALS)
+    large = patched(MAX_PATCHES)
+    walls = {f"wall{number}": large for number in range(FLIGHT_PIECES // MAX_PATCHES + 1)}
+    many = before.with_objects(walls)
+    change = revised(2, before, many, list(walls), MATERIALS, MATERIALS)
     assert change.whole is not None and change.objects == {}
     scene.take(change)
     assert scene.stretch().texts() == {"scene": None, "materials": None}
-    some = before.with_objects({"wall": patched(1000)})
-    scene.take(revised(3, many, before, ["wall"], MATERIALS, MATERIALS))
+    some = before.with_objects({"one": patched(500), "other": patched(500)})
+    scene.take(revised(3, many, before, list(walls), MATERIALS, MATERIALS))
     for revision in range(4, 10):
-        change = revised(revision, before, some, ["wall"], MATERIALS, MATERIALS)
+        change = revised(revision, before, some, ["one", "other"], MATERIALS, MATERIALS)
         assert change.whole is None
         scene.take(change)
-    assert told(scene)[0] == [6, 7, 8, 9], "1002 pieces each"
+    assert told(scene)[0] == [6, 7, 8, 9], "1003 pieces each"
 
 
 def test_after_a_change_that_never_came_nothing_is_known_until_all_of_it_is_told(scene: FlightScene) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Flag, records
+from hapticd.base.steps import finish
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.modes import Mode
 from hapticd.daemon import reload
@@ -471,22 +472,18 @@ def test_memory_stays_locked_when_it_steps_down() -> None:
         engine.stop()
 
 
-def test_large_files_are_read_while_it_beats(monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = simulated()
-    beat, many, beats = engine.beat, threading.Event(), []
-
-    def counted() -> None:
-        beat()
-        beats.append(1)
-        if len(beats) == 5:
-            many.set()
+def test_a_reload_pauses_while_files_are_read() -> None:
+    engine, read = simulated(), threading.Event()
 
     def load() -> Config:
-        assert many.wait(15.0)
+        assert read.wait(15.0)
         return engine.config
 
-    monkeypatch.setattr(engine, "beat", counted)
-    assert Methods(engine, load).call("reload", {}) == {"revision": engine.revision}
+    steps = Methods(engine, load).change("reload", {})
+    for _ in range(5):
+        next(steps)
+    read.set()
+    assert finish(steps).revision == engine.revision
 
 
 def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:

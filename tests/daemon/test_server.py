@@ -12,7 +12,6 @@ import pytest
 from hapticd.daemon import server
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.intake import Intake
 from hapticd.daemon.methods import Methods
 from hapticd.daemon.router import Router
 
@@ -30,13 +29,6 @@ class Beating:
         """Nothing is wrong here."""
 
 
-class Idle:
-    """What the loop needs of a control plane."""
-
-    def __init__(self) -> None:
-        self.intake = Intake()
-
-
 def test_it_ends_without_a_request_or_a_beat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "BEAT_EVERY_S", 3600.0)
     listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
@@ -44,9 +36,8 @@ def test_it_ends_without_a_request_or_a_beat(tmp_path: Path, monkeypatch: pytest
     listening.listen()
     router = Router(listening)
     engine, stop = Beating(), threading.Event()
-    # Nobody asks anything, so there is nothing to control.
-    methods = cast(Methods, Idle())
-    arguments = (router, cast(Engine, engine), Dispatch(methods), stop)
+    # Nobody asks anything, so there are no methods to perform.
+    arguments = (router, cast(Engine, engine), Dispatch(cast(Methods, None)), stop)
     thread = threading.Thread(target=server.serve, args=arguments, daemon=True)
     thread.start()
     assert engine.begun.wait(60)

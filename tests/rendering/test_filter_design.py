@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hapticd.base.lattice import coefficients_of, pole_radius, reflection_of
-from hapticd.config.texture import MAX_DISTINCT
+from hapticd.config.texture import MAX_MODELS
 from hapticd.rendering.filter_design import Filter, power_spectrum, stochastic_filter
 from hapticd.rendering.noise_grid import Model, grid
 from hapticd.rendering.resampling import CLOSE_DB, resampled
@@ -487,8 +487,8 @@ def test_a_missing_corner_is_a_mean_by_distance_on_scaled_axes() -> None:
 
 
 def test_the_largest_grid() -> None:
-    most = [Model(i / 100, i / 10, (0.1 * (i % 3),), 1.0) for i in range(MAX_DISTINCT)]
-    assert grid(most, 1).nodes.shape == (MAX_DISTINCT, MAX_DISTINCT, 2)
+    most = [Model(i / 100, i / 10, (0.1 * (i % 3),), 1.0) for i in range(MAX_MODELS)]
+    assert grid(most, 1).nodes.shape == (MAX_MODELS, MAX_MODELS, 2)
 
 
 def test_a_higher_rate_keeps_all_power_however_sharp_the_poles() -> None:

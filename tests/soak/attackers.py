@@ -23,9 +23,9 @@ from hapticd.protocol import messages, zmtp
 
 CONNECTIONS = 250
 """Of one attacker that holds connections; half of them to each socket."""
-MODELS, ORDER = 400, 32
-PATCHES = 40_000
-"""Of a wall, as many as a message holds; there are two walls."""
+MODELS, ORDER = 64, 32
+PATCHES = 512
+"""Of a wall; there are two walls."""
 
 _PATIENCE_S = 600.0
 
@@ -238,7 +238,7 @@ def wall(number: int, patches: int = PATCHES) -> dict[str, object]:
 
 
 def _taken(client: Client, method: str, params: Mapping[str, object]) -> None:
-    """Tries until no other change is under way."""
+    """Tries until there is room for one more change."""
     while True:
         try:
             client.call(method, params)

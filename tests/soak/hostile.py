@@ -9,7 +9,7 @@ Attackers in processes of their own (`tests.soak.attackers`)
 - send messages of parts without end, of empty parts and of 64 MiB, and subscribe to 21 MB of what there is not;
 - ask and never read the answers, ask as fast as it goes, send garbage, and ZMTP that is nearly right;
 - send mutated requests of every method, and look at each answer;
-- change the scene with 400 autoregressive models of order 32 and 80,000 patches, and take them away.
+- change the scene with 64 autoregressive models of order 32 and 1,024 patches, and take them away.
 
 Beside them one client reads every sample and event, and another one turns the forces off, again and again. Attackers
 yield the processors to whoever else wants them (nice 10), and daemon and clients come first if we have the right: what
@@ -52,7 +52,7 @@ def members(directory: Path, connections: int) -> list[tuple[str, Sequence[str]]
 
 
 def restore(client: Client, scene: object, materials: object) -> None:
-    """Scene and materials as they were, once what was under way is taken in."""
+    """Scene and materials as they were, once what was under way is over."""
     assert isinstance(materials, dict)
     deadline = time.monotonic() + PATIENCE_S
     while True:

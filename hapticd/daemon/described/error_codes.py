@@ -32,8 +32,7 @@ CODES: Final[dict[Code, CodeInWords]] = {
         'a list of `{"where", "problem"}`',
     ),
     Code.INTERNAL: CodeInWords(
-        "a defect of the daemon; its log says more. Or the process that designs the filters of a long "
-        "change could not be started, or was killed: nothing was done, send the request again",
+        "a defect of the daemon; its log says more",
     ),
     Code.STALE_REVISION: CodeInWords(
         "`expect_revision` is not the scene's revision",
@@ -48,9 +47,8 @@ CODES: Final[dict[Code, CodeInWords]] = {
         '`{"lease_s"}`: seconds until that lease ends',
     ),
     Code.RING_FULL: CodeInWords(
-        "the servo has not yet taken earlier commands, or 64 marks or 64 `get_state` are under way, "
-        "or a long change is under way. Nothing of this command was done: send it again",
-        '`{"intake"}`, as in `get_status`, if a long change is the reason',
+        "the servo has not yet taken earlier commands, or 64 marks, 64 `get_state` or 64 changes are "
+        "under way. Nothing of this command was done: send it again",
     ),
     Code.WAIT_TIMED_OUT: CodeInWords(
         "the servo did not take a command or a revision within a second. It may still take it: a "

@@ -9,31 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.core import MATERIAL_DTYPE, NOISE_DTYPE, CData, ffi, pointer, records
+from hapticd.base.steps import Steps
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.texture import Autoregressive, Stochastic
-from hapticd.rendering.compiler import noise_filters
 from hapticd.rendering.compiler.material_record import material_record, numbers_of, struck_modes
 from hapticd.rendering.compiler.mode_record import Effect
-from hapticd.rendering.compiler.noise_filters import SILENCE, Design, Noise, design, filter_count
+from hapticd.rendering.compiler.noise_filters import SILENCE, Design, Noise, design
 from hapticd.rendering.compiler.records import Places, Records, next_version
 from hapticd.rendering.device_output import Output
-from hapticd.rendering.displayability import modes_of, waveform_of
-from hapticd.rendering.groove_tuning import shapes_needed
-from hapticd.rendering.tap_tuning import tap_shapes_needed
 
 _NO_MATERIAL: Final = Material(stiffness_n_per_m=0.0)
-
-
-class Progress(Protocol):
-    """Counts how many filters are designed."""
-
-    done: int
-    of: int
-
-    def step(self) -> None:
-        """Called often; what it raises ends the work."""
-        ...
 
 
 class Effects(Protocol):
@@ -59,9 +45,10 @@ class _NoEffects:
 class Materials:
     """The materials that are used: a record and an index for each, kept as long as anything is made of it."""
 
-    def __init__(self, output: Output, working: Callable[[], None], effects: Effects | None) -> None:
+    def __init__(self, output: Output, beat: Callable[[], None], effects: Effects | None) -> None:
+        """`beat` is called between the filters that nobody prepared, of which many take seconds."""
         self.output = output
-        self.working = working
+        self._beat = beat
         self._effects = effects or _NoEffects()
         self._struck: dict[int, tuple[Mode, ...]] = {}
         """Material to the modes that it uses of those."""
@@ -79,7 +66,7 @@ class Materials:
         """Material to what its noise is made of, the version of that, and its filters."""
         self._own_numbers: dict[int, tuple[tuple[str, npt.NDArray[np.float64]], ...]] = {}
         """Material to what `numbers_of` finds, where it finds anything."""
-        self._prepared: Mapping[Noise, Design] = {}
+        self._prepared: dict[tuple[Noise, Output], Design] = {}
         """Designed for what is taken in now."""
         self._versions = 0
         self._noises = records(NOISE_DTYPE, 0)
@@ -137,7 +124,7 @@ class Materials:
         self._uses[index] -= 1
         if self._uses[index] == 0:
             del self._index[self._names[index]]
-            self._known[index] = _NO_MATERIAL  # one of 400 models would be kept
+            self._known[index] = _NO_MATERIAL  # one of 64 models would be kept
             self._places.give(index)
             self._silence(index)
             self._give_up(index)
@@ -161,7 +148,6 @@ class Materials:
         if numbers:
             self._own_numbers[index] = numbers
             self._numbers_changed = True
-        self.working()
         effects = {mode: self._effects.take(mode) for mode in struck_modes(material)}
         self._struck[index] = tuple(effects)
         self._rows.pointer[index] = material_record(material, self._noise_of.get(index, 0), self.output, effects)[0]
@@ -173,53 +159,47 @@ class Materials:
             self._effects.give(mode)
 
     def _designed(self, texture: Noise) -> Design:
-        found = self._prepared.get(texture)
-        return design(texture, self.output, self.working) if found is None else found
+        found = self._prepared.get((texture, self.output))
+        if found is not None:
+            return found
+        steps = design(texture, self.output)
+        while True:
+            self._beat()
+            try:
+                next(steps)
+            except StopIteration as end:
+                return cast(Design, end.value)
 
-    def missing(self, names: Set[str], source: Mapping[str, Material]) -> int:
-        """Filters, shapes and spectra of waveforms to be found, if `names` were used and all were taken from
-        `source`."""
-        return sum(count for _, count in self._to_design(names, source))
-
-    def prepare(self, names: Set[str], source: Mapping[str, Material], progress: Progress | None) -> None:
-        """Designs the filters that will be needed then."""
-        self.forget_prepared()
-        textures = [noise for noise, _ in self._to_design(names, source) if noise is not None]
-        if progress is not None:
-            progress.of += sum(map(filter_count, textures))
-
-        def working() -> None:
-            self.working()
-            if progress is not None:
-                progress.done = min(progress.done + 1, progress.of)
-
-        self._prepared = {texture: design(texture, self.output, working) for texture in dict.fromkeys(textures)}
+    def prepare(self, names: Set[str], source: Mapping[str, Material]) -> Steps[None]:
+        """Finds what takes long of the materials that would be compiled, were `names` used and all taken from `source`:
+        filters, compensated shapes, spectra of waveforms. Pauses after each filter and each material."""
+        self._prepared = {}
+        output = self.output
+        for known, material in self._to_compile(names, source):
+            texture = material.texture
+            heard = known is not None and known.texture == texture
+            if isinstance(texture, Stochastic | Autoregressive) and not heard:
+                self._prepared[texture, output] = yield from design(texture, output)
+            # What these find is kept by the functions that they call.
+            material_record(material, 0, output, dict.fromkeys(struck_modes(material)))
+            for _ in numbers_of(material, output):
+                yield
+            yield
 
     def forget_prepared(self) -> None:
         """What was prepared was taken in, or given up."""
         self._prepared = {}
 
-    def _to_design(self, names: Set[str], source: Mapping[str, Material]) -> Iterator[tuple[Noise | None, int]]:
-        """Of each material that would be compiled if `names` were used and all were taken from `source`: its noise,
-        where that is not designed yet, and how many filters, shapes and spectra of waveforms it needs."""
-        for name in names - self._index.keys():
-            yield self._cost(None, source[name])
+    def _to_compile(
+        self, names: Set[str], source: Mapping[str, Material]
+    ) -> Iterator[tuple[Material | None, Material]]:
+        """Each with what it takes the place of."""
+        yield from ((None, source[name]) for name in names - self._index.keys())
         if source is not self._source:
             for name, index in self._index.items():
                 known, material = self._known[index], source.get(name)
                 if material is not None and material is not known and material != known:
-                    yield self._cost(known, material)
-
-    def _cost(self, known: Material | None, material: Material) -> tuple[Noise | None, int]:
-        texture = material.texture
-        new = isinstance(texture, Stochastic | Autoregressive) and (known is None or known.texture != texture)
-        if not new or noise_filters.designs.find(cast(Noise, texture), self.output) is not None:
-            texture = None
-        tuned = shapes_needed(material) + tap_shapes_needed(material)
-        shapes = 0 if self.output.compensation == "off" else len(modes_of(material)) + tuned
-        spectra = 0 if waveform_of(material) is None else 1
-        noise = cast("Noise | None", texture)
-        return noise, shapes + spectra + (0 if noise is None else filter_count(noise))
+                    yield known, material
 
     def _silence(self, index: int) -> None:
         place = self._noise_of.pop(index, None)

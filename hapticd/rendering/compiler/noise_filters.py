@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Final, NamedTuple, TypeAlias
 
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.lattice import reflection_of
+from hapticd.base.steps import Steps
 from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import displayed_pair
@@ -81,22 +81,17 @@ class Designs:
 designs: Final = Designs()
 
 
-def filter_count(texture: Noise) -> int:
-    """How many filters a design needs."""
-    return len(texture.models) if isinstance(texture, Autoregressive) else 1
-
-
-def design(texture: Noise, output: Output, working: Callable[[], None]) -> Design:
-    """The filters of a texture; `working` is called before each, and those of hundreds of models take seconds."""
+def design(texture: Noise, output: Output) -> Steps[Design]:
+    """The filters of a texture, with a pause after each: that of a model identified at another rate takes tens of
+    milliseconds."""
     found = designs.find(texture, output)
     if found is None:
-        found = _new_design(texture, output, working)
+        found = yield from _new_design(texture, output)
         designs.keep(texture, output, found)
     return found
 
 
-def _new_design(texture: Noise, output: Output, working: Callable[[], None]) -> Design:
-    working()
+def _new_design(texture: Noise, output: Output) -> Steps[Design]:
     if isinstance(texture, Stochastic):
         pair = displayed_pair(texture, output)
         if pair is None:
@@ -108,7 +103,7 @@ def _new_design(texture: Noise, output: Output, working: Callable[[], None]) -> 
     models = []
     for model in texture.models:
         models.append(_shown_model(model, texture.rate_hz, output.rate_hz))
-        working()
+        yield
     order = max(len(model.reflection) for model in models)
     found = grid(models, order)
     return Design(order, False, found.speeds, found.forces, found.nodes, False)

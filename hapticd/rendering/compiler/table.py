@@ -21,10 +21,11 @@ from typing import Final, TypeAlias, TypeGuard, assert_never
 import numpy as np
 
 from hapticd.base.core import OBJECT_DTYPE, PASSIVITY_AGE_MAX, CData, PassivityMode, Shape, ffi, pointer
+from hapticd.base.steps import Steps
 from hapticd.config.materials import Material
 from hapticd.config.scene import SURFACE_KINDS, Scene, SceneObject, Surface
 from hapticd.rendering.compiler.fields import Fields
-from hapticd.rendering.compiler.materials import Effects, Materials, Progress
+from hapticd.rendering.compiler.materials import Effects, Materials
 from hapticd.rendering.compiler.records import Places, Records, next_version
 from hapticd.rendering.compiler.retired_names import RetiredNames
 from hapticd.rendering.compiler.walls import PatchedWalls, same
@@ -70,11 +71,9 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
 class Compiler:
     """Keeps the table of one scene up to date. One thread at a time, but for `name_of` and `events_read`."""
 
-    def __init__(
-        self, output: Output, working: Callable[[], None] = lambda: None, effects: Effects | None = None
-    ) -> None:
-        """`working` is called now and then in what takes long: the filters of many textures take seconds. `effects`:
-        what the device plays itself; None: nothing."""
+    def __init__(self, output: Output, beat: Callable[[], None] = lambda: None, effects: Effects | None = None) -> None:
+        """`beat` is called between the filters that nobody prepared, of which many take seconds. `effects`: what the
+        device plays itself; None: nothing."""
         self._objects = Records("struct hd_object", OBJECT_DTYPE)
         self._places = Places()
         self._slots: dict[str, int] = {}
@@ -83,7 +82,7 @@ class Compiler:
         self._retired = RetiredNames()
         self._lost: dict[str, tuple[int, int]] = {}
         """Slot and generation that ids lost at the last update."""
-        self._materials = Materials(output, working, effects)
+        self._materials = Materials(output, beat, effects)
         self._walls = PatchedWalls(self._materials)
         self._fields = Fields()
         self._changed: set[int] = set()
@@ -146,14 +145,10 @@ class Compiler:
             self._materials.names(),
         )
 
-    def missing(self, names: Set[str], materials: Mapping[str, Material]) -> int:
-        """Filters and shapes that `update` would have to design, and spectra of waveforms that it would have to find,
-        were it given these materials and objects that are made of `names`; a few milliseconds each."""
-        return self._materials.missing(names, materials)
-
-    def prepare(self, names: Set[str], materials: Mapping[str, Material], progress: Progress | None) -> None:
-        """Designs the filters that the next `update` needs. They come out as if that did it."""
-        self._materials.prepare(names, materials, progress)
+    def prepare(self, names: Set[str], materials: Mapping[str, Material]) -> Steps[None]:
+        """Designs what the next `update` needs for these materials and objects that are made of `names`, filter by
+        filter. It comes out as if that did it."""
+        return self._materials.prepare(names, materials)
 
     def update(
         self,

@@ -60,7 +60,7 @@ class PatchedWalls:
 
         Where two meet, they share the shorter of the ramp and the stretches beside it.
         """
-        if held is not None and held.patches is wall.patches and held.of == (wall.material, wall.patch_ramp_m):
+        if held is not None and held.patches == wall.patches and held.of == (wall.material, wall.patch_ramp_m):
             return held
         begins, names = wall.stretches()
         indices = {name: self._materials.use(name) for name in dict.fromkeys(names)}
