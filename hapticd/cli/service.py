@@ -39,8 +39,6 @@ def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Pa
     if uninstall:
         note("configuration, users and /var/lib/hapticd are left as they are")
         return
-    if installation.is_temporary():
-        note(f"{installation.executable} may be gone at the next start; an installation elsewhere would last")
     if root is None:
         note(f"start it: systemctl {'--user ' if user else ''}enable --now hapticd")
 

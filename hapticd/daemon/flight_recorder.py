@@ -249,13 +249,7 @@ class Flight:
                 self._last = job.asked.path
         # Clients may ask for dozens a second.
         file, level = job.asked.path, logging.INFO if problem is None else logging.ERROR
-        self._repeats.note(
-            f"{job.asked.reason} {level}",
-            lambda since: _log.log(
-                level, "flight recorder: %s%s", problem or file, since.more, extra={"fields": {"file": file}}
-            ),
-            longest_s=SHORTEST_S,
-        )
+        self._repeats.line(f"{job.asked.reason} {level}", level, f"flight recorder: {problem or file}", SHORTEST_S)
 
     def wake(self) -> None:
         """Ends `run`."""

@@ -46,8 +46,7 @@ from hapticd.daemon.telemetry import TOPICS, Telemetry
 from hapticd.hid.stopper import StopFile, stop_device
 from hapticd.protocol.events import fault_names
 from hapticd.system import journal, notify, open_files
-from hapticd.system.paths import runtime_paths
-from hapticd.system.runtime_directory import Owned, owned
+from hapticd.system.paths import Owned, owned, runtime_paths
 
 SWITCH_S: Final = 0.0005
 """A thread that computes in the interpreter gives it to another one after so long, instead of 5 ms. The thread that

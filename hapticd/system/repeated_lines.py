@@ -10,12 +10,13 @@ The interval doubles with each line, from one second to an hour. Whoever was qui
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Final, TypeAlias
+from typing import Final
 
 from hapticd.base import wording
 
@@ -28,7 +29,7 @@ QUIET_S: Final = 300.0
 MOST_KINDS: Final = 256
 """What is remembered; of more, the one that was noted the longest ago is forgotten."""
 
-_NOTHING: Final[Mapping[str, int]] = {}
+_log = logging.getLogger("hapticd")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +56,6 @@ class Since:
         return f" ({' '.join(parts)})" if parts else ""
 
 
-Log: TypeAlias = Callable[[Since], None]
-
-
 @dataclass(slots=True)
 class _Kind:
     """A kind of line that was logged, and what came since."""
@@ -66,7 +64,7 @@ class _Kind:
     interval_s: float
     longest_s: float
     newest_s: float
-    waiting: Log | None = None
+    waiting: Callable[[Since], None] | None = None
     times: int = 0
     amounts: dict[str, int] = field(default_factory=dict)
 
@@ -75,58 +73,57 @@ class _Kind:
         quiet_s = now_s - self.newest_s
         return self.waiting is None and quiet_s >= QUIET_S and now_s - self.logged_s >= SHORTEST_S
 
-    def due(self, now_s: float) -> bool:
-        return now_s - self.logged_s >= self.interval_s or now_s - self.newest_s >= QUIET_S
-
 
 class Repeats:
     """Says which lines are logged. For any thread; one calls `flush` now and then, ten times a second say."""
 
-    def __init__(self, now_s: Callable[[], float] = time.monotonic, may_log: Callable[[], bool] = lambda: True) -> None:
-        """`may_log`: asked before each line; a line for which there is no room now is held back as others are."""
-        self._now_s, self._may_log = now_s, may_log
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s = now_s
         self._lock = threading.RLock()
         self._kinds: OrderedDict[str, _Kind] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._kinds)
 
-    def note(self, kind: str, log: Log, amounts: Mapping[str, int] = _NOTHING, longest_s: float = LONGEST_S) -> None:
+    def line(self, kind: str, level: int, text: str, longest_s: float = LONGEST_S) -> None:
+        """Has a line logged of which the newest of several is shown, with their number."""
+        self.note(kind, lambda since: _log.log(level, "%s%s", text, since.more), longest_s=longest_s)
+
+    def note(
+        self,
+        kind: str,
+        log: Callable[[Since], None],
+        amounts: Mapping[str, int] | None = None,
+        longest_s: float = LONGEST_S,
+    ) -> None:
         """Has `log` called now, or later with the sum of those that came until then. Of several the newest is called.
 
         Lines of one kind repeat each other.
         """
         with self._lock:
-            self._note(kind, log, amounts, longest_s)
-
-    def _note(self, kind: str, log: Log, amounts: Mapping[str, int], longest_s: float) -> None:
-        now_s = self._now_s()
-        known = self._kinds.pop(kind, None)
-        if known is not None and known.over(now_s):
-            known = None
-        if known is None:
-            known = _Kind(now_s, 0.0, longest_s, now_s)
-        self._kinds[kind] = known
-        known.waiting, known.newest_s = log, now_s
-        known.times += 1
-        for name, amount in amounts.items():
-            known.amounts[name] = known.amounts.get(name, 0) + amount
-        if now_s - known.logged_s >= known.interval_s:
-            self._log(known, now_s, at_once=known.times == 1)
-        while len(self._kinds) > MOST_KINDS:
-            self._kinds.popitem(last=False)
+            now_s = self._now_s()
+            known = self._kinds.pop(kind, None)
+            if known is None or known.over(now_s):
+                known = _Kind(now_s, 0.0, longest_s, now_s)
+            self._kinds[kind] = known
+            known.waiting, known.newest_s = log, now_s
+            known.times += 1
+            for name, amount in (amounts or {}).items():
+                known.amounts[name] = known.amounts.get(name, 0) + amount
+            if now_s - known.logged_s >= known.interval_s:
+                self._log(known, now_s, at_once=known.times == 1)
+            while len(self._kinds) > MOST_KINDS:
+                self._kinds.popitem(last=False)
 
     def flush(self) -> None:
         """Logs the sums that are due, and forgets who was quiet."""
         with self._lock:
             now_s = self._now_s()
             for kind, known in list(self._kinds.items()):
-                if not known.due(now_s):
-                    continue
-                if known.waiting is not None:
-                    self._log(known, now_s)
-                elif known.over(now_s):
+                if known.over(now_s):
                     del self._kinds[kind]
+                elif now_s - known.logged_s >= known.interval_s or now_s - known.newest_s >= QUIET_S:
+                    self._log(known, now_s)
 
     def finish(self) -> None:
         """Logs all that is held back, at the end."""
@@ -136,7 +133,7 @@ class Repeats:
                 self._log(known, now_s)
 
     def _log(self, known: _Kind, now_s: float, at_once: bool = False) -> None:
-        if known.waiting is None or not self._may_log():
+        if known.waiting is None:
             return
         since = Since(known.times, 0.0 if at_once else now_s - known.logged_s, known.amounts)
         log, known.waiting, known.times, known.amounts = known.waiting, None, 0, {}

@@ -22,8 +22,6 @@ _EXECUTABLE: Final = "/usr/bin/hapticd"
 """As the unit files name it."""
 _HIDDEN: Final = ("/home", "/root", "/run/user")
 """Folders that the units hide by ProtectHome."""
-_TEMPORARY: Final = ("/tmp", "/var/tmp")
-"""Folders that the units replace by PrivateTmp."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,19 +47,14 @@ class Installation:
                 return Installation(path, tuple(sorted(outer)))
         raise HapticdError(f"no executable `hapticd` in {places[0]}: install the package first (pip install .)")
 
-    def is_temporary(self) -> bool:
-        """Whether a part of it is in a folder that may be emptied at the next start of the machine."""
-        return any(_below(folder, _TEMPORARY) for folder in self.folders)
-
     def adapted(self, unit: str) -> str:
         """A unit's text with this executable, and with its folders where the sandbox would hide them."""
         unit = unit.replace(f"={_EXECUTABLE} ", f"={unit_word(self.executable)} ")
-        hidden = [folder for folder in self.folders if _below(folder, _HIDDEN)]
-        shown = [*hidden, *(folder for folder in self.folders if _below(folder, _TEMPORARY))]
-        if hidden:
-            unit = unit.replace("ProtectHome=yes\n", "ProtectHome=tmpfs\n")
-        lines = "".join(f"BindReadOnlyPaths={unit_word(folder)}\n" for folder in shown)
-        return unit.replace("PrivateTmp=yes\n", f"PrivateTmp=yes\n{lines}")
+        hidden = [one for one in self.folders if any(one.is_relative_to(place) for place in _HIDDEN)]
+        if not hidden:
+            return unit
+        lines = "".join(f"BindReadOnlyPaths={unit_word(folder)}\n" for folder in hidden)
+        return unit.replace("ProtectHome=yes\n", f"ProtectHome=tmpfs\n{lines}")
 
 
 def run(action: Action, installation: Installation, root: Path | None = None, dry_run: bool = False) -> Iterator[str]:
@@ -101,7 +94,3 @@ def unit_word(path: Path) -> str:
         raise HapticdError(f"{quoted(text)}: a unit file has no way to name this path; install hapticd elsewhere")
     text = text.replace("%", "%%")
     return f'"{text}"' if " " in text else text
-
-
-def _below(path: Path, places: Sequence[str]) -> bool:
-    return any(path.is_relative_to(place) for place in places)

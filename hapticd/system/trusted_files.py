@@ -1,4 +1,4 @@
-"""Files that decide who is let in: read only where nobody but root and ourselves may change them."""
+"""Files that are obeyed (keys, passwords, what stops a device): read where only root and ourselves may change them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import os
 import stat
 from typing import Final
 
-from hapticd.base.errors import HapticdError
-from hapticd.base.yaml_source import one_line
+from hapticd.base.errors import HapticdError, on_one_line
 
 _OTHERS_CHANGE: Final = stat.S_IWGRP | stat.S_IWOTH
 _OTHERS_READ: Final = stat.S_IRWXO | stat.S_IXGRP
@@ -19,7 +18,7 @@ def read_trusted(path: str | os.PathLike[str], most: int, *, secret: bool = Fals
     Its owner must be root or the user that we run as, and nobody else may write to it. Nor may others read one that is
     `secret`, except for its group. Owner and mode are those of the file that is read. Raises HapticdError.
     """
-    name = one_line(os.fspath(path))
+    name = on_one_line(os.fspath(path))
     try:
         # A pipe that nobody writes to is not waited for.
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)

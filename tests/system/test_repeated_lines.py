@@ -94,16 +94,9 @@ def test_at_the_end_all_is_told() -> None:
     assert [since.times for since in told] == [1, 4]
 
 
-def test_where_there_is_no_room_a_line_waits_and_nothing_grows() -> None:
-    clock, told = Clock(), list[Since]()
-    room = False
-    repeats = Repeats(clock, lambda: room)
-    repeats.note("a", told.append)
-    assert told == []
-    room = True
-    clock.s = 5.0
-    repeats.flush()
-    assert [(since.times, since.seconds) for since in told] == [(1, 5.0)]
+def test_what_is_remembered_does_not_grow() -> None:
+    told = list[Since]()
+    repeats = Repeats(Clock())
     for number in range(2 * MOST_KINDS):
         repeats.note(str(number), told.append)
     assert len(repeats) == MOST_KINDS

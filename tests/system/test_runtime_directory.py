@@ -18,8 +18,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.client.blocking import DaemonNotRunning
 from hapticd.daemon.process import run
 from hapticd.protocol.places import probe
-from hapticd.system.paths import RuntimePaths, runtime_paths
-from hapticd.system.runtime_directory import Owned, owned
+from hapticd.system.paths import Owned, RuntimePaths, owned, runtime_paths
 
 
 @pytest.fixture
@@ -35,6 +34,54 @@ def bound(directory: Path) -> set[str]:
     """Names in a directory that the kernel has of sockets."""
     names = (line.split()[-1] for line in Path("/proc/net/unix").read_text().splitlines())
     return {name for name in names if name.startswith(f"{directory}/")}
+
+
+def take(paths: RuntimePaths) -> None:
+    with owned(paths):
+        pass
+
+
+def test_a_new_directory_is_for_us_alone(tmp_path: Path) -> None:
+    paths = runtime_paths(tmp_path / "parent" / "run")
+    take(paths)
+    assert stat.S_IMODE(paths.directory.stat().st_mode) == 0o700
+    assert stat.S_IMODE(paths.directory.parent.stat().st_mode) == 0o700
+
+
+def test_a_directory_that_a_group_may_enter_is_kept(tmp_path: Path) -> None:
+    paths = runtime_paths(tmp_path / "run")
+    paths.directory.mkdir()
+    paths.directory.chmod(0o750)
+    take(paths)
+    assert stat.S_IMODE(paths.directory.stat().st_mode) == 0o750, "what somebody chose is kept"
+
+
+def test_an_open_directory_is_closed(tmp_path: Path) -> None:
+    paths = runtime_paths(tmp_path / "run")
+    paths.directory.mkdir()
+    paths.directory.chmod(0o755)
+    take(paths)
+    assert stat.S_IMODE(paths.directory.stat().st_mode) == 0o700
+
+
+def test_what_others_may_write_to_is_refused(tmp_path: Path) -> None:
+    paths = runtime_paths(tmp_path / "run")
+    paths.directory.mkdir()
+    paths.directory.chmod(0o777)
+    with pytest.raises(HapticdError, match="others may write to it"):
+        take(paths)
+
+
+def test_links_and_files_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir(mode=0o700)
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    with pytest.raises(HapticdError, match="no symbolic link"):
+        take(runtime_paths(tmp_path / "link"))
+    (tmp_path / "file").touch()
+    with pytest.raises(HapticdError, match="must be a directory"):
+        take(runtime_paths(tmp_path / "file"))
+    with pytest.raises(HapticdError, match="/file/run: Not a directory"):
+        take(runtime_paths(tmp_path / "file" / "run"))
 
 
 def test_the_kernel_has_the_name_that_the_file_has(paths: RuntimePaths) -> None:
@@ -75,7 +122,7 @@ def test_a_socket_is_known_as_ours_before_anybody_can_be_connected(
             known.append(mine.is_ours(paths.command))
             super().listen(*backlog)
 
-    monkeypatch.setattr("hapticd.system.runtime_directory.socket.socket", Watched)
+    monkeypatch.setattr("hapticd.system.paths.socket.socket", Watched)
     with mine.listen(paths.command):
         assert known == [True]
 
