@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from itertools import chain
 
 import click
@@ -29,27 +30,26 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     from hapticd.client.blocking import DaemonNotRunning, connect
     from hapticd.config.locations import choose
     from hapticd.doctor import diagnose
-    from hapticd.doctor.configuration import taken
     from hapticd.doctor.machine import Machine, Needs, holder
+    from hapticd.doctor.service import configuration
     from hapticd.system.paths import SYSTEM_DIRECTORY, daemon_paths, runtime_paths
 
-    config, first = taken(choose(configs))
+    config, first = configuration(choose(configs))
 
     def asked() -> Mapping[str, object] | None:
         # Our own, else the service's.
         named = ctx.find_root().obj
         for place in (named,) if named is not None else (daemon_paths().directory, SYSTEM_DIRECTORY):
-            there = holder(runtime_paths(place).command)
-            if there is not None and there.stopped:
-                raise HapticdError(f"process {there.pid} holds {place} and does not answer: it is stopped")
+            pid, is_stopped = holder(runtime_paths(place).command) or (None, False)
+            if is_stopped:
+                raise HapticdError(f"process {pid} holds {place} and does not answer: it is stopped")
             try:
                 with connect(place, _ANSWER_S) as client:
                     return client.get_status()
             except DaemonNotRunning:
-                if there is not None:
-                    raise HapticdError(
-                        f"process {there.pid} holds {place} and did not answer within {_ANSWER_S:g} s"
-                    ) from None
+                if pid is not None:
+                    waited = f"did not answer within {_ANSWER_S:g} s"
+                    raise HapticdError(f"process {pid} holds {place} and {waited}") from None
         return None
 
     servo = config.servo
@@ -61,7 +61,7 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
         if not as_json:
             click.echo(str(finding))
     if as_json:
-        print_json([finding.to_dict() for finding in findings])
+        print_json([asdict(finding) for finding in findings])
     failed = [finding.name for finding in findings if finding.verdict == "fail"]
     if not failed:
         return 0

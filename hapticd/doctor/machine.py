@@ -6,7 +6,6 @@ import grp
 import os
 import re
 import resource
-import shutil
 import socket
 import struct
 import subprocess
@@ -40,9 +39,17 @@ class Finding:
     def __str__(self) -> str:
         return f"{self.verdict:<5} {self.name:<12} {self.what}" + (f"; {self.todo}" if self.todo else "")
 
-    def to_dict(self) -> dict[str, str]:
-        """For programs."""
-        return {"name": self.name, "verdict": self.verdict, "what": self.what, "todo": self.todo}
+
+def ok(name: str, what: str) -> Finding:
+    return Finding(name, "ok", what)
+
+
+def warn(name: str, what: str, todo: str) -> Finding:
+    return Finding(name, "warn", what, todo)
+
+
+def fail(name: str, what: str, todo: str) -> Finding:
+    return Finding(name, "fail", what, todo)
 
 
 def unknown(name: str, where: str) -> Finding:
@@ -69,8 +76,6 @@ class Needs:
 
 def run(words: Sequence[str]) -> str | None:
     """What a command says; None where it is not there, fails, or takes too long."""
-    if shutil.which(words[0]) is None:
-        return None
     try:
         done = subprocess.run(
             words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_COMMAND_S, check=False
@@ -87,17 +92,9 @@ def find(sysfs: Path, dev: Path) -> list[Found]:
     return discovery.find(sysfs, dev)
 
 
-@dataclass(frozen=True, slots=True)
-class Holder:
-    """The process that listens on a socket."""
-
-    pid: int
-    stopped: bool
-    """By SIGSTOP or by a debugger: it answers nobody."""
-
-
-def holder(path: Path) -> Holder | None:
-    """Who listens on a Unix socket; None where nobody does, or it cannot be found out. Waits for nothing.
+def holder(path: Path) -> tuple[int, bool] | None:
+    """The process that listens on a Unix socket, and whether it is stopped, by SIGSTOP or by a debugger; None where
+    nobody does, or it cannot be found out. Waits for nothing.
 
     Raises HapticdError where no more connections may wait there.
     """
@@ -114,7 +111,7 @@ def holder(path: Path) -> Holder | None:
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except (OSError, IndexError):
         return None
-    return Holder(pid, state in "Tt")
+    return pid, state in "Tt"
 
 
 def group_name(gid: int) -> str | None:
@@ -172,20 +169,3 @@ def processors(text: str) -> set[int]:
         if first.isdecimal() and (last.isdecimal() or not last):
             found.update(range(int(first), min(int(last or first), 8191) + 1))
     return found
-
-
-def listed(numbers: set[int]) -> str:
-    """As the kernel writes it."""
-    parts: list[list[int]] = []
-    for number in sorted(numbers):
-        if parts and number == parts[-1][-1] + 1:
-            parts[-1][1:] = [number]
-        else:
-            parts.append([number])
-    return ",".join("-".join(map(str, part)) for part in parts)
-
-
-def capable(machine: Machine, bit: int) -> bool:
-    """Whether this process has a capability, by its number in linux/capability.h."""
-    match = re.search(r"^CapEff:\s*([0-9a-f]+)$", machine.text("/proc/self/status") or "", re.MULTILINE)
-    return match is not None and bool(int(match[1], 16) >> bit & 1)
