@@ -14,7 +14,6 @@ from typing import Final, Literal
 
 from hapticd.base.errors import quoted
 from hapticd.config.hid import Hid
-from hapticd.hid.descriptor.layout import Layout
 from hapticd.hid.device import RULE
 from hapticd.hid.plan import DeviceError, UndrivableError
 from hapticd.hid.verdict import Verdict, verdict_of
@@ -57,16 +56,6 @@ class Found:
         object.__setattr__(self, "verdict", verdict_of(self.hid, self.descriptor))
 
     @property
-    def layout(self) -> Layout | None:
-        """None where its report descriptor cannot be read."""
-        return self.verdict.layout
-
-    @property
-    def problem(self) -> str | None:
-        """Why its report descriptor cannot be read."""
-        return self.verdict.problem
-
-    @property
     def usable(self) -> bool:
         """Whether it can be driven."""
         return self.verdict.drivable
@@ -79,11 +68,6 @@ class Found:
         plan = self.verdict.plan
         return None if plan is None or plan.foreign_s is None else plan.effects is not None
 
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """What its descriptor lacks, by the specification's names."""
-        return () if self.layout is None else tuple(self.layout.missing)
-
     def __str__(self) -> str:
         return f"{self.path} ({self.name or 'no name'}, {self.vendor:04x}:{self.product:04x})"
 
@@ -95,7 +79,8 @@ class Found:
     @property
     def is_other(self) -> bool:
         """Whether it is no device of the PID class at all, or none that can be read."""
-        return self.layout is None or self.layout.constant_force is None
+        layout = self.verdict.layout
+        return layout is None or layout.constant_force is None
 
     def evaluated_by(self, hid: Hid) -> Found:
         """The same, evaluated by a configuration if that may mean it."""
@@ -103,21 +88,15 @@ class Found:
 
     def to_dict(self) -> dict[str, object]:
         """For programs."""
-        why_not = self.verdict.why_not
+        names = ("path", "name", "vendor", "product", "serial", "bus", "driver", "permission")
+        verdict, layout = self.verdict, self.verdict.layout
         return {
-            "path": self.path,
-            "name": self.name,
-            "vendor": self.vendor,
-            "product": self.product,
-            "serial": self.serial,
-            "bus": self.bus,
-            "driver": self.driver,
-            "usable": why_not is None,
-            "why_not": why_not,
-            "missing": list(self.missing),
-            "problem": self.problem,
+            **{name: getattr(self, name) for name in names},
+            "usable": verdict.drivable,
+            "why_not": verdict.why_not,
+            "missing": [] if layout is None else list(layout.missing),
+            "problem": verdict.problem,
             "resets_seen": self.resets_seen,
-            "permission": self.permission,
             "in_interval_s": self.in_interval_s,
             "out_interval_s": self.out_interval_s,
         }
@@ -140,40 +119,35 @@ def find(sysfs: Path = SYSFS, dev: Path = DEV) -> list[Found]:
 
 def choose(hid: Hid, found: Sequence[Found]) -> Found:
     """The one device that the configuration means. Raises DeviceError: none, several, or one that cannot be driven."""
+    keys = {"vendor": hid.vendor, "product": hid.product, "serial": hid.serial, "path": hid.path}
     wanted = [
         f"{key} {quoted(value) if isinstance(value, str) else f'0x{value:04x}'}"
-        for key, value in (("vendor", hid.vendor), ("product", hid.product), ("serial", hid.serial), ("path", hid.path))
+        for key, value in keys.items()
         if value is not None
     ]
-    meant = [item for item in found if is_meant(hid, item)]
     text = f" with {', '.join(wanted)}" if wanted else ""
+    meant = [item.evaluated_by(hid) for item in found if is_meant(hid, item)]
     if not meant:
         others = f"; there are {_listed(found)}" if found and wanted else ""
         raise DeviceError(f"no HID device{text} is connected{others}; {_HERE}")
-    evaluated = [item.evaluated_by(hid) for item in meant]
-    usable = [item for item in evaluated if item.usable]
-    if not usable:
-        # A device whose descriptor lacks nothing does not suit the configuration; opening it gives the reason.
-        near = [item for item in evaluated if hid.report is not None or (item.layout and item.layout.usable)]
-        usable = near if len(near) == 1 else []
-    if not usable:
-        if len(evaluated) == 1:
-            hint = "; a device with reports of its own needs device.hid.report" if evaluated[0].is_other else ""
-            why = f"{evaluated[0]} cannot be driven: {evaluated[0].verdict.why_not}{hint}"
-            raise DeviceError(why) if evaluated[0].is_other and not hid.names_one else UndrivableError(why)
-        if near:
-            why = "; ".join(f"{item}: {item.verdict.why_not}" for item in near[:_MOST_LISTED])
-            raise UndrivableError(f"no HID device{text} can be driven: {why}; {_HERE}")
-        nearly = [f"; {item}: {item.verdict.why_not}" for item in evaluated if not item.is_other]
-        raise DeviceError(
-            f"no HID device{text} can be driven: none of {_listed(evaluated)} is a force-feedback device"
-            f"{''.join(nearly[:1])}; {_HERE}"
-        )
+    usable = [item for item in meant if item.usable]
     if len(usable) > 1:
         raise DeviceError(
             f"several HID devices{text} can be driven: {_listed(usable)}; "
             "choose one by device.hid.vendor, product, serial or path"
         )
+    if not usable:
+        # Those that are made for forces, or that the configuration names or describes.
+        expected = [item for item in meant if not item.is_other or hid.names_one or hid.report is not None]
+        if not expected and len(meant) > 1:
+            raise DeviceError(
+                f"no HID device{text} can be driven: none of {_listed(meant)} is a force-feedback device; {_HERE}"
+            )
+        shown = (expected or meant)[:_MOST_LISTED]
+        whys = "; ".join(f"{item} cannot be driven: {item.verdict.why_not}" for item in shown)
+        described = hid.report is not None or not any(item.is_other for item in shown)
+        hint = "" if described else "; a device with reports of its own needs device.hid.report"
+        raise (UndrivableError if expected else DeviceError)(f"{whys}{hint}")
     one = usable[0]
     if one.permission == "denied":
         raise DeviceError(f"{one}: no permission: {RULE}")

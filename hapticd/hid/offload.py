@@ -19,7 +19,7 @@ from hapticd.config.materials import Material, Tap
 from hapticd.config.modes import Mode
 from hapticd.hid.device_texts import offload_text
 from hapticd.hid.nearest_effect import NearestEffect, most_n, nearest_effect, streamed_error
-from hapticd.hid.plan import Message, Periodic, Scale, Value, fill_message
+from hapticd.hid.plan import Message, Periodic, Scale, Value
 
 MOST_ERROR: Final = 0.2
 """An effect that differs by more from its mode (RMS of the difference over RMS) is not used."""
@@ -218,10 +218,8 @@ class Offload:
         self._changed = False
         if not self._attached or self._periodic is None:
             return
-        effects = ffi.new("struct hd_device_effects *")
-        effects.count = len(self._held)
-        for into, held in zip(effects.effects, self._held.values(), strict=False):
-            _fill_effect(into, held, self._periodic)
+        held = [_for_c(each, self._periodic) for each in self._held.values()]
+        effects = ffi.new("struct hd_device_effects *", {"count": len(held), "effects": held})
         if lib.hd_hid_set_effects(self._hid, effects) != Status.OK:
             raise HapticdError(f"device.hid.offload: {invalid_reason()}")
 
@@ -238,18 +236,23 @@ def _refusal(nearest: NearestEffect | None, mode: Mode, carried_hz: float) -> st
     return None
 
 
-def _fill_effect(into: CData, held: _Held, periodic: Periodic) -> None:
+def _for_c(held: _Held, periodic: Periodic) -> dict[str, object]:
+    """What initializes a `struct hd_device_effect`."""
     numbers, shape = periodic.numbers, held.effect
-    for place, message in enumerate(effect_messages(shape, periodic, held.place)):
-        fill_message(into.messages[place], message)
-    into.message_count = place + 1
-    fill_message(into.stop, periodic.blocks[held.place].stop)
-    into.id, into.place = held.id, held.place
-    into.duration_ns = round(shape.duration_s * 1e9)
-    into.most_n = most_n(shape.peak, numbers)
-    # Half a count of the finest level.
-    levels = (numbers.attack_level, numbers.magnitude, numbers.fade_level)
-    into.least_n = min(0.5 * min(scale.resolution for scale in levels) / max(shape.peak, 1e-9), into.most_n)
+    messages = [message.for_c() for message in effect_messages(shape, periodic, held.place)]
+    largest_n = most_n(shape.peak, numbers)
+    finest_n = min(level.resolution for level in (numbers.attack_level, numbers.magnitude, numbers.fade_level))
+    return {
+        "id": held.id,
+        "place": held.place,
+        "message_count": len(messages),
+        "duration_ns": round(shape.duration_s * 1e9),
+        # Half a count of the finest level.
+        "least_n": min(0.5 * finest_n / max(shape.peak, 1e-9), largest_n),
+        "most_n": largest_n,
+        "messages": messages,
+        "stop": periodic.blocks[held.place].stop.for_c(),
+    }
 
 
 def effect_messages(shape: NearestEffect, periodic: Periodic, place: int) -> tuple[Message, ...]:

@@ -1,20 +1,20 @@
 """What a connection does with a device, as data: where positions stand, and which reports carry a force.
 
-Made once by `pid.py`, `vendor.py` or `replay.py`, and handed to C as `struct hd_hid_plan` (csrc/api/hd_api.h says
-what each
-number means). Reports are bytes with the report id first, 0 where reports are not numbered; bits are counted after it.
+Made once by `pid.py`, `vendor.py` or `replay.py`, and handed to C as `struct hd_hid_plan` (csrc/api/hd_api_device.h
+says what each number means). Reports are bytes with the report id first, 0 where reports are not numbered; bits are
+counted after it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.core import CData, HidMeaning, HidQuantity, ffi, lib
+from hapticd.base.core import CData, HidMeaning, HidQuantity, Status, ffi, lib
 from hapticd.base.errors import HapticdError
 from hapticd.hid.signs import Signs
 
@@ -59,25 +59,17 @@ class Bits:
 
         Raises ValueError for a number that does not fit, or a field that lies beyond the report.
         """
-        if not self.least <= counts <= self.most:
-            raise ValueError(f"{counts} is not between {self.least} and {self.most}")
-        if self.end > 8 * (len(report) - 1):
-            raise ValueError(f"bit {self.end - 1} lies beyond a report of {len(report) - 1} bytes")
-        mask = (1 << self.bit_size) - 1
-        raw = counts & mask
-        if self.big_endian:
-            raw = int.from_bytes(raw.to_bytes(self.bit_size // 8, "big"), "little")
-        whole = int.from_bytes(report[1:], "little") & ~(mask << self.bit_offset) | raw << self.bit_offset
-        report[1:] = whole.to_bytes(len(report) - 1, "little")
+        field = ffi.new("struct hd_hid_field *", _for_c(self))
+        buffer = ffi.from_buffer("uint8_t[]", report, require_writable=True)
+        if lib.hd_bits_put(field, buffer, len(report), counts) != Status.OK:
+            raise ValueError(f"bit {self.bit_offset} to {self.end - 1} of {len(report) - 1} bytes: cannot be {counts}")
 
     def get(self, report: bytes) -> int:
         """Reads it from a report (id first). Raises ValueError where it lies beyond the report."""
-        if self.end > 8 * (len(report) - 1):
+        field, counts = ffi.new("struct hd_hid_field *", _for_c(self)), ffi.new("int64_t *")
+        if lib.hd_bits_get(field, ffi.from_buffer("uint8_t[]", report), len(report), counts) != Status.OK:
             raise ValueError(f"bit {self.end - 1} lies beyond a report of {len(report) - 1} bytes")
-        raw = int.from_bytes(report[1:], "little") >> self.bit_offset & (1 << self.bit_size) - 1
-        if self.big_endian:
-            raw = int.from_bytes(raw.to_bytes(self.bit_size // 8, "big"), "little")
-        return raw - (1 << self.bit_size) if self.signed and raw >> (self.bit_size - 1) else raw
+        return int(counts[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +111,11 @@ class Message:
         for value in self.values:
             value.bits.put(report, min(max(round(value.zero_counts), round(value.least)), round(value.most)))
         return bytes(report)
+
+    def for_c(self) -> dict[str, object]:
+        """What initializes a `struct hd_hid_message`."""
+        values = [_for_c(value) for value in self.values]
+        return {"length": len(self.data), "bytes": self.data, "value_count": len(values), "values": values}
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,9 +241,6 @@ class Plan:
     """Why there is none."""
     leak: float = 0.0
     """At most this part of a force comes out across it, since a direction is a whole number of counts."""
-    effect_reports: Mapping[int, tuple[str, Bits]] = field(default_factory=dict)
-    """Output reports of one effect, by id: the name, and where the effect's index lies; for those who look at what was
-    sent. Empty: the device has no effects."""
     signs: Signs | None = None
     """What is checked before the first force of the scene; None: the signs are trusted."""
 
@@ -283,73 +277,36 @@ class Plan:
 
     def to_c(self) -> CData:
         """A `struct hd_hid_plan *`. Raises DeviceError for what has no room in it."""
-        plan = ffi.new("struct hd_hid_plan *")
-        for into, axis in zip(plan.axes, (self.x, self.y), strict=True):
-            _fill_bits(into.field, axis.bits)
-            into.report_id = axis.report_id
-            into.zero_counts, into.m_per_count = axis.zero_counts, axis.m_per_count
-        for script, messages in (
-            (plan.begin, self.begin),
-            (plan.force, self.force),
-            (plan.renew, self.renew),
-            (plan.restore, self.restore),
-            (plan.stop, self.stop),
-        ):
-            _fill_script(script, messages)
-        if self.effects is not None:
-            _fill_effects(plan.effects, self.effects)
-        if len(self.states) > lib.HD_HID_STATES:
-            raise DeviceError(f"a device with {len(self.states)} state bits; at most {lib.HD_HID_STATES} are watched")
-        for into, state in zip(plan.states, self.states, strict=False):
-            _fill_bits(into.field, state.bits)
-            into.report_id, into.meaning = state.report_id, state.meaning
-        plan.state_count = len(self.states)
-        if self.signs is not None:
-            self.signs.fill(plan.signs)
-        plan.on_change = self.on_change
-        plan.renew_ns = round(self.renew_s * 1e9)
-        plan.restore_ns = round(self.restore_s * 1e9)
-        plan.write_interval_ns = round(self.write_interval_s * 1e9)
-        return plan
+
+        def script(messages: Sequence[Message]) -> dict[str, object]:
+            return {"count": len(messages), "messages": [message.for_c() for message in messages]}
+
+        effects = {} if self.effects is None else {**_for_c(self.effects), "count": len(self.effects.indices)}
+        plan = {
+            "axes": [_for_c(self.x), _for_c(self.y)],
+            "begin": script(self.begin),
+            "force": script(self.force),
+            "renew": script(self.renew),
+            "restore": script(self.restore),
+            "stop": script(self.stop),
+            "effects": effects,
+            "states": [_for_c(state) for state in self.states],
+            "state_count": len(self.states),
+            "signs": {} if self.signs is None else _for_c(self.signs),
+            "on_change": self.on_change,
+            "renew_ns": round(self.renew_s * 1e9),
+            "restore_ns": round(self.restore_s * 1e9),
+            "write_interval_ns": round(self.write_interval_s * 1e9),
+        }
+        try:
+            return ffi.new("struct hd_hid_plan *", plan)
+        except IndexError as error:
+            raise DeviceError(f"the device needs more reports, or longer ones, than are sent: {error}") from None
 
 
-def _fill_bits(into: CData, bits: Bits) -> None:
-    into.bit_offset, into.bit_size = bits.bit_offset, bits.bit_size
-    into.is_signed, into.big_endian = bits.signed, bits.big_endian
+_IN_C: Final = {"bits": "field", "signed": "is_signed"}
 
 
-def _fill_effects(into: CData, effects: PlayingBits) -> None:
-    if len(effects.indices) > lib.HD_HID_EFFECTS:
-        raise DeviceError(f"{len(effects.indices)} effects; at most {lib.HD_HID_EFFECTS} are watched")
-    _fill_bits(into.index, effects.index)
-    _fill_bits(into.playing, effects.playing)
-    into.report_id, into.proof = effects.report_id, effects.proof
-    into.count = len(effects.indices)
-    for place, index in enumerate(effects.indices):
-        into.indices[place] = index
-
-
-def _fill_script(script: CData, messages: Sequence[Message]) -> None:
-    if len(messages) > lib.HD_HID_MESSAGES:
-        raise DeviceError(f"a script of {len(messages)} reports; at most {lib.HD_HID_MESSAGES} are sent at a time")
-    script.count = len(messages)
-    for into, message in zip(script.messages, messages, strict=False):
-        fill_message(into, message)
-
-
-def fill_message(into: CData, message: Message) -> None:
-    """Fills a `struct hd_hid_message`. Raises DeviceError for what has no room in it."""
-    if len(message.data) > lib.HD_HID_REPORT_BYTES:
-        raise DeviceError(
-            f"report {message.data[0]} has {len(message.data)} bytes; at most {lib.HD_HID_REPORT_BYTES} are sent"
-        )
-    if len(message.values) > lib.HD_HID_VALUES:
-        raise DeviceError(f"a report with {len(message.values)} numbers; at most {lib.HD_HID_VALUES} are written")
-    into.length, into.value_count = len(message.data), len(message.values)
-    ffi.memmove(into.bytes, message.data, len(message.data))
-    for place, value in zip(into.values, message.values, strict=False):
-        _fill_bits(place.field, value.bits)
-        place.quantity = value.quantity
-        place.counts_per_unit, place.zero_counts = value.counts_per_unit, value.zero_counts
-        place.counts_per_other_n = value.counts_per_other_n
-        place.least, place.most = value.least, value.most
+def _for_c(part: Bits | AxisPlan | Value | StateBit | PlayingBits | Signs) -> dict[str, object]:
+    """What initializes the struct of the same members."""
+    return asdict(part, dict_factory=lambda members: {_IN_C.get(name, name): value for name, value in members})

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from hapticd.base.core import HidQuantity, ffi, lib
+from hapticd.base.core import ffi, lib
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
 from hapticd.hid.device import Device, Driver, pending_reports
 from hapticd.hid.plan import DeviceError, Plan
@@ -40,40 +40,12 @@ class Calibration:
     """How far the handle went along x and y with a force along each of the device's axes."""
 
 
-class _Noting:
-    """A device, and the output reports that it was sent."""
-
-    def __init__(self, device: Device) -> None:
-        self._device = device
-        self.path = device.path
-        self.sent: list[bytes] = []
-
-    def fileno(self) -> int:
-        return self._device.fileno()
-
-    def write(self, report: bytes) -> None:
-        self.sent.append(report)
-        self._device.write(report)
-
-    def send_feature(self, report: bytes) -> None:
-        self._device.send_feature(report)
-
-    def get_feature(self, report_id: int, length: int) -> bytes:
-        return self._device.get_feature(report_id, length)
-
-    def listen(self, timeout_s: float) -> bytes:
-        return self._device.listen(timeout_s)
-
-    def close(self) -> None:
-        self._device.close()
-
-
 class _Pusher:
     """Sends forces and reads positions, with the time that it takes."""
 
-    def __init__(self, device: _Noting, plan: Plan, now: Callable[[], float], pause: Callable[[float], None]) -> None:
+    def __init__(self, device: Device, plan: Plan, now: Callable[[], float], pause: Callable[[float], None]) -> None:
         self._device, self._plan = device, plan
-        self._pushed: list[bytes] = []
+        self._sent: list[bytes] = []
         self._now, self._pause = now, pause
         self._described = plan.to_c()
         self._renewed = now()
@@ -81,15 +53,17 @@ class _Pusher:
 
     def put(self, x_n: float, y_n: float) -> None:
         """One force; what was reported meanwhile is read."""
-        force = ffi.new("double[2]", [x_n, y_n])
+        force, sent = ffi.new("double[2]", [x_n, y_n]), []
         for place, message in enumerate(self._plan.force):
             report = ffi.new("uint8_t[]", len(message.data))
             lib.hd_hid_compose(ffi.addressof(self._described.force.messages, place), force, report)
-            self._device.write(bytes(ffi.buffer(report)))
+            sent.append(bytes(ffi.buffer(report)))
+            self._device.write(sent[-1])
         if self._now() - self._renewed >= self._plan.renew_s / 2:
             self._renewed = self._now()
             for renewal in self._plan.renew:
                 self._device.write(renewal.data)
+        self._sent = sent if x_n or y_n else self._sent
         self._pause(STEP_S)
         self.read()
 
@@ -122,26 +96,15 @@ class _Pusher:
             moved = (x, y)
             if max(abs(x), abs(y)) > ENOUGH * half_m:
                 break
-        self._pushed = list(self._device.sent)
         self.put(0.0, 0.0)
         return moved
 
-    def sent(self, along: int) -> str:
-        """What the device was sent for the last push along an axis (0 or 1): its effect, and the reports in hex."""
-        quantities = ((HidQuantity.X, HidQuantity.Y)[along], HidQuantity.MAGNITUDE)
-        carried = [m.data for m in self._plan.force if any(value.quantity in quantities for value in m.values)]
-        known = self._plan.effect_reports
-        if not known:
-            last = {report[0]: report for report in self._pushed}
-            return f"sent was {', '.join(last[data[0]].hex(' ') for data in carried)}"
-        effects = {known[data[0]][1].get(data) for data in carried}
-        of_effects = {
-            (report[0], index): report
-            for report in self._pushed
-            if report[0] in known and (index := known[report[0]][1].get(report)) in effects
-        }
-        words = "; ".join(f"{known[report[0]][0]} {report.hex(' ')}" for report in of_effects.values())
-        return f"effect {', '.join(map(str, sorted(effects)))} had {words}"
+    def sent(self) -> str:
+        """What the device was sent for the last push, and what of its effects went before it, in hex, ids first."""
+        before = [message.at_rest() for message in (*self._plan.restore, *self._plan.renew)]
+        return f"{', '.join(report.hex(' ') for report in self._sent)}" + (
+            f" after {', '.join(report.hex(' ') for report in before)}" if before else ""
+        )
 
 
 def calibrate(
@@ -160,9 +123,8 @@ def calibrate(
     """
     if not 0.0 < force_n <= MOST_OF_FULL * hid.full_scale_force_n * (1 + 1e-9):
         raise ValueError(f"{force_n:g} N is not above 0 and up to {MOST_OF_FULL * hid.full_scale_force_n:g} N")
-    noting = _Noting(device)
-    plan = driver.set_up(noting)
-    pusher = _Pusher(noting, plan, now, pause)
+    plan = driver.set_up(device)
+    pusher = _Pusher(device, plan, now, pause)
     half_m = hid.travel_m
     try:
         moved: dict[str, tuple[float, float]] = {}
@@ -177,8 +139,8 @@ def calibrate(
             if max(map(abs, moved[name])) < MOVED * half_m:
                 raise DeviceError(
                     f"the handle did not move along any axis when {force_n:g} N pushed along the device's {name} axis, "
-                    f"nor for -{force_n:g} N: {pusher.sent(along)} (hex, id first); is a hand on it, or does it take "
-                    f"these reports otherwise? Else try more with --force{_alone(moved)}"
+                    f"nor for -{force_n:g} N: sent was {pusher.sent()} (hex, id first); is a hand on it, or does it "
+                    f"take these reports otherwise? Else try more with --force{_alone(moved)}"
                 )
         return Calibration(_found(moved), moved)
     finally:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-from hapticd.base.core import CData, SignsProblem, SignsState, lib
+from hapticd.base.core import SignsProblem, SignsState, lib
 
 FORCE: Final = 0.1
 """Of a pulse, as a part of the device's largest force; `hapticd devices calibrate` uses no more."""
@@ -39,7 +39,7 @@ CORRECT: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Signs:
-    """What a connection has checked."""
+    """What a connection has checked: the members of `struct hd_hid_signs`."""
 
     number: int
     """Of this device, from 1; each is checked once."""
@@ -48,11 +48,6 @@ class Signs:
     force_n: float
     least_m: float
     enough_m: float
-
-    def fill(self, into: CData) -> None:
-        """Fills a `struct hd_hid_signs`."""
-        into.number, into.axes, into.force_n = self.number, self.axes, self.force_n
-        into.least_m, into.enough_m = self.least_m, self.enough_m
 
 
 class Check:

@@ -33,7 +33,8 @@ def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes
     assert main(["devices", "parse", str(file), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["usable"] is True and told["missing"] == []
-    assert {name: told["input"]["y"][name] for name in ("report_id", "bit_offset", "bit_size", "logical_min")} == {
+    field = told["input"]["y"]["field"]
+    assert {name: field[name] for name in ("report_id", "bit_offset", "bit_size", "logical_min")} == {
         "report_id": 1,
         "bit_offset": 16,
         "bit_size": 16,
@@ -41,8 +42,8 @@ def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes
     }
     assert told["constant_force"]["report_bytes"] == 4
     assert told["constant_force"]["magnitude"]["bit_offset"] == 8
-    assert told["device_control"]["kind"] == "array"
-    assert told["device_control"]["values"]["stop_all_effects"] == 3
+    assert told["device_control"]["command"]["kind"] == "array"
+    assert told["device_control"]["command"]["entries"]["stop_all_effects"]["value"] == 3
     assert told["pool"]["simultaneous_effects_max"]["bit_offset"] == 16
 
 
@@ -51,8 +52,8 @@ def test_json_of_bits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     file.write_bytes(bytes(Joystick(control="bits")))
     assert main(["devices", "parse", str(file), "--json"]) == 0
     control = json.loads(capsys.readouterr().out)["device_control"]
-    assert control["kind"] == "bits" and control["report_id"] == 7
-    assert control["bits"]["device_reset"]["bit_offset"] == 3
+    assert control["command"]["kind"] == "bits" and control["report_id"] == 7
+    assert control["command"]["entries"]["device_reset"]["field"]["bit_offset"] == 3
 
 
 def test_one_effect_for_both_axes_says_how_much_comes_out_across_a_force(
@@ -124,7 +125,7 @@ def test_what_is_skipped_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ("content", "told"),
     [
         (b"", "the report descriptor is empty"),
-        (STICK[:-1], "report descriptor, byte 4 (Collection): still open where the descriptor ends"),
+        (STICK[:-1], "report descriptor: a collection is still open where it ends"),
         (b"05 01\n09 4\n", 'descriptor, line 2: "4" is not bytes in hexadecimal such as 05 01 09 04'),
         (b"a joystick\n", 'line 1: "a" is not bytes in hexadecimal'),
     ],

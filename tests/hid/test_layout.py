@@ -27,7 +27,6 @@ from tests.support.hid_descriptors import (
     OUTPUT,
     PID,
     Joystick,
-    alternatives,
     collection,
     data,
     logical,
@@ -399,11 +398,6 @@ def test_what_is_no_axis() -> None:
     unnamed = collection(b"", APPLICATION, report_id(4) + usage(0x31) + size(8) + data(INPUT))
     found = layout(collection(usage_page(DESKTOP) + usage(4), APPLICATION, relative, constant, mouse, unnamed))
     assert {name: axis.field.report_id for name, axis in found.input.items()} == {"y": 4}
-
-
-def test_an_axis_by_an_alternative_usage() -> None:
-    axis = alternatives(usage(0x38), usage(0x30)) + logical(0, 255) + size(8) + data(INPUT)
-    assert "x" in layout(collection(usage_page(DESKTOP) + usage(4), APPLICATION, axis)).input
 
 
 def test_a_report_without_an_id_among_others() -> None:

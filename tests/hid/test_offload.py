@@ -27,7 +27,7 @@ from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.drivers.pid_periodic import periodic_of
 from hapticd.hid.nearest_effect import LONGEST_S, NearestEffect, nearest_effect, streamed_error
 from hapticd.hid.offload import Offload, effect_messages
-from hapticd.hid.plan import DeviceError, Message, Numbers, Periodic, Plan, fill_message
+from hapticd.hid.plan import DeviceError, Message, Numbers, Periodic, Plan
 from hapticd.protocol.changes import Played
 from tests.hid.test_connection import FULL_N, World, pressed
 from tests.hid.test_connection import world as world
@@ -179,8 +179,7 @@ def compose(messages: Iterable[Message], force_n: tuple[float, float]) -> Iterat
     """What C makes of these messages."""
     room = ffi.new("uint8_t[]", 256)
     for message in messages:
-        into = ffi.new("struct hd_hid_message *")
-        fill_message(into, message)
+        into = ffi.new("struct hd_hid_message *", message.for_c())
         lib.hd_hid_compose(into, ffi.new("double[2]", force_n), room)
         yield bytes(ffi.buffer(room, len(message.data)))
 

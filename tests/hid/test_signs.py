@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 import pytest
@@ -75,10 +75,9 @@ class Run:
     def __init__(self, handle: Handle, axes: tuple[bool, bool] = (True, True)) -> None:
         self.handle = handle
         self.signs = ffi.gc(lib.hd_signs_new(), lib.hd_signs_free)
-        self.of: CData = ffi.new("struct hd_hid_signs *")
         check = Check(TRAVEL_M, FULL_N).of("stick", axes, handle.step_m)
         assert check is not None
-        check.fill(self.of)
+        self.of: CData = ffi.new("struct hd_hid_signs *", asdict(check))
         self.input = ffi.new("struct hd_signs_input *")
         self.input.elapsed_s = 1.0 / RATE_HZ
         self.input.max_force_n, self.input.ramp_s = MAX_N, RAMP_S

@@ -33,7 +33,7 @@ from hapticd.hid.descriptor.layout import Layout
 from hapticd.hid.descriptor.parser import Descriptor, parse
 from hapticd.hid.drivers import pid, pid_pool
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.plan import Bits, DeviceError, Message, Plan, fill_message
+from hapticd.hid.plan import Bits, DeviceError, Message, Plan
 from hapticd.hid.verdict import Verdict, verdict_of
 from tests.hid import test_descriptor, test_layout
 from tests.support import firmware_descriptors as known
@@ -351,9 +351,7 @@ def check_periodic(reports: Reports, plan: Plan) -> None:
 
     def filled(messages: tuple[Message, ...]) -> Iterator[tuple[CData, int]]:
         for message in messages:
-            into = ffi.new("struct hd_hid_message *")
-            fill_message(into, message)
-            yield into, len(message.data)
+            yield ffi.new("struct hd_hid_message *", message.for_c()), len(message.data)
 
     for place in range(len(plan.periodic.blocks)):
         messages = offload.effect_messages(shape, plan.periodic, place)

@@ -22,7 +22,7 @@ from typing import Annotated, Any, Final, get_args, get_type_hints
 
 from hapticd.hid.descriptor.field_search import Group, Made, Number, OneOf, Row
 from hapticd.hid.descriptor.fields import Choice, Field, angle_fault, axis_fault, magnitude_fault
-from hapticd.hid.descriptor.parser import Collection, CollectionType, Descriptor, ReportField, ReportKind
+from hapticd.hid.descriptor.parser import APPLICATION, Collection, Descriptor, ReportField, ReportKind
 from hapticd.hid.descriptor.usages import AXES, COMMANDS, DESKTOP, EFFECT_TYPES, LOAD_STATUS, OPERATIONS, PID
 
 SKIPPED: Final = "report descriptor, "
@@ -254,41 +254,12 @@ class Layout:
 
     def to_dict(self) -> dict[str, object]:
         """As JSON: what is absent is null."""
-        return {"usable": self.usable, **_plain_fields(self)}
+        return {"usable": self.usable, **dataclasses.asdict(self)}
 
 
 def layout_of(descriptor: Descriptor) -> Layout:
     """Finds what would be driven. Never fails: what is not there is named in `missing`."""
     return _Finder(descriptor).layout()
-
-
-def _plain(value: object) -> object:
-    match value:
-        case Axis():
-            return {"report_bytes": value.report_bytes, **_plain_fields(value.field)}
-        case Choice(kind="array", entries=entries):
-            field = next(iter(entries.values())).field
-            return {"kind": "array", **_plain_fields(field), "values": {name: entries[name].value for name in entries}}
-        case Choice(entries=entries):
-            bits = {name: {**_plain_fields(entry.field), "value": entry.value} for name, entry in entries.items()}
-            return {"kind": "bits", "bits": bits}
-        case DeviceControl():
-            command = _plain(value.command)
-            assert isinstance(command, dict)
-            return {**command, "report_id": value.report_id, "report_bytes": value.report_bytes}
-        case Mapping():
-            return {name: _plain(inner) for name, inner in value.items()}
-        case tuple():
-            return [_plain(inner) for inner in value]
-        case _ if dataclasses.is_dataclass(value):
-            return _plain_fields(value)
-        case _:
-            return value
-
-
-def _plain_fields(value: object) -> dict[str, object]:
-    assert dataclasses.is_dataclass(value)
-    return {item.name: _plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
 
 
 # ---- Finding them ----------------------------------------------------------------------------------------------------
@@ -334,7 +305,7 @@ class _Finder:
         self._within: dict[int, list[tuple[Collection, ReportField]]] = {}
         for field in descriptor.fields:
             # The innermost collection of a usage stays.
-            around = {usage: one for one in field.path for usage in (one.usage, *one.aliases)}
+            around = {one.usage: one for one in field.path}
             for usage, collection in around.items():
                 self._within.setdefault(usage, []).append((collection, field))
 
@@ -399,11 +370,11 @@ class _Finder:
         groups: dict[tuple[int, int], Group] = {}
         for field in self._descriptor.fields:
             # Some devices nest application collections that have no usage of their own.
-            around = (c for c in reversed(field.path) if c.type == CollectionType.APPLICATION and c.usage)
+            around = (c for c in reversed(field.path) if c.type == APPLICATION and c.usage)
             application = next(around, None)
             if field.kind != ReportKind.INPUT or application is None or not field.is_variable:
                 continue
-            is_joystick = application.usage >> 16 == _SIMULATION_PAGE or any(map(application.is_a, _JOYSTICKS))
+            is_joystick = application.usage >> 16 == _SIMULATION_PAGE or application.usage in _JOYSTICKS
             if is_joystick and not field.is_relative and not field.is_constant:
                 self._put(groups, (application.number, field.report_id), field)
         found = []

@@ -11,15 +11,14 @@ we do:
   then that page holds for it, and for those before it back to the first that has that page already.
 - Usages are dealt to the elements of a field in the order in which they stand, single ones and ranges alike. If there
   are fewer, the last one repeats; if there are more, the rest is dropped.
-- Of the usages between delimiters the first is the preferred one; the others are kept as its aliases.
+- Of the usages between delimiters the first, the preferred one, is taken; the others are skipped.
 - A collection has the first of the usages before it.
 - A unit exponent of 8 to 15 is a negative nibble; a physical range of 0 to 0 is absent, and the logical
   one counts.
 
 Skipped are reserved items (type 3), unknown local items, unknown main items (which end the local state as any main item
-does), long items (the specification defines none; Linux refuses them) and a Usage Minimum without its maximum. A Usage
-Maximum without its minimum is a range from 0 on. A range that ends before it begins, or on another page, goes on to the
-end of its page, 12,288 usages at most. A usage page keeps its lowest 16 bits. A set of alternatives that is open at a
+does), long items (the specification defines none; Linux refuses them), and ranges of usages that lack an end, end
+before they begin or go beyond a page. A usage page keeps its lowest 16 bits. A set of alternatives that is open at a
 main item ends there. Unknown global items are refused, as by Linux. Zero bytes after the last collection are padding.
 """
 
@@ -40,9 +39,14 @@ MAX_REPORT_BYTES: Final = 16384
 MAX_DEPTH: Final = 64
 """Of collections, and of Push."""
 
+APPLICATION: Final = 1
+"""The type of a collection that is a device: a joystick, a keyboard."""
+CONSTANT: Final = 0x01
+VARIABLE: Final = 0x02
+RELATIVE: Final = 0x04
+"""Bits of an Input, Output or Feature item."""
+
 _LONG_ITEM: Final = 0xFE
-_MAX_USAGES: Final = 12288
-"""Linux takes no more of one field."""
 _MOST_LISTED: Final = 16
 
 
@@ -58,36 +62,6 @@ class ReportKind(enum.StrEnum):
     FEATURE = "feature"
 
 
-class CollectionType(enum.IntEnum):
-    """The types of collections that the specification names; others are plain numbers."""
-
-    PHYSICAL = 0
-    APPLICATION = 1
-    LOGICAL = 2
-    REPORT = 3
-    NAMED_ARRAY = 4
-    USAGE_SWITCH = 5
-    USAGE_MODIFIER = 6
-
-
-class FieldFlag(enum.IntFlag):
-    """The bits of an Input, Output or Feature item."""
-
-    CONSTANT = 0x01
-    VARIABLE = 0x02
-    RELATIVE = 0x04
-    WRAP = 0x08
-    NONLINEAR = 0x10
-    NO_PREFERRED = 0x20
-    NULL_STATE = 0x40
-    VOLATILE = 0x80
-    BUFFERED_BYTES = 0x100
-
-
-_CONSTANT: Final = int(FieldFlag.CONSTANT)
-_VARIABLE: Final = int(FieldFlag.VARIABLE)
-
-
 @dataclass(frozen=True, slots=True)
 class Collection:
     """A collection. `number` counts them in the order in which they open, so two of the same usage differ."""
@@ -96,19 +70,14 @@ class Collection:
     usage: int
     """Usage page << 16 | usage; 0 without one."""
     type: int
-    aliases: tuple[int, ...] = ()
-
-    def is_a(self, usage: int) -> bool:
-        return self.usage == usage or usage in self.aliases
 
 
 @dataclass(frozen=True, slots=True)
 class UsageRange:
-    """Consecutive usages (page << 16 | usage), both ends included. A single one may have aliases."""
+    """Consecutive usages (page << 16 | usage), both ends included."""
 
     first: int
     last: int
-    aliases: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return self.last - self.first + 1
@@ -138,23 +107,21 @@ class ReportField:
     """The physical range was given for another logical one, and stands only because nothing took it back."""
     unit: int
     unit_exponent: int
-    flags: FieldFlag
+    flags: int
     path: tuple[Collection, ...]
     """The collections around it, the outermost first."""
-    item_offset: int
-    """The byte of the descriptor at which the item begins."""
 
     @property
     def is_constant(self) -> bool:
-        return bool(int(self.flags) & _CONSTANT)
+        return bool(self.flags & CONSTANT)
 
     @property
     def is_variable(self) -> bool:
-        return bool(int(self.flags) & _VARIABLE)
+        return bool(self.flags & VARIABLE)
 
     @property
     def is_relative(self) -> bool:
-        return FieldFlag.RELATIVE in self.flags
+        return bool(self.flags & RELATIVE)
 
     def usage_at(self, index: int) -> int | None:
         """The usage of an element (variable) or of an index (array); the last one repeats in a variable field."""
@@ -165,22 +132,18 @@ class ReportField:
         return self.usages[-1].last if self.usages and self.is_variable else None
 
     def index_of(self, usage: int) -> int | None:
-        """The first element (variable) or index (array) that has this usage, also as an alias."""
+        """The first element (variable) or index (array) that has this usage."""
         base = 0
         for usages in self.usages:
             if usages.first <= usage <= usages.last:
                 index = base + usage - usages.first
-            elif usage in usages.aliases:
-                index = base
-            else:
-                base += usages.last - usages.first + 1
-                continue
-            return index if not self.is_variable or index < self.count else None
+                return index if not self.is_variable or index < self.count else None
+            base += len(usages)
         return None
 
     def within(self, usage: int) -> Collection | None:
         """The innermost collection around it that has this usage."""
-        return next((collection for collection in reversed(self.path) if collection.is_a(usage)), None)
+        return next((collection for collection in reversed(self.path) if collection.usage == usage), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,12 +203,10 @@ class _Usage:
     first: int
     last: int
     page: int | None
-    aliases: list[_Usage] = dataclasses.field(default_factory=list)
 
     def complete(self) -> UsageRange:
-        page = 0 if self.page is None else self.page << 16
-        aliases = tuple(alias.complete().first for alias in self.aliases)
-        return UsageRange(page | self.first, page | self.last, aliases)
+        page = (self.page or 0) << 16
+        return UsageRange(page | self.first, page | self.last)
 
 
 @dataclass(slots=True)
@@ -253,12 +214,10 @@ class _Locals:
     usages: list[_Usage] = dataclasses.field(default_factory=list)
     minimum: _Usage | None = None
     maximum: _Usage | None = None
-    delimited: _Usage | None = None
-    """The preferred usage of the open set."""
-    open_since: int | None = None
-    """The byte at which the open set of alternatives began."""
-    begun_at: int = 0
-    """The byte of the last Usage Minimum or Maximum."""
+    in_set: bool = False
+    """A set of alternatives is open."""
+    has_preferred: bool = False
+    """Its first usage has been read."""
 
 
 _MAIN: Final = {0x8: "Input", 0x9: "Output", 0xA: "Collection", 0xB: "Feature", 0xC: "End Collection"}
@@ -342,7 +301,6 @@ class _Parser:
         self._local = _Locals()
         self._pushed: list[_Globals] = []
         self._path: tuple[Collection, ...] = ()
-        self._opened: list[int] = []
         self._collections: list[Collection] = []
         self._fields: list[ReportField] = []
         self._bits: dict[tuple[ReportKind, int], int] = {}
@@ -358,19 +316,23 @@ class _Parser:
         state, value = self._global, number.raw
         match name:
             case "Input" | "Output" | "Feature":
-                self._end_locals()
+                self._end_locals(at)
                 self._add_field(at, name, value)
                 self._local = _Locals()
             case "Collection":
-                self._end_locals()
-                self._open(at, value)
+                self._end_locals(at)
+                if len(self._path) >= MAX_DEPTH:
+                    raise _error(at, name, f"more than {MAX_DEPTH} are nested")
+                first = self._local.usages[0].complete().first if self._local.usages else 0
+                collection = Collection(len(self._collections), first, value)
+                self._collections.append(collection)
+                self._path = (*self._path, collection)
                 self._local = _Locals()
             case "End Collection":
-                self._end_locals()
+                self._end_locals(at)
                 if not self._path:
                     raise _error(at, name, "no collection is open")
                 self._path = self._path[:-1]
-                self._opened.pop()
                 self._local = _Locals()
             case "Usage Page":
                 if value > 0xFFFF:
@@ -410,7 +372,9 @@ class _Parser:
                 page = None if number.size == 4 else state.usage_page
                 self._add_usage(at, name, _Usage(value, value, page))
             case "Delimiter":
-                self._delimit(at, value)
+                if bool(value) == self._local.in_set:
+                    raise _error(at, name, f"{'another' if value else 'no'} set is open")
+                self._local.in_set, self._local.has_preferred = bool(value), False
             case "unknown main item":
                 self._skip(at, name, "skipped")
                 self._local = _Locals()
@@ -425,10 +389,8 @@ class _Parser:
 
     def finish(self, end: int) -> Descriptor:
         """What was read, if nothing is left open."""
-        if self._local.open_since is not None:
-            raise _error(self._local.open_since, "Delimiter", f"still open where the descriptor ends (byte {end})")
         if self._path:
-            raise _error(self._opened[-1], "Collection", f"still open where the descriptor ends (byte {end})")
+            raise DescriptorError(f"report descriptor: a collection is still open where it ends (byte {end})")
         if not self._collections:
             raise DescriptorError("the report descriptor declares no collection, so there is no device in it")
         skipped = self._skipped[:_MOST_LISTED]
@@ -436,92 +398,40 @@ class _Parser:
             skipped.append(f"{len(self._skipped) - _MOST_LISTED} more items")
         return Descriptor(tuple(self._fields), tuple(self._collections), self._bits, tuple(skipped))
 
-    # ---- usages ------------------------------------------------------------------------------------------------------
-
     def _add_usage(self, at: int, name: str, usage: _Usage) -> None:
         local = self._local
-        if name == "Usage":
-            if local.open_since is None or local.delimited is None:
-                local.usages.append(usage)
-                if local.open_since is not None:
-                    local.delimited = usage
-            else:
-                local.delimited.aliases.append(usage)
-            return
-        local.begun_at = at
         if name == "Usage Minimum":
             local.minimum = usage
-        else:
+        elif name == "Usage Maximum":
             local.maximum = usage
+        else:
+            self._take_usage(usage)
         if local.minimum is not None and local.maximum is not None:
-            self._add_range(at, local.minimum, local.maximum)
+            first, last = local.minimum, local.maximum
+            local.minimum = local.maximum = None
+            if first.page != last.page or last.first < first.first or last.first >> 16 != first.first >> 16:
+                self._skip(at, name, f"the range from {first.first:#x} to {last.first:#x} is none: skipped")
+            else:
+                self._take_usage(_Usage(first.first, last.first, last.page))
 
-    def _add_range(self, at: int, first: _Usage, last: _Usage) -> None:
-        """The usages of a range, unless it stands where alternatives to another usage are meant."""
+    def _take_usage(self, usage: _Usage) -> None:
+        """Unless it is an alternative to another one."""
         local = self._local
-        local.minimum = local.maximum = None
-        if (first.page is None) != (last.page is None):
-            # One end names its page; the other one has the page that holds where it stands.
-            short = last if first.page is None else first
-            short.first |= (short.page or 0) << 16
-            short.page = None
-        end = last.first
-        if end < first.first or end >> 16 != first.first >> 16:
-            end = min(first.first | 0xFFFF, first.first + _MAX_USAGES - 1)
-            what = f"the range from {first.first:#x} to {last.first:#x} is none: it is taken to go on to {end:#x}"
-            self._skip(at, "Usage Maximum", what)
-        found = _Usage(first.first, end, last.page)
-        if local.open_since is None or local.delimited is None:
-            local.usages.append(found)
-            if local.open_since is not None:
-                local.delimited = found
-        else:
-            self._skip(at, "Usage Maximum", "a range among alternatives: skipped")
+        if not local.in_set or not local.has_preferred:
+            local.usages.append(usage)
+        local.has_preferred = local.in_set
 
-    def _delimit(self, at: int, value: int) -> None:
+    def _end_locals(self, at: int) -> None:
+        """What usages stand before the main item at this byte is known now."""
         local = self._local
-        if value:
-            if local.open_since is not None:
-                raise _error(at, "Delimiter", "another set is open")
-            local.open_since = at
-        else:
-            if local.open_since is None:
-                raise _error(at, "Delimiter", "no set is open")
-            local.open_since = local.delimited = None
-
-    def _end_locals(self) -> None:
-        """What usages stand before a main item is known now; what was left open is listed."""
-        local = self._local
-        if local.open_since is not None:
-            self._skip(local.open_since, "Delimiter", "the set is open at the next main item: it ends there")
-        if local.minimum is not None:
-            self._skip(local.begun_at, "Usage Minimum", "a range without Usage Maximum: skipped")
-        elif local.maximum is not None:
-            self._skip(local.begun_at, "Usage Maximum", "a range without Usage Minimum: taken to begin at 0")
-            last = local.maximum
-            begin = last.first & ~0xFFFF if last.page is None else 0
-            self._add_range(local.begun_at, _Usage(begin, begin, last.page), last)
+        if local.minimum is not None or local.maximum is not None:
+            self._skip(at, "Usage Minimum", "a range without its other end: skipped")
         page_now = self._global.usage_page
         for usage in reversed(local.usages):
             if usage.page == page_now:
                 break
             if usage.page is not None:
                 usage.page = page_now
-        for usage in local.usages:
-            for alias in usage.aliases:
-                if alias.page is not None:
-                    alias.page = alias.page if usage.page is None else usage.page
-
-    # ---- collections and fields --------------------------------------------------------------------------------------
-
-    def _open(self, at: int, kind: int) -> None:
-        if len(self._path) >= MAX_DEPTH:
-            raise _error(at, "Collection", f"more than {MAX_DEPTH} are nested")
-        usage = self._local.usages[0].complete() if self._local.usages else UsageRange(0, 0)
-        collection = Collection(len(self._collections), usage.first, kind, usage.aliases)
-        self._collections.append(collection)
-        self._path = (*self._path, collection)
-        self._opened.append(at)
 
     def _add_field(self, at: int, name: str, value: int) -> None:
         state, kind = self._global, _KINDS[name]
@@ -533,9 +443,8 @@ class _Parser:
         if bits == 0:
             return
         self._bits[report] = offset + bits
-        flags = FieldFlag(value & 0x1FF)
         logical = _range(state.logical_min, state.logical_max)
-        if logical[0] > logical[1] and FieldFlag.CONSTANT not in flags:
+        if logical[0] > logical[1] and not value & CONSTANT:
             raise _error(at, name, f"its logical minimum {logical[0]} lies above its maximum {logical[1]}")
         physical = _range(state.physical_min, state.physical_max)
         state.physical_of = state.physical_of or logical
@@ -557,9 +466,8 @@ class _Parser:
                 is_physical_stale=stale,
                 unit=state.unit,
                 unit_exponent=state.unit_exponent,
-                flags=flags,
+                flags=value,
                 path=self._path,
-                item_offset=at,
             )
         )
 

@@ -37,7 +37,7 @@ from hapticd.hid.drivers.pid_reports import (
     set_effect_report,
     shared_report,
 )
-from hapticd.hid.plan import STILL_M_PER_COUNT, AxisPlan, Bits, DeviceError, Message, Plan, PlayingBits, StateBit
+from hapticd.hid.plan import STILL_M_PER_COUNT, AxisPlan, DeviceError, Message, Plan, PlayingBits, StateBit
 
 RENEWED_ENOUGH_S: Final = 0.05
 """What is renewed so often needs no restoring."""
@@ -154,19 +154,7 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         foreign_s=renew_s if renew_s <= RENEWED_ENOUGH_S else 0.0,
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
         leak=_leak_of(layout) if way == "polar" else 0.0,
-        effect_reports=_effect_reports(layout),
     )
-
-
-def _effect_reports(layout: Layout) -> dict[int, tuple[str, Bits]]:
-    """What is sent for an effect, by the specification's names."""
-    effect, force, operation = layout.set_effect, layout.constant_force, layout.effect_operation
-    assert effect is not None and force is not None and operation is not None
-    return {
-        effect.report_id: ("Set Effect", bits_of(effect.effect_index)),
-        force.report_id: ("Set Constant Force", bits_of(force.effect_index)),
-        operation.report_id: ("Effect Operation", bits_of(operation.effect_index)),
-    }
 
 
 def _parts(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
