@@ -319,8 +319,6 @@ def _lines(verdict: Verdict) -> list[str]:
     layout = verdict.layout
     if verdict.plan is not None:
         lines = ["can be driven", f"forces: {_forces(verdict.plan)}", *filter(None, [verdict.plan.leak_text])]
-    elif verdict.is_lacking and layout is not None:
-        lines = [f"cannot be driven; missing: {', '.join(layout.missing)}"]
     else:
         lines = [f"cannot be driven: {verdict.why_not}"]
     if layout is None:

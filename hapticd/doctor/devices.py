@@ -6,14 +6,11 @@ import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs, Verdict, fail, ok, warn
 from hapticd.hid.device_texts import unseen_text
-from hapticd.hid.event_nodes import event_nodes, is_for_others
-
-if TYPE_CHECKING:
-    from hapticd.hid.discovery import Found
+from hapticd.hid.discovery import Found, event_nodes, is_for_others, is_meant
 
 _RULE: Final = "70-hapticd.rules"
 _RULE_FOLDERS: Final = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
@@ -34,8 +31,6 @@ def _drivable(machine: Machine, needs: Needs) -> list[Found]:
 def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
     """Whether the joysticks that can be driven may be; and those that are made for forces, or that the configuration
     names, and cannot be driven."""
-    from hapticd.hid.discovery import is_meant
-
     devices = _evaluated(machine, needs)
     if not any(device.usable for device in devices):
         other = f"; there are {len(devices)} other HID devices" if devices else ""

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from hapticd.base.errors import HapticdError
+from hapticd.hid.discovery import Found, find
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
-    from hapticd.hid.discovery import Found
 
 _MOST_BYTES: Final = 1 << 18
 """Of a file that is read; a kernel's configuration is the largest."""
@@ -83,13 +83,6 @@ def run(words: Sequence[str]) -> str | None:
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout if done.returncode == 0 else None
-
-
-def find(sysfs: Path, dev: Path) -> list[Found]:
-    """HID devices, as `hapticd devices` lists them."""
-    from hapticd.hid import discovery
-
-    return discovery.find(sysfs, dev)
 
 
 def holder(path: Path) -> tuple[int, bool] | None:

@@ -7,11 +7,8 @@ From a plugged-in device to a force, in this order:
     verdict             decides whether a device can be driven, and why not; everything that says so asks here
     drivers/            a class of devices each: its set-up and its plan
         pid             set-up of the PID class: reset, effects made, started with a force of zero
-        pid_plan        two effects, one with a direction, or one axis; what is sent afterwards
-        pid_reports     each report encoded: Set Effect, Set Constant Force, Effect Operation, Device Control, ...
-        pid_directions  the counts of an angle, and what of a force comes out across it
-        pid_periodic    effects that a device plays itself
-        pid_pool        how many effects there is room for
+        pid_plan        two effects, one with a direction, or one axis; what is sent afterwards; effects that play
+        pid_reports     directions, and each report encoded: Set Effect, Set Constant Force, Effect Operation, ...
         vendor          devices with reports of their own, as device.hid.report describes them
     plan                what a connection does, as data, handed to C as struct hd_hid_plan
     sources             a configuration's device: a hidraw node or a recording
@@ -28,7 +25,6 @@ Beside that way:
     offload             which mode has which effect
     stopper             a file and a process that stop a device whose daemon was killed
     claim               keeps other programs off a device
-    event_nodes         the nodes by which other programs use a device
     device_texts        sentences about devices that clients print, too; cheap to load
 
 What happens every few milliseconds is in C: csrc/device/hd_hid_reader.c and hd_hid_writer.c, behind hd_hid_mailboxes.c.

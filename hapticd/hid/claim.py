@@ -25,8 +25,7 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import check_regular
-from hapticd.hid.discovery import Found
-from hapticd.hid.event_nodes import event_nodes, is_for_others
+from hapticd.hid.discovery import Found, event_nodes, is_for_others
 
 RULES: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
 """It sorts behind 70-uaccess, which hands joysticks to whoever sits at the seat, and before 73-seat-late."""
@@ -35,6 +34,7 @@ BOUND_S: Final = 5.0
 """A device that was bound has its hidraw node after so long."""
 _COMMAND_S: Final = 5.0
 _ACL: Final = "system.posix_acl_access"
+_RULED: Final = ": its event nodes are root's alone already, as a line of 70-hapticd.rules makes them"
 
 Write = Callable[[Path, str], None]
 
@@ -72,36 +72,19 @@ class Claims:
         name, claimed = self._name(found), self.names()
         if name in claimed:
             raise HapticdError(f"{found} is claimed already; `hapticd devices release {found.path}` lets others at it")
-        nodes = self.nodes(name)
-        if nodes and not any(map(is_for_others, nodes)):
-            raise HapticdError(
-                f"{found}: its event nodes are root's alone already, as a line of 70-hapticd.rules makes them"
-            )
-        try:
-            self._rebind(name, claimed, [*claimed, name], GENERIC)
-            for node in self.nodes(name):
-                _hide(node)
-        except PermissionError:
-            raise HapticdError(
-                f"{found}: no permission to take it from its driver: sudo hapticd devices claim {found.path}"
-            ) from None
-        return self._driver(name)
+        if self._is_ruled(name):
+            raise HapticdError(f"{found}{_RULED}")
+        driver = self._rebind(found, claimed, [*claimed, name], GENERIC)
+        for node in self.nodes(name):
+            _hide(node)
+        return driver
 
     def release(self, found: Found) -> str:
         """Lets others at it again; the driver that it has now. Raises HapticdError, one line."""
         name, claimed = self._name(found), self.names()
         if name not in claimed:
-            nodes = self.nodes(name)
-            kept = nodes and not any(map(is_for_others, nodes))
-            why = "; its event nodes are root's alone, as a line of 70-hapticd.rules makes them" if kept else ""
-            raise HapticdError(f"{found} is not claimed{why}")
-        try:
-            self._rebind(name, claimed, [other for other in claimed if other != name], None)
-        except PermissionError:
-            raise HapticdError(
-                f"{found}: no permission to give it back: sudo hapticd devices release {found.path}"
-            ) from None
-        return self._driver(name)
+            raise HapticdError(f"{found} is not claimed{_RULED if self._is_ruled(name) else ''}")
+        return self._rebind(found, claimed, [other for other in claimed if other != name], None)
 
     def nodes(self, name: str) -> list[Path]:
         """The event and joystick nodes of a device."""
@@ -137,27 +120,35 @@ class Claims:
         if (self._root / "run/udev/control").exists():
             self._run(["udevadm", "control", "--reload"])
 
-    def _rebind(self, name: str, before: Sequence[str], after: Sequence[str], driver: str | None) -> None:
-        """Takes it from its driver and binds it to this one, with a rule about other devices than before."""
-        self._tell_udev(after)
-        try:
-            self._unbind(name, self._driver(name))
-            self._bind(name, driver)
-        except BaseException:
-            self._tell_udev(before)
-            raise
+    def _is_ruled(self, name: str) -> bool:
+        """Whether its nodes are root's alone although nobody has claimed it."""
+        nodes = self.nodes(name)
+        return bool(nodes) and not any(map(is_for_others, nodes))
 
-    def _unbind(self, name: str, driver: str) -> None:
-        if driver:
-            self._write(self._root / "sys/bus/hid/drivers" / driver / "unbind", name)
+    def _rebind(self, found: Found, before: Sequence[str], after: Sequence[str], driver: str | None) -> str:
+        """Takes it from its driver and binds it to this one, with a rule about other devices than before; which driver
+        it has now."""
+        name = found.hid_name
+        try:
+            self._tell_udev(after)
+            try:
+                if self._driver(name):
+                    self._write(self._root / "sys/bus/hid/drivers" / self._driver(name) / "unbind", name)
+                self._bind(name, driver)
+            except BaseException:
+                self._tell_udev(before)
+                raise
+        except PermissionError:
+            raise HapticdError(f"{found}: no permission to take it from its driver: use sudo") from None
+        return self._driver(name)
 
     def _bind(self, name: str, driver: str | None) -> None:
         """To this driver if it takes it, else to whichever does."""
         if driver is not None:
-            with contextlib.suppress(FileNotFoundError, OSError):
+            with contextlib.suppress(OSError):
                 self._write(self._root / "sys/bus/hid/drivers" / driver / "bind", name)
         if not self._driver(name):
-            with contextlib.suppress(FileNotFoundError, OSError):
+            with contextlib.suppress(OSError):
                 self._write(self._root / "sys/bus/hid/drivers_probe", name)
         deadline = time.monotonic() + BOUND_S
         while self.path(name) is None or not os.path.exists(str(self.path(name))):

@@ -226,9 +226,7 @@ class Connection:
 
     def _lose(self, why: str) -> None:
         if why != self._problem:
-            self._repeats.note(
-                "lost", lambda since: _log.warning("device lost: %s%s", why, since.more), longest_s=STATE_S
-            )
+            self._repeats.line("lost", logging.WARNING, f"device lost: {why}", STATE_S)
         self._problem = why
         self._let_go(orderly=False)
 
@@ -266,27 +264,16 @@ class Connection:
             raise
         self._connects += 1
         if self._problem is not None:
-            name, path = opened.name, opened.device.path
-            self._repeats.note(
-                "found", lambda since: _log.info("device found: %s at %s%s", name, path, since.more), longest_s=STATE_S
-            )
+            self._repeats.line("found", logging.INFO, f"device found: {opened.name} at {opened.device.path}", STATE_S)
         self._problem = None
         # Last: whoever hears that it is connected hears of no problem, and has it counted.
         self._live = live = _Live(opened, plan, link, time.monotonic())
         return live
 
-    def _keep_last(self, device: Device, plan: Plan) -> None:
-        """What a fault of the process sends to the device."""
-        if self._stop_file is not None:
-            reports = [message.at_rest() for message in (*plan.force, *plan.stop)]
-            lengths = ffi.new("uint32_t[]", [len(report) for report in reports])
-            all_bytes = ffi.new("uint8_t[]", b"".join(reports))
-            lib.hd_last_report_keep(device.fileno(), all_bytes, lengths, len(reports), plan.write_interval_s)
-
     def _hand_over(self, device: Device, plan: Plan) -> None:
         described = plan.to_c()
+        zero, stop = [message.at_rest() for message in plan.force], [message.at_rest() for message in plan.stop]
         if self._stop_file is not None:
-            zero, stop = [message.at_rest() for message in plan.force], [message.at_rest() for message in plan.stop]
             self._stop_file.keep(device.path, device.fileno(), zero, stop, plan.write_interval_s)
         with self._hands:
             if self._abandoned:
@@ -298,7 +285,12 @@ class Connection:
                 self.denied, self._priority = True, 0
                 result = lib.hd_hid_connect(self.hid, described, device.fileno(), 0)
             if result == Status.OK:
-                self._keep_last(device, plan)
+                if self._stop_file is not None:
+                    # What a fault of the process sends to the device.
+                    lengths = ffi.new("uint32_t[]", list(map(len, (*zero, *stop))))
+                    reports = ffi.new("uint8_t[]", b"".join((*zero, *stop)))
+                    count, pause_s = len(zero) + len(stop), plan.write_interval_s
+                    lib.hd_last_report_keep(device.fileno(), reports, lengths, count, pause_s)
                 self.offload.attach(plan.periodic, plan.no_periodic)
         if result == Status.ERR_INVALID:
             raise DeviceError(f"{device.path}: {invalid_reason()}")
@@ -312,10 +304,7 @@ class Connection:
         assert live is not None
         if self._problem is None:
             self._resets += 1
-            name = live.opened.name
-            self._repeats.note(
-                "reset", lambda since: _log.warning("device reset: %s is set up anew%s", name, since.more)
-            )
+            self._repeats.line("reset", logging.WARNING, f"device reset: {live.opened.name} is set up anew")
         plan = live.opened.driver.set_up(live.opened.device)
         plan = replace(plan, on_change=live.plan.on_change, signs=live.plan.signs)
         plan = paced(plan, live.link.rate_hz)
@@ -331,8 +320,8 @@ class Connection:
             lib.hd_hid_clear_reset(self.hid)
             self._problem = None
         elif self._problem is None:
-            self._problem = problem = "the device keeps its actuators off"
-            self._repeats.note("actuators", lambda since: _log.warning("%s%s", problem, since.more))
+            self._problem = "the device keeps its actuators off"
+            self._repeats.line("actuators", logging.WARNING, self._problem)
 
     def _actuators(self) -> bool | None:
         """Whether the device says that its actuators are on; None where it says nothing."""

@@ -15,22 +15,19 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final, TextIO, cast
+from typing import Any, Final
 
-from hapticd.base.errors import HapticdError, shown
+from hapticd.base.errors import HapticdError, on_one_line, shown
 from hapticd.base.partial_files import write_whole
 from hapticd.config.hid import Replay
 from hapticd.hid.plan import DeviceError
 
 VERSION: Final = 1
 MAX_REPORT_BYTES: Final = 4096
-MAX_REPORTS: Final = 10_000_000
-MAX_LINE: Final = 65536
-"""Characters of a line; the longest descriptor and the longest report need a quarter of that."""
 LEAST_PAUSE_S: Final = 1e-3
 """Between two rounds, so that a recording that takes no time does not keep a processor busy."""
 
@@ -72,84 +69,48 @@ def save(path: str | os.PathLike[str], recording: Recording) -> None:
 
 def load(path: str | os.PathLike[str]) -> Recording:
     """Reads a recording. Raises HapticdError, which names file and line, for what is none."""
+    name = place = os.fspath(path)
+    recording: Recording | None = None
+    reports: list[tuple[float, bytes]] = []
     try:
         # Anything else may have no end, or keep whoever opens it waiting.
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise HapticdError(f"{os.fspath(path)}: is no recording: no regular file")
+            raise HapticdError(f"{name}: is no recording: no regular file")
         with open(path, encoding="utf-8") as file:
-            return _read(os.fspath(path), _lines(file))
+            for number, line in enumerate(file, 1):
+                place = f"{name}:{number}"
+                if not line.strip():
+                    continue
+                value = json.loads(line)
+                if recording is None:
+                    recording = _head(value)
+                else:
+                    reports.append(_report(value, reports[-1][0] if reports else 0.0))
     except OSError as error:
-        raise HapticdError(f"{os.fspath(path)}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise HapticdError(f"{os.fspath(path)}: is no recording: no text") from None
+        raise HapticdError(f"{name}: {error.strerror}") from None
+    except KeyError as error:
+        raise HapticdError(f"{place}: the first line needs {error}") from None
+    except (ValueError, TypeError, IndexError, RecursionError) as error:
+        raise HapticdError(f"{place}: is no line of a recording: {on_one_line(str(error))}") from None
+    if recording is None or not reports:
+        raise HapticdError(f"{name}: holds no report: was the device moved while it was recorded?")
+    return replace(recording, reports=tuple(reports))
 
 
-def _lines(file: TextIO) -> Iterator[str]:
-    """Its lines; one that is too long comes in pieces, the first of which is too long."""
-    while line := file.readline(MAX_LINE + 1):
-        yield line
-
-
-def _read(path: str, lines: Iterable[str]) -> Recording:
-    head: dict[str, object] | None = None
-    reports: list[tuple[float, bytes]] = []
-    for number, line in enumerate(lines, 1):
-        if len(line) > MAX_LINE:
-            raise HapticdError(f"{path}:{number}: a line of more than {MAX_LINE} characters")
-        if not line.strip():
-            continue
-        try:
-            value = json.loads(line)
-            if head is None:
-                head = _head(value)
-                continue
-            reports.append(_report(value, reports[-1][0] if reports else 0.0))
-        except (ValueError, TypeError, RecursionError) as error:
-            raise HapticdError(f"{path}:{number}: {' '.join(str(error).split())}") from None
-        if len(reports) > MAX_REPORTS:
-            raise HapticdError(f"{path}:{number}: a recording has at most {MAX_REPORTS} reports")
-    if head is None:
-        raise HapticdError(f"{path}: is no recording: it is empty")
-    if not reports:
-        raise HapticdError(f"{path}: holds no report: was the device moved while it was recorded?")
-    return Recording(
-        cast(str, head["name"]),
-        cast(int, head["vendor"]),
-        cast(int, head["product"]),
-        bytes.fromhex(cast(str, head["descriptor"])),
-        tuple(reports),
-    )
-
-
-def _head(value: object) -> dict[str, object]:
-    if not isinstance(value, dict) or "recording" not in value:
-        raise ValueError("is no recording: its first line has no `recording`")
+def _head(value: dict[str, Any]) -> Recording:
     if value["recording"] != VERSION:
         raise ValueError(f"a recording of version {shown(value['recording'])}; this reads version {VERSION}")
-    kinds: tuple[tuple[str, type], ...] = (("name", str), ("vendor", int), ("product", int), ("descriptor", str))
-    for key, kind in kinds:
-        if not isinstance(value.get(key), kind):
-            raise ValueError(f"the first line needs `{key}`")
-    try:
-        bytes.fromhex(cast(str, value["descriptor"]))
-    except ValueError:
-        raise ValueError("`descriptor` must be hex digits") from None
-    return value
+    descriptor = bytes.fromhex(value["descriptor"])
+    return Recording(str(value["name"]), int(value["vendor"]), int(value["product"]), descriptor, ())
 
 
-def _report(value: object, before_s: float) -> tuple[float, bytes]:
-    if not (isinstance(value, list) and len(value) == 2 and isinstance(value[1], str)):
-        raise ValueError('needs [t_s, "report in hex"]')
-    time_s = value[0]
-    if isinstance(time_s, bool) or not isinstance(time_s, int | float) or not before_s <= time_s <= 1e6:
-        raise ValueError(f"the time {shown(time_s)} does not follow {before_s:g}")
-    try:
-        report = bytes.fromhex(value[1])
-    except ValueError:
-        raise ValueError(f"{shown(value[1])} is not hex digits") from None
+def _report(value: list[Any], before_s: float) -> tuple[float, bytes]:
+    time_s, report = float(value[0]), bytes.fromhex(value[1])
+    if not before_s <= time_s <= 1e6:
+        raise ValueError(f"the time {shown(value[0])} does not follow {before_s:g}")
     if not 0 < len(report) <= MAX_REPORT_BYTES:
         raise ValueError(f"a report has 1 to {MAX_REPORT_BYTES} bytes, this one {len(report)}")
-    return float(time_s), report
+    return time_s, report
 
 
 def record(

@@ -13,7 +13,6 @@ import errno
 import fcntl
 import json
 import os
-import re
 import stat
 import threading
 import time
@@ -23,14 +22,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from hapticd.base.errors import HapticdError, quoted
+from hapticd.base.errors import HapticdError, on_one_line, quoted
+from hapticd.system.trusted_files import read_trusted
 
 SYSFS: Final = Path("/sys")
 DEADLINE_S: Final = 3.0
 """A device that has not taken its reports by then is given up."""
 _VERSION: Final = 1
 _LARGEST_BYTES: Final = 1 << 16
-_LONGEST_REPORT: Final = 4096
 _KEYS: Final = ("HID_ID", "HID_NAME", "HID_PHYS", "HID_UNIQ")
 _GONE: Final = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
 
@@ -118,61 +117,23 @@ class StopFile:
 
 
 def load(path: Path) -> Record | None:
-    """Reads a record; None where there is none. Raises HapticdError for one that is not ours, or is none."""
-    try:
-        fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    except FileNotFoundError:
+    """Reads a record; None where there is none. Raises HapticdError for one that others may have written, or that is no
+    record."""
+    if not os.path.lexists(path):
         return None
-    except OSError as error:
-        why = "is a symbolic link" if error.errno == errno.ELOOP else error.strerror
-        raise HapticdError(f"{path}: {why}; it must be a file of the daemon's own") from None
-    with _closing(fd):
-        status = os.fstat(fd)
-        if not stat.S_ISREG(status.st_mode):
-            raise HapticdError(f"{path}: is no regular file; it must be a file of the daemon's own")
-        if status.st_uid not in (0, os.geteuid()):
-            raise HapticdError(
-                f"{path}: belongs to user {status.st_uid}, not to {os.geteuid()}; run this as the daemon's user"
-            )
-        if status.st_mode & 0o022 or status.st_nlink != 1:
-            raise HapticdError(f"{path}: others may have written it; it must be the daemon's alone")
-        text = os.read(fd, _LARGEST_BYTES + 1)
+    text = read_trusted(path, _LARGEST_BYTES)
     try:
-        return _record(text)
+        record = json.loads(text)
+        if record["version"] != _VERSION:
+            raise ValueError(f"not of version {_VERSION}")
+        identity, pause_s = record["identity"], float(record["pause_s"])
+        zero, stop = (tuple(map(bytes.fromhex, record[name])) for name in ("zero", "stop"))
+        if not (os.path.isabs(record["path"]) and 0.0 <= pause_s <= 10.0 and all((*zero, *stop))):
+            raise ValueError("a relative path, a pause beyond 10 s or a report without bytes")
+        known = Identity(int(identity["major"]), int(identity["minor"]), dict(identity["device"]))
+        return Record(record["path"], known, zero, stop, pause_s)
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-        raise HapticdError(f"{path}: is no record of a device: {' '.join(str(error).split())}") from None
-
-
-def _record(text: bytes) -> Record:
-    if len(text) > _LARGEST_BYTES:
-        raise ValueError(f"more than {_LARGEST_BYTES} bytes")
-    record = json.loads(text)
-    if not isinstance(record, dict) or record.get("version") != _VERSION:
-        raise ValueError(f"not of version {_VERSION}")
-    node, identity, device = record["path"], record["identity"], record["identity"]["device"]
-    if not isinstance(node, str) or not node.startswith("/") or "\0" in node:
-        raise ValueError("path is none")
-    if not isinstance(device, dict) or not all(isinstance(value, str) for value in device.values()):
-        raise ValueError("identity is none")
-    pause_s = float(record["pause_s"])
-    if not 0.0 <= pause_s <= 10.0:
-        raise ValueError("pause_s is not between 0 and 10")
-    return Record(
-        node,
-        Identity(int(identity["major"]), int(identity["minor"]), device),
-        tuple(_reports(record["zero"])),
-        tuple(_reports(record["stop"])),
-        pause_s,
-    )
-
-
-def _reports(texts: object) -> Iterator[bytes]:
-    if not isinstance(texts, list):
-        raise ValueError("reports are no list")
-    for text in texts:
-        if not isinstance(text, str) or not re.fullmatch(r"(?:[0-9a-f]{2})+", text) or len(text) > 2 * _LONGEST_REPORT:
-            raise ValueError(f"{quoted(str(text))} is no report")
-        yield bytes.fromhex(text)
+        raise HapticdError(f"{path}: is no record of a device: {on_one_line(str(error))}") from None
 
 
 def stop_device(

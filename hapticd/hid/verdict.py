@@ -40,9 +40,6 @@ class Verdict:
     why_not: str | None
     """One line; None where it can be driven."""
 
-    is_lacking: bool = False
-    """Whether it cannot be driven because its descriptor lacks a report or a field (`Layout.missing`)."""
-
     @property
     def drivable(self) -> bool:
         return self.why_not is None
@@ -79,7 +76,7 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
         if layout is None:
             raise DeviceError(f"its report descriptor is not valid: {problem}")
         if not layout.usable:
-            return Verdict(layout, problem, None, None, _lacking(layout), True)
+            raise DeviceError(f"its report descriptor has no {', no '.join(layout.missing)}")
         driver = PidDriver(layout, hid)
         first, last = layout.effect_indices or (1, 1)
         # Set-up goes on to the next way where the device has no room for the first one.
@@ -93,11 +90,6 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
         if layout is not None and not why_not.startswith("device.hid."):
             why_not += _unused(layout)
         return Verdict(layout, problem, None, None, why_not)
-
-
-def _lacking(layout: Layout) -> str:
-    """What the descriptor lacks, by the specification's names."""
-    return f"its report descriptor has no {', no '.join(layout.missing)}{_unused(layout)}"
 
 
 def _unused(layout: Layout) -> str:

@@ -88,7 +88,7 @@ def test_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file.write_bytes(bytes(Joystick(without=frozenset({0x73, 0x96}))))
     assert main(["devices", "parse", str(file)]) == 0
     told = capsys.readouterr().out.splitlines()[0]
-    assert told == "cannot be driven; missing: Set Constant Force, Device Control"
+    assert told == "cannot be driven: its report descriptor has no Set Constant Force, no Device Control"
 
 
 @pytest.mark.parametrize(

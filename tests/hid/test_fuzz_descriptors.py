@@ -13,7 +13,7 @@ from hapticd.config.hid import Hid
 from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.drivers.pid_periodic import periodic_of
+from hapticd.hid.drivers.pid_plan import periodic_of
 from hapticd.hid.nearest_effect import _times
 from hapticd.hid.verdict import verdict_of
 from tests.soak import fuzz_descriptors as fuzz

@@ -24,7 +24,7 @@ from hapticd.daemon.methods import Methods
 from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.drivers.pid_periodic import periodic_of
+from hapticd.hid.drivers.pid_plan import periodic_of
 from hapticd.hid.nearest_effect import LONGEST_S, NearestEffect, nearest_effect, streamed_error
 from hapticd.hid.offload import Offload, effect_messages
 from hapticd.hid.plan import DeviceError, Message, Numbers, Periodic, Plan

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from hapticd.config.hid import Hid
-from hapticd.hid.drivers import pid_pool
+from hapticd.hid.drivers import pid
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.plan import Bits, DeviceError
 from hapticd.system.repeated_lines import Repeats
@@ -52,8 +52,8 @@ class Pooled(FakePid):
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pid_pool, "AGAIN_S", 0.0)
-    monkeypatch.setattr(pid_pool, "_repeats", Repeats())
+    monkeypatch.setattr(pid, "AGAIN_S", 0.0)
+    monkeypatch.setattr(pid, "_repeats", Repeats())
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from hapticd.hid import discovery, sources
 from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.discovery import Found
-from hapticd.hid.drivers.pid_periodic import periodic_problem
+from hapticd.hid.drivers.pid_plan import periodic_problem
 from hapticd.hid.plan import DeviceError
 from hapticd.hid.replay import Recording, text_of
 from hapticd.hid.sources import open_hid

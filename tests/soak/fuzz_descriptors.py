@@ -31,7 +31,7 @@ from hapticd.hid import verdict as verdicts
 from hapticd.hid.descriptor.fields import Field
 from hapticd.hid.descriptor.layout import Layout
 from hapticd.hid.descriptor.parser import Descriptor, parse
-from hapticd.hid.drivers import pid, pid_pool
+from hapticd.hid.drivers import pid
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.plan import Bits, DeviceError, Message, Plan
 from hapticd.hid.verdict import Verdict, verdict_of
@@ -411,7 +411,7 @@ def drive(source: random.Random, hid: Hid, verdict: Verdict, reports: Reports) -
 @contextmanager
 def without_pauses() -> Iterator[None]:
     """A device that answers at once is not waited for, and no descriptor is read twice."""
-    before = pid.time, pid_pool.time, verdicts.parse
+    before = pid.time, verdicts.parse
 
     class Clock:
         @staticmethod
@@ -422,12 +422,12 @@ def without_pauses() -> Iterator[None]:
         _parsed[:] = [parse(descriptor)]
         return _parsed[0]
 
-    pid.time = pid_pool.time = Clock  # type: ignore[assignment]
+    pid.time = Clock  # type: ignore[assignment]
     verdicts.parse = parse_once
     try:
         yield
     finally:
-        pid.time, pid_pool.time, verdicts.parse = before
+        pid.time, verdicts.parse = before
 
 
 def fuzz(source: random.Random, runs: int, every: int = 0) -> tuple[Counter[str], float]:

@@ -2,6 +2,10 @@
 
 A set-up resets the device, enables its actuators, sets its gain, has it make the effects, and starts them with a force
 of zero. Where it has no room for two effects, one with a direction is used.
+
+PID Pool says how many effects a device plays at a time. Some firmware frees every effect when its pool is read. So it
+is read once in a set-up, after the reset and before the first effect is made. Nothing depends on it: where it is not
+given, PID Block Load says whether there is room.
 """
 
 from __future__ import annotations
@@ -15,13 +19,22 @@ from typing import Final
 
 from hapticd.base.core import lib
 from hapticd.config.hid import Hid
+from hapticd.hid.descriptor.fields import Field
 from hapticd.hid.descriptor.layout import BlockLoad, Layout
 from hapticd.hid.device import Device
-from hapticd.hid.drivers.pid_periodic import periodic_of, periodic_problem
-from hapticd.hid.drivers.pid_plan import Way, axes_of, effects_of, plan_of, stop_messages, ways_of
-from hapticd.hid.drivers.pid_pool import Pool, number_in, read_feature
+from hapticd.hid.drivers.pid_plan import (
+    Way,
+    axes_of,
+    effects_of,
+    periodic_of,
+    periodic_problem,
+    plan_of,
+    stop_messages,
+    ways_of,
+)
 from hapticd.hid.drivers.pid_reports import (
     ReportWriter,
+    bits_of,
     block_free_report,
     constant_force_report,
     control_report,
@@ -31,12 +44,16 @@ from hapticd.hid.drivers.pid_reports import (
     set_effect_report,
 )
 from hapticd.hid.plan import DeviceError, Plan
+from hapticd.system.repeated_lines import Repeats
 
 LOAD_TRIES: Final = 30
 LOAD_PAUSE_S: Final = 0.01
 """A device that has not yet loaded an effect is asked again so often, after this time."""
+AGAIN_S: Final = 0.05
+"""A device that says that it plays one effect, or none, is asked once more, after this time."""
 
 _log = logging.getLogger("hapticd")
+_repeats = Repeats()
 
 
 class _FullError(DeviceError):
@@ -56,7 +73,6 @@ class PidDriver:
         self._hid = hid
         self._ways = ways_of(layout, hid)
         self._indices: list[int] = []
-        self._pool = Pool(layout, hid)
         axes_of(layout, hid)
         duration_of(layout, hid)
 
@@ -67,7 +83,7 @@ class PidDriver:
         needed = len(effects_of(ways[0], self._hid))
         if most is not None and most < needed:
             other = "one effect with direction is used" if len(ways) > 1 else "PID Block Load decides"
-            self._pool.warn(f"{device.path}: plays {most} effect at a time, {needed} are needed; {other}")
+            _warn(f"{device.path}: plays {most} effect at a time, {needed} are needed; {other}")
             ways = ways[1:] or ways
         for way in ways:
             try:
@@ -92,10 +108,26 @@ class PidDriver:
         _send(device, gain_report(layout, self._hid))
 
     def _room(self, device: Device) -> int | None:
-        """How many effects the device says that it plays, where more than one is wanted; None: not known."""
+        """How many effects the device says that it plays, where more than one is wanted; None: not known. No effect
+        may exist yet."""
+        pool = None if "no_pid_pool" in self._hid.quirks else self._layout.pool
         several = len(effects_of(self._ways[0], self._hid)) > 1
         wanted = several or periodic_problem(self._layout, self._hid) is None
-        return self._pool.simultaneous(device) if wanted else None
+        if not wanted or pool is None or pool.simultaneous_effects_max is None:
+            return None
+        most = 0
+        for attempt in range(2):
+            if attempt:
+                time.sleep(AGAIN_S)
+            try:
+                answer = _feature(device, pool.report_id, pool.report_bytes, "PID Pool")
+                most = _number_in(answer, pool.simultaneous_effects_max, "PID Pool", device)
+            except DeviceError as error:
+                _warn(f"{error}; PID Block Load decides how many effects there are")
+                return None
+            if most > 1:
+                break
+        return most if most > 0 else None
 
     def _set_up(self, device: Device, way: Way, most: int | None) -> Plan:
         plan = self._constant(device, way)
@@ -162,10 +194,10 @@ class PidDriver:
         report.choose(create.effect_type, kind)
         device.send_feature(bytes(report.data))
         for _ in range(LOAD_TRIES):
-            answer = read_feature(device, load.report_id, load.report_bytes, "PID Block Load")
+            answer = _feature(device, load.report_id, load.report_bytes, "PID Block Load")
             status = _load_status(load, answer, device)
             if status == "success":
-                index = number_in(answer, load.effect_index, "PID Block Load", device)
+                index = _number_in(answer, load.effect_index, "PID Block Load", device)
                 first, last = self._layout.effect_indices or (1, 0)
                 if not first <= index <= last:
                     raise DeviceError(
@@ -195,8 +227,30 @@ def _send(device: Device, report: bytes | None) -> None:
 def _load_status(load: BlockLoad, answer: bytes, device: Device) -> str | None:
     """success, full or error; None: not yet known."""
     if load.status is None:
-        return "success" if number_in(answer, load.effect_index, "PID Block Load", device) else "full"
+        return "success" if _number_in(answer, load.effect_index, "PID Block Load", device) else "full"
     for name, entry in load.status.entries.items():
-        if number_in(answer, entry.field, "PID Block Load", device) == entry.value:
+        if _number_in(answer, entry.field, "PID Block Load", device) == entry.value:
             return name
     return None
+
+
+def _warn(text: str) -> None:
+    """Once, and as a count for a device that is found again and again."""
+    _repeats.line(text, logging.WARNING, text)
+
+
+def _feature(device: Device, report_id: int, report_bytes: int, name: str) -> bytes:
+    """The answer to a feature report, its id first. Raises DeviceError where it is another report."""
+    answer = device.get_feature(report_id, report_bytes + (report_id == 0))
+    if answer[:1] != bytes([report_id]):
+        other = f"report {answer[0]}" if answer else "nothing"
+        raise DeviceError(f"{device.path}: asked for {name}, report {report_id}, the device answers {other}")
+    return answer
+
+
+def _number_in(answer: bytes, field: Field, name: str, device: Device) -> int:
+    """A number of a report, its id first. Raises DeviceError for a report that ends before it."""
+    try:
+        return bits_of(field).get(answer)
+    except ValueError:
+        raise DeviceError(f"{device.path}: {name} is too short: {len(answer)} bytes") from None
