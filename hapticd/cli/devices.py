@@ -28,6 +28,7 @@ from hapticd.hid.device_texts import unseen_text
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
     from hapticd.hid.claim import Claims
+    from hapticd.hid.descriptor.fields import Field
     from hapticd.hid.descriptor.layout import SetEffect
     from hapticd.hid.discovery import Found
     from hapticd.hid.plan import Plan
@@ -116,7 +117,7 @@ def dump_command(device: str, output: str, duration_s: float, overwrite: bool, a
     from hapticd.hid.replay import Recording, record, text_of
 
     check_new(output, overwrite)
-    item = _named(device, find())
+    item = _one(device, find(), f"are {device}")
     fd = os.open(item.path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         reports = record(fd, duration_s)
@@ -129,26 +130,17 @@ def dump_command(device: str, output: str, duration_s: float, overwrite: bool, a
         click.echo(f"{wording.count(len(reports), 'report')} of {item} in {output}")
 
 
-def _named(device: str, found: Sequence[Found]) -> Found:
-    meant = [item for item in found if device in (item.path, f"{item.vendor:04x}:{item.product:04x}")]
+def _one(device: str | None, found: Sequence[Found], what: str) -> Found:
+    """The device that is named, or the only one of those that are, or can be, `what`."""
+    meant = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
     if len(meant) == 1:
         return meant[0]
     listed = ", ".join(map(str, meant or found)) or "none"
     if meant:
-        raise HapticdError(f"{quoted(device)} is several devices, name one by its path: {listed}")
+        raise HapticdError(f"{len(meant)} devices {what}, name one by its path: {listed}")
+    if device is None:
+        raise HapticdError(f"no device {what}; name one")
     raise HapticdError(f"no HID device {quoted(device)}; there are: {listed}")
-
-
-def _one(device: str | None, found: Sequence[Found], what: str) -> Found:
-    """The device that is named, or the only one."""
-    if device is not None:
-        return _named(device, found)
-    if len(found) == 1:
-        return found[0]
-    listed = ", ".join(map(str, found))
-    raise HapticdError(
-        f"{len(found)} devices {what}, name one by its path: {listed}" if found else f"no device {what}; name one"
-    )
 
 
 @devices_command.command("claim", short_help="Keep other programs off a device.")
@@ -165,7 +157,7 @@ def claim_command(device: str | None, as_json: bool) -> None:
     from hapticd.hid.discovery import find
 
     claims, found = Claims(), find()
-    item = _one(device, [one for one in found if one.usable] if device is None else found, "can be driven")
+    item = _one(device, found if device else [one for one in found if one.usable], "can be driven")
     driver = claims.claim(item)
     _print_driver(claims, item, driver, as_json, "claimed: other programs have no access to its event nodes")
 
@@ -181,7 +173,7 @@ def release_command(device: str | None, as_json: bool) -> None:
 
     claims, found = Claims(), find()
     names = claims.names()
-    item = _one(device, [one for one in found if one.hid_name in names] if device is None else found, "is claimed")
+    item = _one(device, found if device else [one for one in found if one.hid_name in names], "is claimed")
     driver = claims.release(item)
     _print_driver(claims, item, driver, as_json, "released: other programs may use it")
 
@@ -238,12 +230,8 @@ def calibrate_command(
         found = calibrate(opened.device, opened.driver, hid, force_n)
     finally:
         opened.device.close()
-    section = {
-        "device": {
-            "kind": "hid",
-            "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict(), "signs": "trust"},
-        },
-    }
+    measured = {**hid.to_dict(), "force_axes": found.force_axes.to_dict(), "signs": "trust"}
+    section = {"device": {"kind": "hid", "hid": measured}}
     text = yaml_text(section)
     # Whatever becomes of the file, what was found is printed.
     if as_json:
@@ -285,16 +273,16 @@ def descriptor_bytes(data: bytes, name: str) -> bytes:
     """
     if any(byte > 126 or (byte < 32 and byte not in b"\t\n\r\f\v") for byte in data):
         return data
-    digits = []
+    found = b""
     for number, line in enumerate(data.decode("ascii").splitlines(), 1):
-        for word in re.sub(r"(#|//).*", "", line).replace(",", " ").split():
-            pairs = re.sub("^0[xX]", "", word)
-            if not re.fullmatch("([0-9a-fA-F]{2})+", pairs):
-                raise HapticdError(
-                    f"{name}, line {number}: {quoted(word)} is not bytes in hexadecimal such as 05 01 09 04"
-                )
-            digits.append(pairs)
-    return bytes.fromhex("".join(digits))
+        digits = re.sub(r"(#|//).*|,|\b0[xX]", " ", line)
+        try:
+            found += bytes.fromhex(digits)
+        except ValueError:
+            raise HapticdError(
+                f"{name}, line {number}: {quoted(line.strip())} is not bytes in hexadecimal such as 05 01 09 04"
+            ) from None
+    return found
 
 
 def _forces(plan: Plan) -> str:
@@ -323,34 +311,21 @@ def _lines(verdict: Verdict) -> list[str]:
         lines = [f"cannot be driven: {verdict.why_not}"]
     if layout is None:
         return [*lines, f"the report descriptor is not valid: {verdict.problem}"]
-    for name, axis in layout.input.items():
-        place = axis.field
-        lines.append(
-            f"axis {name}: input report {place.report_id}, {place.bit_size} bits at {place.bit_offset}, "
-            f"{place.logical_min} to {place.logical_max}"
-        )
+    lines += [f"axis {name}: input report {_where(axis.field)}" for name, axis in layout.input.items()]
     if layout.constant_force is not None:
-        force = layout.constant_force
-        lines.append(
-            f"constant force: output report {force.report_id} of {force.report_bytes} bytes, magnitude "
-            f"{force.magnitude.logical_min} to {force.magnitude.logical_max}"
-        )
+        lines.append(f"constant force: magnitude in output report {_where(layout.constant_force.magnitude)}")
     if layout.set_effect is not None:
         effect = layout.set_effect
         lines.append(f"effects: {', '.join(effect.effect_type.entries)}")
         lines.append(f"direction: {_direction(effect)}; Axes Enable: {', '.join(effect.axes_enable) or 'none'}")
     if layout.device_control is not None:
-        lines.append(
-            f"device control: output report {layout.device_control.report_id} ({layout.device_control.command.kind}): "
-            f"{', '.join(layout.device_control.command.entries)}"
-        )
-    optional = {
-        "block free": layout.block_free,
-        "device gain": layout.device_gain,
-        "state": layout.pid_state,
-        "pool": layout.pool,
-        "periodic": layout.set_periodic,
-        "envelope": layout.set_envelope,
-    }
-    lines.append(f"also: {', '.join(name for name, report in optional.items() if report) or 'nothing'}")
-    return lines + [f"not used: {problem}" for problem in layout.problems]
+        command = layout.device_control.command
+        lines.append(f"device control ({command.kind}): {', '.join(command.entries)}")
+    optional = ("block_free", "device_gain", "pid_state", "pool", "set_periodic", "set_envelope")
+    there = [name.replace("_", " ") for name in optional if getattr(layout, name) is not None]
+    return [*lines, f"also: {', '.join(there) or 'nothing'}", *(f"not used: {one}" for one in layout.problems)]
+
+
+def _where(field: Field) -> str:
+    at = f"{field.report_id}, {field.bit_size} bits at {field.bit_offset}"
+    return f"{at}, {field.logical_min} to {field.logical_max}"

@@ -27,24 +27,20 @@ _PATIENCE_S: Final = 0.3
 _PLAIN: Final = re.compile(r"[\w.+-]+")
 
 
-def scenes(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
-    """Shipped scenes and YAML files of this folder; where neither begins so, any file."""
-    return _files(incomplete, "scenes")
+def _files(folder: Folder) -> Callable[[click.Context, click.Parameter, str], Items]:
+    """What ships in a folder and YAML files of this one; where neither begins so, any file."""
+
+    def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
+        from hapticd.config.shipped_files import shipped
+
+        here = sorted(path.name for path in Path().glob("*.yaml") if _PLAIN.fullmatch(path.name))
+        return _beginning(incomplete, [*shipped(folder), *here]) or [CompletionItem(incomplete, type="file")]
+
+    return complete
 
 
-def operators(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
-    """As scenes, of operators."""
-    return _files(incomplete, "operators")
-
-
-def experiments(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
-    """As scenes, of studies."""
-    return _files(incomplete, "experiments")
-
-
-def sweeps(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
-    """As scenes, of sweeps."""
-    return _files(incomplete, "sweeps")
+scenes, operators = _files("scenes"), _files("operators")
+experiments, sweeps = _files("experiments"), _files("sweeps")
 
 
 def materials(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
@@ -64,13 +60,6 @@ def objects(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> 
     return _beginning(incomplete, _asked(ctx, lambda client: client.get_scene()["scene"].get("objects")))
 
 
-def _files(incomplete: str, folder: Folder) -> Items:
-    from hapticd.config.shipped_files import shipped
-
-    here = [path.name for path in Path().glob("*.yaml") if _PLAIN.fullmatch(path.name)]
-    return _beginning(incomplete, [*shipped(folder), *sorted(here)]) or [CompletionItem(incomplete, type="file")]
-
-
 def _beginning(incomplete: str, names: Iterable[str]) -> Items:
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
@@ -79,11 +68,8 @@ def _asked(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
     """The names in what the daemon of this machine says; nothing where there is none, or none that answers soon."""
     from hapticd.client.blocking import connect
 
-    here = ctx.find_root().params
-    if here.get("connect") is not None:
-        return []
     try:
-        with connect(here.get("runtime_dir"), _PATIENCE_S) as client:
+        with connect(ctx.find_root().params.get("runtime_dir"), _PATIENCE_S) as client:
             return _names(ask(client))
     except (HapticdError, OSError):
         return []

@@ -6,7 +6,6 @@ and writes. What stands in for it in a replay keeps the same few methods.
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
 import select
@@ -86,8 +85,10 @@ class HidrawDevice:
         self._path = path
         try:
             self._fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        except PermissionError:
+            raise DeviceError(f"{path}: no permission: {RULE}") from None
         except OSError as error:
-            raise DeviceError(f"{path}: {_why(error)}") from None
+            raise DeviceError(f"{path}: {error.strerror}") from None
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -137,18 +138,6 @@ class HidrawDevice:
         """Closes the node."""
         self._hidapi.close()
         os.close(self._fd)
-
-
-def _why(error: OSError) -> str:
-    match error.errno:
-        case errno.EACCES | errno.EPERM:
-            return f"no permission: {RULE}"
-        case errno.ENOENT | errno.ENODEV | errno.ENXIO:
-            return "there is no such device"
-        case errno.EBUSY:
-            return "busy: another program holds it; end that one, or choose another device"
-        case _:
-            return str(error.strerror)
 
 
 def _last(hidapi: object) -> str:

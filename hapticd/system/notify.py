@@ -31,9 +31,9 @@ def reloading() -> bool:
     return _tell("RELOADING=1", f"MONOTONIC_USEC={time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000}")
 
 
-def stopping(line: str = "") -> bool:
+def stopping() -> bool:
     """An orderly end begins."""
-    return _tell("STOPPING=1", *_status(line))
+    return _tell("STOPPING=1")
 
 
 def status(line: str) -> bool:

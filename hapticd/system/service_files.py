@@ -8,7 +8,6 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -57,34 +56,30 @@ class Installation:
         return unit.replace("ProtectHome=yes\n", f"ProtectHome=tmpfs\n{lines}")
 
 
-def run(action: Action, installation: Installation, root: Path | None = None, dry_run: bool = False) -> Iterator[str]:
-    """Runs install.sh and gives its lines: the commands that it ran, or with `dry_run` would run.
+def run(action: Action, installation: Installation, root: Path | None = None, dry_run: bool = False) -> list[str]:
+    """Runs install.sh; its lines: the commands that it ran, or with `dry_run` would run.
 
     `root` stands for the root of another system. Raises HapticdError with what the command said that failed.
     """
     shipped = resources.files("hapticd")
-    with tempfile.TemporaryDirectory(prefix="hapticd-units-") as name, resources.as_file(shipped / "units") as units:
-        folder = Path(name)
-        for file in units.iterdir():
-            if file.suffix == ".service":
-                (folder / file.name).write_text(installation.adapted(file.read_text("utf-8")), "utf-8")
-            else:
-                shutil.copy(file, folder)
-        with resources.as_file(shipped / "shipped" / "default.yaml") as config:
-            environment = {**os.environ, "CONFIG": str(config), "ROOT": str(root.absolute()) if root else ""}
-            environment |= {"DRY": "1"} if dry_run else {}
-            yield from _lines(["sh", str(folder / "install.sh"), action], environment, for_user=action.endswith("user"))
-
-
-def _lines(words: Sequence[str], environment: dict[str, str], for_user: bool) -> Iterator[str]:
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, text=True) as process:
-        assert process.stdout is not None and process.stderr is not None
-        for line in process.stdout:
-            yield line.rstrip("\n")
-        said = on_one_line(process.stderr.read())
-    if process.returncode != 0:
-        hint = "; run it as root, or install it for yourself alone with --user" if "Permission denied" in said else ""
-        raise HapticdError(f"{said or f'exit code {process.returncode}'}{'' if for_user else hint}")
+    with (
+        tempfile.TemporaryDirectory(prefix="hapticd-units-") as name,
+        resources.as_file(shipped / "units") as units,
+        resources.as_file(shipped / "shipped" / "default.yaml") as config,
+    ):
+        folder = shutil.copytree(units, Path(name), dirs_exist_ok=True)
+        for unit in folder.glob("*.service"):
+            unit.write_text(installation.adapted(unit.read_text("utf-8")), "utf-8")
+        environment = {**os.environ, "CONFIG": str(config), "ROOT": str(root.absolute()) if root else ""}
+        environment |= {"DRY": "1"} if dry_run else {}
+        words = ["sh", str(folder / "install.sh"), action]
+        done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        said = on_one_line(done.stderr) or f"exit code {done.returncode}"
+        may_not = "Permission denied" in said and not action.endswith("user")
+        hint = "; run it as root, or install it for yourself alone with --user" if may_not else ""
+        raise HapticdError(f"{said}{hint}")
+    return done.stdout.splitlines()
 
 
 def unit_word(path: Path) -> str:

@@ -84,7 +84,7 @@ def test_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[1] == "forces: along x and y, by 2 effects"
     assert lines[2] == "axis x: input report 1, 16 bits at 0, -32767 to 32767"
     assert "direction: an angle, 0 to 255; Axes Enable: x, y" in lines
-    assert "constant force: output report 4 of 4 bytes, magnitude -10000 to 10000" in lines
+    assert "constant force: magnitude in output report 4, 16 bits at 8, -10000 to 10000" in lines
     file.write_bytes(bytes(Joystick(without=frozenset({0x73, 0x96}))))
     assert main(["devices", "parse", str(file)]) == 0
     told = capsys.readouterr().out.splitlines()[0]
@@ -126,8 +126,8 @@ def test_what_is_skipped_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
     [
         (b"", "the report descriptor is empty"),
         (STICK[:-1], "report descriptor: a collection is still open where it ends"),
-        (b"05 01\n09 4\n", 'descriptor, line 2: "4" is not bytes in hexadecimal such as 05 01 09 04'),
-        (b"a joystick\n", 'line 1: "a" is not bytes in hexadecimal'),
+        (b"05 01\n09 4\n", 'descriptor, line 2: "09 4" is not bytes in hexadecimal such as 05 01 09 04'),
+        (b"a joystick\n", 'line 1: "a joystick" is not bytes in hexadecimal'),
     ],
 )
 def test_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, told: str) -> None:

@@ -105,7 +105,7 @@ def test_dump(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     capsys.readouterr()
     here(monkeypatch, found(), found("/dev/hidraw1"))
     assert main(["devices", "dump", "1209:5aff", "-o", str(out), "--overwrite"]) == 1
-    assert "is several devices, name one by its path: /dev/hidraw0" in capsys.readouterr().err
+    assert "2 devices are 1209:5aff, name one by its path: /dev/hidraw0" in capsys.readouterr().err
 
 
 def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

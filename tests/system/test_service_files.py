@@ -38,7 +38,7 @@ def files(root: Path) -> set[str]:
 
 def installed(installation: Installation, root: Path, action: Action = "system", dry_run: bool = False) -> list[str]:
     """The lines of an installation below `root`."""
-    return list(run(action, installation, root, dry_run))
+    return run(action, installation, root, dry_run)
 
 
 def test_files_are_installed_and_each_command_is_printed(tmp_path: Path) -> None:
@@ -111,19 +111,19 @@ def test_a_command_that_fails_is_told(tmp_path: Path) -> None:
 def test_for_one_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "none"))
-    assert len(list(run("user", HERE))) == 2
+    assert len(run("user", HERE)) == 2
     assert files(tmp_path) == {"systemd/user/hapticd.service", "hapticd/config.yaml"}
     unit = (tmp_path / "systemd/user/hapticd.service").read_text()
     assert "ExecStart=/opt/hapticd/bin/hapticd run -c %E/hapticd/config.yaml\n" in unit
     assert "User=" not in unit and "multi-user.target" not in unit
-    list(run("remove-user", HERE))
+    run("remove-user", HERE)
     assert files(tmp_path) == {"hapticd/config.yaml"}
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_without_rights_it_says_what_to_do() -> None:
     with pytest.raises(HapticdError, match=r"Permission denied; run it as root, or .* with --user$"):
-        list(run("system", HERE))
+        run("system", HERE)
 
 
 def test_clients_are_told_the_directory_of_the_units() -> None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Final, TypeAlias
 
 from hapticd.base.core import lib
 from hapticd.hid.descriptor.fields import Choice, Entry, Field
@@ -117,14 +117,6 @@ def _is_fixed(field: ReportField) -> bool:
     return field.is_constant and field.kind == ReportKind.OUTPUT
 
 
-class Row(Protocol):
-    def find(self, group: Group) -> object: ...
-
-    def lacking(self, found: Any) -> list[str]:
-        """What is named as missing."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Number:
     """The first number of a usage that can be driven. Usages without a page are of the PID page."""
@@ -145,7 +137,8 @@ class Number:
                 return found if is_sound else None
         return None
 
-    def lacking(self, found: Field | None) -> list[str]:
+    def lacking(self, found: object) -> list[str]:
+        """What is named as missing where this was found."""
         return [self.name] if found is None else []
 
 
@@ -161,10 +154,10 @@ class OneOf:
     def find(self, group: Group) -> Choice | None:
         return group.choice(self.usages)
 
-    def lacking(self, found: Choice | None) -> list[str]:
+    def lacking(self, found: object) -> list[str]:
         if found is None and self.name:
             return [self.name]
-        return [name for entry, name in self.needed if found is None or entry not in found.entries]
+        return [name for entry, name in self.needed if not isinstance(found, Choice) or entry not in found.entries]
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,3 +168,6 @@ class Made:
 
     def lacking(self, found: object) -> list[str]:
         return []
+
+
+Row: TypeAlias = Number | OneOf | Made
