@@ -9,14 +9,15 @@ from __future__ import annotations
 import fcntl
 import os
 import select
+import time
+from collections.abc import Iterator
 from typing import Final, Protocol
 
 from hapticd.base.errors import on_one_line
 from hapticd.hid.plan import DeviceError, Plan
 
 RULE: Final = "install systemd/70-hapticd.rules into /etc/udev/rules.d and plug it in again, or run as its owner"
-_MOST_PENDING: Final = 4096
-_MOST_REPORT_BYTES: Final = 4096
+MAX_REPORT_BYTES: Final = 4096
 
 
 class Device(Protocol):
@@ -60,20 +61,20 @@ class Driver(Protocol):
         ...
 
 
-def pending_reports(fd: int, most: int = _MOST_PENDING) -> list[bytes]:
-    """The input reports that wait at a device, taken. Raises DeviceError when it is gone."""
-    found: list[bytes] = []
+def arriving(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
+    """The input reports of a device that arrive within a time; those that wait there, where it is 0. Raises DeviceError
+    when the device is gone."""
     poll = select.poll()
     poll.register(fd, select.POLLIN)
+    until_s = time.monotonic() + within_s
     try:
-        while len(found) < most and poll.poll(0):
-            report = os.read(fd, _MOST_REPORT_BYTES)
+        while poll.poll(1e3 * max(0.0, until_s - time.monotonic())):
+            report = os.read(fd, MAX_REPORT_BYTES)
             if not report:
                 raise DeviceError("the device is gone")
-            found.append(report)
+            yield report
     except OSError as error:
         raise DeviceError(f"the device is gone: {error.strerror}") from None
-    return found
 
 
 class HidrawDevice:
@@ -130,7 +131,7 @@ class HidrawDevice:
     def listen(self, timeout_s: float) -> bytes:
         """The next input report of hidapi's own queue."""
         try:
-            return bytes(self._hidapi.read(_MOST_REPORT_BYTES, max(1, round(1e3 * timeout_s))))
+            return bytes(self._hidapi.read(MAX_REPORT_BYTES, max(1, round(1e3 * timeout_s))))
         except OSError:
             raise DeviceError(f"{self._path}: the device is gone") from None
 

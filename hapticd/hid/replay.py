@@ -15,7 +15,6 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -24,10 +23,10 @@ from typing import Any, Final
 from hapticd.base.errors import HapticdError, on_one_line, shown
 from hapticd.base.partial_files import write_whole
 from hapticd.config.hid import Replay
+from hapticd.hid.device import MAX_REPORT_BYTES, arriving
 from hapticd.hid.plan import DeviceError
 
 VERSION: Final = 1
-MAX_REPORT_BYTES: Final = 4096
 LEAST_PAUSE_S: Final = 1e-3
 """Between two rounds, so that a recording that takes no time does not keep a processor busy."""
 
@@ -113,24 +112,13 @@ def _report(value: list[Any], before_s: float) -> tuple[float, bytes]:
     return time_s, report
 
 
-def record(
-    fd: int, duration_s: float, *, now: Callable[[], float] = time.monotonic, stop: Callable[[], bool] = lambda: False
-) -> tuple[tuple[float, bytes], ...]:
+def record(fd: int, duration_s: float) -> tuple[tuple[float, bytes], ...]:
     """What a device reports for a time, or until it is gone."""
     reports: list[tuple[float, bytes]] = []
-    poll = select.poll()
-    poll.register(fd, select.POLLIN)
-    start = now()
-    while (left := start + duration_s - now()) > 0 and not stop():
-        if not poll.poll(min(left, 0.2) * 1e3):
-            continue
-        try:
-            report = os.read(fd, MAX_REPORT_BYTES)
-        except OSError:
-            break
-        if not report:
-            break
-        reports.append((now() - start, report))
+    start_s = time.monotonic()
+    with suppress(DeviceError):
+        for report in arriving(fd, duration_s):
+            reports.append((time.monotonic() - start_s, report))
     return tuple(reports)
 
 

@@ -14,7 +14,7 @@ from typing import Final, Literal
 
 from hapticd.base.core import ffi, lib
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
-from hapticd.hid.device import Device, Driver, pending_reports
+from hapticd.hid.device import Device, Driver, arriving
 from hapticd.hid.plan import DeviceError, Plan
 
 MOST_OF_FULL: Final = 0.1
@@ -70,7 +70,7 @@ class _Pusher:
     def read(self) -> None:
         """Takes what was reported; the newest position of each axis stays."""
         numbered = self._plan.x.report_id != 0
-        for report in pending_reports(self._device.fileno()):
+        for report in arriving(self._device.fileno()):
             data = report if numbered else b"\0" + report
             for place, axis in enumerate((self._plan.x, self._plan.y)):
                 if data[0] == axis.report_id and axis.bits.end <= 8 * (len(data) - 1):
@@ -102,9 +102,7 @@ class _Pusher:
     def sent(self) -> str:
         """What the device was sent for the last push, and what of its effects went before it, in hex, ids first."""
         before = [message.at_rest() for message in (*self._plan.restore, *self._plan.renew)]
-        return f"{', '.join(report.hex(' ') for report in self._sent)}" + (
-            f" after {', '.join(report.hex(' ') for report in before)}" if before else ""
-        )
+        return ", ".join(report.hex(" ") for report in (*before, *self._sent))
 
 
 def calibrate(

@@ -16,8 +16,8 @@ import os
 import stat
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -161,7 +161,7 @@ def stop_device(
         return f"{what}: {error}"
     except OSError as error:
         raise HapticdError(f"{what}: cannot be opened: {error.strerror}; it may still push") from None
-    with _closing(fd):
+    with os.fdopen(fd, "wb", buffering=0):
         _lock(fd, what, until_s)
         try:
             refused = _send(fd, record, what, until_s, write)
@@ -176,14 +176,6 @@ def stop_device(
 
 class _NotThereError(Exception):
     """The device that is meant is not there."""
-
-
-@contextmanager
-def _closing(fd: int) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        os.close(fd)
 
 
 def _open(record: Record, sysfs: Path) -> int:
