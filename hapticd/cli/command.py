@@ -8,7 +8,7 @@ import click
 
 from hapticd.base import wording
 from hapticd.cli import names
-from hapticd.cli.common import Choice, Finite, daemon, json_option, note, operator_file, print_result
+from hapticd.cli.common import Choice, Finite, daemon, json_option, note, print_result
 
 
 @click.command("play", short_help="Strike a material's tap, or a mode.")
@@ -126,7 +126,9 @@ def reset_command(ctx: click.Context, objects: tuple[str, ...], as_json: bool) -
 def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:
     """Let the simulated joystick's hand do what FILE says (YAML waypoints or a gesture, or CSV waypoints; or
     the name of a shipped operator)."""
-    source = operator_file(file)
+    from hapticd.config.shipped_files import file_of
+
+    source = file_of(file, "operators")
     with daemon(ctx) as client:
         result = client.set_operator(source)
         forces = client.get_status()["forces"]

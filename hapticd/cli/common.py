@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 
 from hapticd.base.errors import known_names, quoted
-from hapticd.base.yaml_text import yaml_text
 from hapticd.cli import names
 from hapticd.system.journal import LEVELS
 
@@ -111,20 +110,6 @@ def yaml_file(name: str) -> str:
     return "/dev/stdin" if name == "-" else name
 
 
-def scene_file(name: str) -> str:
-    """As yaml_file, where the name of a shipped scene does too. Raises HapticdError for a name that is neither."""
-    from hapticd.config.shipped_files import file_of
-
-    return file_of(name, "scenes")
-
-
-def operator_file(name: str) -> str:
-    """As scene_file, of operators."""
-    from hapticd.config.shipped_files import file_of
-
-    return file_of(name, "operators")
-
-
 def print_json(value: object) -> None:
     """One line of JSON."""
     click.echo(json.dumps(value, ensure_ascii=False))
@@ -204,11 +189,6 @@ def _notes(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -
             raise click.BadParameter(f"{key.strip()!r} is given twice", ctx, param)
         notes[key.strip()] = value
     return notes
-
-
-def print_yaml(value: Mapping[str, object]) -> None:
-    """YAML that the loader takes back: mappings of plain values on one line, larger ones as a block."""
-    click.echo(yaml_text(value))
 
 
 def changed(result: Mapping[str, object]) -> str:

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import click
 
 from hapticd.base.errors import HapticdError, known_names, quoted
+from hapticd.base.yaml_text import yaml_text
 from hapticd.cli import names
-from hapticd.cli.common import change, change_options, daemon, json_option, note, print_json, print_yaml, yaml_file
+from hapticd.cli.common import change, change_options, daemon, json_option, note, print_json, yaml_file
 
 
 @click.group("material", no_args_is_help=False)
@@ -32,7 +33,7 @@ def material_list(ctx: click.Context, offline: bool, as_json: bool) -> None:
     if as_json:
         print_json(result)
     else:
-        print_yaml({"materials": result["materials"]})
+        click.echo(yaml_text({"materials": result["materials"]}))
 
 
 @material_command.command("get", short_help="Print one material, as YAML.")
@@ -55,7 +56,7 @@ def material_get(ctx: click.Context, name: str, offline: bool, as_json: bool) ->
     if as_json:
         print_json({**result, "materials": found})
     else:
-        print_yaml({"materials": found})
+        click.echo(yaml_text({"materials": found}))
 
 
 def _materials(ctx: click.Context, offline: bool) -> Mapping[str, object]:

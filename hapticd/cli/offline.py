@@ -15,10 +15,8 @@ from hapticd.cli.common import (
     max_memory_option,
     note,
     notes_option,
-    operator_file,
     overwrite_option,
     print_json,
-    scene_file,
 )
 from hapticd.rendering.undisplayable_text import undisplayable_text
 
@@ -59,10 +57,10 @@ def simulate_command(
     The same core as the daemon's; the result is the same on every run. The handle starts at the first
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
-    from hapticd.config.shipped_files import shipped
+    from hapticd.config.shipped_files import file_of, shipped
     from hapticd.recording.simulated import configuration, simulate_files
 
-    file = scene_file(scene)
+    file = file_of(scene, "scenes")
     operator = operator or _own_operator(file)
     if operator is None:
         if file != "/dev/stdin":
@@ -72,7 +70,7 @@ def simulate_command(
     if output is None and (notes or overwrite):
         raise click.UsageError("--note and --overwrite are for a file: name it with -o")
     result = simulate_files(
-        file, operator_file(operator), output, duration_s, rate_hz, overwrite=overwrite, notes=notes
+        file, file_of(operator, "operators"), output, duration_s, rate_hz, overwrite=overwrite, notes=notes
     )
     for mode in result["undisplayable"]:
         note(undisplayable_text(mode))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from hapticd.base.yaml_text import yaml_text
 from hapticd.cli import names
 from hapticd.cli.common import (
     change,
@@ -11,8 +12,6 @@ from hapticd.cli.common import (
     daemon,
     json_option,
     print_json,
-    print_yaml,
-    scene_file,
     yaml_file,
 )
 
@@ -49,7 +48,7 @@ def scene_get(ctx: click.Context, as_json: bool) -> None:
         print_json(result)
     else:
         click.echo(f"# revision {result['revision']}")
-        print_yaml({"scene": result["scene"]})
+        click.echo(yaml_text({"scene": result["scene"]}))
 
 
 @scene_command.command("set", short_help="Replace the scene.")
@@ -58,7 +57,9 @@ def scene_get(ctx: click.Context, as_json: bool) -> None:
 @click.pass_context
 def scene_set(ctx: click.Context, file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Replace the scene by that in FILE (YAML, or the name of a shipped scene; - is the standard input)."""
-    source = scene_file(file)
+    from hapticd.config.shipped_files import file_of
+
+    source = file_of(file, "scenes")
     change(ctx, as_json, lambda client: client.set_scene(source, expect_revision, wait))
 
 

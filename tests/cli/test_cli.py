@@ -21,8 +21,9 @@ from hypothesis import strategies as st
 
 from hapticd import __version__
 from hapticd.base.yaml_source import load_text
+from hapticd.base.yaml_text import yaml_text
 from hapticd.cli import main
-from hapticd.cli.common import duration, print_yaml
+from hapticd.cli.common import duration
 from hapticd.config.materials import shipped_materials
 from tests.support.cli import said
 from tests.support.marks import rest_slow
@@ -194,11 +195,7 @@ CONTENT = st.dictionaries(
 
 @given(CONTENT)
 def test_printed_yaml_is_read_back(content: dict[str, object]) -> None:
-    lines: list[str] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(click, "echo", lines.append)
-        print_yaml(content)
-    assert load_text("\n".join(lines), "printed").data == content
+    assert load_text(yaml_text(content), "printed").data == content
 
 
 def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
