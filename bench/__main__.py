@@ -44,7 +44,7 @@ from bench import (
 )
 from bench.report import PICTURES, ROOT, Advance, Options, Section, machine
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_regular, is_there
+from hapticd.base.files import check_new
 
 DOCS = ROOT / "docs"
 ACCURACY, SPEED, DEVICES = "accuracy.md", "benchmarks.md", "devices.md"
@@ -259,9 +259,8 @@ def perform(names: Sequence[str], options: Options, out: Path | None, overwrite:
     folder = out or (DOCS if whole or overwrite else None)
     if folder is not None:
         for page in sorted({page for name in chosen for page in MEASUREMENTS[name].pages} - {DEVICES}):
-            check_regular(folder / page)
-            if not overwrite and (folder / page).exists():
-                raise is_there(folder / page)
+            if (folder / page).exists():
+                check_new(folder / page, overwrite)
     if folder is not None:
         try:
             folder.mkdir(parents=True, exist_ok=True)

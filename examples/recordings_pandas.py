@@ -56,7 +56,7 @@ def contacts(recording: hapticd.Recording) -> pandas.DataFrame:
 def main() -> int:
     """Prints the table; the exit code."""
     parser = argparse.ArgumentParser(prog="recordings_pandas", description="Contacts of a recording as a table.")
-    parser.add_argument("path", help="A recording: .npz, .csv or .mcap.")
+    parser.add_argument("path", help="A recording (.npz).")
     given = parser.parse_args()
     try:
         found = contacts(hapticd.load(given.path))

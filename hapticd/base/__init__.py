@@ -26,8 +26,7 @@ What people and programs write, and what they read:
 
 Files and numbers:
 
-    files              refuses what is no regular file, gives a finished file its name without replacing another one
-    partial_files      hidden files beside the target, which get its name once they are whole
+    files              files that appear whole or not at all, and never replace a device, a pipe or a folder
     lattice            filters as coefficients and as reflection coefficients
 
 Questions, and where to begin:
@@ -37,5 +36,5 @@ Questions, and where to begin:
     Where does a validation error get its words and its line?
         model (faults_of) makes the words; yaml_source (Document) knows the lines.
     How does a file appear whole or not at all?
-        partial_files (write_whole, PartialFile).
+        files (write_whole, whole_file).
 """

@@ -60,6 +60,7 @@ _HOMES: Final = {
     "watch": "telemetry",
     "record": "telemetry",
     "recover": "recover",
+    "export": "export",
     "flight": "telemetry",
     "replay": "offline",
     "simulate": "offline",

@@ -197,28 +197,6 @@ def changed(result: Mapping[str, object]) -> str:
     return f"revision {result['revision']:,}{tick}"
 
 
-def _bytes(ctx: click.Context, param: click.Parameter, text: str | None) -> int | None:
-    """The bytes of an option such as 512MiB, 4G or 4GB; a bare number is bytes."""
-    if text is None:
-        return None
-    match = re.fullmatch(r"(\d+(?:\.\d*)?)\s*(?:([kMGT])(i?)B?|B)?", text.strip())
-    size = float(match[1]) * (1024 if match[3] else 1000) ** " kMGT".index(match[2] or " ") if match else 0.0
-    if not 1 <= size < 2**63:
-        raise click.BadParameter(f"{text!r} is not a size such as 512MiB or 8GB", ctx, param)
-    return int(size)
-
-
-def max_memory_option(function: _F) -> _F:
-    """`--max-memory SIZE`."""
-    return click.option(
-        "--max-memory",
-        metavar="SIZE",
-        callback=_bytes,
-        help="Memory that it may take: 512MiB, 8GB [default: 32 times the size of FILE and at least 1 GiB, but at most "
-        "nine tenths of what is available].",
-    )(function)
-
-
 def change(
     ctx: click.Context,
     as_json: bool,

@@ -12,7 +12,7 @@ import click
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, quoted
-from hapticd.base.partial_files import check_new, write_whole
+from hapticd.base.files import check_new, write_whole
 from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Finite,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.partial_files import check_new, write_whole
+from hapticd.base.files import check_new, write_whole
 from hapticd.cli.common import json_option, note, overwrite_option, print_json
 
 if TYPE_CHECKING:

@@ -67,7 +67,7 @@ _lsl_option = click.option(
 @click.option("--text", is_flag=True, help="At this terminal, without pages.")
 @click.option("--offline", is_flag=True, help="A simulated participant without a daemon, faster than real time.")
 @_lsl_option
-@click.option("--telemetry/--no-telemetry", default=None, help="Whether --offline keeps a .mcap of each trial.")
+@click.option("--telemetry/--no-telemetry", default=None, help="Whether --offline keeps a .npz of each trial.")
 @demo_option
 @pages_options
 @click.pass_context

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.partial_files import check_new, write_whole
+from hapticd.base.files import check_new, write_whole
 from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Choice,

@@ -12,7 +12,6 @@ from hapticd.cli.common import (
     Finite,
     for_option,
     json_option,
-    max_memory_option,
     note,
     notes_option,
     overwrite_option,
@@ -34,7 +33,8 @@ from hapticd.rendering.undisplayable_text import undisplayable_text
     "--output",
     type=click.Path(),
     metavar="FILE",
-    help="Where the samples go (.npz, .csv or .mcap)  [default: nowhere, the summary alone is printed]",
+    help="Where the samples go (.npz; .csv and .mcap are exported from the .npz beside it)  [default: nowhere, the "
+    "summary alone is printed]",
 )
 @for_option("as long as the operator")
 @click.option("--rate", "rate_hz", type=Finite(), metavar="HZ", help="Ticks per second [default: the configuration's].")
@@ -96,23 +96,26 @@ def _own_operator(scene: str) -> str | None:
 @click.command("replay", short_help="Render a recording again, and compare.")
 @click.argument("file", type=click.Path(dir_okay=False))
 @click.option(
-    "-o", "--output", type=click.Path(), metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap)."
+    "-o",
+    "--output",
+    type=click.Path(),
+    metavar="FILE",
+    help="Where what was rendered goes (.npz; .csv and .mcap are exported from the .npz beside it).",
 )
 @overwrite_option
-@max_memory_option
 @json_option
-def replay_command(file: str, output: str | None, overwrite: bool, max_memory: int | None, as_json: bool) -> int:
-    """Render FILE (.npz, .csv or .mcap of `record`, `simulate` or `flight`) again, without daemon and clock, and
+def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool) -> int:
+    """Render FILE (.npz of `record`, `simulate` or `flight`) again, without daemon and clock, and
     compare the forces.
 
     Ends with 1 if they differ from the recorded ones in any bit.
     """
-    from hapticd.recording.formats import check_target
+    from hapticd.recording.output import check_target
     from hapticd.recording.replay import replay
 
     if output is not None:
         check_target(output, overwrite)
-    again = replay(file, max_memory)
+    again = replay(file)
     if output is not None:
         again.write(output, overwrite)
     if as_json:

@@ -14,11 +14,11 @@ from hapticd.cli.common import json_option, note, print_json
 @click.argument("file", type=click.Path(dir_okay=False))
 @json_option
 def recover_command(file: str, as_json: bool) -> int:
-    """Make NAME.recovered.ENDING of each recording into FILE (.npz, .csv or .mcap) that was killed, or whose file could
+    """Make NAME.recovered.npz of each recording into FILE that was killed, or whose file could
     not be written to its end.
 
-    What cannot be read, what is still being recorded and what is another user's stays as it is, and is told. Ends with
-    1 where no file was made.
+    What cannot be read and what is still being recorded stays as it is, and is reported. Ends with 1 if no file was
+    made.
     """
     from hapticd.recording.recovery import recover
 

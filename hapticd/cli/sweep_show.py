@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from hapticd.base.errors import HapticdError, known_names
-from hapticd.base.partial_files import check_new, write_whole
+from hapticd.base.files import check_new, write_whole
 from hapticd.cli.common import json_option, note, overwrite_option, print_json
 
 if TYPE_CHECKING:

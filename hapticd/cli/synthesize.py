@@ -11,7 +11,7 @@ import click
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, known_names, quoted
-from hapticd.base.partial_files import check_new, write_whole
+from hapticd.base.files import check_new, write_whole
 from hapticd.cli import names
 from hapticd.cli.common import (
     Finite,

@@ -49,16 +49,16 @@ def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -
 def record_command(
     ctx: click.Context, file: str, duration_s: float | None, notes: dict[str, str], overwrite: bool, as_json: bool
 ) -> int:
-    """Record every tick and event into FILE (.npz, .csv or .mcap), and what they were rendered with, for
-    `hapticd replay`. FILE is there once the recording is complete.
+    """Record every tick and event into FILE (.npz), and what they were rendered with, for `hapticd replay`. FILE is
+    there once the recording is complete.
 
-    With .csv the events go into a second file, NAME.events.csv, and scene and materials into a third, NAME.about.json.
-    If an earlier recording into FILE was killed, the command says so; `hapticd recover FILE` recovers it.
+    If FILE ends in .mcap or .csv, the recording goes into the .npz of the same name, and FILE is exported from it at
+    the end. If an earlier recording into FILE was killed, the command says so; `hapticd recover FILE` recovers it.
     """
     from dataclasses import asdict
 
     from hapticd.client.record import record
-    from hapticd.recording.formats import check_target
+    from hapticd.recording.output import check_target
     from hapticd.recording.recovery import partial_files_beside
 
     stop = threading.Event()
@@ -97,16 +97,16 @@ def record_command(
 @click.pass_context
 def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_json: bool) -> None:
     """Have the flight recorder write the last seconds of samples and events to a file, and write what is in it to FILE
-    (.npz, .csv or .mcap), too.
+    (.npz, or an export to .csv or .mcap), too.
 
     The file of a daemon on another machine stays there.
     """
     from hapticd.client.flight_summary import summed_up, written_flight
 
     if file is not None:
-        from hapticd.recording.formats import check_target
+        from hapticd.recording.recording import check_saved
 
-        check_target(file, overwrite)
+        check_saved(file, overwrite)
     with daemon(ctx) as client:
         written = written_flight(client)
     found: dict[str, object] = {"file": written}

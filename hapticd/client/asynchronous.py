@@ -322,7 +322,7 @@ class Client(ClientBase):
     async def record(
         self, path: str | os.PathLike[str], overwrite: bool = False, **notes: object
     ) -> AsyncIterator[Recorder]:
-        """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
+        """Records every tick and every event while the block runs, into `path`: .npz, or an export of it.
 
         A thread records, so that the event loop may be held up. The rest is as for `hapticd.client.Client.record`.
         """

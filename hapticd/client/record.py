@@ -26,8 +26,8 @@ from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.protocol.calls import DaemonNotRunning, Topic
 from hapticd.protocol.places import has_ended, no_telemetry
 from hapticd.protocol.results import ConfigResult, MaterialsResult, SceneResult, Status
-from hapticd.recording.formats import open_writer
 from hapticd.recording.missed_periods import MOST_GAPS, gaps_of, missed_periods, missed_text, share
+from hapticd.recording.output import recording_into, recording_path
 from hapticd.recording.writer import DiskFullError, RecordingWriter, Samples
 from hapticd.system.paths import RuntimePaths
 
@@ -144,8 +144,9 @@ def record(
     the target cannot be written, or is there already and `overwrite` does not say that it is to be replaced, before
     anything is recorded.
     """
-    with open_writer(target, overwrite) as writer:
+    with recording_into(target, overwrite) as writer:
         opened(writer)
+        name = os.fspath(recording_path(target))
         session = _Session(client, writer, duration_s, dict(notes or {}))
         try:
             ended = session.run(stop or threading.Event(), progress)
@@ -158,7 +159,7 @@ def record(
             raise HapticdError(f"{target}: nothing was recorded{f' ({ended})' if ended else ''}")
         # Told again where the disk was full, and the end gave way to what else is in the file.
         writer.finish(lambda: {"recording": session.account(ended)})
-        account, name = session.account(ended), os.fspath(target)
+        account = session.account(ended)
         return RecordSummary(
             str(writer.target) if writer.displaced else name,
             writer.count,
@@ -236,7 +237,6 @@ class _Session:
                     self._scenes.apply(message)
                 else:
                     self._newest = message
-                    self._writer.write_status(message)
             self._await_changes(messages)
         return STOPPED if interval.ends else None
 

@@ -256,14 +256,14 @@ class Flight:
         self._jobs.put(None)
 
     def _write(self, job: _Job) -> None:
-        from hapticd.recording.formats import open_writer
+        from hapticd.recording.writer import RecordingWriter
 
         if not self._directory.is_dir():
             os.makedirs(self._directory)
             os.chmod(self._directory, 0o750)
         stretch, about = job.stretch, {"reason": job.asked.reason, "tick": job.asked.tick}
         changes = stretch.change_maps()
-        with open_writer(job.asked.path) as writer:
+        with RecordingWriter(job.asked.path) as writer:
             writer.begin({**self._texts(), **stretch.texts()})
             for change in changes:
                 writer.write_change(change)

@@ -14,14 +14,14 @@ from typing import Any, Final, cast
 
 from hapticd._version import __version__
 from hapticd.base.errors import HapticdError, on_one_line
-from hapticd.base.partial_files import write_whole
+from hapticd.base.files import write_whole
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.measures import MEASURES
 from hapticd.experiment.session_folder import STUDY, SessionFolder, participant_label
 from hapticd.experiment.session_log import Record
 
 BIDS_VERSION: Final = "1.9.0"
-_IGNORED: Final = ("study.yaml", "plan.json", "session.json", "log.jsonl", "*.mcap")
+_IGNORED: Final = ("study.yaml", "plan.json", "session.json", "log.jsonl", "*.npz")
 _README: Final = """\
 Sessions of `hapticd experiment`, a folder for each participant and session.
 
@@ -29,7 +29,7 @@ Sessions of `hapticd experiment`, a folder for each participant and session.
 file beside each table describes its columns. The tables are made of `log.jsonl`, which holds each record with a
 checksum.
 `study.yaml` is the study as it was read, `plan.json` every trial in its order, `session.json` participant, session,
-seed, versions and device. A `.mcap` file is the telemetry of a trial. `hapticd experiment analyze` makes statistics and
+seed, versions and device. A `.npz` file is the telemetry of a trial. `hapticd experiment analyze` makes statistics and
 a report.
 """
 TASK_IN_FILE_NAME: Final = re.compile(r"_task-([^_]+)_beh\.tsv$")

@@ -1,4 +1,4 @@
-"""Trials on a running daemon: forces under a lease, scenes replaced in one change, telemetry recorded as MCAP."""
+"""Trials on a running daemon: forces under a lease, scenes replaced in one change, telemetry recorded."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ class DaemonStage:
 
     @contextmanager
     def recording(self, target: Path, notes: Mapping[str, Json]) -> Iterator[None]:
-        """Every tick and event into `target`, a .mcap."""
+        """Every tick and event into `target`, a .npz."""
         with self._client.record(target, overwrite=False, **notes) as recorder, self._client.events() as events:
             yield
             self._await_telemetry(events)

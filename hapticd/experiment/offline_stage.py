@@ -20,7 +20,7 @@ from hapticd.config.configuration import Config
 from hapticd.experiment.event_codes import EventCode
 from hapticd.experiment.stage import Motion, Samples, Telemetry, until
 from hapticd.protocol.events import event_map
-from hapticd.recording.formats import open_writer
+from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.offline import Run, simulate_run
 
 
@@ -28,7 +28,7 @@ class OfflineStage:
     """A stage that is computed."""
 
     def __init__(self, keep_telemetry: bool = False) -> None:
-        """`keep_telemetry`: a .mcap for each trial, which takes longer than the trial's computation."""
+        """`keep_telemetry`: a .npz for each trial, which takes longer than the trial's computation."""
         self._keep = keep_telemetry
         self._config: Config | None = None
         self._on = False
@@ -126,7 +126,7 @@ class OfflineStage:
             "missed_periods": 0,
             "notes": dict(notes),
         }
-        with open_writer(target) as writer:
+        with RecordingWriter(target) as writer:
             writer.write_all(texts, [{"revision": 1}], told.samples, iter(told.events))
             writer.finish({"recording": about})
 

@@ -4,7 +4,7 @@
     plan.json         every trial in its order
     session.json      participant, session, seed, versions, device and calibration
     log.jsonl         what happened (session_log); it is made last, so that its existence means that the rest is whole
-    trial-0007.mcap   telemetry of the trial with index 7; of its second attempt trial-0007-2.mcap
+    trial-0007.npz   telemetry of the trial with index 7; of its second attempt trial-0007-2.npz
     beh/              the tables of BIDS, made from the log (bids)
 
 Whatever the process dies of, `SessionFolder.open` finds the same order and everything that was answered.
@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import Final, cast
 
 from hapticd.base.errors import HapticdError, quoted
-from hapticd.base.files import check_regular
-from hapticd.base.partial_files import write_whole
+from hapticd.base.files import check_regular, write_whole
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.session_log import Contents, SessionLog, read_log, sync_folder
 
@@ -147,7 +146,7 @@ class SessionFolder:
         number = attempt
         while True:
             ending = "" if number == 1 else f"-{number}"
-            target = self.path / f"trial-{trial:04d}{ending}.mcap"
+            target = self.path / f"trial-{trial:04d}{ending}.npz"
             if not target.exists():
                 return target
             number += 1

@@ -27,8 +27,8 @@ from hapticd.analysis.recordings.sensor import Sensor
 from hapticd.analysis.recordings.table import MAX_BYTES, Table, short_name, shown_name
 from hapticd.analysis.statistics import Floats
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names
+from hapticd.base.files import write_whole
 from hapticd.base.model import Model, faults_of
-from hapticd.base.partial_files import write_whole
 from hapticd.base.yaml_source import MAX_BYTES as MAX_YAML_BYTES
 from hapticd.base.yaml_source import load_bytes, one_line
 from hapticd.config.document_kinds import refuse_documents

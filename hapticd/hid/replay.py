@@ -21,7 +21,7 @@ from itertools import pairwise
 from typing import Any, Final
 
 from hapticd.base.errors import HapticdError, on_one_line, shown
-from hapticd.base.partial_files import write_whole
+from hapticd.base.files import write_whole
 from hapticd.config.hid import Replay
 from hapticd.hid.device import MAX_REPORT_BYTES, arriving
 from hapticd.hid.plan import DeviceError

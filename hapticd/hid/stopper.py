@@ -17,12 +17,12 @@ import stat
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
 from hapticd.base.errors import HapticdError, on_one_line, quoted
+from hapticd.base.files import write_whole
 from hapticd.system.trusted_files import read_trusted
 
 SYSFS: Final = Path("/sys")
@@ -99,17 +99,9 @@ class StopFile:
             "stop": [report.hex() for report in stop],
             "pause_s": pause_s,
         }
-        part = self.path.with_name(f"{self.path.name}.part")
-        try:
-            part.unlink(missing_ok=True)
-            out = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-            with open(out, "w", encoding="utf-8") as file:
-                json.dump(record, file)
-            os.replace(part, self.path)
-        except OSError as error:
-            with suppress(OSError):
-                part.unlink(missing_ok=True)
-            raise HapticdError(f"{self.path}: what stops the device cannot be written: {error.strerror}") from None
+        if self.path.is_symlink():  # its end would be written, and a link is never trusted
+            self.path.unlink()
+        write_whole(self.path, json.dumps(record), overwrite=True, mode=0o600)
 
     def drop(self) -> None:
         """The device is at zero."""

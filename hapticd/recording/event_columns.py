@@ -9,14 +9,11 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from enum import Enum
-from functools import cache
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from functools import lru_cache
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
-
-if TYPE_CHECKING:
-    from hapticd.base.core import EventKind
 
 NO_TIME: Final = -(2**63)
 """What a time of an event that has none is; numpy's own NaT."""
@@ -26,13 +23,13 @@ ROWS_BYTES: Final = 1 << 20
 
 
 class Kind(Enum):
-    """What a member is, and with it the form of its column."""
+    """What a member is in JSON, and with it the form of its column."""
 
-    TEXT = "text"
+    TEXT = "string"
     INTEGER = "integer"
     NUMBER = "number"
-    TRUTH = "truth"
-    JSON = "json"
+    TRUTH = "boolean"
+    JSON = "anything"
 
 
 MEMBERS: Final[dict[str, Kind]] = {
@@ -48,6 +45,13 @@ MEMBERS: Final[dict[str, Kind]] = {
 
 ALWAYS: Final = ("event", "tick", "time_ns")
 """Members that every event has."""
+
+EVENT_MEMBERS: Final[dict[str, object]] = {
+    **{name: {"type": kind.value} for name, kind in MEMBERS.items()},
+    "faults": {"type": "array", "items": {"type": "string"}},
+    "data": {},
+}
+"""JSON Schema of each member."""
 
 MAY_BE_NONE: Final = frozenset(("object", "true_speed_m_per_s", "data"))
 
@@ -135,19 +139,15 @@ def rows_of(events: Iterable[Mapping[str, Any]], columns: list[Column]) -> Itera
 # ---- Back ----------------------------------------------------------------------------------------------------------
 
 
+@lru_cache
 def members_of(event: str) -> frozenset[str] | None:
     """The members of an event of this kind; None for one that this version does not know."""
-    from hapticd.base.core import EventKind
-
-    kind = EventKind.__members__.get(event.upper())
-    return None if kind is None else members_of_kind(kind)
-
-
-@cache  # of kinds alone: a file may name any number of others
-def members_of_kind(kind: EventKind) -> frozenset[str]:
-    from hapticd.base.core import EVENT_DTYPE, records
+    from hapticd.base.core import EVENT_DTYPE, EventKind, records
     from hapticd.protocol.events import event_map
 
+    kind = EventKind.__members__.get(event.upper())
+    if kind is None:
+        return None
     record = records(EVENT_DTYPE, 1)[0]
     record["kind"] = kind
     return frozenset(event_map(record, None))

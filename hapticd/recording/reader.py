@@ -1,26 +1,46 @@
-"""Recordings, read back: samples and events as they were, and what they were rendered with."""
+"""Recordings, read: the samples are mapped into memory, not copied; whatever is damaged is one line.
+
+What a member claims to hold is compared with what the archive has of it, before there is memory for it.
+"""
 
 from __future__ import annotations
 
-import csv
+import json
+import math
 import os
+import stat
 import struct
 import zipfile
 import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import IO, Any, Final
 
+import numpy as np
+import numpy.typing as npt
+from numpy.lib.recfunctions import require_fields
+
+from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import one_line
 from hapticd.config.document_kinds import refuse_documents
-from hapticd.recording.csv_reader import files_beside, load_csv
-from hapticd.recording.mcap_reader import load_mcap
-from hapticd.recording.npz_reader import load_npz
-from hapticd.recording.reading_limits import BadRecordingError, Memory, Recorded, Samples, regular
+from hapticd.recording.event_columns import ROWS_BYTES, events_of_rows
+from hapticd.recording.writer import Samples
 
-__all__ = ["Memory", "Recorded", "Samples", "load_recorded"]
+TEXTS: Final[tuple[str, ...]] = ("config", "scene", "materials", "changes", "status", "recording", "flight")
+"""What stands beside the samples, by name; whatever else a file holds is not read."""
 
-_WRONG: Final = (
+_WIDEST_ROW: Final = 1 << 20
+"""Bytes of an event; the longest mark has 37 kB."""
+_MOST_EVENTS: Final = 100_000
+"""Events that there may be whatever the size, and one more for each compressed byte."""
+_READ_BYTES: Final = 1 << 20
+_SHOWN_CHARACTERS: Final = 200
+"""Of what is wrong in a damaged file."""
+_LOCAL_HEADER: Final = struct.Struct("<4s22xHH")
+"""Of a member of an archive: its mark, and the lengths of name and extra field that follow."""
+WRONG: Final = (
     ValueError,
     LookupError,
     TypeError,
@@ -29,7 +49,7 @@ _WRONG: Final = (
     EOFError,
     RecursionError,
     NotImplementedError,
-    csv.Error,
+    RuntimeError,
     struct.error,
     zipfile.BadZipFile,
     zlib.error,
@@ -37,55 +57,134 @@ _WRONG: Final = (
 """What reading a file raises that holds something else than it should."""
 
 
-def load_recorded(
-    path: str | os.PathLike[str], max_memory: int | None = None, memory: Memory | None = None
-) -> Recorded:
-    """Reads a .npz, .csv or .mcap of `hapticd record` or `hapticd simulate`.
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What a file holds; see `hapticd.Recording`."""
 
-    `max_memory`: bytes that it may take (see reading_limits.py); `memory`, where the caller needs some, too. Raises
-    HapticdError where it is none, or would take more.
-    """
-    name = os.fspath(path)
-    ending = Path(path).suffix.lower()
-    if ending not in (".npz", ".csv", ".mcap"):
-        refuse_documents(name)
-        raise HapticdError(f"{one_line(name)}: must end in .npz, .csv or .mcap")
+    samples: Samples
+    events: list[dict[str, Any]]
+    texts: Mapping[str, Any]
+    truth: npt.NDArray[np.float64] | None
+
+
+def read(path: str | os.PathLike[str]) -> Recorded:
+    """Reads a .npz of `hapticd record`, `simulate` or the flight recorder. Raises HapticdError where it is none."""
+    name = one_line(os.fspath(path))
+    if Path(path).suffix.lower() != ".npz":
+        refuse_documents(path)
+        raise HapticdError(f"{name}: must end in .npz; other forms are exports for other programs")
     try:
-        with regular(Path(path)) as (file, size):
-            memory = memory or memory_for(path, max_memory)
-            if ending == ".npz":
-                return load_npz(file, memory)
-            if ending == ".csv":
-                return load_csv(Path(path), file, memory)
-            return load_mcap(file, size, memory)
+        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for, and a device has no end
+            raise HapticdError(f"{name}: is no regular file")
+        with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
+            return _read(file, archive)
     except OSError as error:
-        raise HapticdError(f"{one_line(str(error.filename or name))}: {error.strerror or error}") from None
+        raise HapticdError(f"{name}: {error.strerror or error}") from None
     except MemoryError:
-        raise HapticdError(f"{one_line(name)}: takes more memory than there is") from None
-    except _WRONG as error:
-        raise HapticdError(f"{one_line(name)}: is no recording of hapticd: {_reason(error)}") from None
+        raise HapticdError(f"{name}: takes more memory than there is") from None
+    except WRONG as error:
+        why = one_line(str(error)[:_SHOWN_CHARACTERS]) or type(error).__name__
+        raise HapticdError(f"{name}: is damaged, or no recording of hapticd: {why}") from None
 
 
-def memory_for(path: str | os.PathLike[str], max_memory: int | None, sample_bytes: int | None = None) -> Memory:
-    """What reading a file may take; its size is that of all its files. Raises OSError."""
-    place = Path(path)
-    size = os.stat(place).st_size
-    if place.suffix.lower() == ".csv":
-        size += sum(beside.stat().st_size for beside in files_beside(place) if beside.exists())
-    given = {} if sample_bytes is None else {"sample_bytes": sample_bytes}
-    return Memory(os.fspath(path), size, max_memory, **given)
+def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Recorded:
+    members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+    if "samples" not in members:
+        raise ValueError("it has no samples")
+    samples = _read_samples(file, archive, members["samples"])
+    truth = None
+    if "truth" in members:
+        truth = _read_array(archive, members["truth"])
+        if truth.shape != (len(samples), 4) or truth.dtype != np.float64:
+            raise ValueError(f"truth has shape {truth.shape} of {truth.dtype}, not {(len(samples), 4)} of float64")
+    events = list(_read_events(archive, members["events"])) if "events" in members else []
+    texts = {name: json.loads(_read_text(archive, members[name])) for name in TEXTS if name in members}
+    return Recorded(samples, events, texts, truth)
 
 
-def _reason(error: Exception) -> str:
-    """What is wrong, as one line that shows nothing of what is in the file."""
-    match error:
-        case BadRecordingError():
-            return one_line(str(error))
-        case UnicodeDecodeError():
-            return "a text of it is no Unicode"
-        case zipfile.BadZipFile() if "CRC" in str(error):
-            return "the checksum of a member is wrong"
-        case zipfile.BadZipFile() | zlib.error() | NotImplementedError() | EOFError():
-            return "it is no whole archive"
-        case _:
-            return "it holds something else than it should"
+def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of a member; its data follow. Raises ValueError where there are not as many as it says."""
+    read_header = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }[np.lib.format.read_magic(member)]
+    try:
+        shape, by_columns, dtype = read_header(member)
+    except Exception:  # a parser of Python, on whatever stands there
+        raise ValueError(f"{info.filename} has a header that numpy does not write") from None
+    size = math.prod(shape) * dtype.itemsize
+    if dtype.hasobject or (by_columns and len(shape) > 1) or min(shape, default=0) < 0:
+        raise ValueError(f"{info.filename} holds no plain array")
+    if member.tell() + size != info.file_size:
+        raise ValueError(f"{info.filename} says that it has {size} bytes, and has not")
+    return shape, dtype
+
+
+def _read_array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> npt.NDArray[Any]:
+    with archive.open(info) as member:
+        _read_head(member, info)
+    with archive.open(info) as member:
+        array: npt.NDArray[Any] = np.lib.format.read_array(member, allow_pickle=False)
+        member.read(1)  # at its end the archive's checksum is checked
+        return array
+
+
+def _read_samples(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Samples:
+    with archive.open(info) as member:
+        shape, dtype = _read_head(member, info)
+        begins = member.tell()
+    if len(shape) != 1 or dtype.names is None:
+        raise ValueError("its samples are no records")
+    if info.compress_type == zipfile.ZIP_STORED and shape[0]:
+        samples = _mapped(file, archive, info)[begins:].view(dtype)
+    else:
+        samples = _read_array(archive, info)
+    if dtype == SAMPLE_DTYPE:
+        # Those of earlier versions were not aligned in their files; the core needs them to be.
+        return samples if samples.flags.aligned else samples.copy()
+    return _as_now(samples)
+
+
+def _mapped(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> npt.NDArray[np.uint8]:
+    """The bytes of a member that is not compressed; who writes to them changes his own copy."""
+    with archive.open(info) as member:
+        while member.read(_READ_BYTES):  # at its end the archive's checksum is checked
+            pass
+    file.seek(info.header_offset)
+    _, name_size, extra_size = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))
+    at = info.header_offset + _LOCAL_HEADER.size + name_size + extra_size
+    return np.memmap(file, np.uint8, "c", at, (info.file_size,)).view(np.ndarray)
+
+
+def _as_now(samples: Samples) -> Samples:
+    """Records with the fields of this version, of those of another. Raises ValueError where one is missing."""
+    missing = [name for name in SAMPLE_DTYPE.names or () if name not in (samples.dtype.names or ())]
+    if missing:
+        raise ValueError(f"its samples have no {', '.join(missing)}")
+    with np.errstate(invalid="ignore"):
+        found: Samples = require_fields(samples, SAMPLE_DTYPE)
+    return found
+
+
+def _read_events(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[dict[str, Any]]:
+    """In stretches: one long mark widens all rows."""
+    with archive.open(info) as member:
+        shape, dtype = _read_head(member, info)
+        if len(shape) != 1 or dtype.itemsize > _WIDEST_ROW:
+            raise ValueError(f"{info.filename} holds no events")
+        if shape[0] > _MOST_EVENTS + info.compress_size:
+            raise ValueError(f"{info.filename} says that it has {shape[0]} events, in {info.compress_size} bytes")
+        most = max(1, ROWS_BYTES // max(1, dtype.itemsize))
+        for first in range(0, shape[0], most):
+            count = min(most, shape[0] - first)
+            yield from events_of_rows(np.frombuffer(member.read(count * dtype.itemsize), dtype, count))
+        member.read(1)  # at its end the archive's checksum is checked
+
+
+def _read_text(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> str:
+    with archive.open(info) as member:
+        shape, dtype = _read_head(member, info)
+        if shape != () or dtype.kind != "U":
+            raise ValueError(f"{info.filename} is no text")
+        # Not by numpy, which makes strings of whatever numbers stand there.
+        return member.read().decode("utf-32-be" if dtype.str[0] == ">" else "utf-32-le").rstrip("\0")

@@ -1,6 +1,6 @@
 """A recording as its reader sees it: `hapticd.load`.
 
-recording = hapticd.load("tap.npz")          # .npz, .csv, .mcap, and files of the flight recorder
+recording = hapticd.load("tap.npz")          # of `hapticd record`, `simulate` or the flight recorder
 recording.samples["force_n"]                 # (n, 2), numpy
 recording.marks[0]["text"]
 recording.to_pandas()
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,16 +21,16 @@ import numpy.typing as npt
 from hapticd.base import arguments
 from hapticd.base.clock import Moment, moment_of
 from hapticd.base.errors import HapticdError
-from hapticd.recording.formats import open_writer
+from hapticd.base.files import check_new
+from hapticd.recording.export import export, files_of, frame_of
 from hapticd.recording.missed_periods import missed_periods, rates_of
-from hapticd.recording.reader import Samples, load_recorded
+from hapticd.recording.reader import read
+from hapticd.recording.writer import RecordingWriter, Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from hapticd.base.yaml_source import Json
-
-_AXES: Final = ("x", "y")
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,27 +138,20 @@ class Recording:
 
         `frame.set_index(recording.utc())` has the time of day instead. Raises HapticdError where pandas is missing.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise HapticdError("to_pandas needs pandas: pip install 'hapticd[pandas]'") from None
-        columns: dict[str, npt.NDArray[Any]] = {}
-        for name in self.samples.dtype.names or ():
-            values = self.samples[name]
-            if values.ndim == 1:
-                columns[name] = values
-            else:
-                columns |= {f"{name}_{axis}": values[:, place] for place, axis in enumerate(_AXES)}
-        times = self.samples["time_ns"].astype(np.int64)
-        since = (times - times[:1]) / 1e9
-        return pandas.DataFrame(columns, index=pandas.Index(since, name="time_s"))
+        return frame_of(self.samples)
 
     def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
-        """Writes it into another file, .npz, .csv or .mcap by its ending; `truth` is in .npz alone.
+        """Writes it into another file: a .npz, or an export for other programs, .csv or .mcap, by its ending; `truth`
+        is in .npz alone.
 
         Returns where it is: under the next free name where a file appeared at `path` meanwhile. Raises HapticdError.
         """
-        with open_writer(path, overwrite) as writer:
+        target = Path(path)
+        check_saved(target, overwrite)
+        if target.suffix.lower() != ".npz":
+            export(self.samples, self.events, self.texts, target, overwrite)
+            return target
+        with RecordingWriter(target, overwrite) as writer:
             last = {name: self.texts[name] for name in ("recording", "flight") if name in self.texts}
             first = {name: text for name, text in self.texts.items() if name != "changes" and name not in last}
             writer.write_all(first, self.changes, self.samples, self.events)
@@ -174,12 +167,19 @@ class Recording:
         return found if isinstance(found, dict) else {}
 
 
-def load(path: str | os.PathLike[str], max_memory: int | None = None) -> Recording:
-    """Reads a recording: .npz, .csv or .mcap of `hapticd record`, `hapticd simulate` or `hapticd flight`.
+def check_saved(target: str | os.PathLike[str], overwrite: bool) -> None:
+    """Raises HapticdError for a target of another ending, and where one of its files is no regular file, or, without
+    `overwrite`, is there already."""
+    path = Path(target)
+    for file in (path,) if path.suffix.lower() == ".npz" else reversed(files_of(path)):
+        check_new(file, overwrite)
 
-    `max_memory`, in bytes, is what it may take; by default 32 times the size of the file and at least 1 GiB, but at
-    most nine tenths of the memory that is available. Raises HapticdError (one line) where the file is none, or takes
-    more.
+
+def load(path: str | os.PathLike[str]) -> Recording:
+    """Reads a recording: the .npz of `hapticd record`, `hapticd simulate` or `hapticd flight`.
+
+    Its samples are mapped into memory: they take none until they are used, and the file may be larger than the memory.
+    Raises HapticdError (one line) where the file is none.
     """
-    recorded = load_recorded(arguments.path("path", path), max_memory)
+    recorded = read(arguments.path("path", path))
     return Recording(os.fspath(path), recorded.samples, recorded.events, recorded.texts, recorded.truth)

@@ -26,7 +26,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base import arguments, wording
+from hapticd.base import wording
 from hapticd.base.core import SAMPLE_DTYPE, Flag
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import displaced
@@ -37,9 +37,10 @@ from hapticd.config.scene import Scene, materials_of, validate_object, validate_
 from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES
 from hapticd.protocol.events import event_map
-from hapticd.recording.formats import open_writer
-from hapticd.recording.reader import load_recorded, memory_for
-from hapticd.recording.reading_limits import Memory, Recorded, Samples, TooMuchMemoryError
+from hapticd.recording.missed_periods import rates_of
+from hapticd.recording.output import recording_into
+from hapticd.recording.recording import Recording, load
+from hapticd.recording.writer import Samples
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import Rerun
 
@@ -57,12 +58,6 @@ _LEFT_OUT: Final = {
 }
 _LEFT_OVER: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
 _NO_TIME: Final = 0xFFFFFFFF
-_RENDERED_BYTES: Final = 2 * SAMPLE_DTYPE.itemsize + 160
-"""Memory for each sample, beside itself: what is rendered of it, what is compared; rates, periods, intervals, masks."""
-_OBJECT_BYTES: Final = 4096
-"""Memory for an object or a material that was validated."""
-_ENTRY_BYTES: Final = 128
-"""Memory for an object or a material in one more revision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +120,7 @@ class Replay:
     def write(self, target: str | os.PathLike[str], overwrite: bool = False) -> None:
         """Writes what was rendered as another recording. Raises HapticdError where the disk does not take it, or
         the target is there already."""
-        with open_writer(target, overwrite) as writer:
+        with recording_into(target, overwrite) as writer:
             last = ("changes", "recording", "flight")
             first = {name: text for name, text in self.texts.items() if name not in last}
             writer.write_all(first, self.texts["changes"], self.samples, self.events)
@@ -150,19 +145,13 @@ class Replay:
         }
 
 
-def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Replay:
-    """Renders a recording (.npz, .csv or .mcap) again, and compares.
+def replay(path: str | os.PathLike[str]) -> Replay:
+    """Renders a recording (.npz) again, and compares; a sample takes about 400 bytes of memory meanwhile.
 
-    `max_memory`, in bytes, is what it may take, as with `hapticd.load`. Raises HapticdError where the file is no
-    recording, does not hold what it was rendered with, would take more memory, or holds what this version does not
-    take.
+    Raises HapticdError where the file is no recording, does not hold what it was rendered with, or holds what this
+    version does not take.
     """
-    path = arguments.path("path", path)
-    try:
-        memory = memory_for(path, max_memory, SAMPLE_DTYPE.itemsize + _RENDERED_BYTES)
-    except OSError as error:
-        raise HapticdError(f"{os.fspath(path)}: {error.strerror}") from None
-    recorded = load_recorded(path, memory=memory)
+    recorded = load(path)
     missing = [name for name in NEEDED if not recorded.texts.get(name)]
     if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
         raise HapticdError(
@@ -172,9 +161,7 @@ def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Repla
     if missing:
         raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with (no {', '.join(missing)})")
     try:
-        return _replay(recorded, memory)
-    except TooMuchMemoryError:
-        raise
+        return _replay(recorded)
     except HapticdError as error:
         raise HapticdError(f"{os.fspath(path)}: {error}") from None
     except MemoryError:
@@ -183,14 +170,14 @@ def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Repla
         raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with: {error!r}") from None
 
 
-def _replay(recorded: Recorded, memory: Memory) -> Replay:
+def _replay(recorded: Recording) -> Replay:
     samples, texts = recorded.samples, recorded.texts
     servo, status = texts["config"]["servo"], texts.get("status") or {}
     # A daemon that has stepped down has another rate than its configuration.
     rate_hz = status.get("rate_hz", servo["rate_hz"])
-    revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist()), rate_hz, memory))
+    revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist()), rate_hz))
     known = [revision.number for revision in revisions]
-    rates_hz = _rates(samples, revisions, rate_hz)
+    rates_hz = rates_of(samples, texts["changes"], rate_hz)
     is_known = np.isin(samples["revision"], known) & (samples["tick"] >= _complete_from(texts))
     stretches, settled = _stretches(samples, rates_hz, is_known, texts)
     link_hz = (status.get("connection") or {}).get("link_hz")
@@ -227,7 +214,7 @@ def _replay(recorded: Recorded, memory: Memory) -> Replay:
             rendered, happened = rerun.run(samples[part], intervals[part], periods[part])
             again[at : at + len(rendered)] = rendered
             at += len(rendered)
-            events += [memory.event(event_map(event, rerun.name_of(event))) for event in happened]
+            events += [event_map(event, rerun.name_of(event)) for event in happened]
     if not count:
         raise HapticdError(f"no tick of it can be rendered again: {_left_out_text(_left_out(samples, known, 0))}")
     before = samples
@@ -314,10 +301,8 @@ class _Revision:
     rate_hz: float
 
 
-def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float, memory: Memory) -> Iterator[_Revision]:
+def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> Iterator[_Revision]:
     """Those of the recording that samples were rendered with, in order."""
-    entries = [len(found) for found in (texts["scene"].get("objects", {}), texts["materials"])]
-    memory.take(_OBJECT_BYTES * sum(entries), "its scenes")
     scene = validate_scene(texts["scene"], ("scene",))
     materials: dict[str, Material] = validate_materials(texts["materials"])
     pending = dict.fromkeys(scene.objects)
@@ -329,7 +314,6 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float, memor
             for id, item in change.get("objects", {}).items()
         }
         if objects:
-            memory.take(_OBJECT_BYTES * len(objects), "its scenes")
             scene = scene.with_objects(objects)
         pending |= dict.fromkeys(objects)
         if "scene" in change:
@@ -341,18 +325,8 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float, memor
             materials = {name: item for name, item in materials.items() if name not in patch} | new
         rate_hz = change.get("rate_hz", rate_hz)
         if change["revision"] in wanted:
-            memory.take(_ENTRY_BYTES * (len(scene.objects) + len(materials)), "its scenes")
             yield _Revision(change["revision"], scene, materials, tuple(pending), rate_hz)
             pending = {}
-
-
-def _rates(samples: Samples, revisions: list[_Revision], rate_hz: float) -> npt.NDArray[np.float64]:
-    """Of the servo at each tick, Hz; where the revision is missing, the one at the start."""
-    rates = np.full(len(samples), rate_hz)
-    for revision in revisions:
-        if revision.rate_hz != rate_hz:
-            rates[samples["revision"] == revision.number] = revision.rate_hz
-    return rates
 
 
 def _turn(rerun: Rerun, revisions: list[_Revision], place: int, to: int) -> int:

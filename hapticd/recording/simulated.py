@@ -17,7 +17,7 @@ from hapticd.base.yaml_source import load_path
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.document_kinds import Kind, refuse_other_kinds
 from hapticd.protocol.events import event_map
-from hapticd.recording.formats import open_writer
+from hapticd.recording.output import recording_into
 from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.offline import Run, simulate_run
 
@@ -56,7 +56,7 @@ def simulate_files(
     Raises HapticdError or InvalidError for what cannot be read, run or written, before anything is run for a file that
     is there already and not to be replaced.
     """
-    with nullcontext() if output is None else open_writer(output, overwrite) as writer:
+    with nullcontext() if output is None else recording_into(output, overwrite) as writer:
         config = configuration(scene)
         run = simulate_run(config, operator_file, duration_s, rate_hz)
         if writer is not None:

@@ -1,48 +1,53 @@
-"""Files of samples and events, as they are written: what the formats share.
+"""Recordings, written: a .npz that numpy.load reads without pickle.
 
-A recording goes into a hidden partial file beside the target, so that memory stays bounded however long it is; the
-target is put in place at the end, whole, by a rename. The partial file is in the format of the target from its first
-byte on, so that the end needs no second copy. Events and what is said once go into a second partial file, the notes,
-one JSON value a line. A file that is there is replaced only with `overwrite`. Without it, a file that appears while the
-recording is made keeps its name, and the recording takes the next free one (`tap-2.npz`).
+Samples go into a hidden partial file beside the target as they come, so that memory stays bounded however long a
+recording is. It is an archive from its first byte on: the samples are its first member, whose header and checksum are
+put in front of them at the end, when their number is known; events and texts follow. Until then these stand in a second
+partial file, the notes, one JSON value a line. The target is put in place at the end, by a rename.
 
 A recording that fails leaves no file and changes none, with two exceptions. On a full disk the newest samples give way
 to what else belongs to the file, which is then finished. A process that was killed leaves its partial files, and so
 does one whose file could not get its name, or not be written any further; recovery.py makes a file of them.
 
-npz_writer.py, csv_writer.py and mcap_writer.py write the formats, formats.py chooses one by the ending. The section
-Files of docs/protocol.md says what each of them holds.
+The section Files of docs/protocol.md says what a recording holds.
 """
 
 from __future__ import annotations
 
 import errno
+import fcntl
+import io
 import json
 import os
 import re
 import shlex
-from abc import ABC, abstractmethod
+import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from itertools import chain
-from itertools import count as numbers
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, NamedTuple, NoReturn, Self, TypeAlias
+from typing import Any, BinaryIO, Final, NoReturn, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_regular, is_there, numbered
-from hapticd.base.partial_files import Folder, PartialFile, new_stem, resolved
+from hapticd.base.files import check_new, create, give_name, hidden_beside
+from hapticd.recording.event_columns import columns_of, dtype_of, rows_of
 
 Samples: TypeAlias = npt.NDArray[np.void]
+Texts: TypeAlias = Mapping[str, object]
 
-CHECK_EVERY: Final = 1 << 18
-"""Bytes of samples after which there is a checkpoint."""
+NOTES: Final = ".notes"
+"""Ending of the second partial file."""
 _STRETCH: Final = 10_000
-"""Samples that are written at once."""
+"""Samples that `write_all` writes at once."""
+_GIVEN_UP_BYTES: Final = 1 << 18
+"""Samples that give way at once where a disk is full."""
+_READ_BYTES: Final = 1 << 20
+_ALIGNED_BYTES: Final = 64
+"""Samples begin at a multiple of it, so that they can be mapped into memory."""
 _FIELD: Final = re.compile("[<>|]?[iuf][1248]")
 _FULL: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 
@@ -51,61 +56,47 @@ class DiskFullError(HapticdError):
     """The disk takes no more. What was written before is whole, and can be finished."""
 
 
-class Checkpoint(NamedTuple):
-    """A place in the partial file that a full disk may fall back to."""
-
-    size: int
-    samples: int
-    """How many are before it."""
-    last_tick: int = -1
-    last_time_ns: int = 0
-
-
-class RecordingWriter(ABC):
-    """Writes one recording; what was not finished when its `with` ends is thrown away, unless it could not be finished.
+class RecordingWriter:
+    """Writes one recording. An unfinished one is deleted at the end of its `with`; if finishing failed, its partial
+    files stay for `hapticd recover`.
 
     Its methods raise HapticdError where the disk does not take what is written; DiskFullError where it is only full.
     """
 
-    def __init__(self, target: str | os.PathLike[str], *, overwrite: bool = False, resume: str | None = None) -> None:
-        """`resume`: the stem of the names of partial files that a killed process left, to be finished here.
+    def __init__(self, target: str | os.PathLike[str], overwrite: bool = False, *, resume: Path | None = None) -> None:
+        """`resume`: a partial file that a killed process left, to be finished here.
 
         Raises HapticdError where the target cannot be written, or is there already and not to be replaced; with
-        `resume` BlockingIOError where the process still lives, and OSError and ValueError where they cannot be read.
+        `resume` BlockingIOError where the process still lives, and OSError, ValueError and others where it cannot be
+        read.
         """
-        self.target = resolved(target)
+        self._name = os.fspath(target)
+        self.target = Path(os.path.realpath(target))
         """Where it goes; once it is finished, where it is."""
         self.displaced = False
         """Another file had appeared at the target, so that it has another name."""
-        self._overwrite = overwrite
         self.count = 0
         """Samples written."""
         self.event_count = 0
-        self.last_tick = -1
-        self.last_time_ns = 0
+        self.last_tick, self.last_time_ns = -1, 0
         self.texts: dict[str, object] = {}
         self.about: dict[str, object] = {}
         """What of `recording` is known at the start."""
-        self._stem = new_stem(self.target) if resume is None else resume
-        self._name = os.fspath(target)
-        self._dtype: np.dtype[np.void] | None = None
-        self._partial_files: list[PartialFile] = []
-        self._checkpoints = [Checkpoint(0, 0)]
-        self._dropped_samples = False
+        self._overwrite = overwrite
+        self._dtype: np.dtype[np.void] = np.dtype([])
+        self._start = self._header_size = 0
+        self._gave_up_samples = False
         self._keep_partial_files = resume is not None
-        self.torn_bytes = 0
-        """At the end of what was recovered: no whole sample or record."""
-        if resume is None and self.target.exists() and not os.access(self.target, os.W_OK):
-            raise HapticdError(f"{self._name}: may not be overwritten")
         if resume is None:
-            self.check_files(target, overwrite)
+            check_new(target, overwrite)
+            if self.target.exists() and not os.access(self.target, os.W_OK):
+                raise HapticdError(f"{self._name}: may not be overwritten")
+        part = resume or hidden_beside(self.target)
+        self._files: list[_PartialFile] = []
         try:
-            self._folder = Folder(self.target.parent)
-        except OSError as error:
-            raise HapticdError(f"{self._name}: cannot be written: {error.strerror}") from None
-        try:
-            self._partial = self._open_partial("part", resume is not None)
-            self._notes = self._open_partial("notes", resume is not None)
+            for path in (part, part.with_suffix(NOTES)):
+                self._files.append(_PartialFile(path, resume is not None))
+            self._part, self._notes = self._files
             if resume is not None:
                 self._resume()
         except OSError as error:
@@ -113,53 +104,16 @@ class RecordingWriter(ABC):
                 self._fail(error)
             self._close()
             raise
-        except ValueError:
+        except BaseException:
             self._close()
             raise
-
-    # ---- What each format does -------------------------------------------------------------------------------------
-
-    @staticmethod
-    def files_of(target: Path) -> list[Path]:
-        """The files of a recording of this name, itself last."""
-        return [target]
-
-    @classmethod
-    def check_files(cls, target: str | os.PathLike[str], overwrite: bool) -> None:
-        """Raises HapticdError where a file of a recording of this name is there already, with `overwrite` where what is
-        there is no regular file."""
-        place = resolved(target)
-        for path in reversed(cls.files_of(place)):
-            check_regular(path)
-            if not overwrite and os.path.lexists(path):
-                name = os.fspath(target)
-                raise is_there(name if path == place else os.path.join(os.path.dirname(name), path.name))
-
-    @abstractmethod
-    def _write(self, samples: Samples) -> None:
-        """Appends them whole, or raises OSError and leaves what there was."""
-
-    @abstractmethod
-    def _finish(self, texts: Mapping[str, object], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Raises OSError, and can then be called again."""
-
-    @abstractmethod
-    def _count_written(self, dtype: np.dtype[np.void]) -> int:
-        """Finds out what a killed process wrote; how many bytes of it are whole. Raises ValueError and others for what
-        is none of ours."""
-
-    def _drop_pending(self) -> None:
-        """Forgets samples that were not written yet."""
-        return
-
-    # ---- What they share -------------------------------------------------------------------------------------------
 
     @property
     def written_bytes(self) -> int:
         """On the disk so far; another thread may ask."""
-        return self._partial.size + self._notes.size
+        return self._part.size + self._notes.size
 
-    def begin(self, texts: Mapping[str, object], about: Mapping[str, object] | None = None) -> None:
+    def begin(self, texts: Texts, about: Texts | None = None) -> None:
         """What is known at the start, by name, and of the text `recording`; it is in the file also where the recording
         is killed."""
         self.texts, self.about = dict(texts), dict(about or {})
@@ -168,82 +122,54 @@ class RecordingWriter(ABC):
 
     def write(self, samples: Samples) -> None:
         """Appends samples; all have one dtype."""
-        if self._dtype is None:
+        if not self._dtype.names:
             self._dtype = samples.dtype
             self._note("dtype", np.lib.format.dtype_to_descr(samples.dtype))
+            self._leave_room()
+            self._note("start", self._start)
         elif self._dtype != samples.dtype:
             raise HapticdError("the daemon changed the form of its samples; record again")
         if len(samples):
             with self._naming_errors():
-                self._write(samples)
+                if not self._part.size:
+                    self._part.cut(self._start)
+                self._part.append(samples.tobytes())
             self.count += len(samples)
-            self.last_tick, self.last_time_ns = last_of(samples)
+            self.last_tick, self.last_time_ns = int(samples["tick"][-1]), int(samples["time_ns"][-1])
 
-    def write_event(self, event: Mapping[str, object]) -> None:
+    def write_event(self, event: Texts) -> None:
         """Appends an event."""
         self._note("event", event)
         self.event_count += 1
 
-    def write_change(self, change: Mapping[str, object]) -> None:
+    def write_change(self, change: Texts) -> None:
         """Appends what a command changed."""
         self._note("change", change)
 
-    def write_status(self, status: Mapping[str, object]) -> None:
-        """Appends a status, where the format has a place for it."""
-        return
-
-    def write_all(
-        self,
-        texts: Mapping[str, object],
-        changes: Iterable[Mapping[str, object]],
-        samples: Samples,
-        events: Iterable[Mapping[str, Any]],
-    ) -> None:
-        """All of a recording, which is then to be finished; events after the samples of their ticks."""
+    def write_all(self, texts: Texts, changes: Iterable[Texts], samples: Samples, events: Iterable[Texts]) -> None:
+        """All of a recording, which is then to be finished."""
         self.begin(texts)
         for change in changes:
             self.write_change(change)
-        rest = iter(events)
-        event = next(rest, None)
         for first in range(0, len(samples), _STRETCH):
-            stretch = samples[first : first + _STRETCH]
-            self.write(stretch)
-            while event is not None and int(event.get("tick", 0)) <= int(stretch["tick"][-1]):
-                self.write_event(event)
-                event = next(rest, None)
-        for last in () if event is None else chain((event,), rest):
-            self.write_event(last)
+            self.write(samples[first : first + _STRETCH])
+        for event in events:
+            self.write_event(event)
 
     def finish(
-        self,
-        texts: Callable[[], Mapping[str, object]] | Mapping[str, object] | None = None,
-        arrays: Mapping[str, npt.NDArray[Any]] | None = None,
+        self, texts: Callable[[], Texts] | Texts | None = None, arrays: Mapping[str, npt.NDArray[Any]] | None = None
     ) -> None:
-        """Puts the target in place, with `texts` as JSON and `arrays` as they are where the format can.
+        """Puts the target in place, with `texts` as JSON and `arrays` as they are.
 
         `texts` may be a function, which is called again once samples were given up.
         """
         while True:
             try:
-                if self.torn_bytes:
-                    self._partial.cut(self._partial.size)
-                found = texts() if callable(texts) else texts
-                self._finish(self.texts | dict(found or {}), arrays or {})
+                self._finish(self.texts | dict((texts() if callable(texts) else texts) or {}), arrays or {})
                 return
             except OSError as error:
-                if error.errno not in _FULL or self._keep_partial_files or not self._drop_newest():
+                if error.errno not in _FULL or self._keep_partial_files or not self._give_up_newest():
                     self._fail(error)
-
-    def read_events(self) -> Iterator[dict[str, Any]]:
-        """Those of the samples that there are; all where no sample was given up."""
-        for event in self._read_notes("event"):
-            if not self._dropped_samples or int(event.get("tick", 0)) <= self.last_tick:
-                yield event
-
-    def discard(self) -> None:
-        """Throws away what is not finished, also what is being recovered."""
-        self._keep_partial_files = False
-        self._close()
 
     def __enter__(self) -> Self:
         return self
@@ -253,68 +179,97 @@ class RecordingWriter(ABC):
     ) -> None:
         self._close()
 
-    def _publish(self, files: Mapping[Path, PartialFile]) -> None:
-        """Gives partial files, which the disk has all of then, their names among files_of(target); raises OSError, and
-        none has its name."""
-        for file in files.values():
-            os.fsync(file.fd)
-        for number in numbers(1):
-            names = dict(zip(self.files_of(self.target), self.files_of(numbered(self.target, number)), strict=True))
-            renamed: dict[str, PartialFile] = {}
-            try:
-                for path, file in files.items():
-                    before = file.name
-                    file.name_it(names[path].name, self._overwrite and number == 1)
-                    renamed[before] = file
-            except OSError as error:
-                for before, file in renamed.items():
-                    file.rename_back(before)
-                if isinstance(error, FileExistsError):
-                    continue
-                raise
-            folder = self._folder.where()
-            self.displaced = number > 1 or folder != self._folder.path
-            self.target = folder / names[self.target].name
-            for file in files.values():
-                file.close()
-            return
+    # ---- The archive -----------------------------------------------------------------------------------------------
 
-    def _checkpoint(self, count: int, samples: Samples) -> None:
-        """After samples were appended: `count` are in the file, these the newest."""
-        if self._partial.size - self._checkpoints[-1].size >= CHECK_EVERY:
-            self._checkpoints.append(Checkpoint(self._partial.size, count, *last_of(samples)))
+    def _leave_room(self, start: int | None = None) -> None:
+        """For the headers in front of the samples, which begin at `start`."""
+        outer = len(_zip_info(0, 0).FileHeader(zip64=True))
+        least = outer + len(_npy_header(self._dtype, 10**18))
+        self._start = least + -least % _ALIGNED_BYTES if start is None else max(start, least)
+        self._header_size = self._start - outer
 
-    def _drop_newest(self) -> bool:
+    @property
+    def _end(self) -> int:
+        """Of the samples, bytes."""
+        return self._start + self.count * self._dtype.itemsize
+
+    def _finish(self, texts: Texts, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Raises OSError, and can then be called again."""
+        if not self._start:
+            self._leave_room()
+        self._part.cut(self._end)
+        notes_size = self._notes.size
+        self._notes.append(_line("ends_after", self.count))
+        changes = list(self._read_notes("change"))
+        named = dict(texts) | ({"changes": changes} if changes else {})
+        members = {**arrays, **{name: np.array(json.dumps(value)) for name, value in named.items()}}
+        header = _npy_header(self._dtype, self.count, self._header_size)
+        info = _zip_info(self._header_size + self._end - self._start, self._checksum(header))
+        try:
+            with _closing(open(self._part.path, "r+b")) as file:
+                file.seek(self._end)
+                with zipfile.ZipFile(file, "w") as archive:
+                    archive.infolist().append(info)
+                    self._write_events(archive)
+                    for name, array in members.items():
+                        with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                            np.lib.format.write_array(member, array, allow_pickle=False)
+                file.seek(0)
+                file.write(info.FileHeader(zip64=True) + header)
+                file.flush()
+                os.fsync(file.fileno())
+            self._part.check_there()
+            placed = give_name(self._part.path, self.target, self._overwrite)
+        except OSError:
+            self._part.cut(self._end)
+            self._notes.cut(notes_size)
+            raise
+        self.displaced, self.target = placed != self.target, placed
+        self._keep_partial_files = False
+
+    def _checksum(self, header: bytes) -> int:
+        checksum = zlib.crc32(header)
+        for at in range(self._start, self._end, _READ_BYTES):
+            checksum = zlib.crc32(self._part.read(at, min(_READ_BYTES, self._end - at)), checksum)
+        return checksum
+
+    def _write_events(self, archive: zipfile.ZipFile) -> None:
+        """Row by row: one long mark makes every row as long, which compression then takes away again."""
+        total, columns = columns_of(self._read_events())
+        info = zipfile.ZipInfo("events.npy")
+        info.compress_type = zipfile.ZIP_DEFLATED
+        with archive.open(info, "w", force_zip64=True) as member:
+            member.write(_npy_header(dtype_of(columns), total))
+            for rows in rows_of(self._read_events(), columns):
+                member.write(rows.tobytes())
+
+    def _read_events(self) -> Iterator[dict[str, Any]]:
+        """Those of the samples that there are; all where no sample was given up."""
+        for event in self._read_notes("event"):
+            if not self._gave_up_samples or int(event.get("tick", 0)) <= self.last_tick:
+                yield event
+
+    # ---- What a full disk and a killed process leave ---------------------------------------------------------------
+
+    def _give_up_newest(self) -> bool:
         """Gives up the newest samples to make room; False where none are left."""
         if self.count == 0:
             return False
-        self._drop_pending()
-        if self._checkpoints[-1][:2] == (self._partial.size, self.count):
-            self._checkpoints.pop()
-        size, self.count, self.last_tick, self.last_time_ns = self._checkpoints[-1]
-        self._partial.cut(size)
-        self._dropped_samples = True
-        self._count_events()
+        self._keep(max(0, self.count - _GIVEN_UP_BYTES // self._dtype.itemsize))
         return self.count > 0
 
-    def _count_events(self) -> None:
-        self.event_count = sum(1 for _ in self.read_events())
-
-    def _note(self, tag: str, value: object) -> None:
-        with self._naming_errors():
-            self._notes.append(json.dumps([tag, value]).encode() + b"\n")
-
-    def _read_notes(self, wanted: str) -> Iterator[Any]:
-        for line in self._notes.lines():
-            tag, value = json.loads(line)
-            if tag == wanted:
-                yield value
-
-    def _with_changes(self, texts: Mapping[str, object]) -> dict[str, object]:
-        changes = list(self._read_notes("change"))
-        return dict(texts) | ({"changes": changes} if changes else {})
+    def _keep(self, count: int) -> None:
+        """Of the samples in the partial file the first `count`."""
+        self.count = count
+        self._part.cut(self._end)
+        if count:
+            last = np.frombuffer(self._part.read(self._end - self._dtype.itemsize, self._dtype.itemsize), self._dtype)
+            self.last_tick, self.last_time_ns = int(last["tick"][0]), int(last["time_ns"][0])
+        self._gave_up_samples = True
+        self.event_count = sum(1 for _ in self._read_events())
 
     def _resume(self) -> None:
+        """Takes up what a killed process wrote. Raises ValueError and others for what is none of ours."""
         for texts in self._read_notes("texts"):
             self.texts = texts
         for about in self._read_notes("about"):
@@ -324,12 +279,22 @@ class RecordingWriter(ABC):
             if not all(_FIELD.fullmatch(form) for _, form, *_ in fields):
                 raise ValueError("a field of samples is no plain number")
             self._dtype = np.dtype(fields)
-        if self._dtype is not None:
-            size = self._partial.size
-            self._partial.size = self._count_written(self._dtype)
-            self.torn_bytes = max(size - self._partial.size, 0)
-            self._dropped_samples = True
-            self._count_events()
+            # Version 0.0 began them right after the headers, and did not say so.
+            self._leave_room(next(self._read_notes("start"), 0))
+        if self._dtype.names:
+            written = max(0, self._part.size - self._start) // self._dtype.itemsize
+            # Behind them there may be what else an archive has, where it was killed while it was finished.
+            self._keep(min([written, *self._read_notes("ends_after")]))
+
+    def _note(self, tag: str, value: object) -> None:
+        with self._naming_errors():
+            self._notes.append(_line(tag, value))
+
+    def _read_notes(self, wanted: str) -> Iterator[Any]:
+        for line in self._notes.lines():
+            tag, value = json.loads(line)
+            if tag == wanted:
+                yield value
 
     @contextmanager
     def _naming_errors(self) -> Iterator[None]:
@@ -343,31 +308,109 @@ class RecordingWriter(ABC):
     def _fail(self, error: OSError) -> NoReturn:
         message = f"{self._name}: cannot be written: {error.strerror}"
         # A disk that is full has no room for what was not finished; elsewhere it may be all that there is of an hour.
-        if self.count and error.errno not in _FULL and self._partial.is_there():
+        if self.count and error.errno not in _FULL and self._part.is_there():
             self._keep_partial_files = True
             command = f"hapticd recover {shlex.quote(self._name)}"
             message += f"; what was recorded is kept, and `{command}` makes a file of it"
         self._close()
         raise HapticdError(message) from None
 
-    def _remove(self, name: str) -> None:
-        with suppress(FileNotFoundError):
-            os.unlink(name, dir_fd=self._folder.fd)
-
-    def _open_partial(self, kind: str, resume: bool = False) -> PartialFile:
-        file = PartialFile(self._folder, f"{self._stem}.{kind}", resume)
-        self._partial_files.append(file)
-        return file
+    def discard(self) -> None:
+        """Deletes what is not finished, also what is being recovered."""
+        self._keep_partial_files = False
+        self._close()
 
     def _close(self) -> None:
-        for file in self._partial_files:
-            if self._keep_partial_files:
-                file.close()
-            else:
-                file.discard()
-        self._folder.close()
+        for file in self._files:
+            file.close(delete=not self._keep_partial_files)
 
 
-def last_of(samples: Samples) -> tuple[int, int]:
-    """Tick and time of the last one."""
-    return int(samples["tick"][-1]), int(samples["time_ns"][-1])
+class _PartialFile:
+    """A file in the making, locked while its process lives: what is appended is in it whole, or not at all."""
+
+    def __init__(self, path: Path, resume: bool) -> None:
+        """A new file, or with `resume` one that is there. Raises BlockingIOError (somebody is still writing it),
+        OSError."""
+        self.path = path
+        self._file: BinaryIO = open(path, "r+b", 0) if resume else create(path, buffering=0)  # noqa: SIM115
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._file.close()
+            raise
+        self.size = os.fstat(self._file.fileno()).st_size
+
+    def append(self, data: bytes) -> None:
+        """Raises OSError; then there is as much in it as before."""
+        rest, at = memoryview(data), self.size
+        try:
+            while rest:
+                written = os.pwrite(self._file.fileno(), rest, at)
+                at, rest = at + written, rest[written:]
+        except OSError:
+            os.ftruncate(self._file.fileno(), self.size)
+            raise
+        self.size = at
+        self.check_there()
+
+    def check_there(self) -> None:
+        """Raises OSError for a file that somebody removed."""
+        if not self.is_there():
+            raise FileNotFoundError(errno.ENOENT, "it was removed while it was being written")
+
+    def is_there(self) -> bool:
+        return os.fstat(self._file.fileno()).st_nlink > 0
+
+    def read(self, at: int, size: int) -> bytes:
+        return os.pread(self._file.fileno(), size, at)
+
+    def cut(self, size: int) -> None:
+        """Makes it so long."""
+        os.ftruncate(self._file.fileno(), size)
+        self.size = size
+
+    def lines(self) -> Iterator[bytes]:
+        """Its whole lines."""
+        with open(self.path, "rb") as file:
+            yield from (line for line in file if line.endswith(b"\n"))
+
+    def close(self, delete: bool) -> None:
+        if not self._file.closed:
+            if delete:
+                with suppress(OSError):
+                    self.path.unlink(missing_ok=True)
+            self._file.close()
+
+
+@contextmanager
+def _closing(file: BinaryIO) -> Iterator[BinaryIO]:
+    """Closes a file; where it failed before, a full disk may refuse again what closing would still write."""
+    try:
+        yield file
+    except BaseException:
+        with suppress(OSError):
+            file.close()
+        raise
+    file.close()
+
+
+def _line(tag: str, value: object) -> bytes:
+    return json.dumps([tag, value]).encode() + b"\n"
+
+
+def _npy_header(dtype: np.dtype[Any], count: int, size: int = 0) -> bytes:
+    """The header of a .npy file of (count,) records, of `size` bytes at least."""
+    file = io.BytesIO()
+    header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": (count,)}
+    np.lib.format.write_array_header_1_0(file, header)
+    written = file.getvalue()
+    size = max(size, len(written))
+    return written[:8] + (size - 10).to_bytes(2, "little") + written[10:-1].ljust(size - 11) + b"\n"
+
+
+def _zip_info(size: int, checksum: int) -> zipfile.ZipInfo:
+    """The samples as the archive's first member; its header has one length, whatever the size."""
+    info = zipfile.ZipInfo("samples.npy")
+    info.header_offset, info.CRC = 0, checksum
+    info.file_size = info.compress_size = size
+    return info

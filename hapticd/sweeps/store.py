@@ -27,8 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_regular
-from hapticd.base.partial_files import write_whole
+from hapticd.base.files import check_regular, write_whole
 from hapticd.sweeps.columns import ERROR, POINT, Column, Row, Value
 from hapticd.sweeps.work import ID_DTYPE, Work
 from hapticd.sweeps.worker_check import code_version

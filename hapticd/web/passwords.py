@@ -7,6 +7,7 @@ import base64
 import binascii
 import hashlib
 import hmac
+import os
 import re
 import secrets
 import time
@@ -15,7 +16,7 @@ from collections.abc import Callable
 from typing import Final, Literal
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_regular, create
+from hapticd.base.files import check_regular, write_whole
 from hapticd.base.token_bucket import Bucket
 from hapticd.base.yaml_source import one_line
 from hapticd.system.trusted_files import read_trusted
@@ -90,10 +91,7 @@ def write_password(path: str, password: str) -> None:
     salt = secrets.token_bytes(16)
     parts = (base64.b64encode(each).decode() for each in (salt, _scrypt(given, salt, _N, _R, _P)))
     line = ":".join(("scrypt", str(_N), str(_R), str(_P), *parts)) + "\n"
-    try:
-        check_regular(path)
-        create(path, line, 0o600)
-    except FileExistsError:
-        raise HapticdError(f"{one_line(path)}: is there already; remove it first") from None
-    except (OSError, ValueError) as error:
-        raise HapticdError(f"{one_line(path)}: cannot be written: {getattr(error, 'strerror', error)}") from None
+    check_regular(path)
+    if os.path.lexists(path):
+        raise HapticdError(f"{one_line(path)}: is there already; remove it first")
+    write_whole(path, line, overwrite=False, mode=0o600, synced=True)

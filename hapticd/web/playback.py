@@ -66,17 +66,12 @@ class Playback:
     def __init__(self, recording: Recording) -> None:
         """Raises HapticdError for one that says no rate that a servo has, or holds no sample."""
         self._recording = recording
-        self._samples = np.ascontiguousarray(recording.samples)
+        self._samples = recording.samples
         self.rate_hz = recording.rate_hz
         if not _RATES_HZ[0] <= self.rate_hz <= _RATES_HZ[1]:
             raise HapticdError(f"{recording.path}: was recorded at {self.rate_hz:g} Hz: no rate of a servo")
         if not len(self._samples):
             raise HapticdError(f"{recording.path}: holds no samples")
-
-    @property
-    def size(self) -> int:
-        """Bytes that its samples take."""
-        return self._samples.nbytes
 
     def facts(self) -> dict[str, Json]:
         """What the page shows of it."""

@@ -12,11 +12,9 @@ from urllib.parse import quote
 
 from aiohttp import web
 
-from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json, one_line
 from hapticd.client.record import Daemon
-from hapticd.recording.reading_limits import TooMuchMemoryError, default_limit
 from hapticd.recording.recording import load
 from hapticd.web.connections import goes_on
 from hapticd.web.page import Method, Page
@@ -25,8 +23,6 @@ from hapticd.web.recorder import WebRecorder
 from hapticd.web.recording_folder import RecordingFolder, checked_name
 from hapticd.web.uploads import Uploads
 
-MEMORY: Final = 2 << 30
-"""Bytes that all open recordings take together."""
 _BLOCK: Final = 1 << 18
 
 
@@ -39,8 +35,6 @@ class Recordings:
         self._uploads = Uploads()
         self._open: dict[Page, Playback] = {}
         self._known: set[Page] = set()
-        self._reading = asyncio.Lock()
-        """One file is read at a time: what it may take depends on what the others took."""
 
     def methods(self) -> dict[str, Method]:
         """By name. docs/web.md (Recordings) has their params and results."""
@@ -130,22 +124,14 @@ class Recordings:
             return await self._opened(page, self._folder.path / name, name)
 
     async def _opened(self, page: Page, path: Path, name: str) -> object:
-        async with self._reading:
-            await self._close_one(page, {})
-            size = path.stat().st_size
-            limit = min(default_limit(size), MEMORY - sum(each.size for each in self._open.values()))
-            try:
-                playback = await asyncio.to_thread(lambda: Playback(load(path, limit)))
-                facts = await asyncio.to_thread(playback.facts)
-            except TooMuchMemoryError:
-                raise HapticdError(
-                    f"{one_line(name)}: needs more memory than is left for recordings here, {wording.size(limit)}; "
-                    "close one that is open in another page, or read it with hapticd.load"
-                ) from None
-            except HapticdError as error:
-                raise HapticdError(str(error).replace(os.fspath(path), one_line(name))) from None
-            self._until_it_goes(page)
-            self._open[page] = playback
+        await self._close_one(page, {})
+        try:
+            playback = await asyncio.to_thread(lambda: Playback(load(path)))
+            facts = await asyncio.to_thread(playback.facts)
+        except HapticdError as error:
+            raise HapticdError(str(error).replace(os.fspath(path), one_line(name))) from None
+        self._until_it_goes(page)
+        self._open[page] = playback
         return {"name": name, **facts}
 
     def _until_it_goes(self, page: Page) -> None:

@@ -14,7 +14,6 @@ from aiohttp import web
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.web.connections import goes_on
-from hapticd.web.recording_folder import ENDINGS
 
 MOST_BYTES: Final = 512 << 20
 """Of one file."""
@@ -35,8 +34,8 @@ class Uploads:
         if request.headers.get("Origin") is None:
             return web.json_response({"error": "Origin: only pages of this server may send files"}, status=403)
         ending = os.path.splitext(request.query.get("name", ""))[1].lower()
-        if ending not in ENDINGS:
-            return web.json_response({"error": f"a recording ends in {' or '.join(ENDINGS)}"}, status=415)
+        if ending != ".npz":
+            return web.json_response({"error": "a recording ends in .npz"}, status=415)
         too_large = web.json_response(
             {"error": f"the file has more than {wording.size(MOST_BYTES)}; put it into the folder of recordings"},
             status=413,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 from pathlib import Path
 
 import pytest
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.partial_files import check_new, write_file, write_whole
+from hapticd.base.files import check_new, whole_file, write_whole
 from tests.support.special_files import KINDS, refused, special, untouched
 
 
@@ -21,14 +22,17 @@ def test_a_name_that_is_taken_is_not_taken_over(tmp_path: Path, monkeypatch: pyt
     if not links:
         monkeypatch.setattr(os, "link", refuse)
     target = tmp_path / "a.yaml"
-    for number, name in enumerate(("a.yaml", "a-2.yaml", "a-3.yaml"), 1):
-        assert write_file(target, str(number).encode(), overwrite=False) == tmp_path / name
+    write_whole(target, "1", overwrite=False)
+    for number in (2, 3):
+        with pytest.raises(HapticdError, match=f"what was written is in {tmp_path}/a-{number}.yaml"):
+            write_whole(target, str(number), overwrite=False)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
         "a.yaml": "1",
         "a-2.yaml": "2",
         "a-3.yaml": "3",
     }
-    assert write_file(target, b"4", overwrite=True) == target and target.read_text() == "4"
+    write_whole(target, "4", overwrite=True)
+    assert target.read_text() == "4"
     assert len(list(tmp_path.iterdir())) == 3
 
 
@@ -68,16 +72,35 @@ def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(
     def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.EPERM, "no hard links here")
 
-    special(tmp_path / "end", kind)
-    (tmp_path / "a.yaml").symlink_to("end")
-    special(tmp_path / "b.yaml", kind)
     if not links:
         monkeypatch.setattr(os, "link", refuse)
     for name in "ab":
-        (tmp_path / f"{name}-2.yaml").write_text("precious")
-        with untouched(tmp_path, f"{name}-3.yaml"):
-            assert write_file(tmp_path / f"{name}.yaml", b"ours", overwrite=True) == tmp_path / f"{name}-3.yaml"
-        assert (tmp_path / f"{name}-2.yaml").read_text() == "precious"
+        target, told = tmp_path / f"{name}.yaml", f"what was written is in {tmp_path}/{name}-3.yaml"
+        with pytest.raises(HapticdError, match=told), whole_file(target, overwrite=True) as file:
+            file.write(b"ours")
+            if name == "a":
+                special(tmp_path / "end", kind)
+                target.symlink_to("end")
+            else:
+                special(target, kind)
+            (tmp_path / f"{name}-2.yaml").write_text("precious")
+            before = target.lstat()
+        assert os.path.samestat(target.lstat(), before) and (tmp_path / f"{name}-2.yaml").read_text() == "precious"
+        assert (tmp_path / f"{name}-3.yaml").read_text() == "ours"
+
+
+def test_a_block_that_fails_leaves_what_is_there(tmp_path: Path) -> None:
+    target = tmp_path / "a.yaml"
+    target.write_text("precious")
+    with pytest.raises(RuntimeError), whole_file(target, overwrite=True) as file:
+        file.write(b"half")
+        raise RuntimeError
+    assert target.read_text() == "precious" and os.listdir(tmp_path) == ["a.yaml"]
+
+
+def test_a_secret_is_nobody_else_s_to_read(tmp_path: Path) -> None:
+    write_whole(tmp_path / "key", "secret", overwrite=False, mode=0o600)
+    assert stat.S_IMODE((tmp_path / "key").stat().st_mode) == 0o600
 
 
 @pytest.mark.parametrize("there", [True, False])

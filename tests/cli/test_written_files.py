@@ -14,6 +14,7 @@ COMMANDS = {
     "record as csv": ("record", "out.csv", "--for", "1s"),
     "record as mcap": ("record", "out.mcap", "--for", "1s"),
     "flight": ("flight", "out.npz"),
+    "export": ("export", "none.npz", "out.mcap"),
     "simulate": ("simulate", "none.yaml", "--operator", "none.yaml", "-o", "out.npz"),
     "replay": ("replay", "none.npz", "-o", "out.npz"),
     "fit": ("fit", "tap", "none.csv", "-o", "out.yaml"),

@@ -133,12 +133,7 @@ def test_a_file_for_another_command_is_named_with_that_command(
     assert os.listdir() == [name]
 
 
-def test_recordings_of_every_form_are_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, content in (("r.csv", b"tick,time_ns,position_m_x\n0,0,0\n"), ("r.mcap", b"\x89MCAP0\r\n\x01")):
-        path = tmp_path / name
-        path.write_bytes(content)
-        for command in (["check", "-c"], ["simulate", "comb", "-o", "x.npz", "--operator"]):
-            assert f"{name}: holds a recording; use: hapticd replay " in said(capsys, 1, *command, str(path))
+def test_an_archive_is_no_yaml(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = tmp_path / "other.zip"
     other.write_bytes(b"PK\x03\x04 and so on")
     assert said(capsys, 1, "check", "-c", str(other)) == f"hapticd: {other}: is an archive, no YAML\n"

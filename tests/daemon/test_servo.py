@@ -17,8 +17,8 @@ from hapticd.base.core import SAMPLE_DTYPE, CommandKind, Fault, Flag, StreamKind
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import load_config
 from hapticd.daemon.engine import Engine
-from hapticd.recording.formats import open_writer
 from hapticd.recording.replay import replay
+from hapticd.recording.writer import RecordingWriter
 
 PUSH = {"objects": {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}}
 
@@ -121,7 +121,7 @@ def test_streams_are_followed_until_none_comes(tmp_path: Path) -> None:
     assert samples["position_m"][-1] == pytest.approx(
         [0.008, -0.004 + 0.5 / config.device.sim.hand.stiffness_n_per_m], abs=3e-4
     )
-    with open_writer(tmp_path / "run.npz") as writer:
+    with RecordingWriter(tmp_path / "run.npz") as writer:
         texts = {"servo": config.servo.to_dict(), "device": config.device.to_dict()}
         writer.begin(
             {

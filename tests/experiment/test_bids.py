@@ -125,7 +125,7 @@ def test_the_bids_validator_passes_it(tmp_path: Path) -> None:
     front.commands = {"explore": [Command("note", "a\tnote"), Command("abort")]}
     assert started(tmp_path, NotedStage(), front, STAIRCASE).run() == "aborted"
     write_tables(SessionFolder.open(tmp_path / SESSION))
-    assert list(tmp_path.rglob("*.mcap"))
+    assert list(tmp_path.rglob("*.npz"))
     found = issues_of(tmp_path)
     assert [issue for issue in found if issue["severity"] == "error"] == []
     recommended = {issue["subCode"] for issue in found if issue["code"] == "SIDECAR_KEY_RECOMMENDED"}

@@ -105,7 +105,7 @@ def test_a_participant_taps_with_the_mouse_and_answers_by_key(
     answers = [record for record in log_of(tmp_path) if record["kind"] == "answer"]
     assert [record["answer"] for record in answers] == ["first"] * 3
     for trial in range(3):
-        (file,) = (tmp_path / SESSION).glob(f"trial-{trial:04d}*.mcap")
+        (file,) = (tmp_path / SESSION).glob(f"trial-{trial:04d}*.npz")
         assert abs(load(file).samples["force_n"]).max() > 0.05, "the hand felt something"
 
 
@@ -206,7 +206,7 @@ def test_overtravel_of_a_push_with_the_mouse_is_that_of_its_recording(
     assert len(answers) == TRIALS
     pushed_through = 0
     for record in answers:
-        (file,) = (tmp_path / SESSION).glob(f"trial-{record['trial']:04d}*.mcap")
+        (file,) = (tmp_path / SESSION).glob(f"trial-{record['trial']:04d}*.npz")
         found = load(file)
         # The recording goes on a moment after the answer, and the hand with it: a measure ends with the answer.
         (answered,) = (mark["tick"] for mark in found.marks if mark["text"] == EventCode.ANSWER.text)
@@ -280,7 +280,7 @@ def test_forces_wait_until_the_stylus_is_out_of_the_membrane(session: Callable[.
     here.participant.mouse.up()
     here.running.process.send_signal(signal.SIGTERM)
     assert here.running.ended()[0] == 1
-    (file,) = (tmp_path / SESSION).glob("trial-0001*.mcap")
+    (file,) = (tmp_path / SESSION).glob("trial-0001*.npz")
     found = load(file)
     on = found.samples["flags"] & Flag.FORCES_ON != 0
     assert on.any() and found.samples["position_m"][on, 1].min() >= 0.0

@@ -320,7 +320,7 @@ def test_nothing_is_written_for_what_is_no_hid_device(tmp_path: Path) -> None:
 
 
 def test_a_record_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(HapticdError, match="what stops the device cannot be written: No such file"):
+    with pytest.raises(HapticdError, match="record: cannot be written: No such file"):
         StopFile(tmp_path / "none" / "record", lambda fd: FAKE).keep("/dev/x", 0, ZERO, STOP, 0.0)
 
 

@@ -34,8 +34,8 @@ from hapticd.protocol.events import event_map, fault_names
 from hapticd.protocol.messages import Code
 from hapticd.protocol.results import State
 from hapticd.recording.event_columns import NO_TIME
-from hapticd.recording.formats import open_writer
 from hapticd.recording.simulated import simulate_files
+from hapticd.recording.writer import RecordingWriter
 from hapticd.system import service_files
 from hapticd.system.service_files import Installation
 
@@ -231,7 +231,7 @@ def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "hand.yaml").write_text("waypoints: [[0, 0, 0.01], [0.05, 0, -0.002]]\n")
     simulate_files("scene.yaml", "hand.yaml", "tap.npz", None, None)
     event = records(EVENT_DTYPE, 1)[0]
-    with open_writer("events.npz") as writer:
+    with RecordingWriter("events.npz") as writer:
         for kind in EventKind:
             event["kind"] = kind
             writer.write_event(event_map(event, "x"))

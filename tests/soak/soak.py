@@ -5,7 +5,7 @@ python -m tests.soak.soak [--for 3600s] [--rate 10000] [--warm-up 300s] [--seed 
 One daemon on the simulated joystick. The hand taps, strokes over grooves and sandpaper and
 punctures a membrane; some twenty times a second an object or a material changes, each change at the revision that is
 expected; ten clients come, ask, subscribe and leave, some of them killed, two of them never reading what they
-subscribed to; `hapticd record` writes .npz, .mcap and .csv in turn, `hapticd flight` and `hapticd watch` run now and
+subscribed to; `hapticd record` writes .npz and .mcap in turn, `hapticd flight` and `hapticd watch` run now and
 then; the configuration is reloaded; a lease is renewed. A client reads every sample, and recordings must hold the very
 same bytes.
 
@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import csv
 import json
 import math
 import os
@@ -155,24 +154,14 @@ def samples_in(path: Path) -> npt.NDArray[np.void]:
     if path.suffix == ".npz":
         with np.load(path) as file:
             return np.asarray(file["samples"])
+    from mcap.reader import make_reader
+
     from hapticd.base.core import SAMPLE_DTYPE
 
-    if path.suffix == ".mcap":
-        from mcap.reader import make_reader
-
-        with open(path, "rb") as file:
-            messages = make_reader(file, validate_crcs=True).iter_messages("hapticd/samples", log_time_order=False)
-            # Four bytes say how the record after them is encoded.
-            return np.frombuffer(b"".join(message.data[4:] for _, _, message in messages), SAMPLE_DTYPE)
-    flat: list[tuple[str, str]] = []
-    for name in SAMPLE_DTYPE.names or ():
-        part = SAMPLE_DTYPE[name]
-        flat += [(f"{name}_{axis}", part.base.str) for axis in "xy"] if part.shape else [(name, part.str)]
-    with open(path, encoding="ascii") as text:
-        names = next(csv.reader([text.readline()]))
-        if names != [name for name, _ in flat]:
-            raise HapticdError(f"{path}: has the columns {names}")
-        return np.loadtxt(text, np.dtype(flat), delimiter=",", ndmin=1).view(SAMPLE_DTYPE)
+    with open(path, "rb") as file:
+        messages = make_reader(file, validate_crcs=True).iter_messages("hapticd/samples", log_time_order=False)
+        # Four bytes say how the record after them is encoded.
+        return np.frombuffer(b"".join(message.data[4:] for _, _, message in messages), SAMPLE_DTYPE)
 
 
 def blocks_of(samples: npt.NDArray[np.void]) -> dict[int, int]:
@@ -536,7 +525,7 @@ class Soak:
     def _record(self) -> None:
         number = 0
         while not self.stop.is_set():
-            for ending in ("npz", "mcap", "csv"):
+            for ending in ("npz", "mcap"):
                 number += 1
                 file = self.folder / f"recording-{number}.{ending}"
                 said = self._run(hapticd(self.place, "record", str(file), "--for", f"{RECORD_S}s", "--json"))

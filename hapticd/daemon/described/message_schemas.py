@@ -13,8 +13,7 @@ import numpy as np
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, records
 from hapticd.base.yaml_source import Json
 from hapticd.protocol.events import event_map
-from hapticd.recording.event_columns import MAY_BE_NONE
-from hapticd.recording.mcap_format import EVENT_MEMBERS
+from hapticd.recording.event_columns import EVENT_MEMBERS, MAY_BE_NONE
 
 _PLAIN: Final[dict[object, str]] = {bool: "boolean", int: "integer", float: "number", str: "string", NoneType: "null"}
 

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Final
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_regular
-from hapticd.base.partial_files import write_whole
+from hapticd.base.files import check_regular, write_whole
 from hapticd.base.yaml_source import one_line
 from hapticd.base.yaml_text import yaml_text
 from hapticd.config.schema import unit_of

@@ -16,8 +16,7 @@ import numpy as np
 
 from hapticd.analysis.statistics import Estimate
 from hapticd.base import html_page, wording
-from hapticd.base.files import check_regular
-from hapticd.base.partial_files import write_whole
+from hapticd.base.files import check_regular, write_whole
 from hapticd.config.schema import unit_of
 from hapticd.fit.provenance import Kind
 from hapticd.fit.report import (

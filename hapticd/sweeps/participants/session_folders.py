@@ -14,7 +14,7 @@ from typing import Final
 
 from hapticd.base import clock
 from hapticd.base.errors import HapticdError
-from hapticd.base.partial_files import write_whole
+from hapticd.base.files import write_whole
 from hapticd.experiment.bids import check_one_study, write_data_set, write_session_tables
 from hapticd.experiment.plan import plan
 from hapticd.experiment.session import about_of, plan_document

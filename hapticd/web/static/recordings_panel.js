@@ -68,7 +68,7 @@ class RecordingsPanel {
   #recordCard() {
     this.name = make("input", { id: "recording-name", type: "text", maxlength: "64", spellcheck: "false" });
     this.format = make("select", { id: "recording-format", class: "select" });
-    options(this.format, Object.entries({ ".mcap": "MCAP", ".npz": "npz (numpy)" }), ".mcap");
+    options(this.format, Object.entries({ ".npz": "npz (numpy)", ".mcap": "npz, and MCAP" }), ".npz");
     this.notes = make("textarea", { id: "recording-notes", rows: "2", maxlength: "4000" });
     this.limited = check("End by itself after", false, (on) => (this.seconds.disabled = !on), {
       id: "recording-limited",
@@ -120,7 +120,7 @@ class RecordingsPanel {
       id: "recording-file",
       class: "visually-hidden",
       type: "file",
-      accept: ".mcap,.npz",
+      accept: ".npz",
       on: { change: () => this.#chosen() },
     });
     const choose = make("label", { for: "recording-file", class: "button file-button" }, "Open a file of yours");
@@ -253,7 +253,8 @@ class RecordingsPanel {
     const actions = make(
       "div",
       { class: "row" },
-      button("Look through", "Look through", () => this.#open({ name })),
+      // An export is for other programs.
+      ...(name.endsWith(".npz") ? [button("Look through", "Look through", () => this.#open({ name }))] : []),
       make(
         "a",
         {

@@ -1,0 +1,41 @@
+"""Where a recording goes: into a .npz. A target of another form is exported at the end, from the .npz beside it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from hapticd.base.files import check_new
+from hapticd.recording.export import files_of
+from hapticd.recording.recording import check_saved, load
+from hapticd.recording.writer import RecordingWriter
+
+
+def recording_path(target: str | os.PathLike[str]) -> Path:
+    """The .npz of a recording into `target`. Raises HapticdError for an ending of another form."""
+    path = Path(target)
+    if path.suffix.lower() == ".npz":
+        return path
+    files_of(path)
+    return path.with_suffix(".npz")
+
+
+def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
+    """As `check_saved`, also for the .npz of an export. Raises HapticdError."""
+    check_saved(target, overwrite)
+    check_new(recording_path(target), overwrite)
+
+
+@contextmanager
+def recording_into(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator[RecordingWriter]:
+    """The writer of a recording, which is to be finished in the block. Raises HapticdError, as `check_target` does
+    before anything is written."""
+    check_target(target, overwrite)
+    recording = recording_path(target)
+    with RecordingWriter(recording, overwrite) as writer:
+        yield writer
+    if recording != Path(target):
+        suffix = Path(target).suffix
+        load(writer.target).save(writer.target.with_suffix(suffix) if writer.displaced else target, overwrite)
