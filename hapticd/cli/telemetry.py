@@ -69,8 +69,9 @@ def record_command(
         stop.set()
 
     check_target(file, overwrite)
-    for told in partial_files_beside(file):
-        note(told)
+    found = partial_files_beside(file)
+    if found is not None:
+        note(found)
     with daemon(ctx) as client:
         before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -120,11 +121,6 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
 
 
 def _exit_code(recording: RecordSummary, duration_s: float | None, received: list[int]) -> int:
-    from hapticd.base.files import displaced
-
-    if recording.displaced is not None:
-        note(displaced(recording.displaced, recording.file))
-        return 1
     if received:
         return 0 if duration_s is None else 128 + received[0]
     if recording.ended_because is not None:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from hapticd.base import arguments, wording
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import displaced
 from hapticd.client.record import Daemon, RecordSummary, ended_early, record
 from hapticd.protocol.calls import MissedPeriods, TelemetryLoss
 
@@ -75,8 +74,6 @@ class Recorder:
         if self._error is not None:
             raise self._error
         result = self.result
-        if result.displaced is not None:
-            raise HapticdError(displaced(result.displaced, result.file))
         if ended_early(result.ended_because) is not None:
             raise HapticdError(f"{result.ended_because}; {result.file} holds what came before")
         if result.lost:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-from array import array
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -80,8 +79,6 @@ class RecordSummary:
     """The daemon's clocks at the end."""
     ended_because: str | None
     """Why it ended early, None where it did not."""
-    displaced: str | None
-    """Where it was to be, and another file had appeared meanwhile; None: it is where it was to be."""
     warning: str | None
     """More periods were missed than `servo.overruns.threshold`; None: not so many."""
 
@@ -146,22 +143,21 @@ def record(
     """
     with recording_into(target, overwrite) as writer:
         opened(writer)
-        name = os.fspath(recording_path(target))
         session = _Session(client, writer, duration_s, dict(notes or {}))
         try:
             ended = session.run(stop or threading.Event(), progress)
             if ended is None:
-                session.read_clock()
+                session.ask_status()
         except DiskFullError as error:
             ended = str(error)
-            session.read_clock()
+            session.ask_status()
         if writer.count == 0:
             raise HapticdError(f"{target}: nothing was recorded{f' ({ended})' if ended else ''}")
         # Told again where the disk was full, and the end gave way to what else is in the file.
         writer.finish(lambda: {"recording": session.account(ended)})
         account = session.account(ended)
         return RecordSummary(
-            str(writer.target) if writer.displaced else name,
+            os.fspath(recording_path(target)),
             writer.count,
             account["duration_s"],
             writer.event_count,
@@ -172,7 +168,6 @@ def record(
             moment_of(account["started"]),
             moment_of(account["ended"]),
             ended,
-            name if writer.displaced else None,
             session.warning(account),
         )
 
@@ -195,8 +190,8 @@ class _Session:
         self._newest: Mapping[str, Any] = {}
         self._rates: list[tuple[int, float]] = []
         """The servo's from a tick on."""
-        self._missed_at, self._missed = array("Q"), array("Q")
-        """Where periods were missed, the last tick of the batch, and how many in it."""
+        self._missed: list[tuple[int, int]] = []
+        """Of batches in which periods were missed, the last tick, and how many."""
 
     def run(self, stop: threading.Event, progress: Callable[[float], None]) -> str | None:
         """Takes what comes; why it ended early, None where it did not."""
@@ -209,7 +204,7 @@ class _Session:
             while not interval.over:
                 if stop.is_set() and not interval.ends:
                     # What somebody did before stopping it is in it.
-                    interval.end_at(self._current_tick())
+                    interval.end_at(self.ask_status())
                     continue
                 received = messages.receive(0.1)
                 if received is None:
@@ -240,16 +235,12 @@ class _Session:
             self._await_changes(messages)
         return STOPPED if interval.ends else None
 
-    def _current_tick(self) -> int | None:
-        """The tick that the servo is at; None where nobody answers."""
+    def ask_status(self) -> int | None:
+        """The tick that the servo is at, and with it the clocks at the end; None where nobody answers."""
         with suppress(HapticdError):
             self._newest = self._client.get_status()
             return cast("int | None", self._newest.get("tick"))
         return None
-
-    def read_clock(self) -> None:
-        """Asks the daemon for its clocks, where it is there; a status of the last second has them anyway."""
-        self._current_tick()
 
     def _begin(self) -> None:
         start = self._scenes.begin()
@@ -286,8 +277,7 @@ class _Session:
         places = np.searchsorted(np.array(since), ticks, side="right") - 1
         missed = missed_periods(samples, np.array(rates)[places], before)
         if missed:
-            self._missed_at.append(int(ticks[-1]))
-            self._missed.append(missed)
+            self._missed.append((int(ticks[-1]), missed))
         self._scenes.note_used(samples["revision"])
         self._writer.write(samples)
         for event in self._interval.due_events():
@@ -302,9 +292,7 @@ class _Session:
             "lost": self._stream.lost,
             "dropped": self._stream.dropped,
             "gaps": self._gaps,
-            "missed_periods": sum(
-                missed for at, missed in zip(self._missed_at, self._missed, strict=True) if at <= self._writer.last_tick
-            ),
+            "missed_periods": sum(missed for at, missed in self._missed if at <= self._writer.last_tick),
             "missing_revisions": self._scenes.missing,
             "started": self._status.get("clock"),
             "ended": self._newest.get("clock"),

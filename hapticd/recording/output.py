@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from hapticd.base.files import check_new
+from hapticd.base.errors import HapticdError
+from hapticd.base.files import check_new, displaced
 from hapticd.recording.export import files_of
 from hapticd.recording.recording import check_saved, load
 from hapticd.recording.writer import RecordingWriter
@@ -30,12 +31,19 @@ def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
 
 @contextmanager
 def recording_into(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator[RecordingWriter]:
-    """The writer of a recording, which is to be finished in the block. Raises HapticdError, as `check_target` does
-    before anything is written."""
+    """The writer of a recording, which is to be finished in the block.
+
+    Raises HapticdError: as `check_target` does before anything is written, and at the end where another file had
+    appeared at the target, which says where the recording is.
+    """
     check_target(target, overwrite)
     recording = recording_path(target)
     with RecordingWriter(recording, overwrite) as writer:
         yield writer
+    if writer.displaced:
+        raise HapticdError(displaced(recording, writer.target))
     if recording != Path(target):
-        suffix = Path(target).suffix
-        load(writer.target).save(writer.target.with_suffix(suffix) if writer.displaced else target, overwrite)
+        try:
+            load(recording).save(target, overwrite)
+        except HapticdError as error:
+            raise HapticdError(f"{error}; the recording is in {recording}") from None

@@ -12,10 +12,9 @@ import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -47,8 +46,6 @@ WRONG: Final = (
     AttributeError,
     ArithmeticError,
     EOFError,
-    RecursionError,
-    NotImplementedError,
     RuntimeError,
     struct.error,
     zipfile.BadZipFile,
@@ -57,17 +54,11 @@ WRONG: Final = (
 """What reading a file raises that holds something else than it should."""
 
 
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """What a file holds; see `hapticd.Recording`."""
-
-    samples: Samples
-    events: list[dict[str, Any]]
-    texts: Mapping[str, Any]
-    truth: npt.NDArray[np.float64] | None
+Contents: TypeAlias = tuple[Samples, list[dict[str, Any]], dict[str, Any], npt.NDArray[np.float64] | None]
+"""Samples, events, texts and truth; see `hapticd.Recording`."""
 
 
-def read(path: str | os.PathLike[str]) -> Recorded:
+def read(path: str | os.PathLike[str]) -> Contents:
     """Reads a .npz of `hapticd record`, `simulate` or the flight recorder. Raises HapticdError where it is none."""
     name = one_line(os.fspath(path))
     if Path(path).suffix.lower() != ".npz":
@@ -87,7 +78,7 @@ def read(path: str | os.PathLike[str]) -> Recorded:
         raise HapticdError(f"{name}: is damaged, or no recording of hapticd: {why}") from None
 
 
-def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Recorded:
+def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Contents:
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
     if "samples" not in members:
         raise ValueError("it has no samples")
@@ -99,7 +90,7 @@ def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Recorded:
             raise ValueError(f"truth has shape {truth.shape} of {truth.dtype}, not {(len(samples), 4)} of float64")
     events = list(_read_events(archive, members["events"])) if "events" in members else []
     texts = {name: json.loads(_read_text(archive, members[name])) for name in TEXTS if name in members}
-    return Recorded(samples, events, texts, truth)
+    return samples, events, texts, truth
 
 
 def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype[Any]]:

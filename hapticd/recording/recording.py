@@ -21,7 +21,7 @@ import numpy.typing as npt
 from hapticd.base import arguments
 from hapticd.base.clock import Moment, moment_of
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_new
+from hapticd.base.files import check_new, displaced
 from hapticd.recording.export import export, files_of, frame_of
 from hapticd.recording.missed_periods import missed_periods, rates_of
 from hapticd.recording.reader import read
@@ -142,10 +142,7 @@ class Recording:
 
     def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
         """Writes it into another file: a .npz, or an export for other programs, .csv or .mcap, by its ending; `truth`
-        is in .npz alone.
-
-        Returns where it is: under the next free name where a file appeared at `path` meanwhile. Raises HapticdError.
-        """
+        is in .npz alone. Returns `path`. Raises HapticdError."""
         target = Path(path)
         check_saved(target, overwrite)
         if target.suffix.lower() != ".npz":
@@ -156,7 +153,9 @@ class Recording:
             first = {name: text for name, text in self.texts.items() if name != "changes" and name not in last}
             writer.write_all(first, self.changes, self.samples, self.events)
             writer.finish(last, {} if self.truth is None else {"truth": self.truth})
-            return writer.target
+        if writer.displaced:
+            raise HapticdError(displaced(path, writer.target))
+        return target
 
     @property
     def _about(self) -> dict[str, Any]:
@@ -181,5 +180,4 @@ def load(path: str | os.PathLike[str]) -> Recording:
     Its samples are mapped into memory: they take none until they are used, and the file may be larger than the memory.
     Raises HapticdError (one line) where the file is none.
     """
-    recorded = read(arguments.path("path", path))
-    return Recording(os.fspath(path), recorded.samples, recorded.events, recorded.texts, recorded.truth)
+    return Recording(os.fspath(arguments.path("path", path)), *read(path))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import glob
 import os
 import shlex
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -39,16 +38,17 @@ def _parts(recording: Path) -> list[Path]:
     return sorted(place.parent.glob(f".{glob.escape(place.name)}.*.part"))
 
 
-def partial_files_beside(target: str | os.PathLike[str]) -> Iterator[str]:
-    """What to say before a recording into `target`, at most a line."""
+def partial_files_beside(target: str | os.PathLike[str]) -> str | None:
+    """What to say of them before a recording into `target`."""
     recording = recording_path(target)
     name, parts = os.fspath(recording), _parts(recording)
-    if parts:
-        more = f" and {len(parts) - 1} more" if len(parts) > 1 else ""
-        yield (
-            f"{one_line(name)}: {one_line(parts[0].name)}{more} beside it is of another recording: under way, or "
-            f"killed; `hapticd recover {shlex.quote(name)}` makes a file of what was killed"
-        )
+    if not parts:
+        return None
+    more = f" and {len(parts) - 1} more" if len(parts) > 1 else ""
+    return (
+        f"{one_line(name)}: {one_line(parts[0].name)}{more} beside it is of another recording: under way, or killed; "
+        f"`hapticd recover {shlex.quote(name)}` makes a file of what was killed"
+    )
 
 
 def recover(target: str | os.PathLike[str]) -> Recovered:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any, Final
 
@@ -29,7 +29,6 @@ import numpy.typing as npt
 from hapticd.base import wording
 from hapticd.base.core import SAMPLE_DTYPE, Flag
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import displaced
 from hapticd.config.configuration import Device, load_config
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.modes import Mode
@@ -125,8 +124,6 @@ class Replay:
             first = {name: text for name, text in self.texts.items() if name not in last}
             writer.write_all(first, self.texts["changes"], self.samples, self.events)
             writer.finish()
-            if writer.displaced:
-                raise HapticdError(displaced(target, writer.target))
 
     def to_dict(self) -> dict[str, object]:
         """As plain data, without samples and events."""
@@ -135,9 +132,7 @@ class Replay:
             "replayed": len(self.samples),
             "identical": self.identical,
             "first_different": self.first_different,
-            "differences": {
-                name: {"largest_n": one.largest_n, "rms_n": one.rms_n} for name, one in self.differences.items()
-            },
+            "differences": {name: asdict(one) for name, one in self.differences.items()},
             "missing_revisions": list(self.missing_revisions),
             "left_out": dict(self.left_out),
             "doubts": list(self.doubts),

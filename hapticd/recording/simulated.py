@@ -11,8 +11,6 @@ from typing import Final, TypedDict
 import numpy as np
 
 from hapticd.base.core import EventKind
-from hapticd.base.errors import HapticdError
-from hapticd.base.files import displaced
 from hapticd.base.yaml_source import load_path
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.document_kinds import Kind, refuse_other_kinds
@@ -61,8 +59,6 @@ def simulate_files(
         run = simulate_run(config, operator_file, duration_s, rate_hz)
         if writer is not None:
             _write(writer, config, run, notes or {})
-            if writer.displaced:
-                raise HapticdError(displaced(str(output), writer.target))
     magnitudes = np.hypot(*run.samples["force_n"].T)
     return {
         "file": output,

@@ -26,7 +26,6 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Final, NoReturn, Self, TypeAlias
 
 import numpy as np
@@ -174,9 +173,7 @@ class RecordingWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     # ---- The archive -----------------------------------------------------------------------------------------------
@@ -279,7 +276,7 @@ class RecordingWriter:
             if not all(_FIELD.fullmatch(form) for _, form, *_ in fields):
                 raise ValueError("a field of samples is no plain number")
             self._dtype = np.dtype(fields)
-            # Version 0.0 began them right after the headers, and did not say so.
+            # Earlier versions began them right after the headers, and did not say so.
             self._leave_room(next(self._read_notes("start"), 0))
         if self._dtype.names:
             written = max(0, self._part.size - self._start) // self._dtype.itemsize

@@ -141,11 +141,8 @@ def test_a_recording_into_another_form_is_exported_at_its_end(tmp_path: Path, en
         hapticd.load(target)
     with recording_into(target, overwrite=True) as writer:
         writer.write(some(4))
-        (tmp_path / "run.npz").unlink()
-        special(tmp_path / "run.npz", "folder")
         writer.finish({"scene": {}})
-    assert (tmp_path / f"run-2.{ending}").exists(), "an export has the name of its recording"
-    assert len(hapticd.load(tmp_path / "run-2.npz").samples) == 4
+    assert target.stat().st_size > 0 and len(hapticd.load(tmp_path / "run.npz").samples) == 4
 
 
 @pytest.mark.parametrize("there", ["run.npz", "run.csv", "run.events.csv", "run.about.json"])
@@ -181,3 +178,15 @@ def test_samples_are_laid_out_as_cdr_is() -> None:
     """Their bytes are the message."""
     members = [(name, SAMPLE_DTYPE[name]) for name in SAMPLE_DTYPE.names or ()]
     assert np.dtype(members, align=True) == SAMPLE_DTYPE
+
+
+def test_a_recording_whose_export_fails_is_kept(tmp_path: Path) -> None:
+    with (
+        pytest.raises(HapticdError, match=rf"run.mcap: is there already.*; the recording is in {tmp_path}/run.npz"),
+        recording_into(tmp_path / "run.mcap") as writer,
+    ):
+        writer.write(some(3))
+        (tmp_path / "run.mcap").write_text("precious")
+        writer.finish()
+    assert (tmp_path / "run.mcap").read_text() == "precious"
+    assert len(hapticd.load(tmp_path / "run.npz").samples) == 3
