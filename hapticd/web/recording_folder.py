@@ -18,7 +18,6 @@ from typing import IO, Final
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json, one_line
 
-ENDINGS: Final = (".mcap", ".npz")
 LONGEST_NAME: Final = 64
 _NAME: Final = re.compile(r"[^\W_][\w .+-]*")
 _MOST_LISTED: Final = 1000
@@ -38,12 +37,12 @@ def default_folder(environ: Mapping[str, str] | None = None) -> Path:
 
 
 def checked_name(name: object) -> str:
-    """A recording's name with its ending, `tap 3.mcap`. Raises HapticdError for anything that could be a path."""
+    """A recording's name with its ending, `tap 3.npz`. Raises HapticdError for anything that could be a path."""
     if not isinstance(name, str):
         raise HapticdError("name: must be a text")
     stem, ending = os.path.splitext(name)
-    if ending not in ENDINGS:
-        raise HapticdError(f"name: must end in {' or '.join(ENDINGS)}, is {name!r:.80}")
+    if ending != ".npz":
+        raise HapticdError(f"name: must end in .npz, is {name!r:.80}")
     if not _NAME.fullmatch(stem) or ".." in stem or stem[-1] in " .":
         raise HapticdError(
             "name: takes letters, digits, spaces and _ . + - ; it begins with a letter or a digit, ends with neither "

@@ -41,7 +41,7 @@ ELSEWHERE = {
     "clock-set",
     "stopped",
     "memory",
-    # In tests/integration/test_recording.py, and of every form in test_record.py.
+    # In tests/integration/test_recording.py and tests/recording/test_writer.py.
     "disk-full",
     # In test_hid_connection.py.
     "effects-forgotten",

@@ -22,7 +22,7 @@ class Writer:
 
 
 def summary(target: Path, ended: str | None) -> RecordSummary:
-    return RecordSummary(str(target), 40, 0.004, 0, 1, 2, (), 0, None, None, ended, None, None)
+    return RecordSummary(str(target), 40, 0.004, 0, 1, 2, (), 0, None, None, ended, None)
 
 
 def until_stopped(

@@ -16,9 +16,7 @@ def folder(tmp_path: Path) -> RecordingFolder:
     return made
 
 
-@pytest.mark.parametrize(
-    "name", ["tap.mcap", "tap 3.npz", "Ärger-2.npz", "2026-11-23 14.05.mcap", "a+b_c.npz", "1" * 60 + ".npz"]
-)
+@pytest.mark.parametrize("name", ["tap 3.npz", "Ärger-2.npz", "2026-11-23 14.05.npz", "a+b_c.npz", "1" * 60 + ".npz"])
 def test_names_of_recordings_are_taken(name: str) -> None:
     assert checked_name(name) == name
 
@@ -63,7 +61,7 @@ def test_other_names_are_refused(name: object, folder: RecordingFolder) -> None:
 
 
 def test_the_list_has_recordings_alone_and_the_newest_first(folder: RecordingFolder) -> None:
-    folder.target("second.mcap").write_bytes(b"second")
+    folder.target("second.npz").write_bytes(b"second")
     os.utime(folder.path / "first.npz", ns=(1, 1))
     (folder.path / "notes.txt").write_text("no recording")
     (folder.path / ".first.npz.1.00.part").write_text("under way")
@@ -71,7 +69,7 @@ def test_the_list_has_recordings_alone_and_the_newest_first(folder: RecordingFol
     os.mkfifo(folder.path / "pipe.npz")
     os.symlink("first.npz", folder.path / "link.npz")
     found = folder.list()
-    assert [(each.name, each.size) for each in found] == [("second.mcap", 6), ("first.npz", 3)]
+    assert [(each.name, each.size) for each in found] == [("second.npz", 6), ("first.npz", 3)]
 
 
 def test_a_folder_that_is_not_there_is_empty(tmp_path: Path) -> None:

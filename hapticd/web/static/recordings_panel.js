@@ -2,7 +2,7 @@
 // moment. recording_player.js is the part that looks through one.
 import { make } from "./dom.js";
 import { RecordingPlayer } from "./recording_player.js";
-import { check, options } from "./scope/elements.js";
+import { check } from "./scope/elements.js";
 
 const UNITS = [
   [1e9, "GB"],
@@ -67,8 +67,6 @@ class RecordingsPanel {
 
   #recordCard() {
     this.name = make("input", { id: "recording-name", type: "text", maxlength: "64", spellcheck: "false" });
-    this.format = make("select", { id: "recording-format", class: "select" });
-    options(this.format, Object.entries({ ".npz": "npz (numpy)", ".mcap": "npz, and MCAP" }), ".npz");
     this.notes = make("textarea", { id: "recording-notes", rows: "2", maxlength: "4000" });
     this.limited = check("End by itself after", false, (on) => (this.seconds.disabled = !on), {
       id: "recording-limited",
@@ -82,14 +80,11 @@ class RecordingsPanel {
     this.stop = button("recording-stop", "danger", "Stop recording", () => this.#stop());
     this.stop.hidden = true;
     this.state = make("p", { id: "recording-state", class: "number recording-state" });
-    const field = (id, text, control) =>
-      make("div", { class: "field" }, make("label", { for: id }, text), control);
     return make(
       "section",
       { class: "card stack" },
       make("h3", {}, "Record"),
-      field("recording-name", "Name", this.name),
-      field("recording-format", "Format", this.format),
+      make("div", { class: "field" }, make("label", { for: "recording-name" }, "Name"), this.name),
       make("label", { for: "recording-notes" }, "Notes, kept in the file"),
       this.notes,
       make(
@@ -172,7 +167,7 @@ class RecordingsPanel {
       try {
         const text = this.notes.value.trim();
         const state = await this.#app.link.call("web.record_start", {
-          name: this.name.value.trim() + this.format.value,
+          name: `${this.name.value.trim()}.npz`,
           notes: text === "" ? {} : { note: text },
           for_s: this.limited.querySelector("input").checked ? Number(this.seconds.value) : null,
         });
@@ -253,8 +248,7 @@ class RecordingsPanel {
     const actions = make(
       "div",
       { class: "row" },
-      // An export is for other programs.
-      ...(name.endsWith(".npz") ? [button("Look through", "Look through", () => this.#open({ name }))] : []),
+      button("Look through", "Look through", () => this.#open({ name })),
       make(
         "a",
         {
