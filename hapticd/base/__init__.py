@@ -5,7 +5,6 @@ The core and the process:
     core               the C core as Python sees it: `ffi`, `lib`, records as numpy dtypes, enums
     clock              CLOCK_MONOTONIC and the time of day, read together
     memory             how a process that runs for months takes its memory
-    garbage_collector  Python's collector, paused while very many objects are made
     threads            whether threads can be started under the user's limit of processes
     steps              work that pauses between its parts
     tasks              the end of a task of an event loop
