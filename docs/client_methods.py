@@ -1,7 +1,7 @@
 """The methods of the clients for the page Python: an extension of Griffe, which mkdocs.yml names.
 
-Griffe reads the code without running it. The clients' methods are made when their module is imported, of the
-descriptions in hapticd/client/methods.py; without this their signatures and docstrings would be missing.
+Griffe reads the code without running it. The blocking client's methods are made when its module is imported, of the
+coroutines in hapticd/client/methods.py; without this their signatures and docstrings would be missing.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import griffe
 
-MADE_BY = ("_method(", "_stream(", "_sent(", "documented(")
+MADE_BY = ("_method(", "_block(", "_subscription(", "_sent(", "_like(")
 KINDS = {
     inspect.Parameter.POSITIONAL_ONLY: griffe.ParameterKind.positional_only,
     inspect.Parameter.POSITIONAL_OR_KEYWORD: griffe.ParameterKind.positional_or_keyword,
@@ -41,7 +41,7 @@ class ClientMethods(griffe.Extension):
     """Replaces attributes of a class that are methods once the module is imported."""
 
     def on_class(self, *, cls: griffe.Class, **kwargs: Any) -> None:
-        if not cls.path.startswith("hapticd.client."):
+        if not cls.path.startswith("hapticd.client.blocking."):
             return
         made = [
             each

@@ -1,23 +1,23 @@
 """Clients of a daemon: blocking and asyncio, samples, recordings, the live view.
 
-    methods         the daemon's methods, once for both clients: arguments, what they send, documentation
-    base            what both clients share, without I/O
-    blocking        `hapticd.connect`: methods as ordinary calls
-    asynchronous    `hapticd.aio.connect`: methods as coroutines
+    methods         the client: the daemon's methods and subscriptions as coroutines, without an event loop
+    asynchronous    `hapticd.aio.connect`: them on an event loop
+    blocking        `hapticd.connect`: them on the caller's thread, as ordinary calls
+    sources         scenes, patches and operators that are given as files or models
     streams         the connection over which a client streams targets and forces
-    feed            telemetry without I/O: what a subscription subscribes to, and what it makes of each message
     samples         batches of samples as numpy arrays, and what was lost on the way
     record          records a running daemon into a file
     background      a recording by a thread, while a block of code runs
     flight_summary  what a file of the flight recorder holds
     watch           the live view of `hapticd watch`
+    base            how a socket is connected, which line a warning is about
 
 Questions, and where to begin:
 
     How does a method of the protocol become one of a client?
-        methods describes it; blocking and asynchronous make the call (_method).
+        A coroutine of methods; blocking lists it once more (_method).
     Where is an answer decoded, and an error raised?
-        protocol/calls (decode_response).
+        protocol/calls (decode_response, result_of).
     How are lost samples noticed?
         samples (SampleStream).
 """

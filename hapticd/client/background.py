@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import threading
-import warnings
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
@@ -66,9 +65,9 @@ class Recorder:
             self._thread.join()
             raise self._error
 
-    def end(self) -> None:
-        """Records what the daemon has rendered by now, and finishes the file. Raises HapticdError where the recording
-        ended before, or the file is not where it was to be."""
+    def end(self) -> list[Warning]:
+        """Records what the daemon has rendered by now, and finishes the file; returns what is to be warned of. Raises
+        HapticdError where the recording ended before, or the file is not where it was to be."""
         self._stop.set()
         self._thread.join()
         if self._error is not None:
@@ -76,11 +75,13 @@ class Recorder:
         result = self.result
         if ended_early(result.ended_because) is not None:
             raise HapticdError(f"{result.ended_because}; {result.file} holds what came before")
+        found: list[Warning] = []
         if result.lost:
             lost = wording.count(result.lost, "sample")
-            warnings.warn(TelemetryLoss(f"{result.file}: {lost} were lost on the way here"), stacklevel=4)
+            found.append(TelemetryLoss(f"{result.file}: {lost} were lost on the way here"))
         if result.warning is not None:
-            warnings.warn(MissedPeriods(f"{result.file}: {result.warning}"), stacklevel=4)
+            found.append(MissedPeriods(f"{result.file}: {result.warning}"))
+        return found
 
     def _run(self) -> None:
         try:

@@ -1,26 +1,46 @@
-"""The daemon's methods, once for both clients: arguments, what they send, results and documentation.
+"""The one client: the daemon's methods, subscriptions, leases and recordings, as coroutines.
 
-A function here returns the call that is to be made, or the feed that is to be subscribed to. `blocking.py` and
-`asynchronous.py` make methods of them, which make the call.
+`asynchronous.py` and `blocking.py` say how it sends and waits (the abstract methods of Client): with an event loop, or
+on the caller's thread, where a coroutine runs to its end without a pause. asyncio is not imported here: blocking
+programs start without it.
 """
 
 from __future__ import annotations
 
-import inspect
+import itertools
+import math
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar, cast
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, asynccontextmanager, suppress
+from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeAlias, TypeVar, cast, get_args
+
+import zmq
 
 from hapticd.base import arguments
-from hapticd.base.errors import HapticdError, shown
-from hapticd.client.feed import Feed
-from hapticd.protocol.calls import Topic
+from hapticd.base.errors import HapticdError
+from hapticd.client.base import warn
+from hapticd.client.sources import (
+    Interpolation,
+    PatchSource,
+    SceneSource,
+    WaypointsSource,
+    operator_params,
+    patch_tree,
+    scene_tree,
+)
+from hapticd.client.streams import Sender, Stream
+from hapticd.protocol import calls, messages, places
+from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning, ForcesOff, RemoteError, TimedOut, Topic
+from hapticd.protocol.places import ALIVE
 from hapticd.protocol.results import (
     ConfigResult,
     Event,
     FlightResult,
     ForcesResult,
+    GestureEnd,
     LeaseResult,
     MaterialsResult,
     OperatorResult,
@@ -31,363 +51,562 @@ from hapticd.protocol.results import (
     Status,
     TickResult,
 )
-from hapticd.protocol.streams import MOST, Kind
+from hapticd.system.paths import RuntimePaths
 
 if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
+    from hapticd.client.background import Recorder
+    from hapticd.client.record import Daemon
     from hapticd.client.samples import SampleBatch
 
-R = TypeVar("R")
-F = TypeVar("F", bound=Callable[..., object])
-_SELF: Final = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
+T = TypeVar("T")
+Response: TypeAlias = object | RemoteError
+Wait: TypeAlias = Callable[[float], Awaitable[bool]]
+"""Waits for so many seconds, or until the work is to end: then true."""
+READY: Final = b"state"
 
 
-class Model(Protocol):
-    """A validated model, such as `hapticd.Scene`."""
+class Client(ABC):
+    """The daemon's methods, by their names in the protocol; each returns the protocol's result as a dictionary.
 
-    def to_dict(self) -> dict[str, Json]: ...
-
-
-SceneSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str] | Model"
-"""A scene: the mapping itself, the path of a YAML file, or a `hapticd.Scene`."""
-WaypointsSource: TypeAlias = "Iterable[Iterable[float]] | str | os.PathLike[str]"
-"""Waypoints [[t_s, x_m, y_m], ...], or the path of a file with what the hand does: YAML, JSON or CSV."""
-PatchSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str]"
-"""A merge patch: the mapping itself, or the path of a YAML file."""
-
-
-@dataclass(slots=True)
-class Call(Generic[R]):
-    """A call of the protocol, whose result is an R."""
-
-    method: str
-    params: Mapping[str, object] | None = None
-
-
-@dataclass(slots=True)
-class Listen(Generic[R]):
-    """A subscription to telemetry, whose items are R."""
-
-    feed: Feed[R]
-    timeout_s: float | None
-
-
-@dataclass(slots=True)
-class Send:
-    """A message of a stream."""
-
-    kind: Kind
-    x: float
-    y: float
-
-
-def documented(method: F, described: Callable[..., object], result: str, owner: str = "Client") -> F:
-    """`method` of `owner`, a client, with the name, the parameters and the documentation of a function here.
-
-    `result` is what `inspect.signature` says of the result, `{}` standing for R.
-    """
-    signature = inspect.signature(described)
-    returns = result.format(str(signature.return_annotation).partition("[")[2].removesuffix("]"))
-    parameters = [_SELF, *signature.parameters.values()]
-    made: Any = method
-    made.__signature__ = signature.replace(parameters=parameters, return_annotation=returns)
-    made.__annotations__ = {**described.__annotations__, "return": returns}
-    made.__name__, made.__doc__ = described.__name__, described.__doc__
-    made.__qualname__ = f"{owner}.{described.__name__}"
-    return method
-
-
-# ---- Calls ---------------------------------------------------------------------------------------------------------
-
-
-def get_status(detail: bool = False) -> Call[Status]:
-    """Version, device, rate, real-time rights, revision, tick, forces, faults and counters; `detail`: histograms,
-    too."""
-    return Call("get_status", {"detail": True} if detail else {})
-
-
-def get_state() -> Call[State]:
-    """The newest sample, as `states` yields it."""
-    return Call("get_state")
-
-
-def state() -> Call[State]:
-    """The newest sample: `get_state` by its short name."""
-    return get_state()
-
-
-def get_config() -> Call[ConfigResult]:
-    """The configuration's servo and device."""
-    return Call("get_config")
-
-
-def get_scene() -> Call[SceneResult]:
-    """The scene and its revision."""
-    return Call("get_scene")
-
-
-def set_scene(scene: SceneSource, expect_revision: int | None = None, wait: bool = False) -> Call[RevisionResult]:
-    """Replaces the scene, all or nothing.
-
-    `scene` is a mapping, the path of a YAML file that holds a scene, or a `hapticd.Scene`. With
-    `expect_revision` the daemon refuses (-32001) if the scene has another revision; with `wait` the
-    result has the first `tick` rendered with it.
-    """
-    return _change("set_scene", {"scene": scene_tree(scene)}, expect_revision, wait)
-
-
-def update_scene(objects: PatchSource, expect_revision: int | None = None, wait: bool = False) -> Call[RevisionResult]:
-    """Changes objects by id: a JSON Merge Patch (RFC 7396) over the scene's `objects`; None removes."""
-    return _change("update_scene", {"objects": patch_tree(objects, "scene", "objects")}, expect_revision, wait)
-
-
-def get_materials() -> Call[MaterialsResult]:
-    """All materials by name, the shipped ones among them."""
-    return Call("get_materials")
-
-
-def set_materials(
-    materials: PatchSource, expect_revision: int | None = None, wait: bool = False
-) -> Call[RevisionResult]:
-    """Adds materials by name, and replaces those of the same name whole; others stay. A mapping or the path of a
-    YAML file."""
-    return _change("set_materials", {"materials": patch_tree(materials, "materials")}, expect_revision, wait)
-
-
-def update_materials(
-    materials: PatchSource, expect_revision: int | None = None, wait: bool = False
-) -> Call[RevisionResult]:
-    """Changes materials by name: a JSON Merge Patch, as a mapping or the path of a YAML file."""
-    return _change("update_materials", {"materials": patch_tree(materials, "materials")}, expect_revision, wait)
-
-
-def apply(
-    *,
-    materials: PatchSource | None = None,
-    scene: SceneSource | None = None,
-    expect_revision: int | None = None,
-    wait: bool = False,
-) -> Call[RevisionResult]:
-    """Materials as `set_materials` and the scene as `set_scene`, or one of them: one change at one tick, all or
-    nothing."""
-    params: dict[str, object] = {}
-    if materials is not None:
-        params["materials"] = patch_tree(materials, "materials")
-    if scene is not None:
-        params["scene"] = scene_tree(scene)
-    return _change("apply", params, expect_revision, wait)
-
-
-def play(
-    material: str | None = None,
-    *,
-    mode: Mapping[str, float] | None = None,
-    direction: Iterable[float] = (0.0, 1.0),
-    amplitude_m_per_s2: float,
-) -> Call[PlayResult]:
-    """Strikes a mode, or a material's tap, along `direction` [x, y], whatever is touched."""
-    params: dict[str, object] = {
-        "direction": arguments.numbers("direction", direction),
-        "amplitude_m_per_s2": amplitude_m_per_s2,
-    }
-    if material is not None:
-        params["material"] = material
-    if mode is not None:
-        params["mode"] = arguments.mapping("mode", mode)
-    return Call("play", params)
-
-
-def reset(objects: Iterable[str] | None = None) -> Call[TickResult]:
-    """Heals membranes and clears contact state, of the objects with these ids or of all."""
-    return Call("reset", None if objects is None else {"objects": arguments.texts("objects", objects)})
-
-
-def mark(text: str, data: Json = None) -> Call[TickResult]:
-    """Leaves a mark in the event stream and in every recording; the result has its `tick`.
-
-    `text` has up to 1000 characters, `data` is anything that JSON can hold, up to 8 KiB.
-    """
-    return Call("mark", {"text": text, "data": data})
-
-
-def set_forces(enabled: bool) -> Call[ForcesResult]:
-    """Forces on or off; on clears a latched fault whose cause is gone, else is refused (-32003)."""
-    return Call("set_forces", {"enabled": enabled})
-
-
-def set_operator(
-    waypoints: WaypointsSource | None = None,
-    *,
-    interpolation: Interpolation | None = None,
-    gesture: Mapping[str, object] | None = None,
-) -> Call[OperatorResult]:
-    """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], a gesture, or the path of a file
-    (YAML, JSON, CSV) that holds either."""
-    return Call("set_operator", _operator(waypoints, interpolation, gesture))
-
-
-def lease(duration_s: float, token: str | None = None) -> Call[LeaseResult]:
-    """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
-    return Call("lease", {"duration_s": duration_s} if token is None else {"duration_s": duration_s, "token": token})
-
-
-def reload(expect_revision: int | None = None, wait: bool = False) -> Call[RevisionResult]:
-    """The daemon reads its configuration files again: scene and materials, all or nothing."""
-    return _change("reload", {}, expect_revision, wait)
-
-
-def dump_flight() -> Call[FlightResult]:
-    """Has the last seconds of telemetry written to a file on the daemon's machine; its name."""
-    return Call("dump_flight")
-
-
-# ---- Streams -------------------------------------------------------------------------------------------------------
-
-
-def stream() -> None:
-    """Streams targets of the simulated hand, or forces, while the block runs: up to 1,000 a second of each.
-
-    The servo goes from one to the next in a straight line. Without a message for the time-out (20 ms by default) a
-    force fades to zero and the hand stays; the end of the block sends a force of zero. No message waits for an answer.
-    The first one of each kind, and one in half a second, asks for one all the same: what the daemon refuses is raised
-    (RemoteError) by a later message or at the end of the block, and forces that are off are warned of (ForcesOff).
+    Every method raises RemoteError where the daemon refuses, and DaemonNotRunning where it does not answer within
+    `timeout_s`; such a call is not repeated later automatically.
     """
 
+    def __init__(self, place: RuntimePaths, timeout_s: float = TIMEOUT_S) -> None:
+        self.paths: RuntimePaths = place
+        self.timeout_s = timeout_s
+        self._closed = False
+        self._ids = itertools.count(1)
+        self._sender = Sender(place, timeout_s)
+        self._subscriptions: set[Subscription[Any]] = set()
+        self._operator_tick: int | None = None
+        """At which the last operator was set here."""
 
-def target(x: float, y: float) -> Send:
-    """Where the simulated hand wants to be, m. Raises DaemonNotRunning, and RemoteError for a message before."""
-    most = MOST["target"]
-    return Send("target", arguments.within("x", x, most, "m"), arguments.within("y", y, most, "m"))
+    @classmethod
+    async def _connected(cls, runtime_dir: str | os.PathLike[str] | None, timeout_s: float, wait_s: float) -> Self:
+        """A client of a daemon that listens, at the latest after `wait_s`. Raises DaemonNotRunning."""
+        place = places.place_of(runtime_dir)
+        given_up = threading.Event()
+        try:
+            if wait_s > 0:
+                await cls._in_thread(places.await_ready, place, wait_s, given_up.is_set)
+                # The runtime directory may have been made meanwhile.
+                place = places.place_of(runtime_dir)
+            await cls._in_thread(places.probe, place)
+        except DaemonNotRunning as error:
+            raise places.after_waiting(error, wait_s) from None
+        finally:
+            given_up.set()
+        return cls(place, timeout_s)
+
+    # ---- How it sends and waits --------------------------------------------------------------------------------------
+
+    @abstractmethod
+    async def _exchange(self, id: int, body: bytes) -> Response:
+        """Sends a call and returns its answer. Raises zmq.Again after `timeout_s`."""
+
+    @abstractmethod
+    async def _send(self, body: bytes) -> None:
+        """Sends what has no answer. Raises zmq.Again after `timeout_s`."""
+
+    @abstractmethod
+    async def _disconnect(self) -> None:
+        """Closes the connection for calls."""
+
+    @abstractmethod
+    def _subscriber(self) -> zmq.Socket[Any]:
+        """A SUB socket for `_receive`."""
+
+    @abstractmethod
+    async def _receive(self, socket: zmq.Socket[Any], timeout_s: float) -> list[bytes]:
+        """The next message. Raises zmq.Again after `timeout_s`."""
+
+    @staticmethod
+    @abstractmethod
+    async def _in_thread(work: Callable[..., T], /, *given: Any) -> T:
+        """Calls what blocks."""
+
+    @abstractmethod
+    def _start(self, name: str, work: Callable[[Wait], Coroutine[Any, Any, None]]) -> Callable[[], Awaitable[None]]:
+        """Starts background work; the function that is returned ends it, and raises what it raised."""
+
+    @abstractmethod
+    def _blocking(self) -> AbstractContextManager[Daemon]:
+        """A blocking client of the same daemon, for another thread."""
+
+    # ---- Calls -------------------------------------------------------------------------------------------------------
+
+    def _refuse_closed(self) -> None:
+        if self._closed:
+            raise HapticdError("the client is closed")
+
+    async def close(self) -> None:
+        """Closes the client and its subscriptions; it may be closed twice."""
+        self._closed = True
+        await self._disconnect()
+        self._sender.close()
+        for subscription in list(self._subscriptions):
+            subscription.close()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        await self.close()
+
+    async def call(self, method: str, params: Mapping[str, object] | None = None) -> object:
+        """Calls any method of the protocol by its name; returns its result."""
+        self._refuse_closed()
+        id = next(self._ids)
+        body = calls.encode_request(id, method, params)
+        try:
+            response = await self._exchange(id, body)
+        except zmq.Again:
+            raise await self._in_thread(places.no_answer, self.paths, self.timeout_s) from None
+        return calls.result_of(response, params)
+
+    async def notify(self, method: str, params: Mapping[str, object] | None = None) -> None:
+        """Has a method carried out without an answer: nobody learns whether it was."""
+        self._refuse_closed()
+        try:
+            await self._send(messages.notification(method, params))
+        except zmq.Again:
+            raise await self._in_thread(places.no_answer, self.paths, self.timeout_s) from None
+
+    async def _change(
+        self, method: str, params: dict[str, object], expect_revision: int | None, wait: bool
+    ) -> RevisionResult:
+        if expect_revision is not None:
+            params["expect_revision"] = expect_revision
+        if arguments.flag("wait", wait):
+            params["wait"] = True
+        return cast(RevisionResult, await self.call(method, params))
+
+    async def get_status(self, detail: bool = False) -> Status:
+        """Version, device, rate, real-time rights, revision, tick, forces, faults and counters; `detail`: histograms,
+        too."""
+        return cast(Status, await self.call("get_status", {"detail": True} if detail else {}))
+
+    async def get_state(self) -> State:
+        """The newest sample, as `states` yields it."""
+        return cast(State, await self.call("get_state"))
+
+    async def state(self) -> State:
+        """The newest sample: `get_state` by its short name."""
+        return await self.get_state()
+
+    async def get_config(self) -> ConfigResult:
+        """The configuration's servo and device."""
+        return cast(ConfigResult, await self.call("get_config"))
+
+    async def get_scene(self) -> SceneResult:
+        """The scene and its revision."""
+        return cast(SceneResult, await self.call("get_scene"))
+
+    async def set_scene(
+        self, scene: SceneSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Replaces the scene, all or nothing.
+
+        `scene` is a mapping, the path of a YAML file that holds a scene, or a `hapticd.Scene`. With
+        `expect_revision` the daemon refuses (-32001) if the scene has another revision; with `wait` the
+        result has the first `tick` rendered with it.
+        """
+        return await self._change("set_scene", {"scene": scene_tree(scene)}, expect_revision, wait)
+
+    async def update_scene(
+        self, objects: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Changes objects by id: a JSON Merge Patch (RFC 7396) over the scene's `objects`; None removes."""
+        params: dict[str, object] = {"objects": patch_tree(objects, "scene", "objects")}
+        return await self._change("update_scene", params, expect_revision, wait)
+
+    async def get_materials(self) -> MaterialsResult:
+        """All materials by name, the shipped ones among them."""
+        return cast(MaterialsResult, await self.call("get_materials"))
+
+    async def set_materials(
+        self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Adds materials by name, and replaces those of the same name whole; others stay. A mapping or the path of a
+        YAML file."""
+        params: dict[str, object] = {"materials": patch_tree(materials, "materials")}
+        return await self._change("set_materials", params, expect_revision, wait)
+
+    async def update_materials(
+        self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Changes materials by name: a JSON Merge Patch, as a mapping or the path of a YAML file."""
+        params: dict[str, object] = {"materials": patch_tree(materials, "materials")}
+        return await self._change("update_materials", params, expect_revision, wait)
+
+    async def apply(
+        self,
+        *,
+        materials: PatchSource | None = None,
+        scene: SceneSource | None = None,
+        expect_revision: int | None = None,
+        wait: bool = False,
+    ) -> RevisionResult:
+        """Materials as `set_materials` and the scene as `set_scene`, or one of them: one change at one tick, all or
+        nothing."""
+        params: dict[str, object] = {}
+        if materials is not None:
+            params["materials"] = patch_tree(materials, "materials")
+        if scene is not None:
+            params["scene"] = scene_tree(scene)
+        return await self._change("apply", params, expect_revision, wait)
+
+    async def play(
+        self,
+        material: str | None = None,
+        *,
+        mode: Mapping[str, float] | None = None,
+        direction: Iterable[float] = (0.0, 1.0),
+        amplitude_m_per_s2: float,
+    ) -> PlayResult:
+        """Strikes a mode, or a material's tap, along `direction` [x, y], whatever is touched."""
+        params: dict[str, object] = {
+            "direction": arguments.numbers("direction", direction),
+            "amplitude_m_per_s2": amplitude_m_per_s2,
+        }
+        if material is not None:
+            params["material"] = material
+        if mode is not None:
+            params["mode"] = arguments.mapping("mode", mode)
+        return cast(PlayResult, await self.call("play", params))
+
+    async def reset(self, objects: Iterable[str] | None = None) -> TickResult:
+        """Heals membranes and clears contact state, of the objects with these ids or of all."""
+        params = None if objects is None else {"objects": arguments.texts("objects", objects)}
+        return cast(TickResult, await self.call("reset", params))
+
+    async def mark(self, text: str, data: Json = None) -> TickResult:
+        """Leaves a mark in the event stream and in every recording; the result has its `tick`.
+
+        `text` has up to 1000 characters, `data` is anything that JSON can hold, up to 8 KiB.
+        """
+        return cast(TickResult, await self.call("mark", {"text": text, "data": data}))
+
+    async def set_forces(self, enabled: bool) -> ForcesResult:
+        """Forces on or off; on clears a latched fault whose cause is gone, else is refused (-32003)."""
+        return cast(ForcesResult, await self.call("set_forces", {"enabled": enabled}))
+
+    async def set_operator(
+        self,
+        waypoints: WaypointsSource | None = None,
+        *,
+        interpolation: Interpolation | None = None,
+        gesture: Mapping[str, object] | None = None,
+    ) -> OperatorResult:
+        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], a gesture, or the path of a file
+        (YAML, JSON, CSV) that holds either."""
+        params = operator_params(waypoints, interpolation, gesture)
+        result = cast(OperatorResult, await self.call("set_operator", params))
+        self._operator_tick = result["tick"]
+        return result
+
+    async def wait_gesture(self, timeout_s: float | None = None) -> GestureEnd:
+        """Waits until the hand has done what this client last sent by `set_operator`; returns the event
+        `gesture_end`, at once where it is over already.
+
+        Where another operator took its place before the end, by whomever, the event has `completed` false. Raises
+        TimedOut after `timeout_s` (None: however long it takes), and DaemonNotRunning for a daemon that goes away.
+        """
+        if self._operator_tick is None:
+            raise HapticdError("wait_gesture: this client has called no set_operator yet")
+        within_s = math.inf if timeout_s is None else arguments.seconds("timeout_s", timeout_s, zero=True)
+        deadline_s = time.monotonic() + within_s
+        # Who listens first and then asks misses no end.
+        async with self.telemetry("event", "status") as messages:
+            end = gesture_end(self._operator_tick, "status", cast("dict[str, object]", await self.get_status()))
+            while end is None:
+                left_s = deadline_s - time.monotonic()
+                message = await messages.receive(max(0.0, min(left_s, self.timeout_s)))
+                if message is not None:
+                    end = gesture_end(self._operator_tick, *message)
+                elif left_s <= self.timeout_s:
+                    raise TimedOut(f"wait_gesture: the hand was still under way after {timeout_s:g} s")
+                else:
+                    raise await self._in_thread(places.no_telemetry, self.paths, self.timeout_s)
+        return end
+
+    async def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
+        """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
+        params = {"duration_s": duration_s} if token is None else {"duration_s": duration_s, "token": token}
+        return cast(LeaseResult, await self.call("lease", params))
+
+    async def reload(self, expect_revision: int | None = None, wait: bool = False) -> RevisionResult:
+        """The daemon reads its configuration files again: scene and materials, all or nothing."""
+        return await self._change("reload", {}, expect_revision, wait)
+
+    async def dump_flight(self) -> FlightResult:
+        """Has the last seconds of telemetry written to a file on the daemon's machine; its name."""
+        return cast(FlightResult, await self.call("dump_flight"))
+
+    # ---- While a block of code runs ----------------------------------------------------------------------------------
+
+    @asynccontextmanager
+    async def hold_lease(self, duration_s: float = 1.0) -> AsyncIterator[str]:
+        """Holds a lease while the block runs, and gives its token.
+
+        A thread renews it three times within `duration_s`, over a separate connection, and dies with the process: then
+        the forces fade. In asyncio it is a task, and the forces fade, too, where the event loop is held up for longer.
+        Raises at the end of the block where the lease was lost meanwhile. Warns (ForcesOff) where a fault keeps the
+        forces off until `set_forces(True)`.
+        """
+        lease = await self.lease(duration_s)
+        token = lease["token"]
+        if token is None:
+            raise HapticdError("duration_s: must be more than 0 to hold a lease")
+        if "warning" in lease:
+            warn(ForcesOff(lease["warning"]))
+
+        async def renew(wait: Wait) -> None:
+            async with type(self)(self.paths, duration_s / 3) as renewer:
+                while not await wait(duration_s / 3):
+                    # A daemon that is away may come back in time; if not, its answer says that the lease lapsed.
+                    with suppress(DaemonNotRunning):
+                        await renewer.lease(duration_s, token)
+
+        end = self._start("hapticd-lease", renew)
+        try:
+            yield token
+        except BaseException:
+            with suppress(HapticdError):  # what went wrong in the block is reported
+                await end()
+                await self.lease(0, token)
+            raise
+        await end()
+        await self.lease(0, token)
+
+    @asynccontextmanager
+    async def record(
+        self, /, path: str | os.PathLike[str], overwrite: bool = False, **notes: object
+    ) -> AsyncIterator[Recorder]:
+        """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
+
+        A thread with a separate connection records. The first sample is taken before the block begins, and what the
+        block did last is in the file. `notes` are kept in it as they are, whatever JSON can hold. Gives a Recorder,
+        whose `result` is there after the block. Raises HapticdError before the block where `path` is there already
+        (unless `overwrite`) or cannot be written, and at its end where the recording ended before. Warns
+        (MissedPeriods) at its end where the servo missed too many periods.
+        """
+        from hapticd.client.background import Recorder
+
+        recorder = Recorder(self._blocking, path, overwrite, notes)
+        try:
+            await self._in_thread(recorder.begin)
+            yield recorder
+        except BaseException:
+            with suppress(HapticdError):  # what went wrong in the block is reported
+                await self._in_thread(recorder.end)
+            raise
+        for warning in await self._in_thread(recorder.end):
+            warn(warning)
+
+    def stream(self) -> Stream:
+        """Streams targets of the simulated hand, or forces, while the block runs: up to 1,000 a second of each.
+
+        The servo goes from one to the next in a straight line. Without a message for the time-out (20 ms by default) a
+        force fades to zero and the hand stays; the end of the block sends a force of zero. No message waits for an
+        answer. The first one of each kind, and one in half a second, asks for one all the same: what the daemon refuses
+        is raised (RemoteError) by a later message or at the end of the block, and forces that are off are warned of
+        (ForcesOff).
+        """
+        self._refuse_closed()
+        return Stream(self._sender, self._in_thread)
+
+    # ---- Telemetry ---------------------------------------------------------------------------------------------------
+
+    def samples(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[SampleBatch]:
+        """Every tick, in batches of 20 ms: numpy structured arrays that know what of them was lost (`lost`).
+
+        Begins when this returns, in asyncio with `async with` or the first item. Iteration raises DaemonNotRunning
+        where nothing comes for `timeout_s` (by default the client's), and warns (TelemetryLoss) where reading is too
+        slow.
+
+        With `newest` each batch is the next one that the daemon sends once it is asked for; what it sent since the one
+        before is left out, which is no loss to warn of, and counted in `lost`.
+        """
+        from hapticd.client.samples import SampleStream
+
+        newest = arguments.flag("newest", newest)
+        return Subscription(self, ("samples",), SampleStream(warn=not newest).convert, timeout_s, newest)
+
+    def states(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[State]:
+        """The newest sample as a dictionary, 60 times a second.
+
+        With `newest` each one is the next that the daemon sends once it is asked for: who reads slowly never reads an
+        old one.
+        """
+        newest = arguments.flag("newest", newest)
+        return Subscription(self, ("state",), lambda _, message: cast(State, message), timeout_s, newest)
+
+    def events(self, timeout_s: float | None = None) -> Subscription[Event]:
+        """Contacts, releases, punctures, faults and the other events."""
+        return Subscription(self, ("event",), lambda _, message: cast("Event", message), timeout_s)
+
+    def statuses(self, timeout_s: float | None = None) -> Subscription[Status]:
+        """The status, once a second."""
+        return Subscription(self, ("status",), lambda _, message: cast(Status, message), timeout_s)
+
+    def telemetry(
+        self, *topics: Topic, timeout_s: float | None = None
+    ) -> Subscription[tuple[Topic, dict[str, object]]]:
+        """Several topics on one socket, in the daemon's order: pairs of topic and message as it came."""
+        return Subscription(self, topics, lambda topic, message: (topic, message), timeout_s)
 
 
-def force(fx: float, fy: float) -> Send:
-    """A force that is added to the rendered one, N. Raises DaemonNotRunning, and RemoteError for a message before."""
-    most = MOST["force"]
-    return Send("force", arguments.within("fx", fx, most, "N"), arguments.within("fy", fy, most, "N"))
+class Subscription(Generic[T]):
+    """An endless asynchronous iterator over telemetry, until `close` or the end of `async with`.
 
-
-# ---- Telemetry -----------------------------------------------------------------------------------------------------
-
-
-def samples(timeout_s: float | None = None, *, newest: bool = False) -> Listen[SampleBatch]:
-    """Every tick, in batches of 20 ms: numpy structured arrays that know what of them was lost (`lost`).
-
-    Begins when this returns, in asyncio with `async with` or the first item. Iteration raises DaemonNotRunning where
-    nothing comes for `timeout_s` (by default the client's), and warns (TelemetryLoss) where reading is too slow.
-
-    With `newest` each batch is the next one that the daemon sends once it is asked for; what it sent since the one
-    before is left out, which is no loss to warn of, and counted in `lost`.
+    It is in effect from the entry into `async with`, or else from the first item on.
     """
-    from hapticd.client.samples import SampleStream
 
-    newest = arguments.flag("newest", newest)
-    return Listen(Feed(("samples",), SampleStream(warn=not newest).convert, newest), timeout_s)
+    def __init__(
+        self,
+        client: Client,
+        topics: Sequence[Topic],
+        convert: Callable[[Topic, dict[str, object]], T],
+        timeout_s: float | None,
+        newest: bool = False,
+    ) -> None:
+        """`newest`: each item is asked for when it is read, so that those before it are never sent."""
+        if not topics:
+            raise arguments.wrong("telemetry", f"needs a topic or several; known: {', '.join(get_args(Topic))}")
+        for topic in topics:
+            arguments.one_of("topic", topic, get_args(Topic))
+        self._timeout_s = client.timeout_s if timeout_s is None else arguments.seconds("timeout_s", timeout_s)
+        client._refuse_closed()
+        self._client, self._convert = client, convert
+        self._wanted = {topic.encode() for topic in topics}
+        self._on_demand = self._wanted - {ALIVE} if newest else set()
+        """Subscribed to for each item, and unsubscribed from after it."""
+        self._first: T | None = None
+        """An item that came before it was asked for."""
+        self._ready = False
+        self._socket = client._subscriber()
+        self._socket.setsockopt(zmq.LINGER, 0)
+        # Subscriptions take effect in their order, and `state` comes 60 times a second: the first message of any topic
+        # shows that all are in effect. `status` comes every second, so that silence means that the daemon is gone.
+        self._set(zmq.SUBSCRIBE, (*sorted((self._wanted | {ALIVE}) - {READY}), READY))
+        self._socket.connect(client.paths.telemetry_endpoint)
+        client._subscriptions.add(self)
+
+    def _set(self, option: int, topics: Iterable[bytes]) -> None:
+        for topic in topics:
+            self._socket.setsockopt(option, topic)
+
+    @property
+    def closed(self) -> bool:
+        return self._socket.closed
+
+    def close(self) -> None:
+        """Ends the subscription; it may be closed twice."""
+        self._socket.close()
+        self._client._subscriptions.discard(self)
+
+    async def _take(self, timeout_s: float) -> T | None:
+        """What the next message yields: nothing where it was not asked for. Raises zmq.Again."""
+        frames = await self._client._receive(self._socket, timeout_s)
+        if not self._ready:
+            self._ready = True
+            self._set(zmq.UNSUBSCRIBE, ({READY} - self._wanted) | self._on_demand)
+        if len(frames) != 2 or frames[0] not in self._wanted:
+            return None
+        topic, message = cast(Topic, frames[0].decode()), messages.decode_trusted(frames[1])
+        if not isinstance(message, dict):
+            raise messages.WireError(messages.Code.INVALID_REQUEST, f"telemetry {topic}: not a map")
+        return self._convert(topic, message)
+
+    async def _take_in_time(self) -> T | None:
+        """As `_take`. Raises DaemonNotRunning where the daemon is silent."""
+        try:
+            return await self._take(self._timeout_s)
+        except zmq.Again:
+            raise await self._client._in_thread(places.no_telemetry, self._client.paths, self._timeout_s) from None
+
+    async def _begin(self) -> None:
+        """Waits for the first message of a daemon."""
+        if not self._ready:
+            item = await self._take_in_time()
+            self._first = None if self._on_demand else item
+
+    def _kept(self) -> T | None:
+        item, self._first = self._first, None
+        return item
+
+    @asynccontextmanager
+    async def _asked(self) -> AsyncIterator[None]:
+        """Of a subscription to the newest: what came since the last item is dropped, and the next is asked for."""
+        with suppress(zmq.Again):
+            while self._on_demand:
+                await self._client._receive(self._socket, 0.0)
+        self._set(zmq.SUBSCRIBE, self._on_demand)
+        try:
+            yield
+        finally:
+            if not self.closed:
+                self._set(zmq.UNSUBSCRIBE, self._on_demand)
+
+    async def receive(self, timeout_s: float) -> T | None:
+        """The next item, or None where none comes within `timeout_s`, in seconds. 0: only what has come already.
+
+        Raises InvalidError for a `timeout_s` that is negative or not finite. Unlike the iterator it raises nothing
+        where the daemon is silent.
+        """
+        deadline_s = time.monotonic() + arguments.seconds("timeout_s", timeout_s, zero=True)
+        if (item := self._kept()) is not None:
+            return item
+        async with self._asked():
+            with suppress(zmq.Again):
+                while item is None:
+                    item = await self._take(max(0.0, deadline_s - time.monotonic()))
+        return item
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> T:
+        if self.closed:
+            raise StopAsyncIteration
+        await self._begin()
+        if (item := self._kept()) is not None:
+            return item
+        async with self._asked():
+            while not self.closed:
+                if (item := await self._take_in_time()) is not None:
+                    return item
+        raise StopAsyncIteration
+
+    async def __aenter__(self) -> Self:
+        await self._begin()
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        self.close()
 
 
-def states(timeout_s: float | None = None, *, newest: bool = False) -> Listen[State]:
-    """The newest sample as a dictionary, 60 times a second.
+def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) -> GestureEnd | None:
+    """The end of the operator that this tick took, where a message of telemetry, or a status, tells of it.
 
-    With `newest` each one is the next that the daemon sends once it is asked for: who reads slowly never reads an
-    old one.
+    Raises HapticdError for a status of a daemon that knows nothing of such an operator.
     """
-    feed = Feed(("state",), lambda _, message: cast(State, message), arguments.flag("newest", newest))
-    return Listen(feed, timeout_s)
-
-
-def events(timeout_s: float | None = None) -> Listen[Event]:
-    """Contacts, releases, punctures, faults and the other events."""
-    return Listen(Feed(("event",), lambda _, message: cast("Event", message)), timeout_s)
-
-
-def statuses(timeout_s: float | None = None) -> Listen[Status]:
-    """The status, once a second."""
-    return Listen(Feed(("status",), lambda _, message: cast(Status, message)), timeout_s)
-
-
-def telemetry(*topics: Topic, timeout_s: float | None = None) -> Listen[tuple[Topic, dict[str, object]]]:
-    """Several topics on one socket, in the daemon's order: pairs of topic and message as it came."""
-    return Listen(Feed(topics, lambda topic, message: (topic, message)), timeout_s)
-
-
-# ---- What they send ------------------------------------------------------------------------------------------------
-
-
-def _change(method: str, params: dict[str, object], expect_revision: int | None, wait: bool) -> Call[RevisionResult]:
-    if expect_revision is not None:
-        params["expect_revision"] = expect_revision
-    if arguments.flag("wait", wait):
-        params["wait"] = True
-    return Call(method, params)
-
-
-def scene_tree(scene: SceneSource) -> Mapping[str, object]:
-    """The mapping that goes over the wire. A file is validated here, so that faults are reported with their line.
-
-    Raises HapticdError for a file that cannot be read, InvalidError for one that holds no valid scene.
-    """
-    if isinstance(scene, Mapping):
-        return scene
-    if isinstance(scene, str | os.PathLike):
-        from hapticd.config.file_faults import FromFile
-        from hapticd.config.scene import read_scene
-
-        read, document, root = read_scene(arguments.path("scene", scene))
-        return FromFile(read.to_dict(), document, root)
-    if not hasattr(scene, "to_dict"):
-        raise arguments.wrong("scene", f"must be a mapping, the path of a file or a hapticd.Scene, is {shown(scene)}")
-    return scene.to_dict()
-
-
-def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
-    """The mapping that goes over the wire; a file may hold it under `path`, as a configuration does, or bare.
-
-    Raises HapticdError for a file that cannot be read or holds no mapping, InvalidError for one that is no
-    YAML or holds something else beside it.
-    """
-    if isinstance(patch, Mapping):
-        return patch
-    from hapticd.base.yaml_source import load_path
-    from hapticd.config.document_kinds import PATCHES, refuse_other_keys, refuse_other_kinds
-    from hapticd.config.file_faults import FromFile
-
-    if not isinstance(patch, str | os.PathLike):
-        raise arguments.wrong(path[-1], f"must be a mapping or the path of a file, is {shown(patch)}")
-    document = load_path(arguments.path(path[-1], patch))
-    refuse_other_kinds(document, *PATCHES[path[-1]])
-    found: tuple[str, ...] = ()
-    data: object = document.data
-    for key in path:
-        if isinstance(data, dict) and key in data:
-            refuse_other_keys(document, found, (other for other in data if other != key), f"{path[-1]}, which are all")
-            data = data[key]
-            found += (key,)
-    if not isinstance(data, dict):
-        raise HapticdError(f"{document.where(found)}: must be a mapping, the {path[-1]} by their names")
-    return FromFile(data, document, found)
-
-
-def _operator(
-    waypoints: WaypointsSource | None, interpolation: Interpolation | None, gesture: Mapping[str, object] | None
-) -> dict[str, object]:
-    """Raises HapticdError for a file that holds no operator."""
-    if isinstance(waypoints, str | os.PathLike):
-        if interpolation is not None or gesture is not None:
-            raise HapticdError(f"{os.fspath(waypoints)}: a file says all of it: interpolation and gesture, too")
-        from hapticd.config.file_faults import FromFile
-        from hapticd.config.operator import load_operator
-
-        operator = load_operator(arguments.path("waypoints", waypoints))
-        if operator.gesture is not None:
-            read = _operator(None, None, operator.gesture.to_dict())
-        else:
-            read = _operator(operator.waypoints, operator.interpolation, None)
-        return read if operator.document is None else FromFile(read, operator.document)
-    params: dict[str, object] = {}
-    if waypoints is not None:
-        params["waypoints"] = arguments.rows("waypoints", waypoints)
-    if interpolation is not None:
-        params["interpolation"] = interpolation
-    if gesture is not None:
-        params["gesture"] = arguments.mapping("gesture", gesture)
-    return params
+    if topic == "event":
+        ours = message.get("event") == "gesture_end" and message.get("started_tick") == started_tick
+        return cast(GestureEnd, message) if ours else None
+    operator = cast(Status, message)["operator"]
+    ends = [] if operator is None else operator["ends"]
+    for end in ends:
+        if end["started_tick"] == started_tick:
+            return end
+    last = None if operator is None else operator["started_tick"]
+    forgotten = len(ends) == messages.GESTURE_ENDS and min(end["started_tick"] for end in ends) > started_tick
+    if last is None or last < started_tick or forgotten:
+        raise HapticdError(
+            f"the daemon knows nothing of the operator that tick {started_tick} took: it was started anew since, or "
+            f"{messages.GESTURE_ENDS} others ended"
+        )
+    return None

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
-from hapticd.protocol import messages
+from hapticd.client.base import warn
 from hapticd.protocol.calls import TelemetryLoss, Topic
 
 
@@ -40,22 +37,9 @@ class SampleBatch(np.ndarray[tuple[int], np.dtype[np.void]]):
 
 
 def dtype_of(description: object) -> np.dtype[np.void]:
-    """The dtype that a message's `dtype` describes (numpy's descr: name, format, and shape where there is
-    one).
-
-    Raises WireError for anything else.
-    """
-    try:
-        fields = [
-            (str(name), str(form), tuple(map(int, rest[0]))) if rest else (str(name), str(form))
-            for name, form, *rest in cast(Sequence[Sequence[Any]], description)
-        ]
-        dtype = np.lib.format.descr_to_dtype(cast(Any, fields))
-    except (TypeError, ValueError) as error:
-        raise messages.WireError(messages.Code.PARSE, f"samples: dtype is not a numpy descr: {error}") from None
-    if dtype.hasobject or not {"tick", "time_ns"} <= set(dtype.names or ()):
-        raise messages.WireError(messages.Code.PARSE, "samples: dtype must have tick and time_ns, and no objects")
-    return cast("np.dtype[np.void]", dtype)
+    """The dtype that a message's `dtype` describes: numpy's descr, with lists in the place of its tuples."""
+    fields = [(*field[:2], *map(tuple, field[2:])) for field in cast("list[list[Any]]", description)]
+    return cast("np.dtype[np.void]", np.lib.format.descr_to_dtype(cast(Any, fields)))
 
 
 class SampleStream:
@@ -88,34 +72,27 @@ class SampleStream:
         self._lost_here = 0
 
     def convert(self, topic: Topic, message: dict[str, object]) -> SampleBatch:
-        """The batch in one `samples` message. Raises WireError where it is none."""
-        if self._dtype is None or message.get("dtype") != self._description:
-            self._dtype = dtype_of(message.get("dtype"))
+        """The batch in one `samples` message."""
+        if self._dtype is None or message["dtype"] != self._description:
             self._description = message["dtype"]
-        try:
-            batch = np.frombuffer(cast(bytes, message["data"]), self._dtype).view(SampleBatch)
-            batch.first_tick = int(cast(int, message["first_tick"]))
-            batch.dropped = int(cast(int, message["dropped"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise messages.WireError(messages.Code.PARSE, f"samples: {error}") from None
-        batch.lost = self._account(batch)
+            self._dtype = dtype_of(self._description)
+        batch = np.frombuffer(cast(bytes, message["data"]), self._dtype).view(SampleBatch)
+        batch.first_tick, batch.dropped = cast(int, message["first_tick"]), cast(int, message["dropped"])
+        if len(batch):
+            batch.lost = self._account(batch)
         if batch.lost and self._warn:
-            warnings.warn(
-                TelemetryLoss(f"{batch.lost} samples before tick {batch.first_tick} were lost: read faster"),
-                stacklevel=3,
-            )
+            warn(TelemetryLoss(f"{batch.lost} samples before tick {batch.first_tick} were lost: read faster"))
         return batch
 
     def _account(self, batch: SampleBatch) -> int:
-        if len(batch) == 0:
-            return 0
+        """How many samples were lost on the way here since the batch before."""
         if self._next_tick is not None and batch.first_tick < self._next_tick:
             self.restarts += 1
             self._begin()
         if self._next_tick is None:
             self._next_tick = batch.first_tick
             self._base_dropped = batch.dropped
-        end: int = int(cast(npt.NDArray[np.uint64], batch["tick"])[-1]) + 1
+        end = int(batch["tick"][-1]) + 1
         self._missing += end - self._next_tick - len(batch)
         self._next_tick = end
         dropped_here = batch.dropped - self._base_dropped

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import threading
 import time
-import warnings
-from collections.abc import Callable, Mapping
-from typing import Any, Final
+from collections.abc import Awaitable, Callable, Coroutine, Generator, Mapping
+from contextlib import suppress
+from typing import Any, Final, Self
 
 import zmq
 
+from hapticd.base import arguments
 from hapticd.base.errors import HapticdError
-from hapticd.client.methods import Send
+from hapticd.client.base import connect_commands, warn
 from hapticd.protocol import calls, messages, places, streams
 from hapticd.protocol.calls import DaemonNotRunning, ForcesOff, RemoteError
-from hapticd.protocol.streams import Kind
+from hapticd.protocol.streams import MOST, Kind
 from hapticd.system.paths import RuntimePaths
 
 ASK_EVERY_S: Final = 0.5
@@ -32,9 +33,8 @@ _LINGER_MS: Final = 1000
 class Sender:
     """Sends the streams of one client. For any thread, one at a time."""
 
-    def __init__(self, place: RuntimePaths, timeout_s: float, connect: Callable[[zmq.Socket[Any]], None]) -> None:
-        """`connect` connects a DEALER to the daemon's commands."""
-        self._place, self._timeout_s, self._connect = place, timeout_s, connect
+    def __init__(self, place: RuntimePaths, timeout_s: float) -> None:
+        self._place, self._timeout_s = place, timeout_s
         self._lock = threading.Lock()
         self._socket: zmq.Socket[bytes] | None = None
         self._seq: dict[Kind, int] = {"target": 0, "force": 0}
@@ -46,14 +46,15 @@ class Sender:
         """Messages that were dropped here, as the daemon did not read those before; it counts them as lost."""
 
     def open(self) -> None:
-        """Connects, once. Raises DaemonNotRunning."""
+        """Begins a stream: its first message of each kind asks. Connects, once. Raises DaemonNotRunning."""
         with self._lock:
+            self._ask_at_s.clear()
             if self._socket is not None:
                 return
             places.probe(self._place)
             socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
             socket.setsockopt(zmq.SNDHWM, _WAITING)
-            self._connect(socket)
+            connect_commands(socket, self._place)
             socket.setsockopt(zmq.LINGER, _LINGER_MS)  # the last force is zero
             if not socket.poll(int(1e3 * self._timeout_s), zmq.POLLOUT):
                 socket.close(0)
@@ -61,20 +62,20 @@ class Sender:
             self._socket = socket
             self._sent_s = time.monotonic()
 
-    def send(self, send: Send) -> None:
+    def send(self, kind: Kind, x: float, y: float) -> None:
         """Sends one message, or drops it where the queue is full. Raises DaemonNotRunning, and RemoteError for what the
         daemon answered to one before."""
         with self._lock:
             socket = self._open_socket()
-            kind, now_s = send.kind, time.monotonic()
+            now_s = time.monotonic()
             seq = self._seq[kind]
             self._seq[kind] = seq + 1
             asks = now_s >= self._ask_at_s.get(kind, 0.0)
             if not asks:
-                body = streams.write(kind, seq, send.x, send.y)
+                body = streams.write(kind, seq, x, y)
             else:
                 self._ask_at_s[kind] = now_s + ASK_EVERY_S
-                body = self._request(f"stream_{kind}", {"seq": seq, streams.VECTORS[kind]: [send.x, send.y]})
+                body = self._request(f"stream_{kind}", {"seq": seq, streams.VECTORS[kind]: [x, y]})
             try:
                 socket.send(body, zmq.NOBLOCK)
                 self._sent_s = now_s
@@ -105,11 +106,6 @@ class Sender:
                     self._read(socket)
             finally:
                 self._asked.clear()
-
-    def begin(self) -> None:
-        """A new stream: its first message of each kind asks."""
-        with self._lock:
-            self._ask_at_s.clear()
 
     def _request(self, method: str, params: Mapping[str, object]) -> bytes:
         """The body of a message that is answered."""
@@ -152,15 +148,28 @@ class Sender:
             if isinstance(response, RemoteError | DaemonNotRunning):
                 raise response
             if isinstance(response, dict) and "warning" in response:
-                # Of the line that sends, behind `send`, the stream's `_send` and the method.
-                warnings.warn(ForcesOff(str(response["warning"])), stacklevel=5)
+                warn(ForcesOff(str(response["warning"])))
 
 
-class StreamBase:
-    """A stream of either client."""
+class _Sent:
+    """What was sent already; whoever awaits it lets others run."""
 
-    def __init__(self, sender: Sender) -> None:
-        self._sender = sender
+    def __await__(self) -> Generator[Any, None, None]:
+        from asyncio import sleep  # which a blocking client does without
+
+        return sleep(0).__await__()
+
+
+_SENT: Final = _Sent()
+
+
+class Stream:
+    """Targets and forces, in `async with daemon.stream() as stream`. A message is sent when the method is called: to
+    await it lets other tasks run, and is not needed."""
+
+    def __init__(self, sender: Sender, in_thread: Callable[[Callable[[], None]], Coroutine[Any, Any, None]]) -> None:
+        """`in_thread` calls what blocks."""
+        self._sender, self._in_thread = sender, in_thread
         self._pushed = False
         """Whether a force was streamed, which has to end."""
 
@@ -169,12 +178,34 @@ class StreamBase:
         """Messages of this client that were dropped on our side, as the daemon did not read those before in time."""
         return self._sender.unsent
 
-    def _send(self, send: Send) -> None:
-        self._sender.send(send)
-        self._pushed |= send.kind == "force"
+    def target(self, x: float, y: float) -> Awaitable[None]:
+        """Where the simulated hand wants to be, m. Raises DaemonNotRunning, and RemoteError for a message before."""
+        most = MOST["target"]
+        self._sender.send("target", arguments.within("x", x, most, "m"), arguments.within("y", y, most, "m"))
+        return _SENT
+
+    def force(self, fx: float, fy: float) -> Awaitable[None]:
+        """A force that is added to the rendered one, N. Raises DaemonNotRunning, and RemoteError for a message
+        before."""
+        most = MOST["force"]
+        self._sender.send("force", arguments.within("fx", fx, most, "N"), arguments.within("fy", fy, most, "N"))
+        self._pushed = True
+        return _SENT
+
+    async def __aenter__(self) -> Self:
+        await self._in_thread(self._sender.open)
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
+        if error is None:
+            self._end()
+            await self._in_thread(self._sender.settle)
+        else:
+            with suppress(HapticdError):  # what went wrong in the block is reported
+                self._end()
 
     def _end(self) -> None:
         """Ends the force of this stream. Raises as `Sender.send`."""
         if self._pushed:
             self._pushed = False
-            self._sender.send(Send("force", 0.0, 0.0))
+            self._sender.send("force", 0.0, 0.0)

@@ -18,7 +18,7 @@ from hapticd.base.errors import HapticdError, InvalidError, Problem, in_order
 from hapticd.cli import main
 from hapticd.cli.common import print_result
 from hapticd.cli.failure import asks_for_json, tell
-from hapticd.client.methods import patch_tree
+from hapticd.client.sources import patch_tree
 from hapticd.daemon.counters import Granted
 from hapticd.daemon.methods import _FAULT_WORDS
 from hapticd.daemon.status_text import FAULTS, lines, text_of

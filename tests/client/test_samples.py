@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hapticd.base.core import SAMPLE_DTYPE
-from hapticd.client.samples import SampleBatch, SampleStream, dtype_of
+from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.protocol.calls import TelemetryLoss
-from hapticd.protocol.messages import WireError
 
 DESCRIPTION = [list(field) for field in np.lib.format.dtype_to_descr(SAMPLE_DTYPE)]
 
@@ -103,30 +102,6 @@ def test_loss_is_a_warning() -> None:
         stream.convert("samples", message(range(0, 10)))
     with pytest.warns(TelemetryLoss, match="2 samples before tick 12 were lost"):
         stream.convert("samples", message(range(12, 20)))
-
-
-@pytest.mark.parametrize(
-    "description",
-    [
-        None,
-        7,
-        "u8",
-        [],
-        [["tick", "<u8"]],
-        [["tick", "<u8"], ["time_ns", "nonsense"]],
-        [["tick", "<u8"], ["time_ns", "<i8"], ["x", "|O"]],
-        [["tick", "<u8", [2, 2], 3]],
-    ],
-)
-def test_a_wrong_dtype_is_one_line(description: object) -> None:
-    with pytest.raises(WireError, match="samples: dtype"):
-        dtype_of(description)
-
-
-def test_wrong_messages_are_one_line() -> None:
-    for wrong in ({"data": b"123"}, {"data": None}, {"first_tick": "x"}, {"dropped": None}):
-        with pytest.raises(WireError, match="samples: "):
-            fed(message(range(3)) | wrong)
 
 
 def test_fields_may_come_later() -> None:

@@ -14,7 +14,7 @@ import pytest
 import hapticd.aio
 from hapticd import DaemonNotRunning, HapticdError, TimedOut
 from hapticd.client.blocking import Client
-from hapticd.client.feed import gesture_end
+from hapticd.client.methods import gesture_end
 from hapticd.protocol import places
 from hapticd.protocol.messages import GESTURE_ENDS
 from tests.support.daemon_process import Daemon, connect

@@ -1,0 +1,104 @@
+"""What a method of a client may be given: scenes, patches and operators as mappings, models or files.
+
+Files are read and validated here, so that their mistakes are reported by line before anything is sent.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
+
+from hapticd.base import arguments
+from hapticd.base.errors import HapticdError, shown
+
+if TYPE_CHECKING:
+    from hapticd.base.yaml_source import Json
+
+Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
+
+
+class Model(Protocol):
+    """A validated model, such as `hapticd.Scene`."""
+
+    def to_dict(self) -> dict[str, Json]: ...
+
+
+SceneSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str] | Model"
+"""A scene: the mapping itself, the path of a YAML file, or a `hapticd.Scene`."""
+WaypointsSource: TypeAlias = "Iterable[Iterable[float]] | str | os.PathLike[str]"
+"""Waypoints [[t_s, x_m, y_m], ...], or the path of a file with what the hand does: YAML, JSON or CSV."""
+PatchSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str]"
+"""A merge patch: the mapping itself, or the path of a YAML file."""
+
+
+def scene_tree(scene: SceneSource) -> Mapping[str, object]:
+    """The mapping that goes over the wire. A file is validated here, so that faults are reported with their line.
+
+    Raises HapticdError for a file that cannot be read, InvalidError for one that holds no valid scene.
+    """
+    if isinstance(scene, Mapping):
+        return scene
+    if isinstance(scene, str | os.PathLike):
+        from hapticd.config.file_faults import FromFile
+        from hapticd.config.scene import read_scene
+
+        read, document, root = read_scene(arguments.path("scene", scene))
+        return FromFile(read.to_dict(), document, root)
+    if not hasattr(scene, "to_dict"):
+        raise arguments.wrong("scene", f"must be a mapping, the path of a file or a hapticd.Scene, is {shown(scene)}")
+    return scene.to_dict()
+
+
+def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
+    """The mapping that goes over the wire; a file may hold it under `path`, as a configuration does, or bare.
+
+    Raises HapticdError for a file that cannot be read or holds no mapping, InvalidError for one that is no
+    YAML or holds something else beside it.
+    """
+    if isinstance(patch, Mapping):
+        return patch
+    from hapticd.base.yaml_source import load_path
+    from hapticd.config.document_kinds import PATCHES, refuse_other_keys, refuse_other_kinds
+    from hapticd.config.file_faults import FromFile
+
+    if not isinstance(patch, str | os.PathLike):
+        raise arguments.wrong(path[-1], f"must be a mapping or the path of a file, is {shown(patch)}")
+    document = load_path(arguments.path(path[-1], patch))
+    refuse_other_kinds(document, *PATCHES[path[-1]])
+    found: tuple[str, ...] = ()
+    data: object = document.data
+    for key in path:
+        if isinstance(data, dict) and key in data:
+            refuse_other_keys(document, found, (other for other in data if other != key), f"{path[-1]}, which are all")
+            data = data[key]
+            found += (key,)
+    if not isinstance(data, dict):
+        raise HapticdError(f"{document.where(found)}: must be a mapping, the {path[-1]} by their names")
+    return FromFile(data, document, found)
+
+
+def operator_params(
+    waypoints: WaypointsSource | None, interpolation: Interpolation | None, gesture: Mapping[str, object] | None
+) -> dict[str, object]:
+    """The params of `set_operator`. Raises HapticdError for a file that holds no operator."""
+    if isinstance(waypoints, str | os.PathLike):
+        if interpolation is not None or gesture is not None:
+            raise HapticdError(f"{os.fspath(waypoints)}: a file says all of it: interpolation and gesture, too")
+        from hapticd.config.file_faults import FromFile
+        from hapticd.config.operator import load_operator
+
+        operator = load_operator(arguments.path("waypoints", waypoints))
+        if operator.gesture is not None:
+            read = operator_params(None, None, operator.gesture.to_dict())
+        else:
+            read = operator_params(operator.waypoints, operator.interpolation, None)
+        return read if operator.document is None else FromFile(read, operator.document)
+    params: dict[str, object] = {}
+    if waypoints is not None:
+        params["waypoints"] = arguments.rows("waypoints", waypoints)
+    if interpolation is not None:
+        params["interpolation"] = interpolation
+    if gesture is not None:
+        params["gesture"] = arguments.mapping("gesture", gesture)
+    return params
