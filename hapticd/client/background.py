@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
@@ -36,16 +37,15 @@ class Recorder:
         self._stop = threading.Event()
         self._begun = threading.Event()
         """The first sample was taken, or nothing will come of it."""
-        self._result: RecordSummary | None = None
-        self._error: BaseException | None = None
+        self._done: Future[RecordSummary] = Future()
         self._thread = threading.Thread(target=self._run, name="hapticd-record", daemon=True)
 
     @property
     def result(self) -> RecordSummary:
         """What was recorded. Raises HapticdError while the block still runs, and where nothing was."""
-        if self._result is None:
+        if not self._done.done():
             raise HapticdError(f"{self.path}: is not finished: the result is there after the block")
-        return self._result
+        return self._done.result()
 
     def load(self) -> Recording:
         """The recording, once the block is over."""
@@ -56,22 +56,15 @@ class Recorder:
     def begin(self) -> None:
         """Returns once the first sample was taken. Raises what keeps the recording from beginning."""
         self._thread.start()
-        try:
-            self._begun.wait()
-        except BaseException:
-            self._stop.set()
-            raise
-        if self._error is not None:
-            self._thread.join()
-            raise self._error
+        self._begun.wait()
+        if self._done.done():
+            self._done.result()
 
     def end(self) -> list[Warning]:
         """Records what the daemon has rendered by now, and finishes the file; returns what is to be warned of. Raises
         HapticdError where the recording ended before, or the file is not where it was to be."""
         self._stop.set()
         self._thread.join()
-        if self._error is not None:
-            raise self._error
         result = self.result
         if ended_early(result.ended_because) is not None:
             raise HapticdError(f"{result.ended_because}; {result.file} holds what came before")
@@ -86,7 +79,7 @@ class Recorder:
     def _run(self) -> None:
         try:
             with self._connect() as client:
-                self._result = record(
+                made = record(
                     client,
                     self.path,
                     overwrite=self._overwrite,
@@ -94,8 +87,9 @@ class Recorder:
                     stop=self._stop,
                     progress=self._progress,
                 )
+            self._done.set_result(made)
         except BaseException as error:
-            self._error = error
+            self._done.set_exception(error)
         finally:
             self._begun.set()
 

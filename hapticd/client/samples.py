@@ -46,15 +46,17 @@ class SampleStream:
     """Makes batches of messages, in their order, and keeps account of the ticks that are missing.
 
     Ticks have no gaps in the servo. A tick that is missing here was dropped by the daemon's ring, which
-    counts it in `dropped`, or lost between the daemon and us. The ring may count a drop before the gap
-    arrives, so that the account is kept in totals since the first batch.
+    counts it in `dropped`, or lost between the daemon and us.
     """
 
     def __init__(self, warn: bool = True) -> None:
         self._warn = warn
         self._description: object = None
         self._dtype: np.dtype[np.void] | None = None
-        self._begin()
+        self._next_tick: int | None = None
+        self._dropped_before = 0
+        self._early = 0
+        """Samples that the ring counted as dropped before their gap arrived."""
         self.received = 0
         """Samples that arrived."""
         self.lost = 0
@@ -63,13 +65,6 @@ class SampleStream:
         """Samples that the daemon's ring dropped while we listened."""
         self.restarts = 0
         """How often the daemon began again from tick 0."""
-
-    def _begin(self) -> None:
-        self._next_tick: int | None = None
-        self._missing = 0
-        self._base_dropped = 0
-        self._dropped_here = 0
-        self._lost_here = 0
 
     def convert(self, topic: Topic, message: dict[str, object]) -> SampleBatch:
         """The batch in one `samples` message."""
@@ -86,21 +81,16 @@ class SampleStream:
 
     def _account(self, batch: SampleBatch) -> int:
         """How many samples were lost on the way here since the batch before."""
-        if self._next_tick is not None and batch.first_tick < self._next_tick:
-            self.restarts += 1
-            self._begin()
-        if self._next_tick is None:
-            self._next_tick = batch.first_tick
-            self._base_dropped = batch.dropped
+        if self._next_tick is None or batch.first_tick < self._next_tick:
+            self.restarts += self._next_tick is not None
+            self._next_tick, self._dropped_before, self._early = batch.first_tick, batch.dropped, 0
         end = int(batch["tick"][-1]) + 1
-        self._missing += end - self._next_tick - len(batch)
-        self._next_tick = end
-        dropped_here = batch.dropped - self._base_dropped
-        self.dropped += dropped_here - self._dropped_here
-        self._dropped_here = dropped_here
-        lost_here = max(self._lost_here, self._missing - dropped_here)
-        lost = lost_here - self._lost_here
-        self._lost_here = lost_here
-        self.lost += lost
+        missing = end - self._next_tick - len(batch)
+        dropped = batch.dropped - self._dropped_before
+        lost = max(0, missing - dropped - self._early)
+        self._early += dropped + lost - missing
+        self._next_tick, self._dropped_before = end, batch.dropped
         self.received += len(batch)
+        self.lost += lost
+        self.dropped += dropped
         return lost

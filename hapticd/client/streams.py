@@ -18,7 +18,7 @@ from hapticd.base import arguments
 from hapticd.base.errors import HapticdError
 from hapticd.client.base import connect_commands, warn
 from hapticd.protocol import calls, messages, places, streams
-from hapticd.protocol.calls import DaemonNotRunning, ForcesOff, RemoteError
+from hapticd.protocol.calls import ForcesOff, RemoteError
 from hapticd.protocol.streams import MOST, Kind
 from hapticd.system.paths import RuntimePaths
 
@@ -39,7 +39,6 @@ class Sender:
         self._socket: zmq.Socket[bytes] | None = None
         self._seq: dict[Kind, int] = {"target": 0, "force": 0}
         self._ask_at_s: dict[Kind, float] = {}
-        self._asked: set[int] = set()
         self._last_id = 0
         self._sent_s = self._probe_at_s = 0.0
         self.unsent = 0
@@ -66,51 +65,42 @@ class Sender:
         """Sends one message, or drops it where the queue is full. Raises DaemonNotRunning, and RemoteError for what the
         daemon answered to one before."""
         with self._lock:
-            socket = self._open_socket()
-            now_s = time.monotonic()
+            socket, now_s = self._opened(), time.monotonic()
             seq = self._seq[kind]
             self._seq[kind] = seq + 1
             asks = now_s >= self._ask_at_s.get(kind, 0.0)
-            if not asks:
-                body = streams.write(kind, seq, x, y)
-            else:
-                self._ask_at_s[kind] = now_s + ASK_EVERY_S
+            if asks:
                 body = self._request(f"stream_{kind}", {"seq": seq, streams.VECTORS[kind]: [x, y]})
+            else:
+                body = streams.write(kind, seq, x, y)
             try:
                 socket.send(body, zmq.NOBLOCK)
-                self._sent_s = now_s
             except zmq.Again:
-                if asks:  # nobody got the question: the next message asks
-                    self._asked.discard(self._last_id)
-                    del self._ask_at_s[kind]
                 self._not_taken(now_s)
-            if self._asked:
+            else:
+                self._sent_s = now_s
+                if asks:  # where nobody got the question, the next message asks
+                    self._ask_at_s[kind] = now_s + ASK_EVERY_S
+            while socket.poll(0):
                 self._read(socket)
 
     def settle(self) -> None:
         """Waits until the daemon has what was sent: it answers what comes after that. Raises what it answered, or
         DaemonNotRunning."""
         with self._lock:
-            socket = self._open_socket()
+            socket = self._opened()
             deadline_s = time.monotonic() + self._timeout_s
-            try:
-                if not socket.poll(int(1e3 * self._timeout_s), zmq.POLLOUT):
-                    raise places.no_answer(self._place, self._timeout_s)
+            if socket.poll(int(1e3 * self._timeout_s), zmq.POLLOUT):
                 socket.send(self._request("get_config", {}), zmq.NOBLOCK)
-                # Answers come in the order of the questions: one before it that has none went to a daemon that is gone.
-                last = self._last_id
-                while last in self._asked:
-                    left_s = deadline_s - time.monotonic()
-                    if left_s <= 0 or not socket.poll(int(1e3 * left_s) + 1):
-                        raise places.no_answer(self._place, self._timeout_s)
-                    self._read(socket)
-            finally:
-                self._asked.clear()
+                # Answers come in the order of the questions.
+                while (left_s := deadline_s - time.monotonic()) > 0 and socket.poll(int(1e3 * left_s) + 1):
+                    if self._read(socket) == self._last_id:
+                        return
+            raise places.no_answer(self._place, self._timeout_s)
 
     def _request(self, method: str, params: Mapping[str, object]) -> bytes:
         """The body of a message that is answered."""
         self._last_id += 1
-        self._asked.add(self._last_id)
         return messages.request(self._last_id, method, params)
 
     def close(self) -> None:
@@ -119,7 +109,7 @@ class Sender:
             if self._socket is not None:
                 self._socket.close()
 
-    def _open_socket(self) -> zmq.Socket[bytes]:
+    def _opened(self) -> zmq.Socket[bytes]:
         if self._socket is None or self._socket.closed:
             raise HapticdError("the stream is not open: use it in `with daemon.stream() as stream`")
         return self._socket
@@ -127,28 +117,20 @@ class Sender:
     def _not_taken(self, now_s: float) -> None:
         """The queue is full, or nobody is connected. Raises DaemonNotRunning."""
         self.unsent += 1
-        try:
-            if now_s - self._sent_s > self._timeout_s:
-                raise places.no_answer(self._place, self._timeout_s)
-            if now_s >= self._probe_at_s:
-                self._probe_at_s = now_s + _PROBE_EVERY_S
-                places.probe(self._place)
-        except HapticdError:
-            self._asked.clear()  # no answer comes from there any more
-            raise
+        if now_s - self._sent_s > self._timeout_s:
+            raise places.no_answer(self._place, self._timeout_s)
+        if now_s >= self._probe_at_s:
+            self._probe_at_s = now_s + _PROBE_EVERY_S
+            places.probe(self._place)
 
-    def _read(self, socket: zmq.Socket[bytes]) -> None:
-        while True:
-            try:
-                id, response = calls.decode_response(socket.recv(zmq.NOBLOCK))
-            except zmq.Again:
-                return
-            if isinstance(id, int):
-                self._asked.discard(id)
-            if isinstance(response, RemoteError | DaemonNotRunning):
-                raise response
-            if isinstance(response, dict) and "warning" in response:
-                warn(ForcesOff(str(response["warning"])))
+    def _read(self, socket: zmq.Socket[bytes]) -> object:
+        """The id of an answer. Raises the error in it."""
+        id, response = calls.decode_response(socket.recv())
+        if isinstance(response, RemoteError):
+            raise response
+        if isinstance(response, dict) and "warning" in response:
+            warn(ForcesOff(str(response["warning"])))
+        return id
 
 
 class _Sent:
