@@ -10,9 +10,10 @@ import json
 import math
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from typing import Any, Final, NamedTuple, TypeAlias, cast
+from itertools import zip_longest
+from typing import Any, Final, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -39,12 +40,6 @@ _SOLID, _SKIN = "░", "─\\│/"
 _QUIET_EVENTS: Final = frozenset(("release", "overrun"))
 
 
-class _Shown(NamedTuple):
-    kind: str
-    time_s: float
-    text: str
-
-
 class View:
     """What is known of the daemon, and how it is drawn."""
 
@@ -58,11 +53,11 @@ class View:
         self.rate_hz: float | None = None
         self._clock: deque[tuple[int, int]] = deque(maxlen=60)
         self._lateness: deque[int] = deque(maxlen=60)
-        self._events: deque[_Shown] = deque(maxlen=EVENT_LINES)
+        self._events: deque[tuple[str, Text]] = deque(maxlen=EVENT_LINES)
         self._punctured: set[str] = set()
         self._largest_n = 1.0
         self._half_m = HALF_VIEW_M
-        self._background: tuple[object, list[list[str]]] | None = None
+        self._background: tuple[object, list[str]] | None = None
 
     # ---- in ------------------------------------------------------------------------------------------------
 
@@ -90,16 +85,17 @@ class View:
         self._largest_n = max(self._largest_n, *map(abs, state["force_n"]), *map(abs, state["vibration_force_n"]))
         self._half_m = max(self._half_m, 1.05 * max(map(abs, state["position_m"])))
 
-    def _feed_event(self, event: Mapping[str, object]) -> None:
-        kind = str(event.get("event"))
+    def _feed_event(self, event: Mapping[str, Any]) -> None:
+        kind = event["event"]
         if kind == "puncture":
-            self._punctured.add(str(event.get("object")))
+            self._punctured.add(event["object"])
         elif kind == "contact":
-            self._punctured.discard(str(event.get("object")))  # what is open is not touched: it has healed
+            self._punctured.discard(event["object"])  # what is open is not touched: it has healed
         if kind not in _QUIET_EVENTS:
-            if kind in ("revision", "groove") and self._events and self._events[-1].kind == kind:
+            if kind in ("revision", "groove") and self._events and self._events[-1][0] == kind:
                 self._events.pop()  # of a stream of updates or grooves the newest tells all
-            self._events.append(_Shown(kind, _number(event, "time_ns") / 1e9, event_line(event)))
+            time_s = f"{event['time_ns'] / 1e9:12.3f}"
+            self._events.append((kind, Text.assemble((time_s, "dim"), f"  {event_line(event)}")))
 
     @property
     def wants_scene(self) -> bool:
@@ -120,17 +116,10 @@ class View:
         columns = max(1, width - PANEL_WIDTH - 1)
         panel = self._panel()
         lines = [self._headline(width)]
-        for row, picture in enumerate(self._picture(columns, rows)):
-            line = picture
-            line.append(" ")
-            if row < len(panel):
-                line.append_text(panel[row])
-            lines.append(line)
+        for picture, about in zip_longest(self._picture(columns, rows), panel[:rows], fillvalue=Text()):
+            lines.append(Text.assemble(picture, " ", about))
         lines.append(Text("─" * width, style="dim"))
-        for event in self._events:
-            line = _label(f"{event.time_s:12.3f}")
-            line.append(f"  {event.text}")
-            lines.append(line)
+        lines += [line.copy() for _, line in self._events]
         lines += [Text()] * (height - len(lines))
         for line in lines:
             line.truncate(width)
@@ -143,84 +132,67 @@ class View:
         if self.status is None:
             return Text(" connecting ".ljust(width), style="reverse")
         status = self.status
-        left = f" hapticd {status['version']}  {status['device']}  {wording.si(status['rate_hz'], 'Hz')}"
         connection = cast("dict[str, Any]", status.get("connection") or {})
-        held = status["forces"] == "on" and connection.get("signs", {}).get("state") in ("checking", "waiting")
-        right = "signs are checked " if held else f"forces {status['forces']} "
-        style = (
-            "black on yellow"
-            if held
-            else {"on": "black on green", "off": "black on yellow"}.get(status["forces"], "bold white on red")
-        )
-        line = Text()
-        line.append(left.ljust(max(0, width - len(right))), style="reverse")
-        line.append(right, style=style)
-        return line
+        right, style = f"forces {status['forces']} ", "bold white on red"
+        if status["forces"] == "on" and connection.get("signs", {}).get("state") in ("checking", "waiting"):
+            right, style = "signs are checked ", "black on yellow"
+        elif status["forces"] in ("on", "off"):
+            style = f"black on {'green' if status['forces'] == 'on' else 'yellow'}"
+        left = f" hapticd {status['version']}  {status['device']}  {wording.si(status['rate_hz'], 'Hz')}"
+        return Text.assemble((left.ljust(max(0, width - len(right))), "reverse"), (right, style))
 
     def _panel(self) -> list[Text]:
-        lines: list[Text] = []
-
-        def put(label: str, value: str, style: str = "") -> None:
-            line = _label(f"{label:<11}")
-            line.append(value, style=style)
-            lines.append(line)
-
         state, status = self.state, self.status
         if state is None:
-            return lines
+            return []
         x, y = (1e3 * value for value in state["position_m"])
-        put("position", f"{x:+8.3f} {y:+8.3f} mm")
         vx, vy = (1e3 * value for value in state["velocity_m_per_s"])
-        put("velocity", f"{vx:+8.1f} {vy:+8.1f} mm/s")
+        fx, fy = state["force_n"]
         scale = _nice(self._largest_n)
         contact, vibration = math.hypot(*state["contact_force_n"]), math.hypot(*state["vibration_force_n"])
-        for label, value in (("force x", state["force_n"][0]), ("force y", state["force_n"][1])):
-            line = _label(f"{label:<11}")
-            line.append(signed_bar(value, scale, _BAR), style="cyan")
-            line.append(f" {value:+.2f} N")
-            lines.append(line)
-        for label, value in (("contact", contact), ("vibration", vibration)):
-            line = _label(f"{label:<11}")
-            line.append(bar(value, scale, _BAR), style="green")
-            line.append(f"  {value:.2f} N")
-            lines.append(line)
-        touching = state.get("touching", [])
-        put("touching", ", ".join(touching) or "nothing", "bold" if touching else "")
-        lines.append(Text())
-        put("rate", "" if self.rate_hz is None else f"{self.rate_hz:,.0f} Hz")
-        late = [value / 1e3 for value in self._lateness]
-        put("lateness", f"{late[-1]:.0f} us, worst seen {max(late):.0f}")
-        put("work", f"{state['work_ns']} ns")
-        put("tick", f"{state['tick']:,}")
-        put("revision", f"{state['revision']:,}")
+        touching = ", ".join(state["touching"])
+        late_us = [value / 1e3 for value in self._lateness]
+        rows = [
+            ("position", f"{x:+8.3f} {y:+8.3f} mm", ""),
+            ("velocity", f"{vx:+8.1f} {vy:+8.1f} mm/s", ""),
+            ("force x", f"{signed_bar(fx, scale, _BAR)} {fx:+.2f} N", "cyan"),
+            ("force y", f"{signed_bar(fy, scale, _BAR)} {fy:+.2f} N", "cyan"),
+            ("contact", f"{bar(contact, scale, _BAR)}  {contact:.2f} N", "green"),
+            ("vibration", f"{bar(vibration, scale, _BAR)}  {vibration:.2f} N", "green"),
+            ("touching", touching or "nothing", "bold" if touching else ""),
+            ("", "", ""),
+            ("rate", "" if self.rate_hz is None else f"{self.rate_hz:,.0f} Hz", ""),
+            ("lateness", f"{late_us[-1]:.0f} us, worst seen {max(late_us):.0f}", ""),
+            ("work", f"{state['work_ns']} ns", ""),
+            ("tick", f"{state['tick']:,}", ""),
+            ("revision", f"{state['revision']:,}", ""),
+        ]
         if status is not None:
-            counters = status["counters"]
-            overruns, skipped = counters.get("overruns", 0), counters.get("skipped", 0)
-            put("missed", wording.count(skipped, "period"), "yellow" if skipped else "")
-            put("", f"{wording.count(overruns, 'time')}" if skipped else "")
-            faults = status["faults"]
-            put("faults", ", ".join(faults) or "none", "bold red" if faults else "")
+            skipped, faults = status["counters"]["skipped"], ", ".join(status["faults"])
+            times = wording.count(status["counters"]["overruns"], "time") if skipped else ""
+            rows.append(("missed", wording.count(skipped, "period"), "yellow" if skipped else ""))
+            rows.append(("", times, ""))
+            rows.append(("faults", faults or "none", "bold red" if faults else ""))
             if status["lease_s"] is not None:
-                put("lease", f"{status['lease_s']:.1f} s left")
-        return lines
+                rows.append(("lease", f"{status['lease_s']:.1f} s left", ""))
+        return [Text.assemble((f"{label:<11}", "dim"), (value, style)) for label, value, style in rows]
 
     def _picture(self, columns: int, rows: int) -> list[Text]:
         # A character is about twice as high as wide.
         cell_m = 2 * self._half_m / max(1, 2 * min(rows, columns // 2))
         key = (columns, rows, cell_m, self.scene_revision, frozenset(self._punctured))
         if self._background is None or self._background[0] != key:
-            self._background = (key, draw_scene(self.scene, columns, rows, cell_m, self._punctured))
-        lines = [_label("".join(line)) for line in self._background[1]]
+            cells = draw_scene(self.scene, columns, rows, cell_m, self._punctured)
+            self._background = (key, ["".join(row) for row in cells])
+        drawn = self._background[1]
+        lines = [Text.assemble((line, "dim")) for line in drawn]
         if self.state is not None:
             x, y = self.state["position_m"]
             column = math.floor(x / cell_m + columns / 2)
             row = math.floor(rows / 2 - y / (2 * cell_m))
             if 0 <= row < rows and 0 <= column < columns:
-                touched = bool(self.state.get("touching"))
-                line = "".join(self._background[1][row])
-                lines[row] = _label(line[:column])
-                lines[row].append("●", style="bold red" if touched else "bold")
-                lines[row].append(line[column + 1 :], style="dim")
+                line, style = drawn[row], "bold red" if self.state["touching"] else "bold"
+                lines[row] = Text.assemble((line[:column], "dim"), ("●", style), (line[column + 1 :], "dim"))
         return lines
 
     def line(self) -> str:
@@ -230,79 +202,59 @@ class View:
             return "no state yet"
         x, y = (1e3 * value for value in state["position_m"])
         fx, fy = state["force_n"]
-        faults = ", ".join(status["faults"]) if status is not None else ""
         parts = [
             f"tick {state['tick']:,}",
             f"position {x:+.3f} {y:+.3f} mm",
             f"force {fx:+.3f} {fy:+.3f} N",
-            f"touching {', '.join(state.get('touching', [])) or 'nothing'}",
-            f"rate {self.rate_hz:,.0f} Hz" if self.rate_hz is not None else "",
-            f"lateness {max(self._lateness) / 1e3:.0f} us at worst",
-            f"{wording.count(status['counters'].get('skipped', 0), 'period')} missed" if status is not None else "",
-            f"forces {status['forces']}" if status is not None else "",
-            f"faults {faults}" if faults else "",
+            f"touching {', '.join(state['touching']) or 'nothing'}",
         ]
-        return "  ".join(part for part in parts if part)
-
-
-def _label(text: str) -> Text:
-    """Dim text that others can be appended to: a style of the whole would be theirs too."""
-    label = Text()
-    label.append(text, style="dim")
-    return label
+        if self.rate_hz is not None:
+            parts.append(f"rate {self.rate_hz:,.0f} Hz")
+        parts.append(f"lateness {max(self._lateness) / 1e3:.0f} us at worst")
+        if status is not None:
+            parts.append(f"{wording.count(status['counters']['skipped'], 'period')} missed")
+            parts.append(f"forces {status['forces']}")
+            if status["faults"]:
+                parts.append(f"faults {', '.join(status['faults'])}")
+        return "  ".join(parts)
 
 
 # ---- pieces of text ----------------------------------------------------------------------------------------
 
 
-def event_line(event: Mapping[str, object]) -> str:
+def _contact(event: Mapping[str, Any]) -> str:
+    if event.get("appeared"):
+        return "inside it when it appeared"
+    words = f"at {event['speed_m_per_s']:.3f} m/s, {event['amplitude_m_per_s2']:.1f} m/s²"
+    if event["scale"] == 0:
+        return f"{words} not displayed"
+    return words if event["scale"] >= 1 else f"{words} scaled to {event['scale']:.2f} by the force limit"
+
+
+_WORDS: Final[dict[str, Callable[[Mapping[str, Any]], str]]] = {
+    "contact": _contact,
+    "groove": lambda event: f"{event['grooves']} struck in this contact",
+    "puncture": lambda event: f"at {1e3 * event['depth_m']:.2f} mm",
+    "saturation": lambda event: f"wanted {event['wanted_n']:.2f} N",
+    "overrun": lambda event: f"{wording.count(event['missed'], 'period')} missed",
+    "glitch": lambda event: f"a jump of {event['speed_m_per_s']:.0f} m/s",
+    "fault": lambda event: ", ".join(event["faults"]) or "cleared",
+    "overload": lambda event: f"{wording.percent(event['missed_share'], 2)} of a second's periods missed",
+    "rate": lambda event: f"{wording.si(event['rate_hz'], 'Hz')} from now on",
+    "resumed": lambda event: f"after {wording.duration(round(event['suspended_s']))} of suspend",
+    "memory_refused": lambda event: str(event["problem"]),
+    "mark": lambda event: str(event["text"]),
+    "gesture_end": lambda event: "as it was meant" if event["completed"] else "replaced by another",
+    "revision": lambda event: str(event["revision"]),
+}
+"""What a line says of an event of each kind beside its object."""
+
+
+def event_line(event: Mapping[str, Any]) -> str:
     """An event in words: its kind, its object, and its other members."""
-    kind, about = str(event.get("event", "event")), event.get("object")
-    words = [kind.replace("_", " "), *([str(about)] if about is not None else [])]
-    match kind:
-        case "contact" if not event.get("appeared"):
-            words.append(
-                f"at {_number(event, 'speed_m_per_s'):.3f} m/s, {_number(event, 'amplitude_m_per_s2'):.1f} m/s²"
-            )
-            if _number(event, "scale", 1.0) == 0:
-                words.append("not displayed")
-            elif _number(event, "scale", 1.0) < 1:
-                words.append(f"scaled to {_number(event, 'scale'):.2f} by the force limit")
-        case "contact":
-            words.append("inside it when it appeared")
-        case "groove":
-            words.append(f"{_number(event, 'grooves'):.0f} struck in this contact")
-        case "puncture":
-            words.append(f"at {1e3 * _number(event, 'depth_m'):.2f} mm")
-        case "saturation":
-            words.append(f"wanted {_number(event, 'wanted_n'):.2f} N")
-        case "overrun":
-            words.append(f"{wording.count(round(_number(event, 'missed')), 'period')} missed")
-        case "glitch":
-            words.append(f"a jump of {_number(event, 'speed_m_per_s'):.0f} m/s")
-        case "fault":
-            faults = event.get("faults")
-            words.append(", ".join(map(str, faults)) if isinstance(faults, list) and faults else "cleared")
-        case "overload":
-            words.append(f"{wording.percent(_number(event, 'missed_share'), 2)} of a second's periods missed")
-        case "rate":
-            words.append(f"{wording.si(_number(event, 'rate_hz'), 'Hz')} from now on")
-        case "resumed":
-            words.append(f"after {wording.duration(round(_number(event, 'suspended_s')))} of suspend")
-        case "memory_refused":
-            words.append(str(event.get("problem")))
-        case "mark":
-            words.append(str(event.get("text")))
-        case "gesture_end":
-            words.append("as it was meant" if event.get("completed") else "replaced by another")
-        case "revision":
-            words.append(str(event.get("revision")))
-    return " ".join(words)
-
-
-def _number(event: Mapping[str, object], key: str, default: float = 0.0) -> float:
-    value = event.get(key, default)
-    return float(value) if isinstance(value, int | float) else default
+    kind = event["event"]
+    words = [kind.replace("_", " "), event.get("object"), _WORDS[kind](event) if kind in _WORDS else None]
+    return " ".join(each for each in words if each is not None)
 
 
 def bar(value: float, scale: float, width: int) -> str:
@@ -313,10 +265,8 @@ def bar(value: float, scale: float, width: int) -> str:
 
 def signed_bar(value: float, scale: float, width: int) -> str:
     """A bar from the middle of `width` columns, to the left for negative values."""
-    half = width // 2
-    filled = min(half, round(abs(value) / scale * half))
-    empty = "·" * (half - filled)
-    return f"{empty}{'█' * filled}│{'·' * half}" if value < 0 else f"{'·' * half}│{'█' * filled}{empty}"
+    left, right = (bar(max(0.0, part), scale, width // 2) for part in (-value, value))
+    return f"{left[::-1]}│{right}"
 
 
 def _nice(value: float) -> float:
@@ -403,32 +353,41 @@ def watch(
             raise HapticdError("the terminal is gone")
 
 
-_Messages: TypeAlias = Subscription[tuple[Topic, dict[str, object]]]
+_Item: TypeAlias = tuple[Topic, dict[str, object]]
+_Messages: TypeAlias = Subscription[_Item]
+
+
+def _follow(view: View, client: Client, messages: _Messages, every_s: float, lasts_s: float) -> Iterator[_Item | None]:
+    """Feeds the view for a time from the first message; each message, or None where none came within `every_s`."""
+    heard_s, ends_s = time.monotonic(), math.inf
+    view.feed("status", client.get_status())
+    while (now_s := time.monotonic()) < ends_s:
+        item = messages.receive(min(every_s, ends_s - now_s))
+        now_s = time.monotonic()
+        if item is not None:
+            heard_s, ends_s = now_s, min(ends_s, now_s + lasts_s)
+            view.feed(*item)
+        elif now_s - heard_s > LOST_AFTER_S:
+            view.lost_for_s = now_s - heard_s
+        yield item
 
 
 def _draw(client: Client, messages: _Messages, console: Console, lasts_s: float) -> bool:
     """Draws until the time is over (true) or the terminal is gone (false)."""
     view = View()
-    heard = shown = time.monotonic()
-    asked, ends_s = -math.inf, math.inf
+    shown_s = time.monotonic()
+    asked_s = -math.inf
     with Live(console=console, screen=True, auto_refresh=False) as live:
-        view.feed("status", client.get_status())
-        while (now := time.monotonic()) < ends_s:
-            item = messages.receive(min(REFRESH_S, ends_s - now))
-            now = time.monotonic()
-            if item is not None:
-                heard, ends_s = now, min(ends_s, now + lasts_s)
-                view.feed(*item)
-            elif now - heard > LOST_AFTER_S:
-                view.lost_for_s = now - heard
-            if view.wants_scene and now - asked > 1.0:
-                asked = now
+        for _ in _follow(view, client, messages, REFRESH_S, lasts_s):
+            now_s = time.monotonic()
+            if view.wants_scene and now_s - asked_s > 1.0:
+                asked_s = now_s
                 # Asked again if there is no answer; that the daemon is gone shows by its silence.
                 with suppress(HapticdError):
                     answer = client.get_scene()
                     view.set_scene(answer["scene"], answer["revision"])
-            if now - shown >= REFRESH_S:
-                shown = now
+            if now_s - shown_s >= REFRESH_S:
+                shown_s = now_s
                 if not console.file.isatty():
                     return False
                 live.update(view.render(*console.size), refresh=True)
@@ -437,26 +396,18 @@ def _draw(client: Client, messages: _Messages, console: Console, lasts_s: float)
 
 def _lines(client: Client, messages: _Messages, as_json: bool, lasts_s: float) -> Iterator[str]:
     view = View()
-    heard = time.monotonic()
-    due, ends_s = -math.inf, math.inf
-    view.feed("status", client.get_status())
-    while (now := time.monotonic()) < ends_s:
-        item = messages.receive(min(LOST_AFTER_S, ends_s - now))
-        now = time.monotonic()
+    due_s = -math.inf
+    lost = False
+    for item in _follow(view, client, messages, LOST_AFTER_S, lasts_s):
         if item is None:
-            if now - heard < LOST_AFTER_S:
-                continue
-            if view.lost_for_s is None:
+            if view.lost_for_s is not None and not lost:
                 yield json.dumps({"topic": "lost"}) if as_json else "daemon lost; waiting for it"
-            view.lost_for_s = now - heard
+            lost = view.lost_for_s is not None
             continue
+        lost = False
         topic, message = item
-        heard, ends_s = now, min(ends_s, now + lasts_s)
-        view.feed(topic, message)
-        if topic == "event" and as_json:
-            yield json.dumps({"topic": topic, **message})
-        elif topic == "event" and message.get("event") not in _QUIET_EVENTS:
-            yield event_line(message)
-        elif topic == "state" and now >= due:
-            due = now + 1.0
+        if topic == "event" and (as_json or message["event"] not in _QUIET_EVENTS):
+            yield json.dumps({"topic": topic, **message}) if as_json else event_line(message)
+        elif topic == "state" and time.monotonic() >= due_s:
+            due_s = time.monotonic() + 1.0
             yield json.dumps({"topic": topic, **message}) if as_json else view.line()

@@ -76,6 +76,14 @@ def state(tick: int = 100, **members: Any) -> State:
     return plain | members  # type: ignore[return-value]
 
 
+def event(kind: str, **members: Any) -> dict[str, Any]:
+    return {"event": kind, "tick": 1, "time_ns": 100_000, **members}
+
+
+def contact(name: str) -> dict[str, Any]:
+    return event("contact", object=name, appeared=False, speed_m_per_s=0.1, amplitude_m_per_s2=31.0, scale=1.0)
+
+
 def view(**members: Any) -> View:
     shown = View()
     shown.feed("status", status())
@@ -91,7 +99,7 @@ def drawn(shown: View, width: int = 80, height: int = 24) -> list[str]:
 
 def test_it_fits_the_terminal() -> None:
     shown = view(force_n=[-123.0, 99.0], touching=["a" * 100])
-    shown.feed("event", {"event": "contact", "object": "x" * 200, "tick": 1, "time_ns": 10**18})
+    shown.feed("event", contact("x" * 200) | {"time_ns": 10**18})
     for width, height in ((80, 24), (120, 50), (200, 24), (40, 10), (1, 1), (20, 3)):
         lines = drawn(shown, width, height)
         assert len(lines) == height
@@ -163,9 +171,9 @@ def test_a_probe_outside_widens_the_picture() -> None:
 def test_a_punctured_membrane_has_a_hole_until_it_is_touched_again() -> None:
     shown = view()
     whole = sum(line.count("─") for line in drawn(shown)[:-5])
-    shown.feed("event", {"event": "puncture", "object": "skin", "depth_m": 0.004})
+    shown.feed("event", event("puncture", object="skin", depth_m=0.004))
     assert 0 < sum(line.count("─") for line in drawn(shown)[:-5]) < whole
-    shown.feed("event", {"event": "contact", "object": "skin"})
+    shown.feed("event", contact("skin"))
     assert sum(line.count("─") for line in drawn(shown)[:-5]) == whole
 
 
@@ -255,10 +263,10 @@ def test_events_in_words(event: dict[str, object], words: str) -> None:
 
 def test_a_stream_of_updates_leaves_room_for_other_events() -> None:
     shown = view()
-    shown.feed("event", {"event": "puncture", "object": "skin", "depth_m": 0.004})
+    shown.feed("event", event("puncture", object="skin", depth_m=0.004))
     for revision in range(100):
-        shown.feed("event", {"event": "revision", "revision": revision})
-        shown.feed("event", {"event": "overrun", "missed": 1})
+        shown.feed("event", event("revision", revision=revision))
+        shown.feed("event", event("overrun", missed=1))
     text = "\n".join(drawn(shown))
     assert "puncture skin" in text and "revision 99" in text and "revision 98" not in text
 
