@@ -22,8 +22,8 @@ from examples.demo.perform import running_daemon
 from examples.demo.plot import PLOT, save
 from hapticd.base.errors import HapticdError
 from hapticd.cli.streams import guarded
-from hapticd.client.blocking import TelemetryLoss
 from hapticd.config.materials import Materials, shipped_materials
+from hapticd.protocol.calls import TelemetryLoss
 
 
 def main() -> int:

@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from hapticd.base.core import Flag
 from hapticd.base.errors import HapticdError
-from hapticd.client.blocking import Client, DaemonNotRunning, connect
+from hapticd.client.blocking import Client, connect
+from hapticd.protocol.calls import DaemonNotRunning
 
 Floats = npt.NDArray[np.float64]
 Waypoints = list[list[float]]

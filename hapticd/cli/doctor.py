@@ -27,11 +27,12 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     """
     from hapticd._version import __version__
     from hapticd.base.errors import HapticdError
-    from hapticd.client.blocking import DaemonNotRunning, connect
+    from hapticd.client.blocking import connect
     from hapticd.config.locations import choose
     from hapticd.doctor import diagnose
     from hapticd.doctor.machine import Machine, Needs, holder
     from hapticd.doctor.service import configuration
+    from hapticd.protocol.calls import DaemonNotRunning
     from hapticd.system.paths import SYSTEM_DIRECTORY, daemon_paths, runtime_paths
 
     config, first = configuration(choose(configs))

@@ -52,9 +52,8 @@ def rig_at(place: RuntimePaths) -> Config:
     """Servo and device of the daemon at `place`."""
     from hapticd.client.blocking import Client
     from hapticd.config.configuration import load_config
-    from hapticd.protocol.calls import TIMEOUT_S
 
-    with Client.at(place, TIMEOUT_S) as client:
+    with Client(place.directory) as client:
         return load_config(client.get_config()["config"])
 
 
@@ -63,10 +62,9 @@ def live_stage(place: RuntimePaths, lsl: bool) -> Iterator[DaemonStage]:
     """The daemon at `place` as a stage; with `lsl` what happens goes to Lab Streaming Layer, too."""
     from hapticd.client.blocking import Client
     from hapticd.experiment.daemon_stage import DaemonStage
-    from hapticd.protocol.calls import TIMEOUT_S
 
     with ExitStack() as stack:
-        client = stack.enter_context(Client.at(place, TIMEOUT_S))
+        client = stack.enter_context(Client(place.directory))
         if lsl:
             from hapticd.experiment.lsl import streaming
 

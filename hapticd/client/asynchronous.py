@@ -18,25 +18,13 @@ from hapticd.base import arguments
 from hapticd.base.errors import HapticdError
 from hapticd.client import blocking, methods
 from hapticd.client.base import connect_commands
-from hapticd.client.methods import Response, Subscription, Wait
-from hapticd.client.streams import Stream
+from hapticd.client.methods import Response, Wait
 from hapticd.protocol import calls
-from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning, RemoteError, TelemetryLoss
+from hapticd.protocol.calls import TIMEOUT_S
 from hapticd.system.paths import RuntimePaths
 
 if TYPE_CHECKING:
     from hapticd.client.record import Daemon
-
-__all__ = [
-    "Client",
-    "Connecting",
-    "DaemonNotRunning",
-    "RemoteError",
-    "Stream",
-    "Subscription",
-    "TelemetryLoss",
-    "connect",
-]
 
 T = TypeVar("T")
 
@@ -171,4 +159,4 @@ class Client(methods.Client):
         return end
 
     def _blocking(self) -> AbstractContextManager[Daemon]:
-        return blocking.Client.at(self.paths, self.timeout_s)
+        return blocking.Client(self.paths.directory, self.timeout_s)

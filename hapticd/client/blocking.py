@@ -23,14 +23,12 @@ from hapticd.base import arguments
 from hapticd.client import methods, streams
 from hapticd.client.base import connect_commands
 from hapticd.client.methods import Response, Wait
-from hapticd.protocol import calls, places
-from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning, RemoteError, TelemetryLoss
+from hapticd.protocol import calls
+from hapticd.protocol.calls import TIMEOUT_S
 from hapticd.system.paths import RuntimePaths
 
 if TYPE_CHECKING:
     from hapticd.client.record import Daemon
-
-__all__ = ["Client", "DaemonNotRunning", "RemoteError", "Stream", "Subscription", "TelemetryLoss", "connect"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -138,7 +136,7 @@ class _OnThread(methods.Client):
         return end
 
     def _blocking(self) -> AbstractContextManager[Daemon]:
-        return Client.at(self.paths, self.timeout_s)
+        return Client(self.paths.directory, self.timeout_s)
 
 
 def _milliseconds(timeout_s: float) -> int:
@@ -236,19 +234,8 @@ class Client:
     ) -> None:
         """As `connect`."""
         timeout_s, wait_s = arguments.seconds("timeout_s", timeout_s), arguments.seconds("wait_s", wait_s, zero=True)
-        self._begin(run(_OnThread._connected(runtime_dir, timeout_s, wait_s)))
-
-    def _begin(self, client: _OnThread) -> None:
-        self._client = client
-        self.paths: RuntimePaths = client.paths
-
-    @classmethod
-    def at(cls, place: RuntimePaths, timeout_s: float) -> Self:
-        """A client of the daemon at a place that is known."""
-        places.probe(place)
-        client = cls.__new__(cls)
-        client._begin(_OnThread(place, timeout_s))
-        return client
+        self._client = run(_OnThread._connected(runtime_dir, timeout_s, wait_s))
+        self.paths: RuntimePaths = self._client.paths
 
     @property
     def timeout_s(self) -> float:

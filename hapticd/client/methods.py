@@ -67,11 +67,7 @@ READY: Final = b"state"
 
 
 class Client(ABC):
-    """The daemon's methods, by their names in the protocol; each returns the protocol's result as a dictionary.
-
-    Every method raises RemoteError where the daemon refuses, and DaemonNotRunning where it does not answer within
-    `timeout_s`; such a call is not repeated later automatically.
-    """
+    """What the clients have in common: all but how they send and wait."""
 
     def __init__(self, place: RuntimePaths, timeout_s: float = TIMEOUT_S) -> None:
         self.paths: RuntimePaths = place

@@ -225,7 +225,7 @@ def streaming(client: Client) -> Iterator[None]:
 
     def run() -> None:
         try:
-            with Client.at(client.paths, client.timeout_s) as own:
+            with Client(client.paths.directory, client.timeout_s) as own:
                 stream(own, stop, begun.set)
         except BaseException as error:
             failed.append(error)

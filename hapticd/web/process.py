@@ -18,7 +18,7 @@ from hapticd.base.tasks import ended
 from hapticd.client import blocking
 from hapticd.client.asynchronous import Client
 from hapticd.protocol import places
-from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning
+from hapticd.protocol.calls import DaemonNotRunning
 from hapticd.system import journal, notify
 from hapticd.system.paths import RuntimePaths
 from hapticd.web import opening
@@ -113,7 +113,7 @@ class _Server:
             stack.push_async_callback(control.close)
             hub = TelemetryHub(self._place, lambda there: pages.tell({"daemon": there}))
             recordings = Recordings(
-                self._options.recordings or default_folder(), lambda: blocking.Client.at(self._place, TIMEOUT_S)
+                self._options.recordings or default_folder(), lambda: blocking.Client(self._place.directory)
             )
             pages = Pages(self._place, hub, control, self._demo is not None, self._new_address, recordings)
             if self._collector is not None:

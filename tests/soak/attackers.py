@@ -18,8 +18,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from hapticd.client.blocking import Client, RemoteError, connect
+from hapticd.client.blocking import Client, connect
 from hapticd.protocol import messages, zmtp
+from hapticd.protocol.calls import RemoteError
 
 CONNECTIONS = 250
 """Of one attacker that holds connections; half of them to each socket."""

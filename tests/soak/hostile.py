@@ -34,8 +34,9 @@ from pathlib import Path
 from bench.daemon import daemon
 from bench.report import ROOT
 from hapticd.base.errors import HapticdError
-from hapticd.client.blocking import Client, RemoteError, connect
+from hapticd.client.blocking import Client, connect
 from hapticd.protocol import messages
+from hapticd.protocol.calls import RemoteError
 from tests.soak import attackers
 from tests.soak.under_attack import PATIENCE_S, Found, Measure, Watcher, attacked, memory_mib, scheduled_s
 

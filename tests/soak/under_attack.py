@@ -20,7 +20,8 @@ import numpy as np
 
 from bench.report import ROOT, Table
 from hapticd.base.errors import HapticdError
-from hapticd.client.blocking import Client, RemoteError
+from hapticd.client.blocking import Client
+from hapticd.protocol.calls import RemoteError
 
 OFF_EVERY_S = 0.02
 TELL_EVERY_S = 10.0

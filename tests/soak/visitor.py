@@ -16,7 +16,8 @@ from typing import Any
 import zmq
 
 from hapticd.base.errors import HapticdError
-from hapticd.client.blocking import Client, RemoteError, Subscription, connect
+from hapticd.client.blocking import Client, Subscription, connect
+from hapticd.protocol.calls import RemoteError
 from hapticd.protocol.messages import Code
 
 TOPICS = ("samples", "state", "event", "change", "status")

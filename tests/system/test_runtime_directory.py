@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from hapticd.base.errors import HapticdError
-from hapticd.client.blocking import DaemonNotRunning
 from hapticd.daemon.process import run
+from hapticd.protocol.calls import DaemonNotRunning
 from hapticd.protocol.places import probe
 from hapticd.system.paths import Owned, RuntimePaths, owned, runtime_paths
 
