@@ -82,6 +82,7 @@ class Client(methods.Client):
         self._reader: asyncio.Task[None] | None = None
 
     def _opened(self) -> zmq.asyncio.Socket:
+        self._refuse_closed()
         if self._socket is None:
             self._socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
             connect_commands(self._socket, self.paths)

@@ -64,19 +64,18 @@ class _OnThread(methods.Client):
         # Opened when it is first used: a subscription needs none.
         self._socket: zmq.Socket[bytes] | None = None
 
-    def _opened(self) -> zmq.Socket[bytes]:
+    def _open(self) -> zmq.Socket[bytes]:
         self._refuse_closed()
-        if self._socket is None:
-            socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
-            socket.setsockopt(zmq.SNDTIMEO, _milliseconds(self.timeout_s))
-            socket.setsockopt(zmq.RCVTIMEO, _milliseconds(self.timeout_s))
-            connect_commands(socket, self.paths)
-            self._socket = socket
-        return self._socket
+        socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
+        socket.setsockopt(zmq.SNDTIMEO, _milliseconds(self.timeout_s))
+        socket.setsockopt(zmq.RCVTIMEO, _milliseconds(self.timeout_s))
+        connect_commands(socket, self.paths)
+        self._socket = socket
+        return socket
 
     async def _exchange(self, id: int, body: bytes) -> Response:
         with self._lock:
-            socket = self._opened()
+            socket = self._socket or self._open()
             deadline_s = time.monotonic() + self.timeout_s
             try:
                 socket.send(body)
@@ -95,12 +94,13 @@ class _OnThread(methods.Client):
 
     async def _send(self, body: bytes) -> None:
         with self._lock:
-            self._opened().send(body)
+            (self._socket or self._open()).send(body)
 
     async def _disconnect(self) -> None:
         with self._lock:
             if self._socket is not None:
                 self._socket.close()
+                self._socket = None
 
     def _subscriber(self) -> zmq.Socket[Any]:
         return zmq.Context.instance().socket(zmq.SUB)

@@ -153,7 +153,6 @@ class Client(ABC):
 
     async def call(self, method: str, params: Mapping[str, object] | None = None) -> object:
         """Calls any method of the protocol by its name; returns its result."""
-        self._refuse_closed()
         id = next(self._ids)
         body = calls.encode_request(id, method, params)
         try:
@@ -164,7 +163,6 @@ class Client(ABC):
 
     async def notify(self, method: str, params: Mapping[str, object] | None = None) -> None:
         """Has a method carried out without an answer: nobody learns whether it was."""
-        self._refuse_closed()
         try:
             await self._send(messages.notification(method, params))
         except zmq.Again:
