@@ -540,6 +540,22 @@ def test_a_lease_that_keeps_no_forces_on_warns(fake: FakeDaemon) -> None:
     assert [each.filename for each in told] == [__file__, __file__]
 
 
+def test_the_blocking_client_may_be_used_while_an_event_loop_runs(fake: FakeDaemon) -> None:
+    """As in the cell of a notebook."""
+    fake.answer = lambda request: [result(request, {"token": "t"})]
+
+    async def cell() -> None:
+        with connect(fake.directory) as client, client.hold_lease(60.0) as token:
+            assert token == "t" and client.lease(60.0, token) == {"token": "t"}
+
+    asyncio.run(cell())
+
+
+def test_a_blocking_call_that_would_pause_is_a_defect() -> None:
+    with pytest.raises(RuntimeError, match="has paused"):
+        client_module.run(asyncio.sleep(0))
+
+
 def test_problems_of_an_error() -> None:
     assert str(RemoteError(-32602, "m", [{"where": "a.b", "problem": "is wrong"}, {"where": "", "problem": "x"}])) == (
         "a.b: is wrong; x"
