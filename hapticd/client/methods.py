@@ -308,18 +308,19 @@ class Client(ABC):
         Where another operator took its place before the end, by whomever, the event has `completed` false. Raises
         TimedOut after `timeout_s` (None: however long it takes), and DaemonNotRunning for a daemon that goes away.
         """
-        if self._operator_tick is None:
+        started_tick = self._operator_tick
+        if started_tick is None:
             raise HapticdError("wait_gesture: this client has called no set_operator yet")
         within_s = math.inf if timeout_s is None else arguments.seconds("timeout_s", timeout_s, zero=True)
         deadline_s = time.monotonic() + within_s
         # Who listens first and then asks misses no end.
-        async with self.telemetry("event", "status") as messages:
-            end = gesture_end(self._operator_tick, "status", cast("dict[str, object]", await self.get_status()))
+        async with self.telemetry("event", "status") as subscription:
+            end = gesture_end(started_tick, "status", cast("dict[str, object]", await self.get_status()))
             while end is None:
                 left_s = deadline_s - time.monotonic()
-                message = await messages.receive(max(0.0, min(left_s, self.timeout_s)))
+                message = await subscription.receive(max(0.0, min(left_s, self.timeout_s)))
                 if message is not None:
-                    end = gesture_end(self._operator_tick, *message)
+                    end = gesture_end(started_tick, *message)
                 elif left_s <= self.timeout_s:
                     raise TimedOut(f"wait_gesture: the hand was still under way after {timeout_s:g} s")
                 else:
