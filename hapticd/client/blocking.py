@@ -13,7 +13,6 @@ import os
 import threading
 import time
 from collections.abc import Awaitable, Callable, Coroutine
-from concurrent.futures import Future
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, Self, TypeVar
 
@@ -115,21 +114,22 @@ class _OnThread(methods.Client):
 
     def _start(self, name: str, work: Callable[[Wait], Coroutine[Any, Any, None]]) -> Callable[[], Awaitable[None]]:
         stop = threading.Event()
-        done: Future[None] = Future()
+        failed: list[BaseException] = []
 
         async def wait(seconds: float) -> bool:
             return stop.wait(seconds)
 
         def body() -> None:
             try:
-                done.set_result(run(work(wait)))
+                run(work(wait))
             except BaseException as error:
-                done.set_exception(error)
+                failed.append(error)
 
         async def end() -> None:
             stop.set()
             thread.join()
-            done.result()
+            if failed:
+                raise failed[0]
 
         thread = threading.Thread(target=body, name=name, daemon=True)
         thread.start()
