@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final, Literal, TypeAlias, cast
 
-import msgpack
-
 from hapticd.base import arguments
 from hapticd.base.codec import NotEncodableError
 from hapticd.base.errors import HapticdError, Problem, in_order, lines_of, shown
@@ -67,8 +65,7 @@ class ForcesOff(UserWarning):
 
 
 def encode_request(id: int, method: str, params: Mapping[str, object] | None) -> bytes:
-    """The body of a call. Raises HapticdError for one that is too large, or holds what msgpack or JSON cannot: a key
-    that is no text. What else the daemon refuses to read (`decode`) is rare, and named once it did (`result_of`)."""
+    """The body of a call; raises HapticdError for one that the daemon would refuse to read."""
     if not isinstance(method, str):
         raise arguments.wrong("method", f"must be a text, is {shown(method)}")
     if params is not None and not isinstance(params, Mapping):
@@ -78,8 +75,8 @@ def encode_request(id: int, method: str, params: Mapping[str, object] | None) ->
         if len(body) > messages.MAX_BODY:
             raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {messages.MAX_BODY})")
         if params:
-            msgpack.unpackb(body, strict_map_key=True)
-    except (ValueError, NotEncodableError) as error:
+            messages.decode(body)
+    except (messages.WireError, NotEncodableError) as error:
         arguments.plain((), params)  # says where
         raise HapticdError(f"{method}: {error}") from None
     return body
@@ -90,8 +87,6 @@ def result_of(result: object | RemoteError | DaemonNotRunning, params: Mapping[s
     if isinstance(result, DaemonNotRunning):
         raise result
     if isinstance(result, RemoteError):
-        if result.code == messages.Code.PARSE:
-            arguments.plain((), params)  # says where
         if params and result.problems:
             from hapticd.config.file_faults import placed
 
