@@ -19,9 +19,9 @@ import hapticd
 from bench.report import Advance, Floats, Options, Section, Table, verdict
 from hapticd.base.errors import HapticdError
 from hapticd.config.materials import validate_materials
+from hapticd.fit.from_files import fit_taps
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.tap import TapFit
-from hapticd.fit.tap_kind import fit_taps
 from hapticd.fit.waveform import WaveformFit
 
 Kind: TypeAlias = Literal["one mode", "two modes", "pulse", "pulse and mode"]

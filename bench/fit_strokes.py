@@ -22,8 +22,7 @@ from hapticd.config.materials import Material, validate_materials
 from hapticd.fit.grooves import fit_grooves
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording
-from hapticd.fit.synthesize import Stylus
-from hapticd.fit.synthesize_strokes import Hand, grooves, puncture, texture
+from hapticd.fit.synthesize import Hand, Stylus, grooves, puncture, texture
 from hapticd.fit.texture import fit_texture
 
 if TYPE_CHECKING:

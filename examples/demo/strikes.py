@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from examples.demo.perform import Floats, Recorded
 from hapticd.base.core import Flag
-from hapticd.fit.taps.ringing import SHORTEST, Ringing, fit_ringing
+from hapticd.fit.ringing import SHORTEST, Ringing, fit_ringing
 
 REST_BEFORE_ONSET_SAMPLES: Final = 8
 """Samples of silence that are fitted with an onset, where there are so many."""

@@ -25,14 +25,14 @@ from hapticd.cli.common import (
 )
 from hapticd.cli.fit_batch import batch_command
 from hapticd.cli.synthesize import synthesize_command
-from hapticd.fit.assumptions import STIFFNESS_N_PER_M
-from hapticd.fit.options import FitOptions
+from hapticd.fit.options import STIFFNESS_N_PER_M, FitOptions
 
 if TYPE_CHECKING:
     from hapticd.config.modes import Attack
-    from hapticd.fit.provenance import Fit, Kind
-    from hapticd.fit.tap_kind import TapKind
-    from hapticd.fit.taps.amplitude import LawKind
+    from hapticd.fit.from_files import TapKind
+    from hapticd.fit.recording import Kind
+    from hapticd.fit.result import Fit
+    from hapticd.fit.speed_law import LawKind
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -169,7 +169,7 @@ def _run(
     from hapticd.fit import report as drawing
     from hapticd.fit.contribution import added, contribution_of
     from hapticd.fit.from_files import fitted_files, materials_of
-    from hapticd.fit.plain_data import finite
+    from hapticd.fit.result import finite
 
     require_scipy()
     if merge and output is None:
@@ -264,8 +264,8 @@ def _tell(kind: Kind, found: Fit, beside: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from hapticd.fit.provenance import estimates, plain_figures
     from hapticd.fit.report import figure_rows
+    from hapticd.fit.result import estimates, plain_figures
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for head in (kind, "value", "95 % interval", "unit"):

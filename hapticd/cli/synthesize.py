@@ -167,7 +167,7 @@ def grooves_command(
 
     def make(material: Material, stylus: Stylus) -> tuple[list[Recording], _Truth]:
         from hapticd.config.texture import Grooves
-        from hapticd.fit.synthesize_strokes import Hand, grooves
+        from hapticd.fit.synthesize import Hand, grooves
 
         table = material.texture.frequency_table if isinstance(material.texture, Grooves) else None
         if table is not None:
@@ -200,7 +200,7 @@ def texture_command(
 
     def make(material: Material, stylus: Stylus) -> tuple[list[Recording], _Truth]:
         from hapticd.config.texture import Stochastic
-        from hapticd.fit.synthesize_strokes import Hand, texture
+        from hapticd.fit.synthesize import Hand, texture
 
         hand = Hand(duration_s=duration_s)
         found = [texture(material, *pair, each, hand) for pair, each in _pairs(speeds, forces, stylus)]
@@ -225,7 +225,7 @@ def puncture_command(name: str, speeds: tuple[float, ...], **options: Any) -> No
     """Punctures of a membrane, each in a recording of its own."""
 
     def make(material: Material, stylus: Stylus) -> tuple[list[Recording], _Truth]:
-        from hapticd.fit.synthesize_strokes import puncture
+        from hapticd.fit.synthesize import puncture
 
         chosen = speeds or PUNCTURE_SPEEDS
         found = [

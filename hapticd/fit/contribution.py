@@ -6,15 +6,19 @@ Between the two lies no fit and no recording: a contribution can be kept, and ad
 from __future__ import annotations
 
 import datetime
-from collections.abc import Collection, Mapping, Sequence
+import math
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+from hapticd._version import __version__
 from hapticd.base.errors import InvalidError, Problem
-from hapticd.config.materials import Material, validate_materials
-from hapticd.fit.assumptions import STIFFNESS_N_PER_M
+from hapticd.config.materials import MAX_REASON, MAX_REASONS, Material, validate_materials
 from hapticd.fit.from_files import Fitted
-from hapticd.fit.provenance import KEY_OF, Fit, Kind, provenance, rounded
-from hapticd.fit.recording import Recording
+from hapticd.fit.options import KEY_OF, STIFFNESS_N_PER_M
+from hapticd.fit.recording import Kind, Recording
+from hapticd.fit.result import estimates
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +45,7 @@ class Added:
 
 def contribution_of(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> Contribution:
     """What a fit of these recordings gives."""
-    return _contribution(kind, fitted.fit, fitted.figures, recordings, fitted.without)
+    return Contribution(kind, _rounded(fitted.figures), _provenance(kind, fitted, recordings))
 
 
 def added(
@@ -57,90 +61,70 @@ def added(
         given = STIFFNESS_N_PER_M if onto is None else onto.stiffness_n_per_m
         assumed = given if onto is None and "stiffness_n_per_m" not in part.figures else None
     before = {} if onto is None else onto.to_dict()
-    replaced = tuple(key for key in part.figures if key in before)
-    return Added(_with(part, name, given, day, onto), assumed, replaced)
-
-
-def material(
-    fit: Fit,
-    figures: Mapping[str, object],
-    recordings: Sequence[Recording],
-    name: str,
-    stiffness_n_per_m: float,
-    day: datetime.date,
-    *,
-    kind: Kind = "tap",
-    onto: Material | None = None,
-    without: Collection[str] = (),
-) -> Material:
-    """The fitted material. `figures` are what the fit's `material` gives; `stiffness_n_per_m` is for a fit that says
-    nothing of it; `onto` is a material of which everything else is kept; `without` as of `provenance`.
-
-    Raises InvalidError where a figure lies beyond what a material may have.
-    """
-    return _with(_contribution(kind, fit, figures, recordings, without), name, stiffness_n_per_m, day, onto)
-
-
-def _contribution(
-    kind: Kind, fit: Fit, figures: Mapping[str, object], recordings: Sequence[Recording], without: Collection[str]
-) -> Contribution:
-    return Contribution(kind, _rounded_all(figures), provenance(fit, recordings, kind=kind, without=without))
-
-
-def _with(
-    part: Contribution, name: str, stiffness_n_per_m: float, day: datetime.date, onto: Material | None
-) -> Material:
-    before = {} if onto is None else onto.to_dict()
     origin = {**part.origin, "date": day.isoformat()}
     data = {
         **before,
-        "stiffness_n_per_m": stiffness_n_per_m,
+        "stiffness_n_per_m": given,
         **part.figures,
         "provenance": _joined(part.kind, before.get("provenance"), origin),
     }
     try:
-        return validate_materials({name: data})[name]
+        made = validate_materials({name: data})[name]
     except InvalidError as error:
         problems = [
             Problem(problem.where, f"{problem.problem}: no material has what was found") for problem in error.problems
         ]
         raise InvalidError(problems) from None
+    return Added(made, assumed, tuple(key for key in part.figures if key in before))
+
+
+def _provenance(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> dict[str, object]:
+    """But for the day: files, version of hapticd, intervals by kind and name, and the verdict.
+
+    A figure whose interval has no end on one side is not among them, nor is what `fitted` is without.
+    """
+    fit = fitted.fit
+    # A path as text, also where its bytes are none.
+    files = {os.fsencode(each.source.path).decode(errors="backslashreplace"): each.source.sha256 for each in recordings}
+    intervals = {
+        f"{kind}.{name}": [_rounded(estimate.low), _rounded(estimate.high)]
+        for name, estimate in estimates(fit).items()
+        if name not in fitted.without and math.isfinite(estimate.low) and math.isfinite(estimate.high)
+    }
+    # Fits that choose between models say why.
+    choices = {f"{kind}.{name}": why[:MAX_REASON] for name, why in getattr(fit, "choices", {}).items()}
+    reasons = [reason[:MAX_REASON] for reason in fit.judged.reasons[:MAX_REASONS]]
+    return {
+        "files": [{"path": path, **({"sha256": sha256} if sha256 else {})} for path, sha256 in files.items()],
+        "version": __version__,
+        **({"intervals": intervals} if intervals else {}),
+        "verdict": {kind: {"quality": fit.judged.quality, **({"reasons": reasons} if reasons else {})}},
+        **({"choices": choices} if choices else {}),
+    }
 
 
 def _joined(kind: Kind, before: object, origin: Mapping[str, object]) -> dict[str, object]:
     """Two provenances as one: all files, and the intervals of what the material still has."""
     if not isinstance(before, Mapping):
         return dict(origin)
-    files, intervals, verdict = origin["files"], origin.get("intervals", {}), origin["verdict"]
+    replaced = [other for other, key in KEY_OF.items() if key == KEY_OF[kind]]
+    files = origin["files"]
     assert isinstance(files, list)
-    assert isinstance(intervals, Mapping)
-    assert isinstance(verdict, Mapping)
-    replaced = tuple(other for other, key in KEY_OF.items() if key == KEY_OF[kind])
-    kept = {name: ends for name, ends in before.get("intervals", {}).items() if name.partition(".")[0] not in replaced}
-    chosen = origin.get("choices", {})
-    assert isinstance(chosen, Mapping)
-    choices = {name: why for name, why in before.get("choices", {}).items() if name.partition(".")[0] not in replaced}
-    choices |= chosen
-    judged = {other: each for other, each in before.get("verdict", {}).items() if other not in replaced}
-    return {
-        **origin,
-        "files": [*(file for file in before["files"] if file not in files), *files],
-        **({"intervals": {**kept, **intervals}} if kept or intervals else {}),
-        "verdict": {**judged, **verdict},
-        **({"choices": choices} if choices else {}),
-    }
+    joined: dict[str, object] = {}
+    for member in ("intervals", "verdict", "choices"):
+        old, new = before.get(member, {}), origin.get(member, {})
+        assert isinstance(new, Mapping)
+        joined[member] = {name: each for name, each in old.items() if name.partition(".")[0] not in replaced} | {**new}
+    kept = {member: each for member, each in joined.items() if each}
+    return {**origin, "files": [*(file for file in before["files"] if file not in files), *files], **kept}
 
 
-def _rounded_all(value: Mapping[str, object]) -> dict[str, object]:
-    # Poles near the unit circle are worth more digits.
-    return {key: inner if key == "coefficients" else _rounded_any(inner) for key, inner in value.items()}
-
-
-def _rounded_any(value: object) -> object:
+def _rounded(value: Any) -> Any:
+    """With 7 digits; no recording has more. Poles near the unit circle are worth more."""
     if isinstance(value, float):
-        return rounded(value)
+        return float(f"{value:.7g}")
     if isinstance(value, Mapping):
-        return _rounded_all(value)
+        return {key: inner if key == "coefficients" else _rounded(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_rounded_any(inner) for inner in value]
+        return [_rounded(inner) for inner in value]
     return value

@@ -7,22 +7,26 @@ import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final, Literal, TypeAlias
 
+import numpy as np
+
+from hapticd.analysis.statistics import FitError, UnitError, require_scipy
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import load_path, one_line
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
 from hapticd.config.modes import Attack
-from hapticd.fit.exclusions import Exclusions
-from hapticd.fit.provenance import Fit, estimates
+from hapticd.fit.preparation import refuse_duplicates
 from hapticd.fit.recording import NoRecordingError, Recording, RecordingError, load
-from hapticd.fit.tap import TapFit
-from hapticd.fit.tap_kind import TapKind, fit_taps
-from hapticd.fit.taps.amplitude import LawKind
-from hapticd.fit.waveform import WaveformFit
+from hapticd.fit.result import Fit, estimates
+from hapticd.fit.speed_law import LawKind
+from hapticd.fit.tap import TapFit, fit_tap
+from hapticd.fit.verdict import AT_LEAST, Exclusions
+from hapticd.fit.waveform import Pulse, WaveformFit, fit_waveform, pulses_of
 
 AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
+TapKind: TypeAlias = Literal["auto", "mode", "waveform"]
 Step: TypeAlias = Callable[[str], None]
 """Called with what is being done."""
 
@@ -40,63 +44,6 @@ class Fitted:
 
 
 Fitting: TypeAlias = Callable[[Sequence[Recording], Step, Exclusions], Fitted]
-
-
-def of_one_kind(fit: Callable[..., Fit]) -> Fitting:
-    """A fit whose every figure goes into the material."""
-
-    def fitted(recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
-        step("fitting")
-        found = fit(recordings, excluded=excluded)
-        return Fitted(found, found.material())
-
-    return fitted
-
-
-def of_taps(
-    form: TapKind, attack: Attack | None, law: LawKind | None, two_modes: bool | None, mode_table: bool | None
-) -> Fitting:
-    """A fit of taps, of which the material has what is asked for; None: as the taps have it."""
-
-    def fitted(recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
-        found = fit_taps(recordings, form, lambda recording: step(f"fitting {recording.name}"), excluded)
-        if isinstance(found, WaveformFit):
-            told = () if form == "waveform" else (AS_WAVEFORM,)
-            return Fitted(found, found.material(), told, ("first_peak_slope_per_s",) if found.amplitudes else ())
-        kind = law or found.law.kind
-        two = two_modes if two_modes is not None else found.second is not None and found.second.kept
-        figures = found.material(attack or "coefficient", law, two, mode_table)
-        return Fitted(found, figures, _notes(found, kind, two), _without(found, kind, two, figures))
-
-    return fitted
-
-
-def _notes(found: TapFit, kind: LawKind, two: bool) -> tuple[str, ...]:
-    notes = []
-    if kind == "power" and found.law.power is not None:
-        notes.append(
-            f"the power law is written as {len(found.law.power.points)} amplitudes over speed, which are within "
-            f"{100 * found.law.power.off:.2g} % of it from {found.law.power.points[0][0]:.3g} to "
-            f"{found.law.power.points[-1][0]:.3g} m/s"
-        )
-    if found.second is not None and not two:
-        notes.append("--two-modes takes both modes into the material")
-    return tuple(notes)
-
-
-def _without(found: TapFit, kind: LawKind, two: bool, figures: Mapping[str, object]) -> set[str]:
-    """Intervals of what the material does not have would mislead."""
-    said = set(estimates(found))
-    second = {name for name in said if name.startswith("second.")}
-    without = said - second if two else second
-    if kind != "line":
-        without |= {name for name in said if "slope" in name or "offset" in name}
-    if kind != "power":
-        without |= {name for name in said if name.startswith("power.")}
-    tap = figures["tap"]
-    if isinstance(tap, dict) and "mode_table" in tap:
-        without |= {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
-    return without
 
 
 def fitted_files(
@@ -136,3 +83,136 @@ def materials_of(path: str) -> dict[str, Material]:
     given = data["materials"]
     assert isinstance(given, dict)
     return {name: found[name] for name in given}
+
+
+def of_one_kind(fit: Callable[..., Fit]) -> Fitting:
+    """A fit whose every figure goes into the material."""
+
+    def fitted(recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
+        step("fitting")
+        found = fit(recordings, excluded=excluded)
+        return Fitted(found, found.material())
+
+    return fitted
+
+
+# ---- Taps ------------------------------------------------------------------------------------------------------------
+
+
+def of_taps(
+    form: TapKind, attack: Attack | None, law: LawKind | None, two_modes: bool | None, mode_table: bool | None
+) -> Fitting:
+    """A fit of taps, of which the material has what is asked for; None: as the taps have it."""
+
+    def fitted(recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
+        found = fit_taps(recordings, form, lambda recording: step(f"fitting {recording.name}"), excluded)
+        if isinstance(found, WaveformFit):
+            told = () if form == "waveform" else (AS_WAVEFORM,)
+            return Fitted(found, found.material(), told, ("first_peak_slope_per_s",) if found.amplitudes else ())
+        kind = law or found.law.kind
+        two = two_modes if two_modes is not None else found.second is not None and found.second.kept
+        figures = found.material(attack or "coefficient", law, two, mode_table)
+        return Fitted(found, figures, _notes(found, kind, two), _without(found, kind, two, figures))
+
+    return fitted
+
+
+def _notes(found: TapFit, kind: LawKind, two: bool) -> tuple[str, ...]:
+    notes = []
+    if kind == "power" and found.law.power is not None:
+        points = found.law.power.points
+        notes.append(
+            f"the power law is written as {len(points)} amplitudes over speed, which are within "
+            f"{100 * found.law.power.off:.2g} % of it from {points[0][0]:.3g} to {points[-1][0]:.3g} m/s"
+        )
+    if found.second is not None and not two:
+        notes.append("--two-modes takes both modes into the material")
+    return tuple(notes)
+
+
+def _without(found: TapFit, kind: LawKind, two: bool, figures: Mapping[str, object]) -> set[str]:
+    """Intervals of what the material does not have would mislead."""
+    said = set(estimates(found))
+    second = {name for name in said if name.startswith("second.")}
+    without = said - second if two else second
+    if kind != "line":
+        without |= {name for name in said if "slope" in name or "offset" in name}
+    if kind != "power":
+        without |= {name for name in said if name.startswith("power.")}
+    tap = figures["tap"]
+    if isinstance(tap, dict) and "mode_table" in tap:
+        without |= {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
+    return without
+
+
+def fit_taps(
+    recordings: Sequence[Recording],
+    kind: TapKind = "auto",
+    progress: Callable[[Recording], None] | None = None,
+    excluded: Exclusions | None = None,
+) -> TapFit | WaveformFit:
+    """Fits the taps of one material by modes or by a waveform; `progress` and `excluded` as of fit_tap.
+
+    Raises FitError (one line) for what they do not support; where neither fits, of the mode.
+    """
+    require_scipy()
+    refuse_duplicates(recordings)
+    excluded = Exclusions() if excluded is None else excluded
+    if kind == "mode":
+        return fit_tap(recordings, progress, excluded)
+    if kind == "waveform":
+        warnings: list[str] = []
+        return _waveform(pulses_of(recordings, warnings, excluded), recordings, warnings, excluded)
+    # What the form that is not taken leaves out does not matter.
+    of_mode, of_waveform = excluded.copy(), excluded.copy()
+    ringing: TapFit | FitError
+    try:
+        ringing = fit_tap(recordings, progress, of_mode)
+    except FitError as error:
+        ringing = error
+    found = _better_waveform(ringing, recordings, of_waveform)
+    excluded.merge(of_mode if found is None else of_waveform)
+    if found is not None:
+        return found
+    if isinstance(ringing, FitError):
+        raise ringing
+    return ringing
+
+
+def _better_waveform(
+    ringing: TapFit | FitError, recordings: Sequence[Recording], excluded: Exclusions
+) -> WaveformFit | None:
+    """The waveform, where it says more of the taps than the modes do.
+
+    A mode is taken where it rings, which is to fall to 1/e in 0.3 of its period or later, and where it, or two, explain
+    95 % of the taps' variance (the median; a tap that was left out counts as 0). Otherwise a waveform is taken if it
+    leaves less than half of what the mode leaves over. A mode may choose frequency and decay for each tap separately,
+    and a waveform is judged on each tap by the other taps: the comparison favours the mode.
+    """
+    if isinstance(ringing, UnitError):
+        return None
+    warnings: list[str] = []
+    try:
+        pulses = pulses_of(recordings, warnings, excluded)
+        if isinstance(ringing, FitError):
+            found = _waveform(pulses, recordings, warnings, excluded)
+            explains = found.variance_accounted_for >= AT_LEAST["variance that a waveform explains"].poor
+            resolved = found.samples_a_period >= AT_LEAST["samples in a period of a waveform"].poor
+            return found if explains and resolved else None
+        by_mode = ringing.variance_accounted_for
+        rings = ringing.decay_time_s.value * ringing.frequency_hz.value >= 0.3
+        if ringing.second is not None and rings:
+            by_mode = max(by_mode, ringing.second.variance_accounted_for)
+        by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
+        if rings and by_mode >= 0.95:
+            return None
+        found = _waveform(pulses, recordings, warnings, excluded)
+    except FitError:
+        return None
+    return found if 1 - found.variance_accounted_for < 0.5 * (1 - by_mode) else None
+
+
+def _waveform(
+    pulses: Sequence[Pulse], recordings: Sequence[Recording], warnings: Sequence[str], excluded: Exclusions
+) -> WaveformFit:
+    return fit_waveform(pulses, [recording.source for recording in recordings], warnings, excluded)

@@ -15,44 +15,652 @@ with speed or force. The gains are an M-estimate, so that a few strikes of anoth
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from itertools import pairwise
+from typing import Final, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
+from hapticd.analysis.recordings.spans import Bools
 from hapticd.analysis.robust import Robust, robust
-from hapticd.analysis.statistics import Estimate, FitError, Floats, common, least_squares, well_conditioned
+from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, common, well_conditioned
 from hapticd.config.modes import Mode
-from hapticd.fit.duplicates import refuse_duplicates
-from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
-from hapticd.fit.invalid_samples import without_invalid_samples
-from hapticd.fit.plain_data import plain
+from hapticd.fit.preparation import (
+    Cleaned,
+    acceleration_of,
+    check_apart,
+    check_force_varies,
+    check_range,
+    gravity_of,
+    motion_of,
+    moved_with,
+    pressed,
+    refuse_duplicates,
+    report_cleaning,
+    report_sampling,
+    running_mean,
+    stretches_of,
+    undersampled,
+    without_invalid_samples,
+)
 from hapticd.fit.recording import Recording
-from hapticd.fit.recording_checks import check_force_varies, report_cleaning, report_gravity, report_sampling
-from hapticd.fit.spectral_lines import report_lines
-from hapticd.fit.stretches import stretches_of
-from hapticd.fit.strikes.spacing import slope_of_row
-from hapticd.fit.strikes.stroke import GROUP, Group, Strike, Stroke, StrokeFit
-from hapticd.fit.verdict import Doubts, Verdict
+from hapticd.fit.result import Judged, fields_of
+from hapticd.fit.spectral_lines import lines_in_residual, report_lines
+from hapticd.fit.verdict import AT_LEAST, Doubts, Exclusions
 
-LEAST_S: Final = 0.1
-"""Of a stretch of a recording, between gaps and clipped samples."""
-SAME_SPACING: Final = 0.03
-"""Recordings whose spacings differ by more are not of the same grooves."""
-SAME_MODE: Final = 0.25
-"""Recordings whose frequencies differ by more do not ring with the same mode."""
+Complexes: TypeAlias = npt.NDArray[np.complex128]
+
+LEAST_STRIKES: Final = 8
+FAINT: Final = 0.3
+"""Steps smaller than this part of the strong ones are not strikes."""
+WINDOW_CYCLES: Final = 1.25
+"""Ringing on either side of a sample that is searched for a strike."""
+GROUP: Final = 8
+"""Strikes in a group whose frequency is fitted."""
+EVEN: Final = 0.05
+"""Where strikes lie off a regular row by less, no other damping is tried."""
+ACCOUNTED: Final = 0.5
+"""Less of the variance than this is not one mode struck again and again."""
 AMPLITUDES_M_PER_S2: Final = (0.1, 5000.0)
 """Of a usual strike; less is not felt."""
-MOVES: Final = 0.02
-"""A change of frequency over the speeds or forces of the recordings that is worth telling, as a part of it."""
-WIDTH: Final = 0.25
-"""Width over spacing that is written: strokes do not show it, and vibration does not use it."""
+
+
+# ---- Onsets: where strikes are, and the regular row that they lie in -------------------------------------------------
+
+
+def _loudest_frequency(seen: Floats, rate_hz: float) -> float:
+    """Where the mean spectrum of windows of 40 ms is largest, above 20 Hz."""
+    from scipy.signal import welch
+
+    length = min(len(seen), max(64, round(0.04 * rate_hz)))
+    overlap = length - max(1, length // 2)
+    window = np.hanning(length)
+    frequency, power = welch(seen, rate_hz, window, noverlap=overlap, nfft=8 * length, detrend="linear")
+    return float(frequency[np.argmax(np.where(frequency >= 20.0, power, 0.0))])
+
+
+def _ringing_steps(seen: Floats, rate_hz: float, mode: Mode) -> Complexes:
+    """By how much z differs between the windows after and before each sample."""
+    from scipy.signal import fftconvolve
+
+    length = max(6, round(WINDOW_CYCLES * rate_hz / mode.frequency_hz))
+    count = len(seen)
+    if count < 4 * length:
+        raise FitError("a recording of a few cycles holds no grooves")
+    taps = np.zeros(2 * length, dtype=np.complex128)
+    for index, sign in ((np.arange(length), 1.0), (np.arange(-length, 0), -1.0)):
+        ring = np.exp(_pole(mode) * index / rate_hz)
+        solve = np.linalg.pinv(np.stack([ring.imag, ring.real, np.ones(length)], axis=1))
+        taps[index + length] += sign * (solve[0] + 1j * solve[1])
+    found = fftconvolve(seen, taps[::-1])[length - 1 : length - 1 + count]
+    found[:length] = 0
+    found[count - length :] = 0
+    return np.asarray(found)
+
+
+def _pole(mode: Mode) -> complex:
+    return complex(-mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
+
+
+def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
+    """A strike of 1 in the middle of silence, as long as its ringing."""
+    half = math.ceil(max(6 * mode.decay_time_s, 4 * WINDOW_CYCLES / mode.frequency_hz) * rate_hz)
+    time = np.arange(-half, half + 1) / rate_hz
+    ring = np.exp(-mode.decay_rate_per_s * np.maximum(time, 0.0)) * np.sin(mode.angular_frequency_rad_per_s * time)
+    return np.asarray(np.where(time >= 0, ring, 0.0))
+
+
+def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
+    """Where strikes are, in order: the largest step first, and what it makes of its neighbourhood taken away."""
+    left = step.copy()
+    middle = len(unit) // 2
+    free = np.ones(len(step), dtype=np.bool_)
+    at: list[int] = []
+    sizes: list[float] = []
+    while len(at) < 2000:
+        k = int(np.argmax(np.where(free, np.abs(left), 0.0)))
+        size = float(left[k]) / float(unit[middle])
+        # A knock or two must not hide strikes.
+        strong = float(np.percentile(np.abs(sizes), 75)) if len(sizes) >= LEAST_STRIKES else 0.0
+        if abs(size) <= max(FAINT * strong, min(4 * noise, 0.5 * strong)):
+            break
+        low, high = max(0, k - middle), min(len(left), k + middle + 1)
+        left[low:high] -= size * unit[low - k + middle : high - k + middle]
+        # What is left about a strike is the error of its time and of the mode.
+        free[max(0, k - reach) : k + reach + 1] = False
+        at.append(k)
+        sizes.append(size)
+    strong = float(np.percentile(np.abs(sizes), 75)) if sizes else 0.0
+    return np.array(sorted(k for k, size in zip(at, sizes, strict=True) if abs(size) > FAINT * strong), dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
-class GroovesFit:
+class Row:
+    """Groove numbers (n,), so that strike k lies at about `first_m + number[k] * spacing_m`."""
+
+    number: Ints
+    spacing_m: float
+    first_m: float
+
+    def offsets(self, place: Floats) -> Floats:
+        """(n,) distances of strikes from their places in the row, as parts of the spacing, with their signs."""
+        return np.asarray(place - self.first_m - self.number * self.spacing_m) / self.spacing_m
+
+    def unevenness(self, place: Floats) -> float:
+        """RMS distance of strikes from their places in the row, as a part of the spacing."""
+        return float(np.sqrt(np.mean(self.offsets(place) ** 2)))
+
+
+def row_of(place: Floats) -> Row:
+    """The row of strikes at `place` (n,), in m. By where the strikes lie, or from strike to strike (a speed that was
+    integrated drifts), whichever is the more even."""
+    steps = np.abs(np.diff(place))
+    steps = steps[steps > 0]
+    if len(steps) < 2:
+        raise FitError("the strikes are all at one place: is the position the wrong column?")
+    usual = float(np.median(steps))
+    return min((_by_place(place, usual), _by_step(place, usual)), key=lambda row: row.unevenness(place))
+
+
+def _slope_of_row(number: Ints, place: Floats) -> float:
+    """The spacing, by least squares; negative where the places fall as the numbers rise."""
+    centred = number - number.mean()
+    square = float(centred @ centred)
+    return float(centred @ place) / square if square > 0 else 0.0
+
+
+def _by_step(place: Floats, spacing: float) -> Row:
+    """Each groove's number from the step to it."""
+    number = np.zeros(len(place), dtype=np.int64)
+    for _ in range(4):
+        number = np.concatenate(([0], np.cumsum(np.round(np.diff(place) / spacing).astype(np.int64))))
+        spacing = abs(_slope_of_row(number, place)) or spacing
+    return Row(number, spacing, float(np.median(place - spacing * number)))
+
+
+def _by_place(place: Floats, usual: float) -> Row:
+    """The spacing is the one whose phases agree best, of half the usual step to two and a half of it; half of one that
+    agrees does as well, so the largest is taken."""
+    few = place[:300]
+    waves = np.arange(0.4 / usual, 2.0 / usual, 0.2 / max(float(np.ptp(few)), usual))
+    agree = np.abs(np.exp(2j * math.pi * np.outer(waves, few)).mean(axis=1))
+    best = int(np.argmax(agree > 0.95 * agree.max()))
+    while best + 1 < len(waves) and agree[best + 1] > agree[best]:
+        best += 1
+    spacing = 1 / float(waves[best])
+    first = spacing * float(np.angle(np.exp(2j * math.pi * few / spacing).mean())) / (2 * math.pi)
+    # Of twice as many strikes each time, as an error of the spacing adds up.
+    counts = [min(len(few), 16)]
+    while counts[-1] < len(place):
+        counts.append(min(len(place), 2 * counts[-1]))
+    for count in (*counts, len(place)):
+        part = place[:count]
+        number = np.round((part - first) / spacing).astype(np.int64)
+        near = np.abs(part - first - number * spacing) < 0.25 * spacing
+        if np.ptp(number[near]) if near.any() else 0:
+            spacing = abs(_slope_of_row(number[near], part[near]))
+            first = float(np.median(part[near] - spacing * number[near]))
+    return Row(np.round((place - first) / spacing).astype(np.int64), spacing, first)
+
+
+# ---- Model: free ringing between strikes -----------------------------------------------------------------------------
+
+
+class _FreeRinging:
+    """Stretches of free ringing, fitted side by side: arrays (stretches, samples), 0 beyond a stretch's end.
+
+    Each is Im(z exp((-B + i w) t)) beside a level and a slope. For given B and w, z and the drift of each stretch are a
+    separate linear fit.
+    """
+
+    def __init__(
+        self, seen: Floats, rate_hz: float, intervals: Sequence[tuple[int, int, float]], mode: Mode, least: int
+    ) -> None:
+        self.used: Ints = np.array([k for k, (low, high, _) in enumerate(intervals) if high - low >= least], np.int64)
+        low, high, onset = np.array([intervals[k] for k in self.used], dtype=np.float64).reshape(-1, 3).T
+        count = high - low
+        steps = np.arange(int(count.max(initial=0)))
+        index = low[:, None] + steps
+        self.held: Bools = index < high[:, None]
+        self.index: Ints = np.where(self.held, index, low[:, None]).astype(np.int64)
+        self._first_s = low / rate_hz - onset
+        self._since_s = steps / rate_hz
+        # A level takes a cycle to tell from the ringing, a slope two.
+        cycles = count / rate_hz * mode.frequency_hz
+        level = self.held / np.sqrt(count)[:, None] * (cycles > 0.9)[:, None]
+        ramp = np.where(self.held, steps - (count[:, None] - 1) / 2, 0.0) * (cycles > 1.8)[:, None]
+        ramp /= np.maximum(np.sqrt(np.sum(ramp**2, axis=1, keepdims=True)), 1e-300)
+        self._drift = (level, ramp)
+        self.flat: Floats = self._less_drift(np.where(self.held, seen[self.index], 0.0))
+
+    def _less_drift(self, values: Floats) -> Floats:
+        for column in self._drift:
+            values = values - column * _products(column, values)[:, None]
+        return values
+
+    def solved(self, mode: Mode) -> tuple[Complexes, Floats]:
+        """z at each onset, and what the ringing leaves, (stretches, samples)."""
+        pole = _pole(mode)
+        turned = np.exp(pole * self._first_s)[:, None] * np.exp(pole * self._since_s) * self.held
+        sine, cosine = self._less_drift(turned.imag), self._less_drift(turned.real)
+        ss, cc, sc = _products(sine, sine), _products(cosine, cosine), _products(sine, cosine)
+        sa, ca = _products(sine, self.flat), _products(cosine, self.flat)
+        # Where both columns say the same, the stretch says nothing.
+        inverse = 1 / np.maximum(ss * cc - sc**2, 1e-12 * ss * cc + 1e-300)
+        by_sine, by_cosine = inverse * (cc * sa - sc * ca), inverse * (ss * ca - sc * sa)
+        left = self.flat - by_sine[:, None] * sine - by_cosine[:, None] * cosine
+        return by_sine + 1j * by_cosine, left
+
+
+def _products(one: Floats, other: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", one, other))
+
+
+@dataclass(frozen=True, slots=True)
+class Strike:
+    """One groove passed: when and where, how fast and how hard pressed, and A of its ringing."""
+
+    recording: str
+    time_s: float
+    position_m: float
+    speed_m_per_s: float
+    force_n: float
+    amplitude_m_per_s2: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stroke:
+    """One recording as fitted: time from its first sample, and the acceleration that the strikes make."""
+
+    name: str
+    rate_hz: float
+    acceleration_m_per_s2: Floats
+    model_m_per_s2: Floats
+    """NaN where no ringing was fitted."""
+    variance_accounted_for: float
+    spacing_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Intervals in a row, their mode, and the mean speed and force there."""
+
+    mode: Mode
+    speed_m_per_s: float
+    force_n: float
+
+
+class StrokeFit:
+    """The strikes of one recording, and the mode that they ring with."""
+
+    def __init__(self, kept: Cleaned) -> None:
+        self.kept = kept
+        recording = kept.recording
+        self.name, self._rate_hz = recording.name, recording.rate_hz
+        self._seen = acceleration_of(recording)
+        force = pressed(recording)
+        self._force_n = running_mean(force, round(0.005 * self._rate_hz))
+        self._motion = motion_of(recording, len(self._seen))
+        self._time_s = np.arange(len(self._seen)) / self._rate_hz
+        rough = _loudest_frequency(self._seen, self._rate_hz)
+        if slow := undersampled(self._rate_hz, rough):
+            raise FitError(f"{self.name}: {slow}")
+        mode, onsets = self._settled(*self._begun(2 * math.pi * rough))
+        if self._uneven(onsets) > EVEN:
+            # What is no strike followed from the mode that they were looked for with.
+            again = self._found(mode)
+            if len(again) >= LEAST_STRIKES and self._uneven(again) < self._uneven(onsets):
+                mode, onsets = self._settled(mode, again)
+        self._onsets = self._without_echoes(mode, self._regular(mode, onsets))
+        better = self._searched(mode, self._onsets, wide=True)
+        if self._left(better) < 0.7 * self._left(mode):
+            mode = better
+        if mode is better or len(self._onsets) < len(onsets):
+            mode, self._onsets = self._settled(mode, self._onsets)
+        self.mode = mode
+        self.groups = self._grouped(mode)
+
+    # ---- Onsets
+
+    def _begun(self, angular: float) -> tuple[Mode, Floats]:
+        """Mode and onsets, from several dampings: the ones whose strikes lie most evenly. What is no strike follows
+        from a wrong damping, and then lies anywhere."""
+        best: tuple[float, Mode, Floats] | None = None
+        most = 0
+        for damping in (0.15, 0.03, 0.4):
+            mode = Mode(damping * angular, angular)
+            onsets = self._found(mode)
+            most = max(most, len(onsets))
+            if len(onsets) < LEAST_STRIKES:
+                continue
+            mode = self._searched(mode, onsets)
+            onsets = self._found(mode)
+            most = max(most, len(onsets))
+            if len(onsets) < LEAST_STRIKES:
+                continue
+            uneven = self._uneven(onsets)
+            if best is None or uneven < best[0]:
+                best = uneven, mode, onsets
+            if uneven < EVEN:
+                break
+        if best is None:
+            raise FitError(f"{self.name}: {most} strikes, at least {LEAST_STRIKES} are needed: no grooves here")
+        # Places at random are off by 0.29.
+        if best[0] > 0.22:
+            raise FitError(self._scattered(*best))
+        return best[1], best[2]
+
+    def _settled(self, mode: Mode, onsets: Floats) -> tuple[Mode, Floats]:
+        """Mode and onsets, each refined three times in turn by the other; an onset is moved to where the phase of its
+        step says, by a sixth of a cycle at most."""
+        for _ in range(3):
+            mode = self._refined(mode, self._intervals(mode, onsets))
+            jump, whole = self._jumps(mode, onsets)
+            late = np.where(whole, _late(jump, mode), 0.0)
+            limit = 1 / (6 * mode.frequency_hz)
+            onsets = np.sort(onsets + np.clip(late, -limit, limit))
+        return mode, onsets
+
+    def _scattered(self, uneven: float, mode: Mode, onsets: Floats) -> str:
+        cycles = float(np.median(np.diff(onsets))) * mode.frequency_hz
+        few = cycles < AT_LEAST["cycles from strike to strike"].fair
+        near = f"; they follow within {cycles:.1f} cycles: stroke more slowly" if few else ""
+        return (
+            f"{self.name}: the strikes are not at equal distances (off by {100 * uneven:.0f} % of the spacing): "
+            f"no grooves here, or grooves of two spacings{near}"
+        )
+
+    def _places(self, onsets: Floats) -> Floats:
+        return np.interp(onsets, self._time_s, self._motion.position_m)
+
+    def _uneven(self, onsets: Floats) -> float:
+        """RMS distance from a regular row, as a part of its spacing."""
+        place = self._places(onsets)
+        return row_of(place).unevenness(place)
+
+    def _found(self, mode: Mode) -> Floats:
+        """Times of the strikes, s, in order: where z steps while the stylus moves."""
+        step = _ringing_steps(self._seen, self._rate_hz, mode).real
+        noise = 1.4826 * float(np.median(np.abs(step)))
+        reach = max(2, round(0.5 * self._rate_hz / mode.frequency_hz))
+        unit = _ringing_steps(_unit_strike(mode, self._rate_hz), self._rate_hz, mode).real
+        kept = _pick_strikes(step, unit, noise, reach)
+        moving = np.abs(self._motion.speed_m_per_s)
+        return np.asarray(kept[moving[kept] > 0.1 * np.percentile(moving, 90)] / self._rate_hz)
+
+    def _regular(self, mode: Mode, onsets: Floats) -> Floats:
+        """The onsets that lie in one row of equal distances along the surface. FitError where most do not."""
+        place = self._places(onsets)
+        row = row_of(place)
+        number, off = row.number, np.abs(row.offsets(place))
+        sound = off < 0.25
+        # Of several on one groove in one pass (an echo), the one nearest to its place stays.
+        for k in range(len(place) - 1):
+            if number[k] == number[k + 1] and sound[k] and sound[k + 1]:
+                sound[k if off[k] > off[k + 1] else k + 1] = False
+        spread = float(np.sqrt(np.mean(off[sound] ** 2))) if sound.any() else 1.0
+        if np.count_nonzero(sound) < max(LEAST_STRIKES, 0.7 * len(place)) or spread > 0.12:
+            raise FitError(self._scattered(spread, mode, onsets))
+        return onsets[sound]
+
+    @property
+    def cycles(self) -> float:
+        """From one strike to the next."""
+        return float(np.median(np.diff(self._onsets))) * self.mode.frequency_hz
+
+    def _without_echoes(self, mode: Mode, onsets: Floats) -> Floats:
+        """Half-way between two strikes may be what a wrong damping leaves of the one before: every other strike is half
+        as strong as its neighbours, or weaker."""
+        sizes = np.abs(self._jumps(mode, onsets)[0])
+        odd = row_of(self._places(onsets)).number % 2 == 1
+        if len(onsets) < 2 * LEAST_STRIKES or not 0 < np.count_nonzero(odd) < len(odd):
+            return onsets
+        one, other = float(np.median(sizes[odd])), float(np.median(sizes[~odd]))
+        if max(one, other) < 2.0 * min(one, other):
+            return onsets
+        kept: Floats = onsets[odd == (one > other)]
+        return kept
+
+    @property
+    def row(self) -> tuple[Floats, Ints]:
+        """Places of the strikes and the numbers of their grooves. The first strike's time is not refined, as what
+        rang before it is not known: it has no place."""
+        place = self._places(self._onsets)
+        whole = self._jumps(self.mode, self._onsets)[1]
+        return place[whole], row_of(place).number[whole]
+
+    @property
+    def spacing_m(self) -> float:
+        """By its sign it says which way the strikes go."""
+        place, number = self.row
+        return _slope_of_row(number, place)
+
+    # ---- The ringing between strikes
+
+    def _intervals(self, mode: Mode, onsets: Floats) -> list[tuple[int, int, float]]:
+        """First and last sample (excluded) after each strike, and the strike's time."""
+        guard = 0.1 / mode.frequency_hz
+        ends = np.minimum(np.append(onsets[1:] - guard, self._time_s[-1]), onsets + 5 * mode.decay_time_s)
+        low = np.maximum(np.ceil((onsets + guard) * self._rate_hz), 0).astype(int)
+        high = np.minimum(np.floor(ends * self._rate_hz) + 1, len(self._seen)).astype(int)
+        return list(zip(low.tolist(), high.tolist(), onsets.tolist(), strict=True))
+
+    def _windows(self, mode: Mode, intervals: Sequence[tuple[int, int, float]]) -> _FreeRinging:
+        """Of the intervals that are long enough to say anything."""
+        least = max(5, math.ceil(0.4 * self._rate_hz / mode.frequency_hz))
+        return _FreeRinging(self._seen, self._rate_hz, intervals, mode, least)
+
+    def _jumps(self, mode: Mode, onsets: Floats) -> tuple[Complexes, Bools]:
+        """The step in z at each strike, and which steps have a ringing on either side."""
+        windows = self._windows(mode, self._intervals(mode, onsets))
+        z = np.zeros(len(onsets), dtype=np.complex128)
+        whole = np.zeros(len(onsets), dtype=np.bool_)
+        if len(windows.used) == 0:
+            return z, whole
+        z[windows.used] = windows.solved(mode)[0]
+        whole[windows.used] = True
+        jump = z.copy()
+        jump[1:] -= z[:-1] * np.exp(_pole(mode) * np.diff(onsets))
+        whole[1:] &= whole[:-1].copy()
+        whole[0] = False
+        return jump, whole
+
+    def _left(self, mode: Mode) -> float:
+        """Squares that a mode, refined, leaves."""
+        intervals = self._intervals(mode, self._onsets)
+        return float(np.sum(self._windows(mode, intervals).solved(self._refined(mode, intervals))[1] ** 2))
+
+    def _searched(self, mode: Mode, onsets: Floats, wide: bool = False) -> Mode:
+        """The best of a grid of modes about this one, of the same intervals for all."""
+        w = mode.angular_frequency_rad_per_s
+        reach = min(0.3 * w, 2 * math.pi / float(np.median(np.diff(onsets))))
+        windows = self._windows(mode, self._intervals(Mode(0.05 * w, w), onsets[: 2 * GROUP]))
+        if len(windows.used) == 0:
+            return mode
+        tried = [
+            Mode(part * float(angular), float(angular))
+            for angular in (np.geomspace(w / 1.7, 1.7 * w, 33) if wide else np.linspace(w - reach, w + reach, 9))
+            for part in (0.02, 0.05, 0.12, 0.25, 0.5)
+        ]
+        return min(tried, key=lambda each: float(np.sum(windows.solved(each)[1] ** 2)))
+
+    def _refined(self, mode: Mode, intervals: Sequence[tuple[int, int, float]]) -> Mode:
+        """Least squares in log B and log w over these intervals."""
+        from scipy.optimize import least_squares
+
+        place = np.log([mode.decay_rate_per_s, mode.angular_frequency_rad_per_s])
+        # The intervals stay as they are while the mode moves, so that sums of squares compare.
+        windows = self._ringing(mode, intervals)
+
+        def left(at: Floats) -> Floats:
+            return windows.solved(Mode(math.exp(at[0]), math.exp(at[1])))[1].ravel()
+
+        bounds = place + np.log([[0.02, 0.3], [50.0, 3.0]])
+        found = least_squares(left, place, bounds=bounds, xtol=1e-6, ftol=None, gtol=None, max_nfev=40).x
+        return Mode(math.exp(found[0]), math.exp(found[1]))
+
+    def _ringing(self, mode: Mode, intervals: Sequence[tuple[int, int, float]]) -> _FreeRinging:
+        """FitError where no interval says anything."""
+        windows = self._windows(mode, intervals)
+        if len(windows.used) == 0:
+            raise FitError(f"{self.name}: the strikes follow one another within half a cycle: stroke more slowly")
+        return windows
+
+    # ---- What comes of it
+
+    def _grouped(self, mode: Mode) -> list[Group]:
+        count = max(1, len(self._onsets) // GROUP)
+        intervals = self._intervals(mode, self._onsets)
+        edges = np.linspace(0, len(self._onsets), count + 1).round().astype(int)
+        found = []
+        for low, high in pairwise(edges):
+            speed, force = self._moved(self._onsets[low:high])
+            refined = self._refined(mode, intervals[low:high])
+            found.append(Group(refined, float(np.mean(np.abs(speed))), float(np.mean(force))))
+        return found
+
+    def _moved(self, onsets: Floats) -> tuple[Floats, Floats]:
+        """Speed and force at each."""
+        columns = (self._motion.speed_m_per_s, self._force_n)
+        speed, force = (np.interp(onsets, self._time_s, column) for column in columns)
+        return speed, force
+
+    def _sizes(self, mode: Mode) -> tuple[Floats, Bools]:
+        """Amplitudes of all strikes, positive along the motion, and which of them have a ringing on either side."""
+        jump, whole = self._jumps(mode, self._onsets)
+        # What was not measured so about a strike says nothing of it.
+        at = np.round(self._onsets * self._rate_hz).astype(np.int64)
+        reach = max(1, round(self._rate_hz / mode.frequency_hz))
+        low, high = np.maximum(at - reach, 0), np.minimum(at + reach + 1, len(self._seen))
+        replaced = np.concatenate(([0], np.cumsum(self.kept.replaced)))
+        whole &= replaced[high] == replaced[low]
+        along = jump * np.sign(self._moved(self._onsets)[0])
+        along *= np.sign(np.sum(along.real[whole])) or 1.0
+        return np.abs(along) * np.exp(-mode.decay_rate_per_s * _late(along, mode)) * np.sign(along.real), whole
+
+    def strikes(self, mode: Mode) -> list[Strike]:
+        """Those with a ringing on either side; amplitudes positive, along the motion."""
+        size, whole = self._sizes(mode)
+        onsets = self._onsets[whole]
+        figures = zip(onsets, self._places(onsets), *self._moved(onsets), size[whole], strict=True)
+        return [Strike(self.name, *map(float, each)) for each in figures]
+
+    def shifts(self, mode: Mode) -> Floats:
+        """(2, strikes) what one standard error of frequency and of decay does to the amplitudes, all at once."""
+        size, whole = self._sizes(mode)
+        found = np.zeros((2, int(np.count_nonzero(whole))))
+        count = len(self.groups)
+        if count < 2:
+            return found
+        for k, name in enumerate(("angular_frequency_rad_per_s", "decay_rate_per_s")):
+            values = np.array([getattr(group.mode, name) for group in self.groups])
+            moved = dataclasses.replace(mode, **{name: getattr(mode, name) + values.std(ddof=1) / math.sqrt(count)})
+            found[k] = self._sizes(moved)[0][whole] - size[whole]
+        return found
+
+    def stroke(self, mode: Mode) -> Stroke:
+        windows = self._ringing(mode, self._intervals(mode, self._onsets))
+        left = windows.solved(mode)[1]
+        model = np.full(len(self._seen), np.nan)
+        here = windows.index[windows.held]
+        model[here] = self._seen[here] - left[windows.held]
+        accounted = 1 - float(np.sum(left**2)) / float(np.sum(windows.flat**2))
+        if accounted < ACCOUNTED:
+            raise FitError(
+                f"{self.name}: a mode struck by grooves accounts for {100 * accounted:.0f} % of the variance, "
+                f"at least {100 * ACCOUNTED:.0f} % is needed: no grooves here"
+            )
+        return Stroke(self.name, self._rate_hz, self._seen, model, accounted, self.spacing_m)
+
+
+def _late(jump: Complexes, mode: Mode) -> Floats:
+    """(n,) by how much later than assumed strikes struck, s, whichever way they push."""
+    return np.asarray(-np.angle(np.where(jump.real < 0, -jump, jump)) / mode.angular_frequency_rad_per_s)
+
+
+# ---- Intervals and the laws of all strikes ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Points:
+    """What the law is fitted to: of every strike (n,) speed, force and amplitude."""
+
+    speed: Floats
+    force: Floats
+    amplitude: Floats
+    shifts: Floats
+    """(2, n) what one standard error of frequency and of decay does to the amplitudes, all at once."""
+
+    @property
+    def both(self) -> Floats:
+        """(n, 2) speed and force."""
+        return np.column_stack((self.speed, self.force))
+
+    @property
+    def usual(self) -> float:
+        """A usual amplitude, m/s^2."""
+        return float(np.median(np.abs(self.amplitude)))
+
+
+def _gains(points: _Points, law: Robust, doubts: Doubts) -> tuple[list[Estimate], float]:
+    """Of speed and of force, none below 0, of the law of both, whatever their signs; and the correlation. FitError
+    where a gain is negative beyond doubt."""
+    gains, correlation = list(law.coefficients), law.correlation
+    for which, name in enumerate(("velocity", "force")):
+        gain = law.coefficients[which]
+        if gain.high < 0:
+            raise FitError(
+                f"the {name} gain comes out negative ({gain.low:.3g} to {gain.high:.3g}): "
+                "strikes that weaken are not of this model; is a column swapped?"
+            )
+        doubts.check_gain(name, gain, float(np.median(points.both[:, which])), points.usual)
+        if gain.value < 0:
+            alone = robust(points.both[:, [1 - which]], points.amplitude, points.shifts)
+            gains[which], gains[1 - which] = Estimate(0.0, 0.0, max(0.0, gain.high)), alone.coefficients[0]
+            correlation = alone.correlation
+    return gains, correlation
+
+
+def _offset(points: _Points, doubts: Doubts) -> Estimate | None:
+    """A constant beside the two gains, which the model does not have; None where it cannot be separated from them."""
+    columns = np.column_stack((points.both, np.ones_like(points.speed)))
+    if len(columns) <= 3 or not well_conditioned(columns):
+        return None
+    offset = robust(columns, points.amplitude, points.shifts).coefficients[2]
+    if offset.excludes_zero:
+        doubts.check("offset", abs(offset.value) / float(points.amplitude.mean()), offset=offset)
+    return offset
+
+
+def _spacing(fits: Sequence[StrokeFit]) -> Estimate:
+    """One spacing for all; where a row begins is its own. A strike whose ringing is cut short may lie anywhere."""
+    parts = [each.row for each in fits]
+    place = np.concatenate([each - each.mean() for each, _ in parts])
+    number = np.concatenate([each - each.mean() for _, each in parts])
+    which = np.repeat(np.arange(len(parts)), [len(each) for each, _ in parts])
+    # Whichever way they were stroked.
+    turned = np.array([math.copysign(1.0, each.spacing_m) for each in fits])
+    columns = np.column_stack((number * turned[which], which[:, None] == np.arange(len(parts))))
+    return robust(columns, place, grows=False).coefficients[0]
+
+
+def _mean_mode(groups: Sequence[Group]) -> Mode:
+    """Of one stroke."""
+    return Mode(
+        1 / float(np.mean([group.mode.decay_time_s for group in groups])),
+        float(np.mean([group.mode.angular_frequency_rad_per_s for group in groups])),
+    )
+
+
+# ---- The fit, and its verdict ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroovesFit(Judged):
     """What strokes over grooves say. All intervals are of 95 %."""
 
     spacing_m: Estimate
@@ -69,13 +677,6 @@ class GroovesFit:
     variance_accounted_for: float
     strikes: tuple[Strike, ...]
     strokes: tuple[Stroke, ...]
-    warnings: tuple[str, ...]
-    judged: Verdict
-    left_out: tuple[Exclusion, ...] = ()
-
-    @property
-    def verdict(self) -> str:
-        return str(self.judged)
 
     def material(self) -> dict[str, object]:
         """The keys of a material: its texture. Stiffness is not measured by strokes."""
@@ -84,7 +685,8 @@ class GroovesFit:
                 "kind": "grooves",
                 "display": "vibration",
                 "spacing_m": self.spacing_m.value,
-                "width_m": WIDTH * self.spacing_m.value,
+                # Strokes do not show it, and vibration does not use it.
+                "width_m": 0.25 * self.spacing_m.value,
                 "velocity_gain_per_s": max(0.0, self.velocity_gain_per_s.value),
                 "force_gain_m_per_s2_per_n": max(0.0, self.force_gain_m_per_s2_per_n.value),
                 "frequency_hz": self.frequency_hz.value,
@@ -92,55 +694,77 @@ class GroovesFit:
             }
         }
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> Mapping[str, object]:
         """Plain data, without the samples."""
-        found = plain(self)
-        assert isinstance(found, dict)
-        for stroke in found["strokes"]:
-            del stroke["acceleration_m_per_s2"], stroke["model_m_per_s2"]
-        return {**found, "verdict": self.verdict}
+        strokes = [fields_of(each, "name", "rate_hz", "variance_accounted_for", "spacing_m") for each in self.strokes]
+        return {**fields_of(self), "strokes": strokes, "verdict": self.verdict}
 
 
 def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> GroovesFit:
     """Of strokes at several speeds and forces, one or more to a recording. FitError where they do not say it.
 
-    Recordings, and stretches of them, that cannot be used are reported in `excluded`.
+    Recordings, and stretches of them (of 0.1 s and more), that cannot be used are reported in `excluded`.
     """
     excluded = Exclusions() if excluded is None else excluded
     doubts = Doubts()
-    fits = _fitted_strokes(recordings, excluded, doubts)
+    refuse_duplicates(recordings)
+    stretches = stretches_of(recordings, 0.1, excluded)
+    fits = excluded.each(stretches, lambda each: StrokeFit(without_invalid_samples(each, "grooves")))
+    if not fits:
+        raise excluded.refused(f"none of {len(recordings)} recordings can be used")
+    report_cleaning([each.kept for each in fits], doubts)
+    excluded.report(recordings, doubts)
+    _refuse_others(fits)
     recordings = [each.kept.recording for each in fits]
     modes = [_mean_mode(each.groups) for each in fits]
     groups = [group for each in fits for group in each.groups]
     if len(groups) < 2:
         raise excluded.refused(f"{len(groups)} group of strikes has no interval: needs {2 * GROUP} strikes")
-    frequency = common(np.array([group.mode.frequency_hz for group in groups]))
+    frequencies = np.array([group.mode.frequency_hz for group in groups])
+    frequency = common(frequencies)
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
     strikes = tuple(strike for each, mode in zip(fits, modes, strict=True) for strike in each.strikes(mode))
     strokes = tuple(each.stroke(mode) for each, mode in zip(fits, modes, strict=True))
     _doubt_the_recordings(recordings, fits, strokes, frequency, doubts)
     spacing = _spacing(fits)
-    points = _Points.of(strikes, np.concatenate([one.shifts(mode) for one, mode in zip(fits, modes, strict=True)], 1))
-    points.check(recordings, doubts)
-    gains = _gains(points, doubts)
-    _report_outliers(gains.law, strikes, doubts)
+    points = _Points(
+        np.array([abs(strike.speed_m_per_s) for strike in strikes]),
+        np.array([strike.force_n for strike in strikes]),
+        np.array([strike.amplitude_m_per_s2 for strike in strikes]),
+        np.concatenate([each.shifts(mode) for each, mode in zip(fits, modes, strict=True)], 1),
+    )
+    check_range(points.usual, *AMPLITUDES_M_PER_S2, f"strikes of {points.usual:.3g} m/s^2 are", "grooves'")
+    check_force_varies(recordings, points.force, doubts)
+    check_apart(points.speed, points.force)
+    law = robust(points.both, points.amplitude, points.shifts)
+    (by_velocity, by_press), correlation = _gains(points, law, doubts)
+    if law.outliers:
+        first = strikes[law.outliers[0]]
+        reason = f"{len(law.outliers)} of {len(strikes)} strikes are far off the others and do not count"
+        doubts.warn(f"{reason}; the first: {first.recording} at {first.time_s:.4g} s")
+        doubts.check("part left out", len(law.outliers) / len(strikes), left=reason)
     offset = _offset(points, doubts)
-    _doubt_the_correlation(gains.correlation, doubts)
-    by_speed, by_force = _moved(groups, frequency.value, doubts)
-    accounted = _accounted(strokes, doubts)
+    doubts.check("correlation of the law", correlation, what="amplitudes")
+    by_speed, by_force = moved_with(
+        np.array([group.speed_m_per_s for group in groups]),
+        np.array([group.force_n for group in groups]),
+        frequencies,
+        "frequency",
+        0.02,
+        0.95,
+        doubts,
+    )
+    accounted = float(np.mean([stroke.variance_accounted_for for stroke in strokes]))
+    doubts.check("variance that grooves explain", accounted)
     for what, figure in (("spacing", spacing), ("frequency", frequency), ("decay time", decay)):
         doubts.check_interval(what, figure)
-    summary = (
-        f"{len(strikes)} strikes {1e3 * spacing.value:.4g} mm apart, {frequency.value:.4g} Hz, decay time "
-        f"{1e3 * decay.value:.3g} ms, amplitudes with a correlation of {gains.correlation:.2f}"
-    )
     return GroovesFit(
         spacing_m=spacing,
         frequency_hz=frequency,
         decay_time_s=decay,
-        velocity_gain_per_s=gains.velocity,
-        force_gain_m_per_s2_per_n=gains.force,
-        correlation=gains.correlation,
+        velocity_gain_per_s=by_velocity,
+        force_gain_m_per_s2_per_n=by_press,
+        correlation=correlation,
         offset_m_per_s2=offset,
         frequency_per_speed_hz_s_per_m=by_speed,
         frequency_per_force_hz_per_n=by_force,
@@ -148,187 +772,21 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
         strikes=strikes,
         strokes=strokes,
         warnings=tuple(doubts.warnings),
-        judged=doubts.judged(summary),
+        judged=doubts.judged(
+            f"{len(strikes)} strikes {1e3 * spacing.value:.4g} mm apart, {frequency.value:.4g} Hz, decay time "
+            f"{1e3 * decay.value:.3g} ms, amplitudes with a correlation of {correlation:.2f}"
+        ),
         left_out=tuple(excluded.items),
     )
 
 
-# ---- Stages, in their order ----------------------------------------------------------------------------------------
-
-
-def _fitted_strokes(recordings: Sequence[Recording], excluded: Exclusions, doubts: Doubts) -> list[StrokeFit]:
-    """Every stretch of a stroke separately. FitError where none can be used, or where they are of different grooves."""
-    refuse_duplicates(recordings)
-    stretches = stretches_of(recordings, LEAST_S, excluded)
-    fits = excluded.each(stretches, lambda each: StrokeFit(without_invalid_samples(each, "grooves")))
-    if not fits:
-        raise excluded.refused(f"none of {len(recordings)} recordings can be used")
-    report_cleaning([each.kept for each in fits], doubts)
-    report_exclusions(excluded, recordings, doubts)
-    _refuse_others(fits)
-    return fits
-
-
-def _doubt_the_recordings(
-    recordings: Sequence[Recording],
-    fits: Sequence[StrokeFit],
-    strokes: Sequence[Stroke],
-    frequency: Estimate,
-    doubts: Doubts,
-) -> None:
-    """Wrong units, hum, strikes that follow one another too soon, and a rate that is too low."""
-    report_gravity(recordings, doubts)
-    report_lines(len(strokes), lambda place, needed: strokes[place].lines(needed), doubts)
-    for each in fits:
-        doubts.at_least(
-            "cycles from strike to strike",
-            each.cycles,
-            f"{each.name}: strikes follow within {each.cycles:.1f} cycles: their mode is hard to tell",
-            "stroke more slowly",
-        )
-    report_sampling(recordings, frequency.value, doubts)
-
-
-@dataclass(frozen=True, slots=True)
-class _Points:
-    """What the law is fitted to: of every strike (n,) speed, force and amplitude."""
-
-    speed: Floats
-    force: Floats
-    amplitude: Floats
-    shifts: Floats
-    """(2, n) what one standard error of frequency and of decay does to the amplitudes, all at once."""
-
-    @classmethod
-    def of(cls, strikes: Sequence[Strike], shifts: Floats) -> _Points:
-        return cls(
-            np.array([abs(strike.speed_m_per_s) for strike in strikes]),
-            np.array([strike.force_n for strike in strikes]),
-            np.array([strike.amplitude_m_per_s2 for strike in strikes]),
-            shifts,
-        )
-
-    @property
-    def both(self) -> Floats:
-        """(n, 2) speed and force."""
-        return np.column_stack((self.speed, self.force))
-
-    @property
-    def usual(self) -> float:
-        """A usual amplitude, m/s^2."""
-        return float(np.median(np.abs(self.amplitude)))
-
-    def check(self, recordings: Sequence[Recording], doubts: Doubts) -> None:
-        """FitError for amplitudes that are no grooves', and where speed and force do not vary apart."""
-        least, most = AMPLITUDES_M_PER_S2
-        if not least <= self.usual <= most:
-            raise FitError(
-                f"strikes of {self.usual:.3g} m/s^2 are no grooves' ({least:g} to {most:g}): is its unit another one?"
-            )
-        check_force_varies(recordings, self.force, doubts)
-        if not well_conditioned(self.both, 20):
-            raise FitError(
-                f"speed ({self.speed.min():.3g} to {self.speed.max():.3g} m/s) and force ({self.force.min():.3g} to "
-                f"{self.force.max():.3g} N) rise and fall together or not at all, so that their gains cannot be told "
-                "apart: vary them on their own"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class _Gains:
-    """Of speed and of force, none below 0; `law` is the fit of both, whatever their signs."""
-
-    velocity: Estimate
-    force: Estimate
-    correlation: float
-    law: Robust
-
-
-def _gains(points: _Points, doubts: Doubts) -> _Gains:
-    """The amplitudes over speed and force. FitError where a gain is negative beyond doubt."""
-    law = robust(points.both, points.amplitude, points.shifts)
-    velocity_gain, force_gain = law.coefficients
-    correlation = law.correlation
-    for which, (name, gain) in enumerate((("velocity", velocity_gain), ("force", force_gain))):
-        if gain.high < 0:
-            raise FitError(
-                f"the {name} gain comes out negative ({gain.low:.3g} to {gain.high:.3g}): "
-                "strikes that weaken are not of this model; is a column swapped?"
-            )
-        if gain.low <= 0:
-            doubts.doubt(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
-        else:
-            doubts.check_gain(name, gain, float(np.median(points.both[:, which])), points.usual)
-        if gain.value < 0:
-            alone = robust(points.both[:, [1 - which]], points.amplitude, points.shifts)
-            kept, none = alone.coefficients[0], Estimate(0.0, 0.0, max(0.0, gain.high))
-            velocity_gain, force_gain = (none, kept) if which == 0 else (kept, none)
-            correlation = alone.correlation
-    return _Gains(velocity_gain, force_gain, correlation, law)
-
-
-def _offset(points: _Points, doubts: Doubts) -> Estimate | None:
-    """A constant beside the two gains, which the model does not have; None where it cannot be separated from them."""
-    columns = np.column_stack((points.both, np.ones_like(points.speed)))
-    if len(columns) <= 3 or not well_conditioned(columns):
-        return None
-    offset = robust(columns, points.amplitude, points.shifts).coefficients[2]
-    if offset.excludes_zero:
-        doubts.at_most(
-            "offset",
-            abs(offset.value) / float(points.amplitude.mean()),
-            f"amplitudes have an offset of {offset.value:.3g} m/s^2 ({offset.low:.3g} to {offset.high:.3g})",
-            "the two gains do not have it",
-        )
-    return offset
-
-
-def _doubt_the_correlation(correlation: float, doubts: Doubts) -> None:
-    """Whether speed and force say what the amplitude is."""
-    doubts.at_least(
-        "correlation of the law",
-        correlation,
-        f"speed and force explain the amplitudes poorly: correlation {correlation:.2f}",
-        "the gains in the material say little",
-    )
-
-
-def _spacing(fits: Sequence[StrokeFit]) -> Estimate:
-    """One spacing for all; where a row begins is its own. A strike whose ringing is cut short may lie anywhere."""
-    parts = [each.row for each in fits]
-    place = np.concatenate([each - each.mean() for each, _ in parts])
-    number = np.concatenate([each - each.mean() for _, each in parts])
-    which = np.repeat(np.arange(len(parts)), [len(each) for each, _ in parts])
-    # Whichever way they were stroked.
-    turned = np.array([math.copysign(1.0, slope_of_row(each, at)) for at, each in parts])
-    columns = np.column_stack((number * turned[which], which[:, None] == np.arange(len(parts))))
-    return robust(columns, place, grows=False).coefficients[0]
-
-
-def _mean_mode(groups: Sequence[Group]) -> Mode:
-    """Of one stroke."""
-    return Mode(
-        1 / float(np.mean([group.mode.decay_time_s for group in groups])),
-        float(np.mean([group.mode.angular_frequency_rad_per_s for group in groups])),
-    )
-
-
-def _report_outliers(law: Robust, strikes: Sequence[Strike], doubts: Doubts) -> None:
-    """Strikes that have no weight in the law."""
-    if law.outliers:
-        first = strikes[law.outliers[0]]
-        reason = f"{len(law.outliers)} of {len(strikes)} strikes are far off the others and do not count"
-        doubts.warn(f"{reason}; the first: {first.recording} at {first.time_s:.4g} s")
-        doubts.at_most("part left out", len(law.outliers) / len(strikes), reason)
-
-
 def _refuse_others(fits: Sequence[StrokeFit]) -> None:
     """FitError where recordings are not of the same grooves, or not of the same mode."""
-    spacings = np.array([abs(slope_of_row(each.row[1], each.row[0])) for each in fits])
+    spacings = np.array([abs(each.spacing_m) for each in fits])
     frequencies = np.array([each.mode.frequency_hz for each in fits])
     for values, most, what, unit, scale in (
-        (spacings, SAME_SPACING, "grooves", "mm apart", 1e3),
-        (frequencies, SAME_MODE, "ringing at", "Hz", 1.0),
+        (spacings, 0.03, "grooves", "mm apart", 1e3),
+        (frequencies, 0.25, "ringing at", "Hz", 1.0),
     ):
         middle = float(np.median(values))
         off = np.abs(values / middle - 1)
@@ -340,34 +798,21 @@ def _refuse_others(fits: Sequence[StrokeFit]) -> None:
             )
 
 
-def _moved(groups: Sequence[Group], frequency_hz: float, doubts: Doubts) -> tuple[Estimate | None, Estimate | None]:
-    """Slopes of the frequency over speed and force, where both vary apart from each other and from a constant."""
-    speed = np.array([group.speed_m_per_s for group in groups])
-    force = np.array([group.force_n for group in groups])
-    columns = np.column_stack((speed, force, np.ones_like(speed)))
-    if len(groups) < 6 or not well_conditioned(columns):
-        doubts.warn("too few strokes at different speeds and forces to tell whether the frequency moves with them")
-        return None, None
-    frequencies = np.array([group.mode.frequency_hz for group in groups])
-    by_speed, by_force, _ = least_squares(columns, frequencies).coefficients
-    for slope, values, name, unit in ((by_speed, speed, "speed", "m/s"), (by_force, force, "force", "N")):
-        change = slope.value * float(np.ptp(values))
-        if slope.excludes_zero and abs(change) > MOVES * frequency_hz:
-            doubts.doubt(
-                f"the frequency moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to "
-                f"{values.max():.3g} {unit}; "
-                "the material has the mean"
-            )
-    return by_speed, by_force
-
-
-def _accounted(strokes: Sequence[Stroke], doubts: Doubts) -> float:
-    """The part of the variance that strikes of one mode explain."""
-    accounted = float(np.mean([stroke.variance_accounted_for for stroke in strokes]))
-    doubts.at_least(
-        "variance that grooves explain",
-        accounted,
-        f"one mode accounts for {100 * accounted:.0f} % of the variance",
-        "grooves ring with more",
+def _doubt_the_recordings(
+    recordings: Sequence[Recording],
+    fits: Sequence[StrokeFit],
+    strokes: Sequence[Stroke],
+    frequency: Estimate,
+    doubts: Doubts,
+) -> None:
+    """Wrong units, hum, strikes that follow one another too soon, and a rate that is too low."""
+    for line in gravity_of(recordings):
+        doubts.doubt(line)
+    report_lines(
+        strokes,
+        lambda each, needed: lines_in_residual(each.acceleration_m_per_s2, each.model_m_per_s2, each.rate_hz, needed),
+        doubts,
     )
-    return accounted
+    for each in fits:
+        doubts.check("cycles from strike to strike", each.cycles, name=each.name)
+    report_sampling(recordings, frequency.value, doubts)

@@ -1,18 +1,27 @@
-"""The options of the fits: those of taps may exclude one another, and each makes its fit. Loads no fit by itself."""
+"""The options of the fits: those of taps may exclude one another, and each makes its fit. Loads no fit before that."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from hapticd.config.modes import Attack
-    from hapticd.fit.from_files import Fitting
-    from hapticd.fit.provenance import Kind
-    from hapticd.fit.tap_kind import TapKind
-    from hapticd.fit.taps.amplitude import LawKind
+    from hapticd.fit.from_files import Fitting, TapKind
+    from hapticd.fit.recording import Kind
+    from hapticd.fit.speed_law import LawKind
+
+STIFFNESS_N_PER_M: Final = 800.0
+"""What a material gets where neither recordings nor the user say it: as most of the library's."""
+KEY_OF: Final[Mapping[Kind, str]] = {
+    "tap": "tap",
+    "grooves": "texture",
+    "texture": "texture",
+    "puncture": "rupture",
+}
+"""What of a material each kind of fit makes; of two that make the same only the later stays."""
 
 
 @dataclass(frozen=True, slots=True)

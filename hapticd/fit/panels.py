@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +16,13 @@ from hapticd.analysis.statistics import Estimate, FitError
 from hapticd.base.lattice import reflection_of
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
-from hapticd.fit.exclusions import RECORDING, Exclusion
-from hapticd.fit.invalid_samples import without_invalid_samples
-from hapticd.fit.provenance import Fit, Kind, estimates, plain_figures
-from hapticd.fit.recording import Recording
+from hapticd.fit.preparation import without_invalid_samples
+from hapticd.fit.recording import Kind, Recording
 from hapticd.fit.report import Curve, Page, Panel
-from hapticd.fit.taps.ringing import fit_ringing
+from hapticd.fit.result import Fit, estimates, plain_figures
+from hapticd.fit.ringing import fit_ringing
+from hapticd.fit.speed_law import Amplitudes
+from hapticd.fit.verdict import RECORDING, Exclusion
 from hapticd.fit.waveform import WaveformFit
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
@@ -34,20 +34,12 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-_T = TypeVar("_T")
 Row: TypeAlias = tuple[Panel, ...]
 
 DRAWN: Final = 3
 """Of recordings that are alike, so many are drawn."""
-LOOK_S: Final = 0.15
-LEFT_S: Final = (0.01, 0.06)
-"""Before and after an event that is left out, so long is drawn."""
-LEAST_STRETCH: Final = 16
-"""Samples of which a spectrum is drawn."""
 ACCELERATION: Final = "m/s²"
 DENSITY: Final = "(m/s²)²/Hz"
-SEEN: Final = 1e-3
-"""Of the largest density; spectra are compared above it."""
 
 
 def page_of(
@@ -89,27 +81,23 @@ def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
     """Recording and model over time, what is left, and the spectra of all three.
 
     `model` is NaN where it says nothing. The spectra are of the longest stretch of which it says something, and the
-    time is LOOK_S about that.
+    time is 150 ms about that.
     """
     modelled = np.flatnonzero(np.isfinite(model))
     if len(modelled) == 0:
         return ()
     stretch = max(np.split(modelled, np.flatnonzero(np.diff(modelled) > 1) + 1), key=len)
-    around = max(0, round(LOOK_S * rate_hz) - len(stretch)) // 2
+    around = max(0, round(0.15 * rate_hz) - len(stretch)) // 2
     first, last = max(int(modelled[0]), int(stretch[0]) - around), min(int(modelled[-1]), int(stretch[-1]) + around)
     here = slice(first, last + 1)
     ms: Floats = np.asarray(1e3 * np.arange(first, last + 1) / rate_hz, dtype=np.float64)
     lines = (Curve("recording", ms, recorded[here]), Curve("model", ms, model[here]))
     left = (Curve("recording less model", ms, recorded[here] - model[here]),)
     panels = (Panel(name, "ms", ACCELERATION, lines), Panel("recording less model", "ms", ACCELERATION, left))
-    if len(stretch) < LEAST_STRETCH:
+    if len(stretch) < 16:
         return panels
-    parts = {
-        "recording": recorded[stretch],
-        "model": model[stretch],
-        "residual": recorded[stretch] - model[stretch],
-    }
-    spectra = tuple(Curve(label, *density(values, rate_hz)) for label, values in parts.items())
+    parts = (("recording", recorded), ("model", model), ("residual", recorded - model))
+    spectra = tuple(Curve(label, *density(values[stretch], rate_hz)) for label, values in parts)
     return (*panels, Panel("spectrum", "Hz", DENSITY, spectra, logarithmic=True))
 
 
@@ -137,15 +125,23 @@ def compared(title: str, unit: str, modelled: Floats, recorded: Floats) -> Panel
 
 
 def _tap(fit: TapFit | WaveformFit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    return _waveform(fit) if isinstance(fit, WaveformFit) else _ringing(fit)
+    yield _waveform(fit) if isinstance(fit, WaveformFit) else _ringing(fit)
+    for tap in sorted(fit.taps, key=lambda tap: -tap.speed_m_per_s)[:DRAWN]:
+        name = f"{os.path.basename(tap.recording)}, {tap.speed_m_per_s:.3g} m/s"
+        yield overlay(name, tap.rate_hz, tap.measured, tap.modelled)
+        if isinstance(fit, WaveformFit) or fit.second is None:
+            continue
+        # Not every tap has both: then there is nothing to draw.
+        with suppress(FitError):
+            pair = fit_ringing(tap.measured, tap.rate_hz, modes=2)
+            yield overlay(f"{name}, two modes", tap.rate_hz, tap.measured, tap.measured - pair.residual)
 
 
-def _waveform(fit: WaveformFit) -> Iterator[Row]:
-    speed, peak = (np.array([getattr(tap, name) for tap in fit.taps]) for name in ("speed_m_per_s", "peak_m_per_s2"))
+def _waveform(fit: WaveformFit) -> Row:
+    speed, peak = _columns(fit.taps, "speed_m_per_s", "peak_m_per_s2")
     lines = law("largest acceleration of each tap", "m/s", speed, peak, fit.first_peak_slope_per_s)
     if fit.amplitudes:
-        points, heights = np.array([(0.0, 0.0), *((place, height.value) for place, height in fit.amplitudes)]).T
-        lines = dataclasses.replace(lines, curves=(*lines.curves, Curve("table", points, heights, dashed=True)))
+        lines = dataclasses.replace(lines, curves=(*lines.curves, _table(fit.amplitudes)))
     samples, half = np.array(fit.samples), np.array(fit.deviations)
     ms: Floats = np.asarray(1e3 * np.arange(len(samples)) / fit.rate_hz, dtype=np.float64)
     fine = np.linspace(0.0, fit.length_s, 500)
@@ -153,24 +149,17 @@ def _waveform(fit: WaveformFit) -> Iterator[Row]:
         Curve("curve", 1e3 * fine, fit.curve.at(fine)),
         Curve("samples", ms, samples, low=samples - half, high=samples + half, points=True),
     )
-    yield (lines, Panel("waveform", "ms", "over the largest acceleration", curves))
-    for tap in sorted(fit.taps, key=lambda tap: -tap.speed_m_per_s)[:DRAWN]:
-        name = f"{os.path.basename(tap.recording)}, {tap.speed_m_per_s:.3g} m/s"
-        yield overlay(name, tap.rate_hz, tap.measured, tap.modelled)
+    return (lines, Panel("waveform", "ms", "over the largest acceleration", curves))
 
 
-def _ringing(fit: TapFit) -> Iterator[Row]:
-    speed = np.array([tap.speed_m_per_s for tap in fit.taps])
-    amplitude = np.array([tap.coefficient_m_per_s2 for tap in fit.taps])
+def _ringing(fit: TapFit) -> Row:
+    speed, amplitude, angular = _columns(
+        fit.taps, "speed_m_per_s", "coefficient_m_per_s2", "angular_frequency_rad_per_s"
+    )
     lines = law("amplitude of each tap", "m/s", speed, amplitude, fit.slope_per_s)
-    dots, line = lines.curves
-    ends = line.x
+    ends = lines.curves[1].x
     offset = Curve("offset", ends, fit.offset_m_per_s2.value + fit.offset_slope_per_s.value * ends, dashed=True)
-    more: tuple[Curve, ...] = (offset,)
-    if not fit.linear:
-        points, heights = np.array([(0.0, 0.0), *((place, _number(height)) for place, height in fit.amplitudes)]).T
-        more = (offset, Curve("table", points, heights, dashed=True))
-    hertz = np.array([tap.angular_frequency_rad_per_s for tap in fit.taps]) / (2 * np.pi)
+    curves = (*lines.curves, offset) if fit.linear else (*lines.curves, offset, _table(fit.amplitudes))
 
     def less(curve: Curve) -> Curve:
         """What there is besides the line through the origin."""
@@ -178,20 +167,21 @@ def _ringing(fit: TapFit) -> Iterator[Row]:
         low, high = (None if end is None else end - there for end in (curve.low, curve.high))
         return dataclasses.replace(curve, y=curve.y - there, low=low, high=high)
 
-    yield (
-        dataclasses.replace(lines, curves=(dots, line, *more)),
-        Panel("amplitude less the line", "m/s", ACCELERATION, tuple(less(curve) for curve in (dots, line, *more))),
-        level("frequency of each tap", "m/s", "Hz", speed, hertz, fit.frequency_hz),
+    return (
+        dataclasses.replace(lines, curves=curves),
+        Panel("amplitude less the line", "m/s", ACCELERATION, tuple(map(less, curves))),
+        level("frequency of each tap", "m/s", "Hz", speed, angular / (2 * np.pi), fit.frequency_hz),
     )
-    for tap in sorted(fit.taps, key=lambda tap: -tap.speed_m_per_s)[:DRAWN]:
-        name = f"{os.path.basename(tap.recording)}, {tap.speed_m_per_s:.3g} m/s"
-        yield overlay(name, tap.rate_hz, tap.measured, tap.modelled)
-        if fit.second is None:
-            continue
-        # Not every tap has both: then there is nothing to draw.
-        with suppress(FitError):
-            pair = fit_ringing(tap.measured, tap.rate_hz, modes=2)
-            yield overlay(f"{name}, two modes", tap.rate_hz, tap.measured, tap.measured - pair.residual)
+
+
+def _table(amplitudes: Amplitudes) -> Curve:
+    points, heights = np.array([(0.0, 0.0), *((place, height.value) for place, height in amplitudes)]).T
+    return Curve("table", points, heights, dashed=True)
+
+
+def _columns(events: Sequence[object], *names: str) -> tuple[Floats, ...]:
+    """(n,) of each of these figures of events."""
+    return tuple(np.array([getattr(each, name) for each in events], dtype=np.float64) for name in names)
 
 
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
@@ -202,17 +192,10 @@ def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
         return
     used = [(tap.recording, tap.onset_s) for tap in getattr(fit, "taps", ())]
     both = dict.fromkeys(each.recording for each in excluded if each.recording in {name for name, _ in used})
-    for row in _in_rows(islice(both, DRAWN)):
-        yield tuple(_marked(seen[name], used, excluded) for name in row)
+    yield tuple(_marked(seen[name], used, excluded) for name in islice(both, DRAWN))
     whole = [each for each in excluded if each.what == RECORDING or each.time_s is not None]
-    for part in _in_rows(islice(whole, 2 * DRAWN)):
-        yield tuple(_not_used(seen[each.recording], each) for each in part)
-
-
-def _in_rows(every: Iterable[_T]) -> Iterator[tuple[_T, ...]]:
-    rest = iter(every)
-    while row := tuple(islice(rest, DRAWN)):
-        yield row
+    for first in (0, DRAWN):
+        yield tuple(_not_used(seen[each.recording], each) for each in whole[first : first + DRAWN])
 
 
 def _marked(recording: Recording, used: Sequence[tuple[str, float]], excluded: Sequence[Exclusion]) -> Panel:
@@ -239,8 +222,8 @@ def _not_used(recording: Recording, exclusion: Exclusion) -> Panel:
     assert seen is not None
     first, last = 0, len(seen)
     if exclusion.time_s is not None:
-        first = max(0, round((exclusion.time_s - LEFT_S[0]) * rate_hz))
-        last = min(last, round((exclusion.time_s + LEFT_S[1]) * rate_hz) + 1)
+        first = max(0, round((exclusion.time_s - 0.01) * rate_hz))
+        last = min(last, round((exclusion.time_s + 0.06) * rate_hz) + 1)
     ms: Floats = np.asarray(1e3 * np.arange(first, last) / rate_hz, dtype=np.float64)
     name = os.path.basename(recording.name)
     return Panel(
@@ -248,15 +231,8 @@ def _not_used(recording: Recording, exclusion: Exclusion) -> Panel:
     )
 
 
-def _number(figure: float | Estimate) -> float:
-    return figure.value if isinstance(figure, Estimate) else figure
-
-
 def _grooves(fit: GroovesFit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    speed, force, amplitude = (
-        np.array([abs(getattr(strike, name)) for strike in fit.strikes])
-        for name in ("speed_m_per_s", "force_n", "amplitude_m_per_s2")
-    )
+    speed, force, amplitude = map(np.abs, _columns(fit.strikes, "speed_m_per_s", "force_n", "amplitude_m_per_s2"))
     by_speed, by_force = fit.velocity_gain_per_s, fit.force_gain_m_per_s2_per_n
     yield (
         law("amplitude less the force's part", "m/s", speed, amplitude - by_force.value * force, by_speed),
@@ -272,29 +248,39 @@ def _texture(fit: TextureFit, recordings: Sequence[Recording]) -> Iterator[Row]:
     """Noise is compared by its power: over speed and force, and over frequency."""
     texture = _material(fit).texture
     assert isinstance(texture, Stochastic | Autoregressive)
-    speed, force, rms, mean = (
-        np.array([getattr(block, name) for block in fit.blocks])
-        for name in ("speed_m_per_s", "force_n", "rms_m_per_s2", "mean_hz")
-    )
+    speed, force, rms, mean = _columns(fit.blocks, "speed_m_per_s", "force_n", "rms_m_per_s2", "mean_hz")
     modelled = np.array([_level(texture, *place) for place in zip(speed, force, strict=True)])
     yield (
         compared("RMS of each half second", ACCELERATION, modelled, rms),
         level("mean frequency", "m/s", "Hz", speed, mean, fit.mean_hz),
         level("mean frequency", "N", "Hz", force, mean, fit.mean_hz),
     )
-    whole = (recording for recording in recordings if _is_whole(recording))
-    for stroke in islice((_Stroke.of(recording, texture) for recording in whole), DRAWN):
-        spectra = (
-            Curve("recording", stroke.frequency_hz, stroke.recorded),
-            Curve("model", stroke.frequency_hz, stroke.modelled),
-        )
-        decibels = 10 * np.log10(np.maximum(stroke.recorded, 1e-300) / np.maximum(stroke.modelled, 1e-300))
-        heard = stroke.modelled > SEEN * np.nanmax(stroke.modelled)
-        ratio = (Curve("recording over model", stroke.frequency_hz[heard], decibels[heard]),)
-        yield (
-            Panel(stroke.name, "Hz", DENSITY, spectra, logarithmic=True),
-            Panel("recording over model, where its power is", "Hz", "dB", ratio),
-        )
+    for recording in islice(filter(_is_whole, recordings), DRAWN):
+        yield _power(recording, texture)
+
+
+def _power(recording: Recording, texture: Stochastic | Autoregressive) -> Row:
+    """Of a recording and of the model at its speed and force: densities over frequency."""
+    acceleration, force, rate_hz = recording.acceleration_m_per_s2, recording.force_n, recording.rate_hz
+    assert acceleration is not None and force is not None
+    speed, force_n = _speed(recording), float(np.mean(force))
+    frequency, recorded = density(acceleration, rate_hz, 2048)
+    if isinstance(texture, Stochastic):
+        unit = power_spectrum(stochastic_filter(texture.peak_hz, texture.mean_hz, rate_hz), frequency, rate_hz)
+    else:
+        reflection = reflection_of(_nearest(texture, speed, force_n).coefficients)
+        unit = power_spectrum((reflection, None), np.minimum(frequency, texture.rate_hz / 2), texture.rate_hz)
+        unit = np.where(frequency <= texture.rate_hz / 2, unit, np.nan)  # says nothing beyond
+    modelled = _level(texture, speed, force_n) ** 2 * unit
+    decibels = 10 * np.log10(np.maximum(recorded, 1e-300) / np.maximum(modelled, 1e-300))
+    heard = modelled > 1e-3 * np.nanmax(modelled)
+    name = f"{os.path.basename(recording.name)}, {speed:.3g} m/s, {force_n:.3g} N"
+    spectra = (Curve("recording", frequency, recorded), Curve("model", frequency, modelled))
+    ratio = (Curve("recording over model", frequency[heard], decibels[heard]),)
+    return (
+        Panel(name, "Hz", DENSITY, spectra, logarithmic=True),
+        Panel("recording over model, where its power is", "Hz", "dB", ratio),
+    )
 
 
 def _level(texture: Stochastic | Autoregressive, speed_m_per_s: float, force_n: float) -> float:
@@ -310,34 +296,6 @@ def _nearest(texture: Autoregressive, speed_m_per_s: float, force_n: float) -> A
     places = np.array([(model.speed_m_per_s, model.force_n) for model in texture.models])
     apart = np.abs(places - (speed_m_per_s, force_n)) / np.maximum(places.max(axis=0), 1e-9)
     return texture.models[int(np.argmin(apart.sum(axis=1)))]
-
-
-@dataclass(frozen=True, slots=True)
-class _Stroke:
-    """Power of a recording and of the model at its speed and force: densities over frequency."""
-
-    name: str
-    frequency_hz: Floats
-    recorded: Floats
-    modelled: Floats
-
-    @classmethod
-    def of(cls, recording: Recording, texture: Stochastic | Autoregressive) -> _Stroke:
-        acceleration = recording.acceleration_m_per_s2
-        assert acceleration is not None
-        assert recording.force_n is not None
-        speed = _speed(recording)
-        force_n = float(np.mean(recording.force_n))
-        frequency, recorded = density(acceleration, recording.rate_hz, 2048)
-        if isinstance(texture, Stochastic):
-            shape = stochastic_filter(texture.peak_hz, texture.mean_hz, recording.rate_hz)
-            unit = power_spectrum(shape, frequency, recording.rate_hz)
-        else:
-            reflection = reflection_of(_nearest(texture, speed, force_n).coefficients)
-            unit = power_spectrum((reflection, None), np.minimum(frequency, texture.rate_hz / 2), texture.rate_hz)
-            unit = np.where(frequency <= texture.rate_hz / 2, unit, np.nan)  # says nothing beyond
-        name = f"{os.path.basename(recording.name)}, {speed:.3g} m/s, {force_n:.3g} N"
-        return cls(name, frequency, recorded, _level(texture, speed, force_n) ** 2 * unit)
 
 
 def _is_whole(recording: Recording) -> bool:
@@ -361,9 +319,8 @@ def _puncture(fit: PunctureFit, recordings: Sequence[Recording]) -> Iterator[Row
     rupture = material.rupture
     assert rupture is not None
     depth_m, mode = rupture.rupture_depth_m, rupture.mode
-    speed, depth, force_n, amplitude = (
-        np.array([getattr(each, name) for each in fit.ruptures])
-        for name in ("speed_m_per_s", "depth_m", "force_n", "amplitude_m_per_s2")
+    speed, depth, force_n, amplitude = _columns(
+        fit.ruptures, "speed_m_per_s", "depth_m", "force_n", "amplitude_m_per_s2"
     )
     mm = fit.depth_m.mapped(lambda metres: 1e3 * metres)
     yield (

@@ -16,56 +16,36 @@ import numpy as np
 
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.statistics import Estimate, FitError, Floats, UnitError, common, with_offset
-from hapticd.fit.duplicates import refuse_duplicates
-from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
-from hapticd.fit.invalid_samples import Cleaned, without_invalid_samples
-from hapticd.fit.plain_data import plain
-from hapticd.fit.recording import Recording
-from hapticd.fit.recording_checks import (
+from hapticd.fit.preparation import (
+    Cleaned,
     acceleration_of,
+    check_range,
     force_of,
+    gaps_in_words,
+    gravity_of,
+    refuse_duplicates,
     report_cleaning,
-    report_gravity,
     report_sampling,
+    running_mean,
+    slope_of,
     undersampled,
+    without_invalid_samples,
 )
+from hapticd.fit.recording import Recording
+from hapticd.fit.result import Judged
+from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.stretches import gaps_in_words, in_gap
-from hapticd.fit.stylus_motion import running_mean, slope_of
-from hapticd.fit.taps.ringing import Ringing, fit_ringing
-from hapticd.fit.verdict import Doubts, Verdict
+from hapticd.fit.verdict import Doubts, Exclusions
 
 DROP_S: Final = 0.002
 """A rupture takes less than this."""
-FALLEN: Final = 0.5
-"""Part of the force that a rupture takes away at least."""
 LOADED: Final = (0.25, 0.98)
 """Parts of the rupture force between which stiffness is fitted."""
-BENT: Final = 0.1
-"""A change of stiffness from the lower half of these to the upper that is reported."""
-STRAIGHT: Final = 0.7
-"""r^2 of force over position, at least."""
-AGAIN: Final = 0.3
-"""Another fall, from so much of the force of the first, is another puncture."""
-SOFT: Final = (0.02, 0.03)
-"""Where force is this part of the rupture's, a position that is this part of the depth before the line is reported;"""
-SEEN: Final = 6.0
-"""but where force is so many standard errors at least."""
-LATE_S: Final = (0.0, 0.002, 0.005)
-"""How much later than the ringing begins the force may have fallen, to begin with."""
 BEFORE_S: Final = 0.01
-RINGING_S: Final = 0.08
 AMPLITUDES_M_PER_S2: Final = (0.1, 3000.0)
 """Of a rupture; less is not felt."""
 ACCOUNTED: Final = 0.7
 """A ringing of which one mode explains less is none."""
-OUTLYING: Final = (3.0, 0.25)
-"""A ringing that is off the median of all by this factor is left out, and reported; this part of them at most."""
-SPOILT: Final = 0.02
-"""Of the samples from the touch to the end of the ringing, replaced, and a recording is left out."""
-HELD: Final = 0.1
-"""Part of the force that is left after the rupture and reported."""
-FARTHEST_M: Final = 1.0
 STIFFNESS_N_PER_M: Final = (1.0, 1e5)
 
 
@@ -85,206 +65,7 @@ class Rupture:
     variance_accounted_for: float
 
 
-@dataclass(frozen=True, slots=True)
-class PunctureFit:
-    """What punctures of one membrane say. All intervals are of 95 %."""
-
-    stiffness_n_per_m: Estimate
-    depth_m: Estimate
-    force_n: Estimate
-    amplitude_m_per_s2: Estimate
-    frequency_hz: Estimate
-    decay_rate_per_s: Estimate
-    amplitude_per_speed_per_s: Estimate | None
-    """Slope of the amplitude over speed; None for fewer than four punctures, or all at one speed."""
-    ruptures: tuple[Rupture, ...]
-    warnings: tuple[str, ...]
-    judged: Verdict
-    left_out: tuple[Exclusion, ...] = ()
-
-    @property
-    def verdict(self) -> str:
-        return str(self.judged)
-
-    def material(self) -> dict[str, object]:
-        """The keys of a material."""
-        return {
-            "stiffness_n_per_m": self.stiffness_n_per_m.value,
-            "rupture": {
-                "depth_m": self.depth_m.value,
-                "amplitude_m_per_s2": self.amplitude_m_per_s2.value,
-                "frequency_hz": self.frequency_hz.value,
-                "decay_rate_per_s": self.decay_rate_per_s.value,
-            },
-        }
-
-    def to_dict(self) -> dict[str, object]:
-        found = plain(self)
-        assert isinstance(found, dict)
-        return {**found, "verdict": self.verdict}
-
-
-def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> PunctureFit:
-    """Of one puncture to a recording, at least two. FitError where there are fewer, or they cannot be fitted.
-
-    Recordings that cannot be used, as those without a puncture, are reported in `excluded`.
-    """
-    excluded = Exclusions() if excluded is None else excluded
-    doubts = Doubts()
-    ruptures = _ruptures(recordings, excluded, doubts)
-    used = [recording for recording in recordings if recording.name in {each.recording for each in ruptures}]
-    _doubt_the_recordings(used, ruptures, doubts)
-
-    def mean(name: str) -> Estimate:
-        return common(np.array([getattr(each, name) for each in ruptures]))
-
-    _check_amplitudes(ruptures)
-    stiffness, depth, amplitude = mean("stiffness_n_per_m"), mean("depth_m"), mean("amplitude_m_per_s2")
-    frequency, decay = mean("frequency_hz"), mean("decay_rate_per_s")
-    report_sampling(used, frequency.value, doubts)
-    by_speed = _amplitude_over_speed(ruptures, amplitude, doubts)
-    for what, figure in (("stiffness", stiffness), ("amplitude", amplitude), ("decay rate", decay)):
-        if figure.low <= 0:
-            raise FitError(
-                f"the punctures do not agree on the {what}: {figure.value:.3g} ({figure.low:.3g} to {figure.high:.3g})"
-            )
-    if depth.low <= 0 or depth.high - depth.low > depth.value:
-        doubts.warn(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
-    for what, figure in (
-        ("rupture depth", depth),
-        ("stiffness", stiffness),
-        ("amplitude", amplitude),
-        ("frequency", frequency),
-        ("decay rate", decay),
-    ):
-        doubts.check_interval(what, figure)
-    _doubt_the_mode(ruptures, doubts)
-    summary = (
-        f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, {stiffness.value:.4g} N/m, ringing at "
-        f"{frequency.value:.4g} Hz"
-    )
-    return PunctureFit(
-        stiffness_n_per_m=stiffness,
-        depth_m=depth,
-        force_n=mean("force_n"),
-        amplitude_m_per_s2=amplitude,
-        frequency_hz=frequency,
-        decay_rate_per_s=decay,
-        amplitude_per_speed_per_s=by_speed,
-        ruptures=tuple(ruptures),
-        warnings=tuple(doubts.warnings),
-        judged=doubts.judged(summary),
-        left_out=tuple(excluded.items),
-    )
-
-
-# ---- What the punctures have in common -----------------------------------------------------------------------------
-
-
-def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, doubts: Doubts) -> list[Rupture]:
-    """Two or more, each fitted alone; doubts are of those that are used. FitError where there are fewer."""
-    refuse_duplicates(recordings)
-    found = excluded.each(recordings, _rupture)
-    if not found:
-        raise excluded.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
-    ruptures = _without_outliers([rupture for rupture, _ in found], excluded)
-    if len(ruptures) < 2:
-        raise excluded.refused("one puncture has no interval: needs two recordings of a puncture at least")
-    used = {each.recording for each in ruptures}
-    for rupture, own in found:
-        if rupture.recording in used:
-            doubts.merge(own)
-    report_exclusions(excluded, recordings, doubts)
-    return ruptures
-
-
-def _doubt_the_recordings(recordings: Sequence[Recording], ruptures: Sequence[Rupture], doubts: Doubts) -> None:
-    """Wrong units, hum, and few of them."""
-    report_gravity(recordings, doubts)
-    by_name = {recording.name: recording for recording in recordings}
-    report_lines(
-        len(ruptures), lambda place, needed: _lines(by_name[ruptures[place].recording], ruptures[place], needed), doubts
-    )
-    count = len(ruptures)
-    doubts.at_least("punctures", count, f"{count} punctures are few", "ten are better")
-
-
-def _check_amplitudes(ruptures: Sequence[Rupture]) -> None:
-    """FitError where the usual amplitude is no membrane's."""
-    least, most = AMPLITUDES_M_PER_S2
-    usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
-    if not least <= usual <= most:
-        raise FitError(
-            f"a rupture of {usual:.3g} m/s^2 is no membrane's ({least:g} to {most:g}): is the acceleration's unit "
-            "another one?"
-        )
-
-
-def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, doubts: Doubts) -> Estimate | None:
-    """The slope, which the model does not have; None for fewer than four punctures, or all at one speed."""
-    speed = np.array([each.speed_m_per_s for each in ruptures])
-    if len(ruptures) < 4 or not np.ptp(speed) > 0.2 * speed.mean():
-        return None
-    by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
-    change = by_speed.value * float(np.ptp(speed))
-    if by_speed.excludes_zero and abs(change) > 0.1 * amplitude.value:
-        doubts.doubt(
-            f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to "
-            f"{speed.max():.3g} m/s; "
-            "the material has the mean"
-        )
-    return by_speed
-
-
-def _doubt_the_mode(ruptures: Sequence[Rupture], doubts: Doubts) -> None:
-    """Whether all ring alike, and with one mode."""
-    scatter = float(np.std([math.log(each.frequency_hz) for each in ruptures]))
-    doubts.at_most(
-        "scatter of the frequency",
-        scatter,
-        f"the frequency scatters by {100 * scatter:.0f} % between punctures",
-        "is it one membrane?",
-    )
-    explained = float(np.median([each.variance_accounted_for for each in ruptures]))
-    doubts.at_least(
-        "variance that a rupture's mode explains",
-        explained,
-        f"one mode explains {100 * explained:.0f} % of the ringing",
-        "membranes ring with more",
-    )
-
-
-# ---- One puncture, in stages ---------------------------------------------------------------------------------------
-
-
-def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
-    """The puncture of a recording, and what speaks against it. FitError where there is none, or it cannot be fitted."""
-    doubts = Doubts()
-    kept = without_invalid_samples(recording, "puncture")
-    report_cleaning([kept], doubts)
-    push = _Push.of(kept.recording)
-    seen = acceleration_of(kept.recording)
-    loading = _loading(push, doubts)
-    _doubt_the_touch(push, loading, doubts)
-    ruptured_m, speed = _rupture_place(push)
-    ringing = _ringing(kept, seen, push, loading.begin)
-    _doubt_force_left(push, loading, doubts)
-    _refuse_second_rupture(push, loading)
-    if ringing.variance_accounted_for < 0.8:
-        doubts.warn(f"{push.name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
-    found = Rupture(
-        recording=push.name,
-        time_s=(push.at + 0.5) / push.rate_hz,
-        speed_m_per_s=abs(speed),
-        stiffness_n_per_m=loading.stiffness_n_per_m,
-        depth_m=ruptured_m - loading.surface_m,
-        force_n=loading.stiffness_n_per_m * (ruptured_m - loading.surface_m),
-        amplitude_m_per_s2=abs(float(ringing.coefficients[0])),
-        frequency_hz=float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi),
-        decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
-        variance_accounted_for=float(ringing.variance_accounted_for),
-    )
-    return found, doubts
+# ---- Onset: where the force falls ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,6 +82,8 @@ class _Push:
     """Samples of half of DROP_S."""
     smooth: Floats
     """The force, without what is faster than DROP_S."""
+    speed: Floats
+    """Along the normal, m/s."""
 
     @classmethod
     def of(cls, recording: Recording) -> _Push:
@@ -310,7 +93,7 @@ class _Push:
         place = recording.position_m
         if place is None:
             raise FitError(f"{name}: has no position along the normal, which this fit needs")
-        if np.ptp(place) > FARTHEST_M:
+        if np.ptp(place) > 1.0:
             raise UnitError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
         if not np.ptp(place) > 0:
             raise FitError(f"{name}: the position never moves: is it the wrong column?")
@@ -320,16 +103,66 @@ class _Push:
         if at is None:
             raise _no_puncture(name)
         half = max(1, round(DROP_S * rate_hz / 2))
-        return cls(name, rate_hz, force, place, at, half, running_mean(force, half))
-
-    @property
-    def speed(self) -> Floats:
-        """(n,) along the normal, m/s."""
-        return slope_of(self.place, self.rate_hz, 8 * DROP_S)
+        speed = slope_of(place, rate_hz, 8 * DROP_S)
+        return cls(name, rate_hz, force, place, at, half, running_mean(force, half), speed)
 
 
 def _no_puncture(name: str) -> FitError:
     return FitError(f"{name}: no puncture here: the force never falls at once while the stylus goes on")
+
+
+def _drop(force: Floats, rate_hz: float) -> int | None:
+    """The last sample before the force falls to nothing: by half of it and more."""
+    half = max(1, round(DROP_S * rate_hz / 2))
+    if len(force) < 20 * half:
+        return None
+    mean = running_mean(force, half)
+    fall = mean[: -4 * half] - mean[4 * half :]
+    middle = int(np.argmax(fall)) + 2 * half
+    before, after = float(mean[middle - 2 * half]), float(mean[middle + 2 * half])
+    rest = float(np.median(force[: len(force) // 20]))
+    if before - rest < 5 * _noise(force) or before - after < 0.5 * (before - min(rest, 0.0)):
+        return None
+    held = np.flatnonzero(force[middle - 2 * half : middle + 2 * half] > (before + after) / 2)
+    return middle - 2 * half + int(held[-1]) if len(held) else None
+
+
+def _noise(force: Floats) -> float:
+    """Standard deviation from sample to sample."""
+    return 1.4826 * float(np.median(np.abs(np.diff(force)))) / math.sqrt(2)
+
+
+# ---- Model: one puncture ---------------------------------------------------------------------------------------------
+
+
+def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
+    """The puncture of a recording, and what speaks against it. FitError where there is none, or it cannot be fitted."""
+    doubts = Doubts()
+    kept = without_invalid_samples(recording, "puncture")
+    report_cleaning([kept], doubts)
+    push = _Push.of(kept.recording)
+    seen = acceleration_of(kept.recording)
+    loading = _loading(push, doubts)
+    _doubt_the_touch(push, loading, doubts)
+    depth, speed = _rupture_place(push) - loading.surface_m, float(push.speed[push.at])
+    ringing = _ringing(kept, seen, push, loading.begin)
+    _doubt_force_left(push, loading, doubts)
+    _refuse_second_rupture(push, loading)
+    if ringing.variance_accounted_for < 0.8:
+        doubts.warn(f"{push.name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
+    found = Rupture(
+        recording=push.name,
+        time_s=(push.at + 0.5) / push.rate_hz,
+        speed_m_per_s=speed,
+        stiffness_n_per_m=loading.stiffness_n_per_m,
+        depth_m=depth,
+        force_n=loading.stiffness_n_per_m * depth,
+        amplitude_m_per_s2=abs(float(ringing.coefficients[0])),
+        frequency_hz=float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi),
+        decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
+        variance_accounted_for=float(ringing.variance_accounted_for),
+    )
+    return found, doubts
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,8 +171,8 @@ class _Loading:
 
     begin: int
     """The first sample with a quarter of the load."""
-    highest_n: float
-    """Just before the force drops."""
+    load_n: float
+    """Just before the force drops, over what the sensor reads without a touch."""
     stiffness_n_per_m: float
     surface_m: float
     """Where the line begins."""
@@ -363,7 +196,7 @@ def _loading(push: _Push, doubts: Doubts) -> _Loading:
     _check_stiffness(push.name, way, pressed, stiffness)
     near = way < np.median(way)
     below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
-    if abs(above - below) > BENT * stiffness:
+    if abs(above - below) > 0.1 * stiffness:
         doubts.doubt_recording(
             "the stiffness changes on the way",
             f"{push.name}: stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in",
@@ -379,13 +212,13 @@ def _loading(push: _Push, doubts: Doubts) -> _Loading:
         doubts.doubt_recording(
             "begun in contact", f"{push.name}: begins in contact: what the sensor reads without force is taken to be 0"
         )
-    return _Loading(begin, highest, stiffness, surface, rest)
+    return _Loading(begin, highest - rest, stiffness, surface, rest)
 
 
 def _check_stiffness(name: str, way: Floats, pressed: Floats, stiffness: float) -> None:
     """FitError where force over position is no membrane's."""
     low, high = STIFFNESS_N_PER_M
-    if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < STRAIGHT:
+    if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < 0.7:
         raise FitError(f"{name}: force does not go with position before it falls: are columns swapped?")
     if stiffness < 0:
         raise UnitError(f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)")
@@ -394,16 +227,16 @@ def _check_stiffness(name: str, way: Floats, pressed: Floats, stiffness: float) 
 
 
 def _doubt_the_touch(push: _Push, loading: _Loading, doubts: Doubts) -> None:
-    """Whether it is softer at first: then the line begins behind the touch."""
-    half, load = push.half, loading.highest_n - loading.rest_n
-    soft = max(SOFT[0] * load, SEEN * _noise(push.force) / math.sqrt(2 * half + 1))
+    """Whether it is softer at first: then the line begins behind the touch. A fiftieth of the load, or six standard
+    errors of the force, is met a thirtieth of the depth before it is due on the line."""
+    half, load = push.half, loading.load_n
+    soft = max(0.02 * load, 6.0 * _noise(push.force) / math.sqrt(2 * half + 1))
     touched = np.flatnonzero(push.smooth[: push.at - half] - loading.rest_n > soft)
     if not len(touched):
         return
-    # The line meets this force at `due`; where the touch is soft, it was met earlier.
     due = loading.surface_m + soft / loading.stiffness_n_per_m
     early_m = due - float(np.mean(push.place[max(0, touched[0] - half) : touched[0] + half + 1]))
-    if early_m > SOFT[1] * load / loading.stiffness_n_per_m:
+    if early_m > 0.03 * load / loading.stiffness_n_per_m:
         doubts.doubt_recording(
             "softer at first",
             f"{push.name}: it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more "
@@ -411,44 +244,38 @@ def _doubt_the_touch(push: _Push, loading: _Loading, doubts: Doubts) -> None:
         )
 
 
-def _rupture_place(push: _Push) -> tuple[float, float]:
-    """Where the membrane ruptures, m, and how fast the stylus is there, m/s. FitError where it was let go."""
-    last = slice(max(0, push.at - 4 * push.half), push.at + 1)
-    index = np.arange(last.start, last.stop)
-    fitted = np.polynomial.polynomial.polyfit(index - push.at, push.place[last], 1)
-    speed = float(push.speed[push.at])
-    if speed <= 0:
+def _rupture_place(push: _Push) -> float:
+    """Where the membrane ruptures, m. FitError where it was let go."""
+    index = np.arange(max(0, push.at - 4 * push.half), push.at + 1)
+    fitted = np.polynomial.polynomial.polyfit(index - push.at, push.place[index], 1)
+    if push.speed[push.at] <= 0:
         # Let go, or bounced off.
         raise _no_puncture(push.name)
     # The force is gone between this sample and the next.
-    return float(fitted[0] + 0.5 * fitted[1]), speed
+    return float(fitted[0] + 0.5 * fitted[1])
 
 
 def _ringing(kept: Cleaned, seen: Floats, push: _Push, begin: int) -> Ringing:
     """The mode that the rupture strikes. FitError where it was not measured, or does not ring with one mode."""
     name, at, rate_hz = push.name, push.at, push.rate_hz
     first = max(0, at - round(BEFORE_S * rate_hz))
-    end = min(len(seen), at + round(RINGING_S * rate_hz))
-    if np.mean(kept.replaced[begin:end]) > SPOILT:
+    end = min(len(seen), at + round(0.08 * rate_hz))
+    if np.mean(kept.replaced[begin:end]) > 0.02:
         raise FitError(f"{name}: much of the puncture was not measured")
     if clipped(seen)[first:end].any():
         raise FitError(
             f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record with "
             "a wider range"
         )
-    if in_gap(kept.recording, begin, end):
+    if any(begin < last and early < end for early, last in kept.recording.gaps):
         raise FitError(f"{name}: {gaps_in_words(kept.recording)}: between the touch and the end of the ringing")
     try:
         # A slow sensor of force tells the rupture late.
-        ringing = min(
-            (
-                fit_ringing(seen[first:end], rate_hz, onset_s=max(0.0, (at + 0.5 - first) / rate_hz - late_s))
-                for late_s in LATE_S
-            ),
-            key=lambda each: each.noise_m_per_s2,
-        )
+        onsets = [max(0.0, (at + 0.5 - first) / rate_hz - late_s) for late_s in (0.0, 0.002, 0.005)]
+        fits = [fit_ringing(seen[first:end], rate_hz, onset_s=onset_s) for onset_s in onsets]
     except FitError as error:
         raise FitError(f"{name}: the rupture has no ringing: {error}") from None
+    ringing = min(fits, key=lambda each: each.noise_m_per_s2)
     if slow := undersampled(rate_hz, float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)):
         raise FitError(f"{name}: {slow}")
     if ringing.variance_accounted_for < ACCOUNTED:
@@ -460,50 +287,151 @@ def _ringing(kept: Cleaned, seen: Floats, push: _Push, begin: int) -> Ringing:
 
 
 def _doubt_force_left(push: _Push, loading: _Loading, doubts: Doubts) -> None:
-    """Whether something holds what went in."""
-    load = loading.highest_n - loading.rest_n
+    """Whether something holds a tenth or more of what went in."""
     left = float(np.median(push.force[push.at + 2 * push.half : push.at + 6 * push.half])) - loading.rest_n
-    if left > HELD * load:
+    if left > 0.1 * loading.load_n:
         doubts.doubt_recording(
             "force is left after the rupture",
-            f"{push.name}: {100 * left / load:.0f} % of the force is left after the rupture: something holds "
+            f"{push.name}: {100 * left / loading.load_n:.0f} % of the force is left after the rupture: something holds "
             "what went in; the model has none of it",
         )
 
 
 def _refuse_second_rupture(push: _Push, loading: _Loading) -> None:
-    """FitError where the force drops again, before or after, while the stylus goes on."""
+    """FitError where the force drops again, before or after, from 0.3 of the load, while the stylus goes on."""
     at, half = push.at, push.half
     for start, part in ((0, push.force[: max(0, at - 4 * half)]), (at + 4 * half, push.force[at + 4 * half :])):
         other = _drop(part, push.rate_hz)
-        if (
-            other is not None
-            and part[other] - loading.rest_n > AGAIN * (loading.highest_n - loading.rest_n)
-            and push.speed[start + other] > 0
-        ):
+        if other is None or not part[other] - loading.rest_n > 0.3 * loading.load_n:
+            continue
+        if push.speed[start + other] > 0:
+            early, late = sorted((at, start + other))
             raise FitError(
-                f"{push.name}: ruptures at {min(at, start + other) / push.rate_hz:.4g} s and at "
-                f"{max(at, start + other) / push.rate_hz:.4g} s: give each puncture its own file"
+                f"{push.name}: ruptures at {early / push.rate_hz:.4g} s and at {late / push.rate_hz:.4g} s: give each "
+                "puncture its own file"
             )
 
 
-def _lines(recording: Recording, rupture: Rupture, needed: int) -> list[SpectralLine]:
-    """Of the acceleration before the rupture."""
-    seen = recording.acceleration_m_per_s2
-    assert seen is not None
-    model = np.full(len(seen), math.nan)
-    until = max(0, round((rupture.time_s - BEFORE_S) * recording.rate_hz))
-    model[:until] = np.median(seen[:until]) if until else 0.0
-    return lines_in_residual(seen, model, recording.rate_hz, needed)
+# ---- The fit: what the punctures have in common, and its verdict -----------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PunctureFit(Judged):
+    """What punctures of one membrane say. All intervals are of 95 %."""
+
+    stiffness_n_per_m: Estimate
+    depth_m: Estimate
+    force_n: Estimate
+    amplitude_m_per_s2: Estimate
+    frequency_hz: Estimate
+    decay_rate_per_s: Estimate
+    amplitude_per_speed_per_s: Estimate | None
+    """Slope of the amplitude over speed; None for fewer than four punctures, or all at one speed."""
+    ruptures: tuple[Rupture, ...]
+
+    def material(self) -> dict[str, object]:
+        """The keys of a material."""
+        names = ("depth_m", "amplitude_m_per_s2", "frequency_hz", "decay_rate_per_s")
+        rupture = {name: getattr(self, name).value for name in names}
+        return {"stiffness_n_per_m": self.stiffness_n_per_m.value, "rupture": rupture}
+
+
+def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> PunctureFit:
+    """Of one puncture to a recording, at least two. FitError where there are fewer, or they cannot be fitted.
+
+    Recordings that cannot be used, as those without a puncture, are reported in `excluded`.
+    """
+    excluded = Exclusions() if excluded is None else excluded
+    doubts = Doubts()
+    ruptures = _ruptures(recordings, excluded, doubts)
+    by_name = {recording.name: recording for recording in recordings}
+    used = [each for each in recordings if each.name in {rupture.recording for rupture in ruptures}]
+    for line in gravity_of(used):
+        doubts.doubt(line)
+
+    def lines(rupture: Rupture, needed: int) -> list[SpectralLine]:
+        """Of the acceleration before the rupture."""
+        recording = by_name[rupture.recording]
+        seen = recording.acceleration_m_per_s2
+        assert seen is not None
+        model = np.full(len(seen), math.nan)
+        until = max(0, round((rupture.time_s - BEFORE_S) * recording.rate_hz))
+        model[:until] = np.median(seen[:until]) if until else 0.0
+        return lines_in_residual(seen, model, recording.rate_hz, needed)
+
+    report_lines(ruptures, lines, doubts)
+    doubts.check("punctures", len(ruptures))
+
+    def mean(name: str) -> Estimate:
+        return common(np.array([getattr(each, name) for each in ruptures]))
+
+    usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
+    check_range(usual, *AMPLITUDES_M_PER_S2, f"a rupture of {usual:.3g} m/s^2 is", "membrane's")
+    stiffness, depth, amplitude = mean("stiffness_n_per_m"), mean("depth_m"), mean("amplitude_m_per_s2")
+    frequency, decay = mean("frequency_hz"), mean("decay_rate_per_s")
+    report_sampling(used, frequency.value, doubts)
+    by_speed = _amplitude_over_speed(ruptures, amplitude, doubts)
+    for what, figure in (("stiffness", stiffness), ("amplitude", amplitude), ("decay rate", decay)):
+        if figure.low <= 0:
+            raise FitError(
+                f"the punctures do not agree on the {what}: {figure.value:.3g} ({figure.low:.3g} to {figure.high:.3g})"
+            )
+    if depth.low <= 0 or depth.high - depth.low > depth.value:
+        doubts.warn(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
+    for what, figure in (
+        ("rupture depth", depth),
+        ("stiffness", stiffness),
+        ("amplitude", amplitude),
+        ("frequency", frequency),
+        ("decay rate", decay),
+    ):
+        doubts.check_interval(what, figure)
+    scatter = float(np.std([math.log(each.frequency_hz) for each in ruptures]))
+    doubts.check("scatter of the frequency", scatter, events="punctures", one="membrane")
+    explained = float(np.median([each.variance_accounted_for for each in ruptures]))
+    doubts.check("variance that a rupture's mode explains", explained)
+    return PunctureFit(
+        stiffness_n_per_m=stiffness,
+        depth_m=depth,
+        force_n=mean("force_n"),
+        amplitude_m_per_s2=amplitude,
+        frequency_hz=frequency,
+        decay_rate_per_s=decay,
+        amplitude_per_speed_per_s=by_speed,
+        ruptures=tuple(ruptures),
+        warnings=tuple(doubts.warnings),
+        judged=doubts.judged(
+            f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, {stiffness.value:.4g} N/m, ringing at "
+            f"{frequency.value:.4g} Hz"
+        ),
+        left_out=tuple(excluded.items),
+    )
+
+
+def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, doubts: Doubts) -> list[Rupture]:
+    """Two or more, each fitted alone; doubts are of those that are used. FitError where there are fewer."""
+    refuse_duplicates(recordings)
+    found = excluded.each(recordings, _rupture)
+    if not found:
+        raise excluded.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
+    ruptures = _without_outliers([rupture for rupture, _ in found], excluded)
+    if len(ruptures) < 2:
+        raise excluded.refused("one puncture has no interval: needs two recordings of a puncture at least")
+    used = {each.recording for each in ruptures}
+    for rupture, own in found:
+        if rupture.recording in used:
+            doubts.merge(own)
+    excluded.report(recordings, doubts)
+    return ruptures
 
 
 def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rupture]:
-    """Without the few whose ringing is far off the others', which are reported in `excluded`."""
+    """Without those, a quarter at most, whose ringing is off the median of all by a factor of three, which are reported
+    in `excluded`."""
     ringing = np.array([[each.amplitude_m_per_s2, each.frequency_hz, each.decay_rate_per_s] for each in ruptures])
     usual = np.median(ringing, axis=0)
-    factor, most = OUTLYING
-    off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > factor
-    if np.count_nonzero(off) > most * len(ruptures):
+    off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > 3.0
+    if np.count_nonzero(off) > 0.25 * len(ruptures):
         return ruptures
     for each, far in zip(ruptures, off, strict=True):
         if far:
@@ -515,26 +443,16 @@ def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rup
     return [each for each, far in zip(ruptures, off, strict=True) if not far]
 
 
-def _drop(force: Floats, rate_hz: float) -> int | None:
-    """The last sample before the force falls to nothing."""
-    half = max(1, round(DROP_S * rate_hz / 2))
-    if len(force) < 20 * half:
+def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, doubts: Doubts) -> Estimate | None:
+    """The slope, which the model does not have; None for fewer than four punctures, or all at one speed."""
+    speed = np.array([each.speed_m_per_s for each in ruptures])
+    if len(ruptures) < 4 or not np.ptp(speed) > 0.2 * speed.mean():
         return None
-    mean = running_mean(force, half)
-    fall = mean[: -4 * half] - mean[4 * half :]
-    middle = int(np.argmax(fall)) + 2 * half
-    before, after = float(mean[middle - 2 * half]), float(mean[middle + 2 * half])
-    noise = _noise(force)
-    rest = float(np.median(force[: len(force) // 20]))
-    if before - rest < 5 * noise or before - after < FALLEN * (before - min(rest, 0.0)):
-        return None
-    window = force[middle - 2 * half : middle + 2 * half]
-    held = np.flatnonzero(window > (before + after) / 2)
-    if len(held) == 0:
-        return None
-    return middle - 2 * half + int(held[-1])
-
-
-def _noise(force: Floats) -> float:
-    """Standard deviation from sample to sample."""
-    return 1.4826 * float(np.median(np.abs(np.diff(force)))) / math.sqrt(2)
+    by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
+    change = by_speed.value * float(np.ptp(speed))
+    if by_speed.excludes_zero and abs(change) > 0.1 * amplitude.value:
+        doubts.doubt(
+            f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to {speed.max():.3g} m/s; "
+            "the material has the mean"
+        )
+    return by_speed

@@ -15,7 +15,7 @@ import hashlib
 import io
 import os
 from dataclasses import dataclass
-from typing import Annotated, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -33,6 +33,8 @@ from hapticd.base.yaml_source import MAX_BYTES as MAX_YAML_BYTES
 from hapticd.base.yaml_source import load_bytes, one_line
 from hapticd.config.document_kinds import refuse_documents
 
+Kind: TypeAlias = Literal["tap", "grooves", "texture", "puncture"]
+"""What a recording is of."""
 Rate: TypeAlias = Annotated[float, Field(ge=LOWEST_HZ, le=HIGHEST_HZ)]
 
 

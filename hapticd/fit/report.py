@@ -9,7 +9,6 @@ import base64
 import html
 import io
 import math
-import os
 import textwrap
 import warnings
 from collections.abc import Mapping, Sequence
@@ -33,22 +32,10 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-ENDINGS: Final = (".html", ".png")
-MOST_POINTS: Final = 4000
-"""Of a line; a longer one is drawn by the least and the largest value of each stretch."""
-_DPI: Final = 90
 _CELL: Final = (5.2, 3.6)
 """Inches of a picture with what is written about it, and below the share of that."""
 _GAP: Final = (0.85, 1.05)
 _MARGINS: Final = (0.3, 0.2)
-_LINE: Final = 0.27
-_LONGEST: Final = 56
-"""Of a title."""
-_MANY: Final = 50
-_DEEPEST: Final = 1e-8
-"""Of a logarithmic picture, under its highest."""
-
-
 MANY_DECADES: Final = 3.5
 """On a logarithmic axis that spans more, powers of ten alone are labelled; one that spans less has"""
 STEPS: Final = (
@@ -110,28 +97,32 @@ class Page:
 def require(path: str) -> None:
     """Raises HapticdError (one line) where a report cannot be drawn, or not one with that ending."""
     require_matplotlib("a report", "fit")
-    if os.path.splitext(path)[1].lower() not in ENDINGS:
-        raise HapticdError(f"{path}: is no kind of report: must end in {' or '.join(ENDINGS)}")
+    if not path.lower().endswith((".html", ".png")):
+        raise HapticdError(f"{path}: is no kind of report: must end in .html or .png")
 
 
 def drawn(path: str, page: Page) -> bytes:
     """The report that is to stand at this path, whose ending says which kind."""
-    if path.lower().endswith(".html"):
-        return _html(page).encode(errors="backslashreplace")
-    return _picture(page.rows, "\n".join((page.title, *textwrap.wrap(page.verdict, 110))))
+    if not path.lower().endswith(".html"):
+        return _picture(page.rows, "\n".join((page.title, *textwrap.wrap(page.verdict, 110))))
+    pictures = "\n".join(html_picture(row) for row in page.rows)
+    body = f"""<p><b>{html.escape(page.verdict)}</b></p>
+{html_warnings(page.warnings)}
+{html_figures(page.figures, page.plain)}
+{pictures}
+<h2>Recordings</h2>
+{html_page.table(("file", "SHA-256"), page.sources, (True, True))}"""
+    return fit_page(page.title, body).encode(errors="backslashreplace")
 
 
-def thinned(x: Floats, y: Floats, most: int = MOST_POINTS) -> tuple[Floats, Floats]:
+def thinned(x: Floats, y: Floats, most: int = 4000) -> tuple[Floats, Floats]:
     """At most about `most` points of a line, with the least and the largest value of each stretch among them. Of a
     stretch with a gap (NaN) in it the gap is kept."""
     if len(x) <= most:
         return x, y
     stretch = math.ceil(2 * len(x) / most)
-    starts = np.arange(0, len(x), stretch)
-    kept: list[int] = []
-    for start in starts:
-        piece = y[start : start + stretch]
-        kept += sorted({int(start + np.argmin(piece)), int(start + np.argmax(piece))})
+    pieces = [(start, y[start : start + stretch]) for start in range(0, len(x), stretch)]
+    kept = np.unique([start + end(piece) for start, piece in pieces for end in (np.argmin, np.argmax)])
     return x[kept], y[kept]
 
 
@@ -142,8 +133,8 @@ def _picture(rows: Sequence[Sequence[Panel]], title: str = "") -> bytes:
     import matplotlib.pyplot as plt
 
     columns, count = max((len(row) for row in rows), default=1), max(1, len(rows))
-    lines = title.count("\n") + 1 if title else 0
-    width, height = _MARGINS[0] + columns * _CELL[0], _MARGINS[1] + lines * _LINE + count * _CELL[1]
+    titled = 0.27 * (title.count("\n") + 1) if title else 0.0
+    width, height = _MARGINS[0] + columns * _CELL[0], _MARGINS[1] + titled + count * _CELL[1]
     figure: Figure
     # Laid out in inches, by hand: to measure every letter takes longer than to draw it all.
     figure, axes = plt.subplots(count, columns, figsize=(width, height), squeeze=False)
@@ -151,7 +142,7 @@ def _picture(rows: Sequence[Sequence[Panel]], title: str = "") -> bytes:
         left=(_GAP[0] + _MARGINS[0] / 2) / width,
         right=1 - _MARGINS[0] / 2 / width,
         bottom=(_GAP[1] / 2 + _MARGINS[1] / 2) / height,
-        top=1 - (_GAP[1] / 2 + _MARGINS[1] / 2 + lines * _LINE) / height,
+        top=1 - (_GAP[1] / 2 + _MARGINS[1] / 2 + titled) / height,
         wspace=_GAP[0] / (_CELL[0] - _GAP[0]),
         hspace=_GAP[1] / (_CELL[1] - _GAP[1]),
     )
@@ -167,14 +158,10 @@ def _picture(rows: Sequence[Sequence[Panel]], title: str = "") -> bytes:
         with warnings.catch_warnings():
             # The font has not every letter that a file's name may have.
             warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
-            figure.savefig(content, format="png", dpi=_DPI)
+            figure.savefig(content, format="png", dpi=90)
     finally:
         plt.close(figure)
     return content.getvalue()
-
-
-def _short(text: str) -> str:
-    return literal(text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]}…{text[-_LONGEST // 2 :]}")
 
 
 def _draw(axes: Axes, panel: Panel) -> None:
@@ -184,7 +171,7 @@ def _draw(axes: Axes, panel: Panel) -> None:
     for place, curve in enumerate(panel.curves):
         color = curve.color or f"C{place}"
         if curve.points:
-            size = 4 if len(curve.x) <= _MANY else 2
+            size = 4 if len(curve.x) <= 50 else 2
             if curve.low is not None and curve.high is not None:
                 bars = np.maximum(0.0, [curve.y - curve.low, curve.high - curve.y])
                 axes.errorbar(
@@ -201,7 +188,7 @@ def _draw(axes: Axes, panel: Panel) -> None:
     if panel.logarithmic and panel.curves:
         largest = max(float(np.nanmax(curve.y)) for curve in panel.curves)
         if largest > 0:
-            axes.set_ylim(largest * _DEEPEST, largest * 3)
+            axes.set_ylim(largest * 1e-8, largest * 3)
         _label_logarithmic(axes)
     if panel.counted:
         from matplotlib.ticker import MaxNLocator
@@ -212,7 +199,8 @@ def _draw(axes: Axes, panel: Panel) -> None:
     axes.grid(alpha=0.3)
     several = len(panel.curves) > 1
     # Beside the curves there may be no room: what they are stands between them and the title.
-    axes.set_title(_short(panel.title), fontsize=10, pad=22 if several else 6)
+    title = panel.title if len(panel.title) <= 56 else f"{panel.title[:28]}…{panel.title[-28:]}"
+    axes.set_title(literal(title), fontsize=10, pad=22 if several else 6)
     if several:
         axes.legend(
             loc="lower center",
@@ -273,16 +261,3 @@ def html_picture(row: Sequence[Panel]) -> str:
 def html_warnings(warnings: Sequence[str]) -> str:
     """One paragraph each."""
     return "\n".join(f'<p class="warning">{html.escape(text)}</p>' for text in warnings)
-
-
-def _html(page: Page) -> str:
-    pictures = "\n".join(html_picture(row) for row in page.rows)
-    return fit_page(
-        page.title,
-        f"""<p><b>{html.escape(page.verdict)}</b></p>
-{html_warnings(page.warnings)}
-{html_figures(page.figures, page.plain)}
-{pictures}
-<h2>Recordings</h2>
-{html_page.table(("file", "SHA-256"), page.sources, (True, True))}""",
-    )

@@ -11,26 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
 from hapticd.analysis.statistics import Floats
 from hapticd.fit.verdict import Doubts
 
+_T = TypeVar("_T")
 LOWEST_HZ: Final = 20.0
 """What is slower is a hand's."""
 CHANCE: Final = 1e-3
-OFTEN: Final = 1e-3
-"""Chance of a line in one of many recordings, at most."""
-SPREAD: Final = 6
 LEAST_SHARE: Final = 0.005
 """Of the power, from which on a line is reported."""
-LONG_S: Final = 0.5
-"""A recording that is shorter does not tell a line from something that rings."""
-BESIDE_HZ: Final = 8.0
-BESIDE: Final = 8
-"""Bins at least, on either side."""
 APART_HZ: Final = 0.5
 """Lines of two recordings that are nearer are one."""
 TOLD: Final = 5
@@ -49,7 +42,8 @@ def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[Spectr
     from scipy.special import fdtri
 
     count = len(seen)
-    if count < LONG_S * rate_hz:
+    # A shorter one does not tell a line from something that rings.
+    if count < 0.5 * rate_hz:
         return []
     width = rate_hz / count
     power = np.abs(np.fft.rfft(np.hanning(count) * (seen - seen.mean()))) ** 2
@@ -59,10 +53,11 @@ def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[Spectr
         return []
     # Five bins of a line that Hann's window spreads over four, and as many again that may hold its skirts.
     inner = 2 + math.ceil(APART_HZ / width)
-    outer = inner + max(BESIDE, math.ceil(BESIDE_HZ / width))
+    outer = inner + max(8, math.ceil(8.0 / width))
     beside = 2 * (outer - inner)
-    # That so many recordings have it within SPREAD bins of each other is as improbable as it may be.
-    chance = CHANCE / len(power) if needed == 1 else min(OFTEN, (CHANCE / len(power)) ** (1 / needed) / SPREAD)
+    # That so many recordings have it within six bins of each other is as improbable as it may be, and that one of many
+    # has it at most so.
+    chance = CHANCE / len(power) if needed == 1 else min(1e-3, (CHANCE / len(power)) ** (1 / needed) / 6)
     factor = float(fdtri(2, 2 * beside, 1 - chance))
     found: list[SpectralLine] = []
     left = power.copy()
@@ -93,12 +88,12 @@ def lines_in_residual(seen: Floats, modelled: Floats, rate_hz: float, needed: in
     return [SpectralLine(line.frequency_hz, part * line.share) for line in spectral_lines(left, rate_hz, needed)]
 
 
-def common_lines(count: int, lines_in: Callable[[int, int], Sequence[SpectralLine]]) -> list[SpectralLine]:
-    """Lines that at least half of `count` recordings have, with their mean share, by frequency. `lines_in` gives those
-    of one, by its number and by how many are needed."""
+def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]]) -> list[SpectralLine]:
+    """Lines that at least half of the recordings have, with their mean share, by frequency. `lines_in` gives those of
+    one, if so many are needed."""
+    count = len(recordings)
     needed = max(1, math.ceil(count / 2))
-    recordings = [lines_in(place, needed) for place in range(count)]
-    every = [(place, line) for place, lines in enumerate(recordings) for line in lines]
+    every = [(place, line) for place, each in enumerate(recordings) for line in lines_in(each, needed)]
     every.sort(key=lambda each: each[1].frequency_hz)
     found: list[SpectralLine] = []
     while every:
@@ -109,31 +104,26 @@ def common_lines(count: int, lines_in: Callable[[int, int], Sequence[SpectralLin
             continue
         weight = sum(line.share for _, line in alike)
         middle = sum(line.frequency_hz * line.share for _, line in alike) / weight
-        if weight / len(recordings) > LEAST_SHARE:
-            found.append(SpectralLine(middle, weight / len(recordings)))
+        if weight / count > LEAST_SHARE:
+            found.append(SpectralLine(middle, weight / count))
     return found
 
 
-def report_lines(count: int, lines_in: Callable[[int, int], Sequence[SpectralLine]], doubts: Doubts) -> None:
+def report_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]], doubts: Doubts) -> None:
     """A doubt where there are lines, as of `common_lines`."""
-    if hum := common_lines(count, lines_in):
+    if hum := common_lines(recordings, lines_in):
         doubts.doubt(described(hum))
 
 
 def described(lines: Sequence[SpectralLine]) -> str:
-    """In words; empty where there are none."""
-    if not lines:
-        return ""
-    loudest = sorted(sorted(lines, key=lambda line: -line.share)[:TOLD], key=lambda line: line.frequency_hz)
+    """One or more, in words."""
+    # A bin is a fraction of a hertz wide.
+    hertz = {line: f"{round(line.frequency_hz, 1):.10g} Hz" for line in lines}
     if len(lines) == 1:
-        what = f"a line at {_hz(lines[0])} Hz holds {100 * lines[0].share:.2g} % of the power"
+        what = f"a line at {hertz[lines[0]]} holds {100 * lines[0].share:.2g} % of the power"
     else:
-        shares = ", ".join(f"{_hz(line)} Hz {100 * line.share:.2g} %" for line in loudest)
+        loudest = sorted(sorted(lines, key=lambda line: -line.share)[:TOLD], key=lambda line: line.frequency_hz)
+        shares = ", ".join(f"{hertz[line]} {100 * line.share:.2g} %" for line in loudest)
         more = f" and {len(lines) - TOLD} more" if len(lines) > TOLD else ""
         what = f"lines hold {100 * sum(line.share for line in lines):.2g} % of the power ({shares}{more})"
     return f"{what}: hum, or another tone, which the figures take in"
-
-
-def _hz(line: SpectralLine) -> str:
-    # A bin is a fraction of a hertz wide.
-    return f"{round(line.frequency_hz, 1):.10g}"

@@ -1,12 +1,14 @@
 """Recordings as a stylus would make them, of surfaces whose truth is known: to see what a fit can resolve.
 
-The waveforms are the paper's, eq. 1 and 3, in closed form; the renderer is not asked. What a sensor does to them is a
-linear system with poles, so that its answer to decaying sinusoids is a sum of exponentials: there is no error of a
-step, and an onset lies between samples.
+The waveforms are those of hapticd's models (Okamura, Dennerlein and Howe, 1998, eq. 1 to 3) in closed form; the
+renderer is not asked. What a sensor does to them is a linear system with poles, so that its answer to decaying
+sinusoids is a sum of exponentials: there is no error of a step, and an onset lies between samples. Noise, whose
+spectrum ends far below mounting and filter, passes them unchanged.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,11 +18,13 @@ import numpy as np
 
 from hapticd.analysis.recordings.sensor import Sensor
 from hapticd.analysis.statistics import Floats
-from hapticd.config.materials import Tap
+from hapticd.base.lattice import reflection_of
+from hapticd.config.materials import Material, Tap
 from hapticd.config.modes import Mode
+from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.fit.recording import Recording, Source
+from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
-GRAVITY_M_PER_S2: Final = 9.80665
 APPROACH_S: Final = 0.02
 """Before a tap the stylus comes so long at constant speed; as long it rests afterwards."""
 
@@ -44,7 +48,7 @@ class Stylus:
     tremor_m_per_s2: float = 0.0
     """Amplitude of the hand's tremor."""
     tremor_hz: float = 9.0
-    offset_m_per_s2: float = GRAVITY_M_PER_S2
+    offset_m_per_s2: float = 9.80665
     drift_m_per_s3: float = 0.0
     position_step_m: float = 0.0
     """Of the encoder; 0 is exact."""
@@ -134,4 +138,177 @@ def _way(since_s: Floats, speed_m_per_s: float) -> Floats:
     return np.asarray(
         np.interp(since_s, [-APPROACH_S, 0.0, APPROACH_S, 2 * APPROACH_S], [-away_m, 0.0, 0.0, -away_m]),
         dtype=np.float64,
+    )
+
+
+# ---- Strokes and punctures, moved by a hand, not quite as it means to; the truth is the material itself --------------
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """How a stroke goes, and the noise of its force and position. Swings are parts of the mean."""
+
+    duration_s: float = 1.0
+    speed_swing: float = 0.15
+    force_swing: float = 0.15
+    swing_hz: float = 0.7
+    force_noise_n: float = 0.005
+    position_noise_m: float = 2e-6
+
+
+PLAIN: Final = Stylus()
+STEADY: Final = Hand()
+
+
+def grooves(
+    material: Material,
+    speed_m_per_s: float,
+    force_n: float,
+    stylus: Stylus = PLAIN,
+    hand: Hand = STEADY,
+    scatter: float = 0.0,
+) -> Recording:
+    """One stroke over a material with grooves displayed as vibration; `scatter` is the standard deviation of what
+    amplitudes have besides, as a part of each. ValueError for another material."""
+    texture, mode = material.texture, material.groove_mode
+    if not isinstance(texture, Grooves) or mode is None:
+        raise ValueError("needs a material with grooves that vibrate")
+    random = np.random.default_rng(stylus.seed)
+    time, place, speed, force = _stroke(speed_m_per_s, force_n, stylus, hand, random)
+    clean = np.zeros_like(time)
+    rising = np.sign(speed_m_per_s) * place
+    numbers = np.arange(math.ceil(rising[0] / texture.spacing_m), math.floor(rising[-1] / texture.spacing_m) + 1)
+    for struck_s in np.interp(numbers * texture.spacing_m, rising, time):
+        velocity, press = np.interp(struck_s, time, speed), np.interp(struck_s, time, force)
+        amplitude = texture.velocity_gain_per_s * abs(velocity) + texture.force_gain_m_per_s2_per_n * press
+        amplitude *= np.sign(velocity) * (1 + scatter * random.standard_normal())
+        mode = material.groove_mode_at(float(velocity), float(press))
+        assert mode is not None
+        _strike(clean, time, float(struck_s), float(amplitude), mode, stylus)
+    name = f"grooves at {abs(speed_m_per_s):g} m/s and {force_n:g} N"
+    return _recorded(name, time, clean, force, None, place, hand, stylus, random)
+
+
+def texture(
+    material: Material,
+    speed_m_per_s: float,
+    force_n: float,
+    stylus: Stylus = PLAIN,
+    hand: Hand = STEADY,
+) -> Recording:
+    """One stroke over a material with a stochastic or an autoregressive texture (then: its model nearest in speed and
+    force, with the level that it has there). Noise of exactly this spectrum: white in frequency, shaped by its root.
+    ValueError for another material."""
+    coarse = material.texture
+    random = np.random.default_rng(stylus.seed)
+    time, place, speed, force = _stroke(speed_m_per_s, force_n, stylus, hand, random)
+    count = len(time)
+    frequency = np.fft.rfftfreq(count, 1 / stylus.rate_hz)
+    if isinstance(coarse, Stochastic):
+        shape = stochastic_filter(coarse.peak_hz, coarse.mean_hz, stylus.rate_hz)
+        density = power_spectrum(shape, frequency, stylus.rate_hz)
+        level = coarse.velocity_gain_per_s * np.abs(speed) + coarse.force_gain_m_per_s2_per_n * force
+        level = np.maximum(level, 0.0) * np.minimum(1.0, np.abs(speed) / coarse.threshold_m_per_s)
+    elif isinstance(coarse, Autoregressive):
+        model = min(
+            coarse.models,
+            key=lambda each: (
+                abs(each.speed_m_per_s - abs(speed_m_per_s)) / abs(speed_m_per_s)
+                + abs(each.force_n - force_n) / force_n
+            ),
+        )
+        reflection = reflection_of(model.coefficients)
+        density = np.zeros_like(frequency)
+        below = frequency <= coarse.rate_hz / 2
+        density[below] = power_spectrum((reflection, None), frequency[below], coarse.rate_hz)
+        level = np.full(count, model.level(reflection))
+    else:
+        raise ValueError("needs a material with a stochastic or an autoregressive texture")
+    white = np.fft.rfft(random.standard_normal(count))
+    clean = np.fft.irfft(white * np.sqrt(density * stylus.rate_hz / 2), count) * level
+    name = f"texture at {abs(speed_m_per_s):g} m/s and {force_n:g} N"
+    return _recorded(name, time, clean, force, None, place, hand, stylus, random)
+
+
+def puncture(
+    material: Material,
+    speed_m_per_s: float,
+    stylus: Stylus = PLAIN,
+    hand: Hand = STEADY,
+    ruptures: bool = True,
+) -> Recording:
+    """A membrane approached, drawn in and ruptured (or let go again where it does not) at this speed; position is
+    along its normal, pressing positive. ValueError for a material without a rupture."""
+    rupture = material.rupture
+    if rupture is None:
+        raise ValueError("needs a material with a rupture")
+    random = np.random.default_rng(stylus.seed)
+    depth = rupture.rupture_depth_m
+    gap = 0.3 * depth + 0.1 * depth * random.random()
+    after_s = max(8 * rupture.mode.decay_time_s, 0.05)
+    deepest = depth if ruptures else 0.8 * depth
+    struck_s = (gap + deepest) / speed_m_per_s
+    time = np.arange(round((struck_s + after_s) * stylus.rate_hz)) / stylus.rate_hz
+    place = speed_m_per_s * time - gap
+    clean = np.zeros_like(time)
+    if ruptures:
+        force = np.where(time < struck_s, material.stiffness_n_per_m * np.maximum(place, 0.0), 0.0)
+        _strike(clean, time, struck_s, rupture.amplitude_m_per_s2, rupture.mode, stylus)
+    else:
+        place = deepest - np.abs(place - deepest)
+        force = material.stiffness_n_per_m * np.maximum(place, 0.0)
+    return _recorded(f"puncture at {speed_m_per_s:g} m/s", time, clean, force, place + 0.01, None, hand, stylus, random)
+
+
+def _stroke(
+    speed_m_per_s: float, force_n: float, stylus: Stylus, hand: Hand, random: np.random.Generator
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Time, place, speed and force of a hand that swings about what it means to do."""
+    time = np.arange(round(hand.duration_s * stylus.rate_hz)) / stylus.rate_hz
+    one, other = random.uniform(0, 2 * math.pi, 2)
+    turn = 2 * math.pi * hand.swing_hz
+    speed = speed_m_per_s * (1 + hand.speed_swing * np.sin(turn * time + one))
+    place = speed_m_per_s * (time + hand.speed_swing / turn * (math.cos(one) - np.cos(turn * time + one)))
+    place = place + 0.01 * random.random()
+    force = force_n * (1 + hand.force_swing * np.sin(1.37 * turn * time + other))
+    return time, place, speed, force
+
+
+def _strike(onto: Floats, time: Floats, struck_s: float, amplitude: float, mode: Mode, stylus: Stylus) -> None:
+    """Adds what the stylus makes of A exp(-B t) sin(w t) from `struck_s` on, while it is more than a millionth."""
+    low = math.ceil(struck_s * stylus.rate_hz)
+    high = min(len(time), low + math.ceil(14 * mode.decay_time_s * stylus.rate_hz))
+    onto[low:high] += amplitude * stylus.ringing(mode, time[low:high] - struck_s)
+
+
+def _recorded(
+    name: str,
+    time: Floats,
+    clean: Floats,
+    force: Floats,
+    position: Floats | None,
+    tangential: Floats | None,
+    hand: Hand,
+    stylus: Stylus,
+    random: np.random.Generator,
+) -> Recording:
+    count = len(time)
+    acceleration = stylus.recorded(clean, random)
+
+    def placed(values: Floats | None) -> Floats | None:
+        if values is None:
+            return None
+        noisy = values + hand.position_noise_m * random.standard_normal(count)
+        step = stylus.position_step_m
+        return np.round(noisy / step) * step if step > 0 else noisy
+
+    return Recording(
+        name=name,
+        rate_hz=stylus.rate_hz,
+        acceleration_m_per_s2=acceleration,
+        force_n=force + hand.force_noise_n * random.standard_normal(count),
+        position_m=placed(position),
+        tangential_position_m=placed(tangential),
+        speed_m_per_s=None,
+        source=Source(path=name, sha256=hashlib.sha256(acceleration.tobytes()).hexdigest()),
     )

@@ -1,210 +1,260 @@
 """Textures from recorded strokes: peak and mean frequency, and how loud they are over speed and force.
 
-A stroke is cut into blocks of half a second, each with its own periodograms, speed and force (texture_blocks.py). The
-mean frequency is the power's centroid; the peak and the intervals of both are found by spectrum_peak.py. The RMS law is
-fitted to the blocks' power, of which it is the square, with errors that are a part of it (quasi-likelihood of a gamma
-distribution; Wedderburn, 1974). Autoregressive models, where they are asked for, are those of autoregressive.py.
+A stroke is cut into blocks of half a second, each with its own periodograms, speed and force. What the sensor hisses is
+read off the top of the spectrum and taken away; below LOW_HZ, where a hand trembles, the density goes on as it is just
+above, and where it sinks into the hiss it goes on falling as it does in the octave before.
+
+The mean frequency is the power's centroid. The peak is that of a parabola in 1/density over the squared frequency
+within the half-power band, by Whittle's likelihood: a single resonance has just this shape. Intervals are jackknifed
+over groups of blocks, or over strokes where they differ by more than the blocks do by chance. Where the parabola of the
+upper quarter of the power has its peak elsewhere, the spectrum is no single resonance, and the interval takes in both.
+A peak is resolved where the density is lower on both sides: the spectrum ends below LOW_HZ, so that one which is as
+high there has its peak anywhere below. Then the interval begins at 0; it ends where the parabola's does, within the
+half-power band, or where the highest point lies in 97.5 % of resampled groups (Efron's bootstrap, 1979), if that is
+more.
+
+The RMS law is fitted to the blocks' power, of which it is the square, with errors that are a part of it
+(quasi-likelihood of a gamma distribution; Wedderburn, 1974).
+
+Autoregressive models, where they are asked for, are of each pair of speed and force: they come from the autocorrelation
+of the mean spectrum there (Levinson and Durbin), which makes them stable for any spectrum; the order is that of the
+least corrected information criterion of Akaike (Hurvich and Tsai, 1989).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, least_squares, student_t, well_conditioned
-from hapticd.fit.autoregressive import ArModel, model_rate, models_of
-from hapticd.fit.duplicates import refuse_duplicates
-from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
-from hapticd.fit.invalid_samples import without_invalid_samples
-from hapticd.fit.plain_data import plain
-from hapticd.fit.recording import Recording
-from hapticd.fit.recording_checks import (
-    LEAST_RATE,
-    acceleration_of,
-    check_force_varies,
-    report_cleaning,
-    report_gravity,
+from hapticd.analysis.statistics import (
+    Estimate,
+    FitError,
+    Floats,
+    Ints,
+    jackknife_error,
+    least_squares,
 )
-from hapticd.fit.spectral_distance import spectral_distance_db
+from hapticd.base.lattice import coefficients_of
+from hapticd.fit.preparation import (
+    LEAST_RATE,
+    Cleaned,
+    acceleration_of,
+    check_apart,
+    check_force_varies,
+    check_range,
+    gravity_of,
+    motion_of,
+    moved_with,
+    pressed,
+    refuse_duplicates,
+    report_cleaning,
+    stretches_of,
+    vary_apart,
+    without_invalid_samples,
+)
+from hapticd.fit.recording import Recording
+from hapticd.fit.result import Judged, fields_of
 from hapticd.fit.spectral_lines import report_lines, spectral_lines
-from hapticd.fit.spectrum_peak import LOW_HZ, Peak, jackknifed, peak_of
-from hapticd.fit.stretches import stretches_of
-from hapticd.fit.texture_blocks import BLOCK_S, StrokeBlocks, Tail, blocks_of, centroid_of, slices_of, top_of
-from hapticd.fit.verdict import Doubts, Verdict
+from hapticd.fit.verdict import Doubts, Exclusions
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
+LOW_HZ: Final = 20.0
+BLOCK_S: Final = 0.5
 LEAST_BLOCKS: Final = 8
-MOVES: Final = 0.05
-"""A change of the mean frequency over the speeds or forces that is worth telling, as a part of it."""
-SELDOM: Final = 0.99
-"""And is more than what chance makes of it with this probability."""
-ROUNDS: Final = 30
-"""Of the RMS law at most."""
-APART: Final = (0.15, 0.4)
-"""Steps in the logarithms of mean frequency and of loudness within a recording that are two textures,"""
-SURE: Final = 6.0
-"""where they are so many standard errors."""
-UNSTEADY: Final = 0.3
-"""Standard deviation of the logarithm of the mean frequency over the blocks of a recording that is no one texture."""
+FALLS: Final = 1.78
+"""From 0.325 to 0.445 of the rate, the density of noise with two poles at low frequency, filtered at this very rate;
+the samples of a continuous one fall by more."""
+GROUPS: Final = 20
+"""Of blocks, at most, that the jackknife leaves out one at a time."""
+HALF, QUARTER = 0.5, 0.75
+"""Parts of the highest density above which parabolas are fitted."""
+SMOOTH_HZ: Final = 15.0
+"""Densities are means over so much to either side."""
 RMS_M_PER_S2: Final = (0.03, 300.0)
 """Of a usual block; less is not felt."""
+MAX_ORDER: Final = 32
+"""Of autoregressive models."""
+
+
+# ---- Blocks: strokes in halves of a second ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
-    """Half a second of a stroke: means of speed and force, RMS and centroid of the acceleration."""
+class StrokeBlocks:
+    """A recording in blocks: density (blocks, frequencies) in (m/s^2)^2/Hz, one-sided, without the sensor's."""
 
-    recording: str
-    speed_m_per_s: float
-    force_n: float
-    rms_m_per_s2: float
-    mean_hz: float
+    name: str
+    frequency_hz: Floats
+    density: Floats
+    speed: Floats
+    force: Floats
+    moments: Floats
+    """(blocks, 3) means of the squares of speed and of force, and between them of their product."""
+    floor: float
+    lost: int
+    """Blocks that do not count, as of `_spoilt`."""
+    kept: Cleaned
+
+
+def _slices_of(cut: Sequence[StrokeBlocks]) -> Iterator[tuple[StrokeBlocks, slice]]:
+    """Each with its blocks among all."""
+    start = 0
+    for each in cut:
+        yield each, slice(start, start + len(each.density))
+        start += len(each.density)
+
+
+def _blocks_of(kept: Cleaned, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
+    """A recording in blocks. FitError where its rate is another one, and where it is no texture."""
+    recording = kept.recording
+    if recording.rate_hz != usual_hz:
+        raise FitError(
+            f"{recording.name}: sampled at {recording.rate_hz:g} Hz, most others at {usual_hz:g} Hz: strokes of one "
+            "texture need one rate"
+        )
+    rate_hz = recording.rate_hz
+    seen, force = acceleration_of(recording), pressed(recording)
+    speed = motion_of(recording, len(seen)).speed_m_per_s
+    usual = float(np.median(np.abs(speed)))
+    windows = _Windows(rate_hz)
+    spoilt = _spoilt(kept, seen, windows.block, doubts)
+    found, means = [], []
+    for start in range(0, len(seen) - windows.block + 1, windows.block):
+        here = slice(start, start + windows.block)
+        if start in spoilt or np.abs(speed[here]).min() < 0.2 * usual or force[here].mean() <= 0:
+            continue
+        found.append(windows.periodogram(seen[here]))
+        moved, press = np.abs(speed[here]), np.maximum(force[here], 0.0)
+        means.append([windows.mean(each) for each in (moved, press, moved**2, moved * press, press**2)])
+    if not found:
+        raise FitError(f"{recording.name}: holds no half second of one stroke")
+    frequency: Floats = np.asarray(np.fft.rfftfreq(windows.length, 1 / rate_hz), dtype=np.float64)
+    density, floor = _without_hiss(recording.name, frequency, np.array(found, dtype=np.float64), rate_hz)
+    _refuse_motion(recording.name, frequency, density.mean(axis=0))
+    just = (frequency >= LOW_HZ) & (frequency < 2 * LOW_HZ)
+    density[:, frequency < LOW_HZ] = density[:, just].mean(axis=1)[:, None]
+    # A sum over the bins is then the integral from 0 on.
+    density[:, 0] /= 2
+    by = np.array(means)
+    return StrokeBlocks(recording.name, frequency, density, by[:, 0], by[:, 1], by[:, 2:], floor, len(spoilt), kept)
+
+
+class _Windows:
+    """Three windows of Hann's in each block: at both ends, and half-way over the first."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self.block, self.length = round(BLOCK_S * rate_hz), round(BLOCK_S * rate_hz / 2)
+        """Samples of a block, and of a window."""
+        self._window = np.hanning(self.length + 1)[:-1]
+        self._scale = 2 / (rate_hz * float(self._window @ self._window))
+        self._firsts = (0, self.length // 2, self.block - self.length)
+        weights = np.zeros(self.block)
+        for first in self._firsts:
+            weights[first : first + self.length] += self._window**2
+        self._weights = weights / weights.sum()
+
+    def periodogram(self, part: Floats) -> Floats:
+        """(frequencies,) of a block, per Hz, one-sided."""
+        pieces = np.array([part[first : first + self.length] for first in self._firsts])
+        pieces -= pieces.mean(axis=1, keepdims=True)
+        return np.asarray(np.mean(np.abs(np.fft.rfft(self._window * pieces)) ** 2, axis=0) * self._scale)
+
+    def mean(self, values: Floats) -> float:
+        """Of a block, as the power's is taken."""
+        return float(self._weights @ values)
+
+
+def _without_hiss(name: str, frequency: Floats, density: Floats, rate_hz: float) -> tuple[Floats, float]:
+    """The density without the sensor's, and the sensor's. FitError where the spectrum does not end below half the
+    rate: where between 0.4 and 0.49 of the rate it is more than a twentieth of its highest."""
+    hiss = (frequency > 0.4 * rate_hz) & (frequency < 0.49 * rate_hz)
+    floor = float(np.mean(density[:, hiss]))
+    if floor > 0.05 * float(density[:, (frequency >= LOW_HZ) & ~hiss].mean(axis=0).max(initial=0.0)):
+        raise FitError(
+            f"{name}: the spectrum goes on beyond half the rate of {rate_hz:g} Hz, or is the sensor's hiss "
+            "alone: record at a higher rate, or with less noise"
+        )
+    # A texture's own density falls there, by FALLS at least; only what does not is the sensor's.
+    nearer = float(np.mean(density[:, (frequency > 0.3 * rate_hz) & (frequency < 0.35 * rate_hz)]))
+    floor = min(max(0.0, (FALLS * floor - nearer) / (FALLS - 1)), floor)
+    return density - floor, floor
+
+
+def _spoilt(kept: Cleaned, seen: Floats, block: int, doubts: Doubts) -> set[int]:
+    """First samples of the blocks that do not count: more than 2 % was not measured so, or something knocked: 15
+    standard deviations of a block, which noise does not reach."""
+    starts = range(0, len(seen) - block + 1, block)
+    lost = {start for start in starts if np.mean(kept.replaced[start : start + block]) > 0.02}
+    knocks = []
+    for start in starts:
+        part = np.abs(seen[start : start + block] - np.median(seen[start : start + block]))
+        if part.max() > 15.0 * 1.4826 * np.median(part):
+            knocks.append(start)
+    # Where more than a tenth of the blocks have them, it is a texture of knocks.
+    if 0 < len(knocks) <= max(1, 0.1 * len(starts)):
+        at = knocks[0] + int(np.argmax(np.abs(seen[knocks[0] : knocks[0] + block])))
+        value = f"{seen[at]:.4g} m/s^2 at {at / kept.recording.rate_hz:.6g} s"
+        doubts.warn(
+            f"{kept.recording.name}: the acceleration of {value} is a knock: {len(knocks) * BLOCK_S:g} s about such "
+            "are left out"
+        )
+        lost |= set(knocks)
+    return lost
+
+
+def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
+    """FitError where most of the power is the hand's, or tones."""
+    low, whole = frequency < LOW_HZ, frequency >= LOW_HZ
+    lowest = float(frequency[whole][np.argmax(smoothed(density, 2)[whole])])
+    if density[low].sum() > density[whole].sum() and lowest < 2 * LOW_HZ:
+        raise FitError(
+            f"{name}: most of it is below {LOW_HZ:g} Hz, and above it falls: a hand that moves, and no texture"
+        )
+    loudest = np.sort(density[whole])[-3:]
+    if loudest.sum() > 0.5 * density[whole].sum():
+        raise FitError(
+            f"{name}: a tone at {frequency[whole][np.argmax(density[whole])]:.4g} Hz holds most of the power: hum, or "
+            "something that rings, and no texture"
+        )
+
+
+def _top_of(frequency: Floats, shape: Floats, floor: float) -> tuple[float, Tail | None]:
+    """Where the mean spectrum sinks to 0.3 of what was taken away as the sensor's, and how it goes on from there."""
+    smooth = smoothed(shape, max(1, round(25 / frequency[1])))
+    peak = int(np.argmax(smooth))
+    below = np.flatnonzero(smooth[peak:] < 0.3 * floor)
+    if floor <= 0 or len(below) == 0:
+        return float(frequency[-1]), None
+    top = float(frequency[peak + below[0]])
+    last = (frequency > max(top / 2, float(frequency[peak]))) & (frequency <= top) & (smooth > 0)
+    if np.count_nonzero(last) < 8:
+        return top, None
+    fall = -float(np.polyfit(np.log(frequency[last]), np.log(smooth[last]), 1)[0])
+    # The power of what falls more slowly has no mean frequency.
+    return top, Tail(top, max(fall, 2.5), float(frequency[-1])) if fall > 2 else None
 
 
 @dataclass(frozen=True, slots=True)
-class TextureFit:
-    """What strokes over one texture say. All intervals are of 95 %."""
+class Tail:
+    """Density beyond `top_hz`, up to half the rate: it falls as frequency^-fall, as in the octave before."""
 
-    peak_hz: Estimate
-    peak_resolved: bool
-    """Otherwise the interval begins at 0, and the peak is a guess."""
-    mean_hz: Estimate
-    velocity_gain_per_s: Estimate | None
-    """None, as the next: speed and force do not vary apart from one another, as `warnings` say."""
-    force_gain_m_per_s2_per_n: Estimate | None
-    correlation: float
-    mean_per_speed_hz_s_per_m: Estimate | None
-    mean_per_force_hz_per_n: Estimate | None
-    ar_rate_hz: float | None
-    ar_models: tuple[ArModel, ...]
-    """Empty unless they were asked for."""
-    blocks: tuple[Block, ...]
-    warnings: tuple[str, ...]
-    judged: Verdict
-    left_out: tuple[Exclusion, ...] = ()
+    top_hz: float
+    fall: float
+    end_hz: float
 
-    @property
-    def verdict(self) -> str:
-        return str(self.judged)
-
-    def material(self) -> dict[str, object]:
-        """The keys of a material: its texture. Stiffness is not measured by strokes."""
-        if self.ar_models:
-            models = [
-                {
-                    "speed_m_per_s": model.speed_m_per_s,
-                    "force_n": model.force_n,
-                    "coefficients": list(model.coefficients),
-                    "rms_m_per_s2": model.rms_m_per_s2,
-                }
-                for model in self.ar_models
-            ]
-            return {"texture": {"kind": "autoregressive", "rate_hz": self.ar_rate_hz, "models": models}}
-        assert self.velocity_gain_per_s is not None
-        assert self.force_gain_m_per_s2_per_n is not None
-        return {
-            "texture": {
-                "kind": "stochastic",
-                "peak_hz": self.peak_hz.value,
-                "mean_hz": self.mean_hz.value,
-                "velocity_gain_per_s": self.velocity_gain_per_s.value,
-                "force_gain_m_per_s2_per_n": self.force_gain_m_per_s2_per_n.value,
-            }
-        }
-
-    def to_dict(self) -> dict[str, object]:
-        found = plain(self)
-        assert isinstance(found, dict)
-        return {**found, "verdict": self.verdict}
-
-
-def fit_texture(
-    recordings: Sequence[Recording], autoregressive: bool = False, excluded: Exclusions | None = None
-) -> TextureFit:
-    """Of strokes at several speeds and forces. FitError where they do not say it.
-
-    Recordings, and stretches of them, that cannot be used are reported in `excluded`.
-    """
-    excluded = Exclusions() if excluded is None else excluded
-    refuse_duplicates(recordings)
-    rate_hz = _usual_rate(recordings)
-    stretches = stretches_of(recordings, BLOCK_S, excluded)
-    while True:
-        try:
-            return _fitted(stretches, rate_hz, autoregressive, excluded)
-        except _TwoTextures as two:
-            excluded.add(two.name, str(two))
-            gone = {each.recording for each in excluded.items}
-            stretches = [recording for recording in stretches if recording.name not in gone]
-
-
-def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
-    """Of stretches of strokes. _TwoTextures where one of them is of more than one."""
-    doubts = Doubts()
-    strokes = _cut(stretches, rate_hz, excluded, doubts)
-    recordings = [each.kept.recording for each in strokes]
-    blocks = _Blocks.of(strokes, excluded)
-    _doubt_the_recordings(recordings, rate_hz, doubts)
-    check_force_varies(recordings, blocks.force, doubts)
-    loudness = _loudness(blocks, autoregressive, doubts)
-    # Not by each block's own power, which goes with its peak.
-    shape = blocks.density / (loudness.rms**2)[:, None]
-    centroid = np.array([blocks.centroid(each) for each in shape])
-    peak = peak_of(blocks.frequency, shape, blocks.stroke)
-    mean = jackknifed(blocks.centroid, shape, blocks.stroke)
-    if rate_hz < LEAST_RATE * mean.value:
-        raise FitError(f"the mean frequency is {mean.value:.4g} Hz, sampled at {rate_hz:g} Hz: the rate is too low")
-    for each, here in slices_of(strokes):
-        _refuse_two(each.name, np.log(np.maximum(centroid[here], 1.0)), np.log(blocks.rms[here] / loudness.rms[here]))
-    by_speed, by_force = _moved(blocks.speed, blocks.force, centroid, mean.value, doubts)
-    ar_rate: float | None = None
-    models: tuple[ArModel, ...] = ()
-    if autoregressive:
-        members = [list(range(here.start, here.stop)) for _, here in slices_of(strokes)]
-        ar_rate = model_rate(blocks.frequency, shape.mean(axis=0), rate_hz)
-        models = models_of(blocks.frequency, blocks.density, blocks.speed, blocks.force, members, BLOCK_S, ar_rate)
-    _doubt_the_peak(peak, autoregressive, doubts)
-    doubts.check_interval("mean frequency", mean)
-    if peak.resolved and not autoregressive:
-        _compare(blocks.frequency, shape.mean(axis=0), peak.hz.value, mean.value, rate_hz, doubts)
-    return TextureFit(
-        peak_hz=peak.hz,
-        peak_resolved=peak.resolved,
-        mean_hz=mean,
-        velocity_gain_per_s=loudness.gains[0],
-        force_gain_m_per_s2_per_n=loudness.gains[1],
-        correlation=loudness.correlation,
-        mean_per_speed_hz_s_per_m=by_speed,
-        mean_per_force_hz_per_n=by_force,
-        ar_rate_hz=ar_rate,
-        ar_models=models,
-        blocks=blocks.reported(centroid),
-        warnings=tuple(doubts.warnings),
-        judged=doubts.judged(_summary(len(centroid), peak, mean, len(models))),
-        left_out=tuple(excluded.items),
-    )
-
-
-# ---- Stages, in their order ----------------------------------------------------------------------------------------
-
-
-def _cut(stretches: Sequence[Recording], rate_hz: float, excluded: Exclusions, doubts: Doubts) -> list[StrokeBlocks]:
-    """Every stretch in blocks. FitError where none can be used."""
-    strokes = excluded.each(
-        stretches, lambda each: blocks_of(without_invalid_samples(each, "texture"), rate_hz, doubts)
-    )
-    if not strokes:
-        raise excluded.refused("none of the recordings can be used")
-    report_cleaning([each.kept for each in strokes], doubts)
-    report_exclusions(excluded, [each.kept.recording for each in strokes], doubts)
-    dropped = sum(each.lost for each in strokes)
-    lost = dropped / (dropped + sum(len(each.density) for each in strokes))
-    doubts.at_most("part left out", lost, f"{100 * lost:.0f} % of the strokes are left out")
-    return strokes
+    def moments(self, frequency: Floats, shape: Floats) -> tuple[float, float]:
+        """Its power, and that times its mean frequency, in units of sums over `shape`."""
+        last = frequency > self.top_hz / 2
+        level = float(shape[last].sum() / np.sum((frequency[last] / self.top_hz) ** -self.fall)) / float(frequency[1])
+        ratio = self.end_hz / self.top_hz
+        power = self.top_hz * (1 - ratio ** (1 - self.fall)) / (self.fall - 1)
+        first = self.top_hz**2 * (1 - ratio ** (2 - self.fall)) / (self.fall - 2)
+        return level * power, level * first
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +286,7 @@ class _Blocks:
         frequency = strokes[0].frequency_hz
         power = density.sum(axis=1) * frequency[1]
         rough = (density / power[:, None]).mean(axis=0)
-        top, tail = top_of(frequency, rough, float(np.mean([each.floor for each in strokes]) / np.median(power)))
+        top, tail = _top_of(frequency, rough, float(np.mean([each.floor for each in strokes]) / np.median(power)))
         heard = frequency <= top
         frequency, density = frequency[heard], density[:, heard]
         power = density.sum(axis=1) * frequency[1]
@@ -244,11 +294,7 @@ class _Blocks:
             raise FitError(f"{names[int(np.argmin(power))]}: what is there is no more than the sensor's hiss")
         rms = np.sqrt(power)
         usual = float(np.median(rms))
-        least, most = RMS_M_PER_S2
-        if not least <= usual <= most:
-            raise FitError(
-                f"an RMS of {usual:.3g} m/s^2 is no texture's ({least:g} to {most:g}): is its unit another one?"
-            )
+        check_range(usual, *RMS_M_PER_S2, f"an RMS of {usual:.3g} m/s^2 is", "texture's")
         return cls(
             names=names,
             stroke=np.repeat(np.arange(len(strokes)), [len(each.density) for each in strokes]),
@@ -263,22 +309,163 @@ class _Blocks:
 
     def centroid(self, density: Floats) -> float:
         """Mean frequency of a density (frequencies,), in Hz."""
-        return centroid_of(self.frequency, density, self.tail)
-
-    def reported(self, centroid: Floats) -> tuple[Block, ...]:
-        """What the report says of each."""
-        figures = zip(self.names, self.speed, self.force, self.rms, centroid, strict=True)
-        return tuple(Block(name, float(v), float(f), float(r), float(c)) for name, v, f, r, c in figures)
+        beyond, first = (0.0, 0.0) if self.tail is None else self.tail.moments(self.frequency, density)
+        return float((self.frequency @ density + first) / (density.sum() + beyond))
 
 
-def _doubt_the_recordings(recordings: Sequence[Recording], rate_hz: float, doubts: Doubts) -> None:
-    """Wrong units, and hum."""
-    report_gravity(recordings, doubts)
-    report_lines(
-        len(recordings),
-        lambda place, needed: spectral_lines(acceleration_of(recordings[place]), rate_hz, needed),
-        doubts,
-    )
+# ---- Peak and mean of the spectrum, with their intervals -------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """Of a spectrum."""
+
+    hz: Estimate
+    resolved: bool
+
+
+def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
+    """Of densities (blocks, frequencies) of the blocks of these strokes (blocks,)."""
+
+    def parabola(density: Floats) -> float:
+        return _parabola_peak(frequency, density)
+
+    def upper(density: Floats) -> float:
+        return _parabola_peak(frequency, density, QUARTER)
+
+    found = jackknifed(parabola, shape, strokes)
+    top = jackknifed(upper, shape, strokes)
+    if jackknifed(lambda density: parabola(density) - upper(density), shape, strokes).excludes_zero:
+        found = Estimate(found.value, min(found.low, top.low), max(found.high, top.high))
+    if found.low > 0 and found.high - found.low <= found.value and _falls_below(frequency, shape, found.value):
+        return Peak(found, True)
+    # An interval may have run away, but nothing with less than half of the highest density is the peak.
+    smooth, place = _highest(frequency, shape.mean(axis=0))
+    below = np.flatnonzero(smooth[place:] < HALF * smooth[place])
+    reach = min(found.high, float(frequency[place + below[0]] if len(below) else frequency[-1]))
+    return Peak(Estimate(found.value, 0.0, max(_highest_resampled(frequency, shape), reach, found.value)), False)
+
+
+def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) -> Estimate:
+    """A figure of the mean density with its interval: each group of blocks left out in turn, or each stroke where they
+    differ by more than chance makes of their blocks with a probability of 0.05."""
+    from scipy.special import fdtri
+
+    value = figure(shape.mean(axis=0))
+    error, freedom = _left_out(figure, shape, _groups_of(len(shape)))
+    by_stroke = [np.flatnonzero(strokes == each) for each in np.unique(strokes)]
+    if 3 <= len(by_stroke) <= GROUPS:
+        wider, fewer = _left_out(figure, shape, by_stroke)
+        if wider > error * math.sqrt(float(fdtri(fewer, freedom, 0.95))):
+            error, freedom = wider, fewer
+    return Estimate.from_error(value, error, freedom)
+
+
+def _groups_of(blocks: int) -> list[Ints]:
+    """Blocks in a row, by their numbers."""
+    edges = np.linspace(0, blocks, min(GROUPS, blocks) + 1).round().astype(np.int64)
+    return [np.arange(low, high) for low, high in pairwise(edges)]
+
+
+def _left_out(figure: Callable[[Floats], float], shape: Floats, groups: Sequence[Ints]) -> tuple[float, int]:
+    """Standard error and degrees of freedom; groups of different sizes count alike (Busing, Meijer and van der Leeden,
+    1999, have the weights, which change little)."""
+    total = shape.sum(axis=0)
+    without = np.array([figure((total - shape[each].sum(axis=0)) / (len(shape) - len(each))) for each in groups])
+    return float(jackknife_error(without)), len(groups) - 1
+
+
+def smoothed(values: Floats, half: int) -> Floats:
+    """Means over 2 half + 1 of them, along the last axis; at the ends the last one goes on."""
+    kernel = np.ones(2 * half + 1) / (2 * half + 1)
+    return np.convolve(np.pad(values, half, mode="edge"), kernel, mode="valid")
+
+
+def _highest(frequency: Floats, density: Floats) -> tuple[Floats, int]:
+    """The density smoothed, and where it is highest above LOW_HZ."""
+    smooth = smoothed(density, max(1, round(SMOOTH_HZ / frequency[1])))
+    return smooth, int(np.argmax(np.where(frequency >= LOW_HZ, smooth, 0.0)))
+
+
+def _parabola_peak(frequency: Floats, shape: Floats, part: float = HALF) -> float:
+    """Of the band in which the density (frequencies,) is more than this part of its highest."""
+    smooth, place = _highest(frequency, shape)
+    outside = (smooth <= part * smooth[place]) | (frequency < LOW_HZ)
+    low = int(np.flatnonzero(outside[:place])[-1]) + 1 if outside[:place].any() else 0
+    high = place + int(np.argmax(outside[place:])) - 1 if outside[place:].any() else len(smooth) - 1
+    band = slice(low, high + 1)
+    if high - low < 6:
+        return float(frequency[place])
+    square = frequency**2
+    width = float(square[high] - square[low])
+    x = (square[band] - square[place]) / width
+    columns = np.stack([np.ones_like(x), x, x**2], axis=1)
+    seen = shape[band] / smooth[place]
+    found = np.linalg.lstsq(columns * smooth[band, None], np.full(len(x), smooth[place]), rcond=None)[0]
+    if (columns @ found).min() <= 0:
+        found = np.array([1.0, 0.0, 1.0])
+
+    def unlikely(at: Floats) -> float:
+        inverse = columns @ at
+        return float(np.sum(seen * inverse - np.log(inverse))) if inverse.min() > 0 else math.inf
+
+    least = unlikely(found)
+    for _ in range(50):
+        inverse = columns @ found
+        slope = columns.T @ (seen - 1 / inverse)
+        step = np.linalg.solve((columns / inverse[:, None] ** 2).T @ columns, -slope)
+        while unlikely(found + step) > least and np.abs(step).max() > 1e-12:
+            step = step / 2
+        found = found + step
+        reached = unlikely(found)
+        if least - reached < 1e-10:
+            break
+        least = reached
+    if found[2] <= 0:
+        return float(frequency[place])
+    best = math.sqrt(max(0.0, float(square[place] - width * found[1] / (2 * found[2]))))
+    return min(max(best, float(frequency[low])), float(frequency[high]))
+
+
+def _falls_below(frequency: Floats, shape: Floats, peak_hz: float) -> bool:
+    """Whether the density near LOW_HZ is less than within a fifth of the peak by more than chance."""
+    if peak_hz < 1.3 * LOW_HZ:
+        return False
+    low = (frequency >= LOW_HZ) & (frequency <= LOW_HZ + max(frequency[1] * 2, (peak_hz - LOW_HZ) / 3))
+    high = (frequency >= 0.8 * peak_hz) & (frequency <= 1.2 * peak_hz) & ~low
+    if not low.any() or not high.any():
+        return False
+
+    def fallen(density: Floats) -> float:
+        return math.log(max(float(density[high].mean()), 1e-300) / max(float(density[low].mean()), 1e-300))
+
+    return jackknifed(fallen, shape, np.zeros(len(shape), dtype=np.int64)).low > 0
+
+
+def _highest_resampled(frequency: Floats, shape: Floats) -> float:
+    """Where the highest density lies at most, in 97.5 % of 400 resamplings of the groups of blocks."""
+    groups = _groups_of(len(shape))
+    sums = np.stack([shape[each].sum(axis=0) for each in groups])
+    drawn = np.random.default_rng(0).integers(len(groups), size=(400, len(groups)))
+    at = [float(frequency[_highest(frequency, sums[each].sum(axis=0))[1]]) for each in drawn]
+    return float(np.quantile(at, 0.975))
+
+
+def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> float:
+    """RMS difference of two densities (n,) over bands of a twelfth of an octave, as a periodogram itself scatters,
+    where the second is within 20 dB of its peak."""
+    smooth = smoothed(power, 2)
+    loud = (frequency >= LOW_HZ) & (smooth > 0.01 * smooth.max())
+    band = np.round(12 * np.log2(np.maximum(frequency, 1.0))).astype(int)
+    differences = [
+        10 * math.log10(float(model[here].mean() / power[here].mean()))
+        for each in np.unique(band[loud])
+        if np.count_nonzero(here := loud & (band == each))
+    ]
+    return float(np.sqrt(np.mean(np.square(differences))))
+
+
+# ---- Loudness over speed and force -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,62 +479,13 @@ class _Loudness:
 
 def _loudness(blocks: _Blocks, autoregressive: bool, doubts: Doubts) -> _Loudness:
     """The law over speed and force; where these do not vary apart, the mean of each stroke, if models need no law."""
-    speed, force = blocks.speed, blocks.force
-    if well_conditioned(np.column_stack((speed, force)), 20):
-        return _law(blocks.moments, blocks.rms, doubts)
     if not autoregressive:
-        raise FitError(
-            f"speed ({speed.min():.3g} to {speed.max():.3g} m/s) and force ({force.min():.3g} to {force.max():.3g} N) "
-            "rise and fall together or not at all, so that their gains cannot be told apart: vary them on their own"
-        )
+        check_apart(blocks.speed, blocks.force)
+    if vary_apart(blocks.speed, blocks.force):
+        return _law(blocks.moments, blocks.rms, doubts)
     doubts.warn("speed and force vary too little, or together: no gains")
     means = np.array([np.mean(blocks.rms[blocks.stroke == each]) for each in np.unique(blocks.stroke)])
     return _Loudness(means[blocks.stroke], (None, None), math.nan)
-
-
-def _doubt_the_peak(peak: Peak, autoregressive: bool, doubts: Doubts) -> None:
-    """Whether there is one; autoregressive models have the spectrum as it is."""
-    if not peak.resolved:
-        tell = doubts.warn if autoregressive else doubts.doubt
-        tell(
-            f"the peak is not resolved: the spectrum is broad, or highest below {LOW_HZ:g} Hz; it lies between 0 and "
-            f"{peak.hz.high:.3g} Hz, and {peak.hz.value:.3g} Hz is a guess (--ar needs no peak)"
-        )
-    elif not autoregressive:
-        doubts.check_interval("peak frequency", peak.hz)
-
-
-def _compare(
-    frequency: Floats, density: Floats, peak_hz: float, mean_hz: float, rate_hz: float, doubts: Doubts
-) -> None:
-    """The recorded spectrum with that of the material, which knows peak and mean alone."""
-    model = power_spectrum(stochastic_filter(peak_hz, mean_hz, rate_hz), frequency, rate_hz)
-    power = density / (density.sum() * frequency[1])
-    apart = spectral_distance_db(frequency, model, np.maximum(power, 1e-6 * power.max()))
-    doubts.at_most(
-        "decibels between the spectra",
-        apart,
-        f"noise with this peak and mean has another spectrum than the recorded one, {apart:.1f} dB apart",
-        "--ar takes the spectrum as it is",
-    )
-
-
-def _summary(blocks: int, peak: Peak, mean: Estimate, models: int) -> str:
-    place = f"peak at {peak.hz.value:.4g} Hz" if peak.resolved else f"peak below {peak.hz.high:.3g} Hz"
-    return f"{blocks * BLOCK_S:g} s of noise with its {place} and its mean at {mean.value:.4g} Hz" + (
-        f", {models} autoregressive models" if models else ""
-    )
-
-
-def _usual_rate(recordings: Sequence[Recording]) -> float:
-    """Of most of them."""
-    rates = [recording.rate_hz for recording in recordings]
-    if not rates:
-        raise FitError("no recordings")
-    return max(rates, key=rates.count)
-
-
-# ---- Laws -----------------------------------------------------------------------------------------------------
 
 
 def _law(moments: Floats, rms: Floats, doubts: Doubts) -> _Loudness:
@@ -355,7 +493,7 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> _Loudness:
     the block's moments M; its derivative 2 M g, relative to the power, gives the columns."""
     squares = moments[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     gains = np.linalg.lstsq(np.sqrt(moments[:, [0, 2]]) / rms[:, None], np.ones(len(rms)), rcond=None)[0]
-    for _ in range(ROUNDS):
+    for _ in range(30):
         pushed = squares @ gains
         power = pushed @ gains
         if power.min() <= 0 or (np.sqrt(moments[:, [0, 2]]) @ gains).min() <= 0:
@@ -372,78 +510,271 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> _Loudness:
     for name, gain, square in (("velocity", velocity_gain, moments[:, 0]), ("force", force_gain, moments[:, 2])):
         if gain.high < 0:
             doubts.doubt(f"the {name} gain is negative: {gain.low:.3g} to {gain.high:.3g}")
-        elif gain.low <= 0:
-            doubts.doubt(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
         else:
             doubts.check_gain(name, gain, float(np.sqrt(np.median(square))), float(np.median(rms)))
     if max(velocity_gain.value, force_gain.value) <= 0:
         raise FitError("neither speed nor force makes it louder: is a column swapped?")
-    scatter = float(np.std(np.log(rms / law)))
     correlation = float(np.corrcoef(law, rms)[0, 1]) if np.ptp(law) > 0 and np.ptp(rms) > 0 else math.nan
-    doubts.at_most(
-        "distance from the law",
-        scatter,
-        f"loudness is off the law by {100 * scatter:.0f} %",
-        "it depends on more than speed and force",
-    )
-    doubts.at_least(
-        "correlation of the law",
-        correlation,
-        f"speed and force explain the loudness poorly: correlation {correlation:.2f}",
-        "the gains in the material say little",
-    )
+    doubts.check("distance from the law", float(np.std(np.log(rms / law))))
+    doubts.check("correlation of the law", correlation, what="loudness")
     return _Loudness(law, (velocity_gain, force_gain), correlation)
+
+
+# ---- Autoregressive models -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ArModel:
+    """At one speed and force: the model, and how far its spectrum is from the recorded one."""
+
+    speed_m_per_s: float
+    force_n: float
+    coefficients: tuple[float, ...]
+    rms_m_per_s2: float
+    rms_error_db: float
+    """As of `spectral_distance_db`."""
+
+
+def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
+    """A whole number of hertz, at most the recording's rate, 0.4 of which holds 0.995 of the power."""
+    below = np.cumsum(np.maximum(shape, 0.0))
+    top = float(frequency[min(int(np.searchsorted(below, 0.995 * below[-1])), len(frequency) - 1)])
+    return min(rate_hz, 2 * float(frequency[-1]), float(math.ceil(max(top / 0.4, 100.0))))
+
+
+def _models_of(blocks: _Blocks, strokes: Sequence[StrokeBlocks], rate_hz: float) -> tuple[ArModel, ...]:
+    """Of the blocks whose speeds and forces differ by less than a tenth. FitError where there are none of 2 s."""
+    columns = (blocks.speed, blocks.force)
+    places: list[list[int]] = []
+    for _, here in _slices_of(strokes):
+        # A recording whole where speed and force keep near their means, otherwise block by block.
+        members = list(range(here.start, here.stop))
+        steady = max(float(np.ptp(values[here]) / np.mean(values[here])) for values in columns) < 0.5
+        for part in [members] if steady else [[member] for member in members]:
+            for place in places:
+                if all(abs(np.mean(values[part]) / np.mean(values[place]) - 1) < 0.1 for values in columns):
+                    place += part
+                    break
+            else:
+                places.append(part)
+    kept = [place for place in places if len(place) >= 4]
+    if not kept:
+        raise FitError("no speed and force was held for 2 s: autoregressive models need steady strokes")
+    return tuple(_model(blocks, place, rate_hz) for place in kept)
+
+
+def _model(blocks: _Blocks, place: list[int], rate_hz: float) -> ArModel:
+    from scipy.linalg import solve_toeplitz
+
+    density = blocks.density[place].mean(axis=0)
+    below = blocks.frequency <= rate_hz / 2
+    frequency, power = blocks.frequency[below], np.maximum(density[below], 1e-6 * density.max())
+    weights = np.full(len(frequency), frequency[1])
+    weights[-1] /= 2
+    lags = np.arange(MAX_ORDER + 1)
+    correlation = np.cos(2 * math.pi * np.outer(lags, frequency) / rate_hz) @ (power * weights)
+    # Of every order the last coefficient is the reflection, in the convention of hapticd.rendering.filter_design.
+    stages = [-float(solve_toeplitz(correlation[:m], correlation[1 : m + 1])[-1]) for m in lags[1:]]
+    errors = np.cumprod(1 - np.square(stages))
+    count = len(place) * BLOCK_S * rate_hz
+    criteria = [count * math.log(errors[p - 1]) + 2 * (p + 1) * count / (count - p - 2) for p in lags[1:]]
+    reflection = stages[: 1 + int(np.argmin(criteria))]
+    model = float(correlation[0]) * power_spectrum((reflection, None), frequency, rate_hz)
+    return ArModel(
+        float(blocks.speed[place].mean()),
+        float(blocks.force[place].mean()),
+        coefficients_of(reflection),
+        math.sqrt(float(correlation[0])),
+        spectral_distance_db(frequency, model, power),
+    )
+
+
+# ---- The fit, and its verdict ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Half a second of a stroke: means of speed and force, RMS and centroid of the acceleration."""
+
+    recording: str
+    speed_m_per_s: float
+    force_n: float
+    rms_m_per_s2: float
+    mean_hz: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TextureFit(Judged):
+    """What strokes over one texture say. All intervals are of 95 %."""
+
+    peak_hz: Estimate
+    peak_resolved: bool
+    """Otherwise the interval begins at 0, and the peak is a guess."""
+    mean_hz: Estimate
+    velocity_gain_per_s: Estimate | None
+    """None, as the next: speed and force do not vary apart from one another, as `warnings` say."""
+    force_gain_m_per_s2_per_n: Estimate | None
+    correlation: float
+    mean_per_speed_hz_s_per_m: Estimate | None
+    mean_per_force_hz_per_n: Estimate | None
+    ar_rate_hz: float | None
+    ar_models: tuple[ArModel, ...]
+    """Empty unless they were asked for."""
+    blocks: tuple[Block, ...]
+
+    def material(self) -> dict[str, object]:
+        """The keys of a material: its texture. Stiffness is not measured by strokes."""
+        if self.ar_models:
+            names = ("speed_m_per_s", "force_n", "coefficients", "rms_m_per_s2")
+            models = [fields_of(model, *names) for model in self.ar_models]
+            return {"texture": {"kind": "autoregressive", "rate_hz": self.ar_rate_hz, "models": models}}
+        assert self.velocity_gain_per_s is not None
+        assert self.force_gain_m_per_s2_per_n is not None
+        return {
+            "texture": {
+                "kind": "stochastic",
+                "peak_hz": self.peak_hz.value,
+                "mean_hz": self.mean_hz.value,
+                "velocity_gain_per_s": self.velocity_gain_per_s.value,
+                "force_gain_m_per_s2_per_n": self.force_gain_m_per_s2_per_n.value,
+            }
+        }
+
+
+def fit_texture(
+    recordings: Sequence[Recording], autoregressive: bool = False, excluded: Exclusions | None = None
+) -> TextureFit:
+    """Of strokes at several speeds and forces. FitError where they do not say it.
+
+    Recordings, and stretches of them, that cannot be used are reported in `excluded`.
+    """
+    excluded = Exclusions() if excluded is None else excluded
+    refuse_duplicates(recordings)
+    rates = [recording.rate_hz for recording in recordings]
+    if not rates:
+        raise FitError("no recordings")
+    usual_hz = max(rates, key=rates.count)
+    stretches = stretches_of(recordings, BLOCK_S, excluded)
+    while True:
+        try:
+            return _fitted(stretches, usual_hz, autoregressive, excluded)
+        except _TwoTextures as two:
+            excluded.add(two.name, str(two))
+            gone = {each.recording for each in excluded.items}
+            stretches = [recording for recording in stretches if recording.name not in gone]
+
+
+def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
+    """Of stretches of strokes. _TwoTextures where one of them is of more than one."""
+    doubts = Doubts()
+    strokes = _cut(stretches, rate_hz, excluded, doubts)
+    recordings = [each.kept.recording for each in strokes]
+    blocks = _Blocks.of(strokes, excluded)
+    for line in gravity_of(recordings):
+        doubts.doubt(line)
+    report_lines(recordings, lambda each, needed: spectral_lines(acceleration_of(each), rate_hz, needed), doubts)
+    check_force_varies(recordings, blocks.force, doubts)
+    loudness = _loudness(blocks, autoregressive, doubts)
+    # Not by each block's own power, which goes with its peak.
+    shape = blocks.density / (loudness.rms**2)[:, None]
+    centroid = np.array([blocks.centroid(each) for each in shape])
+    peak = peak_of(blocks.frequency, shape, blocks.stroke)
+    mean = jackknifed(blocks.centroid, shape, blocks.stroke)
+    if rate_hz < LEAST_RATE * mean.value:
+        raise FitError(f"the mean frequency is {mean.value:.4g} Hz, sampled at {rate_hz:g} Hz: the rate is too low")
+    for each, here in _slices_of(strokes):
+        _refuse_two(each.name, np.log(np.maximum(centroid[here], 1.0)), np.log(blocks.rms[here] / loudness.rms[here]))
+    # So seldom by chance that a good fit is not called fair for it.
+    by_speed, by_force = moved_with(blocks.speed, blocks.force, centroid, "mean frequency", 0.05, 0.99, doubts)
+    ar_rate: float | None = None
+    models: tuple[ArModel, ...] = ()
+    if autoregressive:
+        ar_rate = _model_rate(blocks.frequency, shape.mean(axis=0), rate_hz)
+        models = _models_of(blocks, strokes, ar_rate)
+    _doubt_the_peak(peak, autoregressive, doubts)
+    doubts.check_interval("mean frequency", mean)
+    if peak.resolved and not autoregressive:
+        # The spectrum of the material knows peak and mean alone.
+        power = shape.mean(axis=0) / (shape.mean(axis=0).sum() * blocks.frequency[1])
+        model = power_spectrum(stochastic_filter(peak.hz.value, mean.value, rate_hz), blocks.frequency, rate_hz)
+        apart = spectral_distance_db(blocks.frequency, model, np.maximum(power, 1e-6 * power.max()))
+        doubts.check("decibels between the spectra", apart)
+    place = f"peak at {peak.hz.value:.4g} Hz" if peak.resolved else f"peak below {peak.hz.high:.3g} Hz"
+    figures = zip(blocks.speed, blocks.force, blocks.rms, centroid, strict=True)
+    return TextureFit(
+        peak_hz=peak.hz,
+        peak_resolved=peak.resolved,
+        mean_hz=mean,
+        velocity_gain_per_s=loudness.gains[0],
+        force_gain_m_per_s2_per_n=loudness.gains[1],
+        correlation=loudness.correlation,
+        mean_per_speed_hz_s_per_m=by_speed,
+        mean_per_force_hz_per_n=by_force,
+        ar_rate_hz=ar_rate,
+        ar_models=models,
+        blocks=tuple(Block(name, *map(float, each)) for name, each in zip(blocks.names, figures, strict=True)),
+        warnings=tuple(doubts.warnings),
+        judged=doubts.judged(
+            f"{len(centroid) * BLOCK_S:g} s of noise with its {place} and its mean at {mean.value:.4g} Hz"
+            + (f", {len(models)} autoregressive models" if models else "")
+        ),
+        left_out=tuple(excluded.items),
+    )
+
+
+def _cut(stretches: Sequence[Recording], rate_hz: float, excluded: Exclusions, doubts: Doubts) -> list[StrokeBlocks]:
+    """Every stretch in blocks. FitError where none can be used."""
+    strokes = excluded.each(
+        stretches, lambda each: _blocks_of(without_invalid_samples(each, "texture"), rate_hz, doubts)
+    )
+    if not strokes:
+        raise excluded.refused("none of the recordings can be used")
+    report_cleaning([each.kept for each in strokes], doubts)
+    excluded.report([each.kept.recording for each in strokes], doubts)
+    dropped = sum(each.lost for each in strokes)
+    lost = dropped / (dropped + sum(len(each.density) for each in strokes))
+    doubts.check("part left out", lost, left=f"{100 * lost:.0f} % of the strokes are left out")
+    return strokes
 
 
 class _TwoTextures(FitError):
     """A recording is of more than one texture, or of none."""
 
     def __init__(self, name: str, reason: str) -> None:
-        super().__init__(reason)
+        super().__init__(f"{name}: {reason}")
         self.name = name
 
 
 def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
     """_TwoTextures where a recording changes its pitch or loudness at once, by much."""
     count = len(pitch)
-    if count > 3 and float(np.std(pitch)) > UNSTEADY:
+    if count > 3 and float(np.std(pitch)) > 0.3:
         raise _TwoTextures(
             name,
-            f"{name}: two textures in one file, or none: the mean frequency goes from {math.exp(pitch.min()):.3g} to "
+            f"two textures in one file, or none: the mean frequency goes from {math.exp(pitch.min()):.3g} to "
             f"{math.exp(pitch.max()):.3g} Hz within it",
         )
     for k in range(3, count - 2):
-        for values, apart, what in zip((pitch, loudness), APART, ("mean frequency", "loudness"), strict=True):
+        # Steps in the logarithms that are two textures, where they are six standard errors.
+        for values, apart, what in ((pitch, 0.15, "mean frequency"), (loudness, 0.4, "loudness")):
             one, other = values[:k], values[k:]
             step = float(other.mean() - one.mean())
-            within = math.sqrt(
-                (float(np.sum((one - one.mean()) ** 2)) + float(np.sum((other - other.mean()) ** 2))) / (count - 2)
-            )
-            if abs(step) > apart and abs(step) > SURE * within * math.sqrt(1 / k + 1 / (count - k)):
+            within = math.sqrt((k * float(np.var(one)) + (count - k) * float(np.var(other))) / (count - 2))
+            if abs(step) > apart and abs(step) > 6.0 * within * math.sqrt(1 / k + 1 / (count - k)):
                 raise _TwoTextures(
                     name,
-                    f"{name}: two textures in one file: the {what} changes {math.exp(step):.2f}-fold at about "
+                    f"two textures in one file: the {what} changes {math.exp(step):.2f}-fold at about "
                     f"{k * BLOCK_S:g} s; give each its own file",
                 )
 
 
-def _moved(
-    speed: Floats, force: Floats, centroid: Floats, mean_hz: float, doubts: Doubts
-) -> tuple[Estimate | None, Estimate | None]:
-    """Slopes of the mean frequency over speed and force."""
-    columns = np.column_stack((speed, force, np.ones_like(speed)))
-    if not well_conditioned(columns):
-        doubts.warn("too few speeds and forces to tell whether the frequency moves with them")
-        return None, None
-    line = least_squares(columns, centroid)
-    by_speed, by_force, _ = line.coefficients
-    # So seldom by chance that a good fit is not called fair for it.
-    wider = student_t(line.freedom, SELDOM) / student_t(line.freedom)
-    for slope, values, name, unit in ((by_speed, speed, "speed", "m/s"), (by_force, force, "force", "N")):
-        change = slope.value * float(np.ptp(values))
-        if abs(slope.value) > wider * (slope.high - slope.value) and abs(change) > MOVES * mean_hz:
-            doubts.doubt(
-                f"the mean frequency moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to "
-                f"{values.max():.3g} {unit}"
-            )
-    return by_speed, by_force
+def _doubt_the_peak(peak: Peak, autoregressive: bool, doubts: Doubts) -> None:
+    """Whether there is one; autoregressive models have the spectrum as it is."""
+    if not peak.resolved:
+        tell = doubts.warn if autoregressive else doubts.doubt
+        tell(
+            f"the peak is not resolved: the spectrum is broad, or highest below {LOW_HZ:g} Hz; it lies between 0 and "
+            f"{peak.hz.high:.3g} Hz, and {peak.hz.value:.3g} Hz is a guess (--ar needs no peak)"
+        )
+    elif not autoregressive:
+        doubts.check_interval("peak frequency", peak.hz)

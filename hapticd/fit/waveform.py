@@ -1,8 +1,14 @@
 """Taps that are pulses: the waveform that they have in common, scaled over the approach speed.
 
-The shape and each tap's amplitude and onset are found together (pulse_shape.py). What the shape explains is judged on
-each tap by a shape that was found without that tap. The amplitude, the tap's largest acceleration, is then laid over
-the speed as of a ringing tap.
+    y_i(t) = a_i s(R (t - t_i)) + c_i, s the curve of hapticd.config.waveform
+
+The samples of s at the rate R are linear least squares for given amplitudes a_i, onsets t_i and offsets c_i; these are
+least squares of each pulse for given s, linear in a_i and c_i, with t_i by search. Both by turns, from onsets at which
+each pulse crosses a part of its peak. s is what the tick plays, so no error of an interpolation is left out. s is 0 at
+both ends, and its largest magnitude is 1 and positive.
+
+What the shape explains is judged on each tap by a shape that was found without that tap. The amplitude, the tap's
+largest acceleration, is then laid over the speed as of a ringing tap.
 """
 
 from __future__ import annotations
@@ -18,146 +24,365 @@ import numpy as np
 from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
 from hapticd.base.yaml_source import Json
 from hapticd.config.waveform import LONGEST_S, MOST_SAMPLES, Curve
-from hapticd.fit.exclusions import Exclusion, Exclusions, mostly_excluded
-from hapticd.fit.plain_data import end_of, fields_of
-from hapticd.fit.recording import Source
-from hapticd.fit.taps.amplitude import doubt_the_law, law_of
-from hapticd.fit.taps.hit import check_speeds
-from hapticd.fit.taps.law import Amplitudes, check_slope
-from hapticd.fit.taps.pulse_shape import (
-    LARGE,
-    Equations,
-    Placed,
-    Pulse,
-    common_shape,
-    crossing_s,
-    explained,
-    place,
-    rest_of,
-    upright,
-)
-from hapticd.fit.verdict import Doubts, Verdict
+from hapticd.fit.recording import Recording, Source
+from hapticd.fit.result import Judged, end_of, fields_of
+from hapticd.fit.speed_law import Amplitudes, Tap, check_hardness, check_slope, check_speeds, doubt_the_law, law_of
+from hapticd.fit.tap import LEAST_REST, Events, Unusable, events_of
+from hapticd.fit.verdict import Doubts, Exclusions
 
 LEAST_PULSES: Final = 3
+LARGE: Final = 0.6
+"""Of the peak."""
 CROSSES: Final = 0.25
 """Pulses begin to be laid over each other where they cross this part of their peak."""
 FAINT: Final = 5e-4
 """What of the shape lies before its beginning, and what after its end, has at most this part of its energy."""
-CLEAR: Final = 3.0
-"""The shape begins at the last sample before its rise that is within so many standard errors of the rest, and ends
-where no more stands out of twice the standard errors than FAINT."""
-QUIET: Final = 3
-"""Samples of rest that tell how the shape scatters there."""
 FINER: Final = 4 / 3
 """How far samples are off, over what twice as many change: for errors that fall with the square of their distance."""
-GROUPS: Final = 16
-"""Of more taps, groups are left out in turn instead of single ones."""
 LEAST_SAMPLES: Final = 8
-COARSER: Final = 1e-4
-"""The rate of the samples is halved as long as the shape explains no more than this less."""
-ALIKE: Final = 0.5
-"""A tap of which the shape of the others explains less is left out."""
-UNFINISHED: Final = 0.05
-"""Of the peak: a shape that is larger where it has to end is faded out."""
-AFTER: Final = 1.3
-"""A pulse is evaluated for so many times its length."""
 FADED: Final = 0.2
-"""Over this part of its length."""
+"""A shape that does not end is faded out over this part of its length."""
+
+
+# ---- Onsets: the pulses of recordings --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class PulseHit:
-    """One tap by the waveform."""
+class Pulse:
+    """The stretch of a recording that holds one contact, and where the contact begins, roughly."""
 
     recording: str
+    begin_s: float
+    """Of the stretch, on the recording's clock."""
     onset_s: float
-    """On the recording's clock."""
+    """After the beginning of the stretch."""
     speed_m_per_s: float
-    peak_m_per_s2: float
-    """Its largest acceleration, by the waveform."""
-    variance_accounted_for: float
-    """By a waveform that was found without this tap."""
     rate_hz: float
     measured: Floats
-    modelled: Floats
+    """(n,) in m/s^2."""
 
-    def to_dict(self) -> dict[str, Json]:
-        return fields_of(self, "recording", "onset_s", "speed_m_per_s", "peak_m_per_s2", "variance_accounted_for")
+    def until(self, end_s: float) -> Pulse:
+        """Without what comes so long after its beginning."""
+        return dataclasses.replace(self, measured=self.measured[: max(2, math.ceil(end_s * self.rate_hz))])
+
+    @property
+    def noise_m_per_s2(self) -> float:
+        """Before the contact; 0 where fewer than 6 samples tell it."""
+        first = math.floor(self.onset_s * self.rate_hz)
+        return float(np.std(self.measured[:first])) if first >= 6 else 0.0
+
+    @property
+    def since_s(self) -> Floats:
+        """Times of the samples after the beginning of the stretch."""
+        return np.arange(len(self.measured)) / self.rate_hz
+
+    @property
+    def rest(self) -> float:
+        """The acceleration before the contact."""
+        first = max(1, math.floor(self.onset_s * self.rate_hz))
+        return float(np.median(self.measured[:first]))
+
+    def crossing_s(self) -> float:
+        """When the pulse, on its way to its first large value, passes CROSSES of its peak; after the beginning of the
+        stretch."""
+        size = np.abs(self.measured - self.rest)
+        level, peak = CROSSES * float(size.max()), int(np.argmax(size >= LARGE * size.max()))
+        below = np.flatnonzero(size[:peak] < level)
+        if not len(below):
+            return 0.0
+        before = int(below[-1])
+        low, high = float(size[before]), float(size[before + 1])
+        return (before + (level - low) / (high - low)) / self.rate_hz
+
+
+def pulses_of(recordings: Sequence[Recording], warnings: list[str], excluded: Exclusions) -> list[Pulse]:
+    """The taps of recordings, each with the rest before it; what cannot be used is reported in `excluded`."""
+
+    def pulses_in(recording: Recording) -> list[Pulse]:
+        loud = events_of(recording, warnings)
+        found = []
+        for index, event in enumerate(loud.events):
+            try:
+                found.append(_pulse(loud, index))
+            except Unusable as no:
+                excluded.add(recording.name, str(no), "tap", event.first / recording.rate_hz)
+        if not found:
+            excluded.unused.add(recording.name)
+        return found
+
+    return [pulse for found in excluded.each(recordings, pulses_in) for pulse in found]
+
+
+def _pulse(loud: Events, index: int) -> Pulse:
+    """With 20 ms of rest before it, where there is so much. Raises Unusable."""
+    first, (before, after) = loud.events[index].first, loud.room(index)
+    name, rate_hz = loud.recording.name, loud.recording.rate_hz
+    begin = max(before, first - max(LEAST_REST, round(0.02 * rate_hz)))
+    end = min(after, first + round(LONGEST_S * rate_hz))
+    loud.check(begin, end)
+    speed = loud.speed(index, first / rate_hz)
+    return Pulse(name, begin / rate_hz, (first - begin) / rate_hz, speed, rate_hz, loud.acceleration[begin:end])
+
+
+# ---- Model: the shape that they have in common -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class WaveformFit:
-    """What the taps have in common."""
+class Placed:
+    """A pulse by the shape."""
 
-    taps: tuple[PulseHit, ...]
-    first_peak_slope_per_s: Estimate
-    """The largest acceleration over the speed, of a line through the origin."""
-    amplitudes: Amplitudes
-    """Instead of the line, where that does not do: speeds in m/s, rising, and m/s^2. Empty where the line does."""
+    amplitude: float
+    offset: float
+    onset_s: float
+    """After the beginning of the stretch."""
+    squares: float
+    """Sum of squares left over."""
+
+    def modelled(self, shape: Curve, pulse: Pulse) -> Floats:
+        """(n,): the pulse by the shape."""
+        return np.asarray(self.amplitude * shape.at(pulse.since_s - self.onset_s) + self.offset)
+
+    def explained(self, shape: Curve, pulse: Pulse, noise_m_per_s2: float = 0.0) -> float:
+        """Share of the variance about the offset that the shape explains while it lasts; what a noise makes of it is
+        taken off."""
+        since = pulse.since_s - self.onset_s
+        here = (since >= 0) & (since <= shape.length_s)
+        above = pulse.measured[here] - self.offset
+        left = pulse.measured[here] - self.modelled(shape, pulse)[here]
+        noise = noise_m_per_s2**2 * len(left)
+        heard = float(above @ above) - noise
+        return min(1.0, 1.0 - (float(left @ left) - noise) / heard) if heard > 0 else 0.0
+
+
+class Equations:
+    """Normal equations of the samples 1 .. count - 2 of a shape, pulse by pulse."""
+
+    def __init__(self, pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int) -> None:
+        from scipy.sparse import csr_array
+
+        self._own: list[tuple[Floats, Floats]] = []
+        """Of each pulse the gram (count - 2, count - 2) and the right side (count - 2,)."""
+        for pulse, where in zip(pulses, placed, strict=True):
+            at = (pulse.since_s - where.onset_s) * rate_hz
+            here = (at >= 0) & (at <= count - 1)
+            k = np.minimum(np.floor(at[here]), count - 2).astype(np.intp)
+            x = at[here] - k
+            weights = 0.5 * np.column_stack(
+                (
+                    x * (-1 + x * (2 - x)),
+                    2 + x * x * (3 * x - 5),
+                    x * (1 + x * (4 - 3 * x)),
+                    x * x * (x - 1),
+                )
+            )
+            # Of the sample before and three more; two places at each end are for what is 0 there.
+            places = (k[:, None] + np.arange(4)).ravel(), np.arange(0, 4 * len(k) + 1, 4)
+            shape = (len(k), count + 2)
+            rows = csr_array((where.amplitude * weights.ravel(), *places), shape=shape)[:, 2:-2]
+            self._own.append(((rows.T @ rows).toarray(), rows.T @ (pulse.measured[here] - where.offset)))
+        self._gram = np.sum([gram for gram, _ in self._own], axis=0)
+        self._side = np.sum([side for _, side in self._own], axis=0)
+        # A little of the squares of second differences decides what no pulse sampled.
+        bends = np.diff(np.eye(count), 2, axis=0)[:, 1:-1]
+        self._smooth = 1e-4 * float(np.mean(np.diag(self._gram))) * (bends.T @ bends)
+
+    def solved(self, without: int | None = None) -> Floats:
+        """Samples (count,), the first and the last 0; `without` one of the pulses."""
+        from scipy.linalg import solve
+
+        gram, side = self._gram, self._side
+        if without is not None:
+            gram, side = gram - self._own[without][0], side - self._own[without][1]
+        return np.pad(solve(gram + self._smooth, side, assume_a="pos", check_finite=False), 1)
+
+    def deviations(self, samples: Floats) -> Floats:
+        """(count,): standard errors of the samples, of what differs between pulses (a sandwich of their sums)."""
+        from scipy.linalg import solve
+
+        left = np.column_stack([side - gram @ samples[1:-1] for gram, side in self._own])
+        moved = solve(self._gram + self._smooth, left, assume_a="pos", check_finite=False)
+        pulses = len(self._own)
+        return np.pad(np.sqrt(np.sum(moved**2, axis=1) * pulses / max(1, pulses - 1)), 1)
+
+
+def _place(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> Placed:
+    """The pulse by this shape, with its onset sought up to `reach_s` from `near_s`: of nine onsets the best, and four
+    times around it, each time over a quarter of the way."""
+    best: Placed | None = None
+    middle_s = near_s
+    for _ in range(4):
+        onsets = middle_s + np.linspace(-reach_s, reach_s, 9)
+        curves = shape.at(pulse.since_s[None, :] - onsets[:, None])
+        mean = curves.mean(axis=1, keepdims=True)
+        level = float(pulse.measured.mean())
+        centred, measured = curves - mean, pulse.measured - level
+        size = np.maximum(np.sum(centred**2, axis=1), 1e-300)
+        along = centred @ measured
+        which = int(np.argmax(along**2 / size))
+        amplitude = float(along[which] / size[which])
+        found = Placed(
+            amplitude,
+            level - amplitude * float(mean[which, 0]),
+            float(onsets[which]),
+            float(measured @ measured) - float(along[which] ** 2 / size[which]),
+        )
+        if best is None or found.squares < best.squares:
+            best = found
+        middle_s, reach_s = best.onset_s, reach_s / 4
+    assert best is not None
+    return best
+
+
+def _upright(samples: Floats, rate_hz: float) -> tuple[Floats, Curve]:
+    """The samples with a largest magnitude of the curve of 1, which is positive, and the curve."""
+    curve = Curve(samples, rate_hz)
+    largest = float(curve.at(curve.peak_time_s))
+    scaled = samples / largest if largest else samples
+    return scaled, Curve(scaled, rate_hz)
+
+
+def common_shape(
+    pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int, turns: int = 6
+) -> tuple[Floats, list[Placed]]:
+    """Samples (count,) of the shape at this rate, and the pulses by it; begun from where the pulses are `placed`."""
+    found = list(placed)
+    reach_s = 2.0 / rate_hz
+    for turn in range(turns + 1):
+        samples, shape = _upright(Equations(pulses, found, rate_hz, count).solved(), rate_hz)
+        found = [_place(shape, pulse, where.onset_s, reach_s) for pulse, where in zip(pulses, found, strict=True)]
+        if turn < turns:
+            # The shape may slide along its samples together with all onsets.
+            slid = float(np.median([new.onset_s for new in found]) - np.median([old.onset_s for old in placed]))
+            found = [dataclasses.replace(each, onset_s=each.onset_s - slid) for each in found]
+            reach_s = max(reach_s / 2, 0.25 / rate_hz)
+    return samples, found
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """The waveform of some pulses, and these by it."""
+
+    samples: Floats
     rate_hz: float
-    """Of the samples."""
-    samples: tuple[float, ...]
-    """Of the curve, whose largest magnitude is 1."""
-    deviations: tuple[float, ...]
-    """Half of the 95 % interval of each sample."""
-    length_s: float
-    samples_a_period: float
-    """Of the recordings, in a period of the frequency below which half of the waveform's energy lies."""
-    r_squared: float
-    """Of A(v) through the origin."""
-    variance_accounted_for: float
-    """Median over the taps, each by a waveform that was found without it."""
-    sources: tuple[Source, ...]
-    warnings: tuple[str, ...]
-    judged: Verdict
-    left_out: tuple[Exclusion, ...] = ()
-
-    @property
-    def verdict(self) -> str:
-        return str(self.judged)
-
-    @property
-    def curve(self) -> Curve:
-        """The waveform."""
-        return Curve(self.samples, self.rate_hz)
-
-    def material(self) -> dict[str, Json]:
-        """Keys of a YAML material."""
-        tap: dict[str, Json] = {"attack": "first_peak"}
-        if self.amplitudes:
-            tap["amplitudes"] = [[speed, amplitude.value] for speed, amplitude in self.amplitudes]
-        else:
-            tap["attack_slope_per_s"] = self.first_peak_slope_per_s.value
-        tap["waveform"] = {"rate_hz": self.rate_hz, "samples": list(self.samples)}
-        return {"tap": tap}
-
-    def to_dict(self) -> dict[str, Json]:
-        """As JSON has it, without the stretches."""
-        return {
-            "first_peak_slope_per_s": self.first_peak_slope_per_s.to_dict(),
-            "amplitudes": [
-                {"speed_m_per_s": speed, "first_peak_m_per_s2": amplitude.to_dict()}
-                for speed, amplitude in self.amplitudes
-            ],
-            "waveform": {
-                "rate_hz": self.rate_hz,
-                "samples": list(self.samples),
-                "half_of_the_interval": list(self.deviations),
-            },
-            **fields_of(self, "length_s", "samples_a_period", "r_squared", "variance_accounted_for"),
-            "taps": [tap.to_dict() for tap in self.taps],
-            **end_of(self),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class Others:
-    """What the shape would be without each of n pulses."""
-
+    placed: tuple[Placed, ...]
     explained: Floats
     """(n,) of each pulse, by the shape of the others."""
     beside_noise: Floats
     """(n,) the same with the noise taken off."""
+    uncertain: Uncertain
+    faded: bool
+
+    @property
+    def curve(self) -> Curve:
+        return Curve(self.samples, self.rate_hz)
+
+
+def shape_of(pulses: Sequence[Pulse]) -> Shape:
+    """The waveform of pulses, 3 or more. Raises FitError where they have nothing in common."""
+    rate_hz, before_s, rest_s, count = _window(pulses)
+    placed = []
+    for pulse in pulses:
+        above = pulse.measured - pulse.rest
+        peak = float(above[np.argmax(np.abs(above))])
+        placed.append(Placed(peak, pulse.rest, pulse.crossing_s() - before_s, 0.0))
+    samples, found = common_shape(pulses, placed, rate_hz, count)
+    pulses, samples, found, rate_hz, faded = _trimmed(pulses, samples, found, rate_hz, math.floor(rest_s * rate_hz))
+    samples, found, rate_hz = _coarser(pulses, samples, found, rate_hz)
+    explained, beside_noise = _by_others(pulses, found, rate_hz, len(samples))
+    uncertain = _uncertain(pulses, samples, found, rate_hz, faded)
+    return Shape(samples, rate_hz, tuple(found), explained, beside_noise, uncertain, faded)
+
+
+def _by_others(pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int) -> tuple[Floats, Floats]:
+    """(n,) and (n,): what the shape would explain of each pulse without it; and with the noise taken off."""
+    equations = Equations(pulses, placed, rate_hz, count)
+    shares = []
+    for index, (pulse, where) in enumerate(zip(pulses, placed, strict=True)):
+        _, other = _upright(equations.solved(without=index), rate_hz)
+        alone = _place(other, pulse, where.onset_s, 2.0 / rate_hz)
+        shares.append([alone.explained(other, pulse, noise) for noise in (0.0, pulse.noise_m_per_s2)])
+    explains = np.array(shares)
+    return explains[:, 0], explains[:, 1]
+
+
+def _window(pulses: Sequence[Pulse]) -> tuple[float, float, float, int]:
+    """The rate of the samples, how long before the crossing the shape may begin, how much of that is rest, and how many
+    samples it may have."""
+    rate_hz = min(pulse.rate_hz for pulse in pulses)
+    crossings = [pulse.crossing_s() for pulse in pulses]
+    peaks = [np.argmax(np.abs(pulse.measured - pulse.rest)) / pulse.rate_hz for pulse in pulses]
+    rise_s = float(np.median(np.subtract(peaks, crossings)))
+    before_s = min(2.0 * max(rise_s, 0.0) + 3.0 / rate_hz, max(1.0 / rate_hz, float(np.median(crossings))))
+    ends = [len(pulse.measured) / pulse.rate_hz for pulse in pulses]
+    length_s = min(LONGEST_S, before_s + float(np.median(np.subtract(ends, crossings))))
+    rate_hz = min(rate_hz, (MOST_SAMPLES - 1) / length_s)
+    # The rise from the crossing to the peak takes longer than the one from the contact to the crossing; and a sample
+    # before the first loud one of any pulse there is rest.
+    loud_s = min(before_s + pulse.onset_s - crossing for pulse, crossing in zip(pulses, crossings, strict=True))
+    rest_s = max(0.0, before_s - max(rise_s, 1.0 / rate_hz), min(loud_s, before_s) - 1.0 / rate_hz)
+    return rate_hz, before_s, rest_s, max(LEAST_SAMPLES, math.floor(length_s * rate_hz) + 1)
+
+
+def _trimmed(
+    pulses: Sequence[Pulse], samples: Floats, placed: list[Placed], rate_hz: float, rest: int
+) -> tuple[list[Pulse], Floats, list[Placed], float, bool]:
+    """The shape from where it begins to where it is over, at the rate of the recordings where that leaves room; and the
+    pulses until then. Its first `rest` samples are before the contact.
+
+    It begins at the last sample before its rise that is within three standard errors of the rest, and ends where no
+    more stands out of twice the standard errors than FAINT.
+    """
+    equations = Equations(pulses, placed, rate_hz, len(samples))
+    quiet = samples[1 : 1 + rest]
+    level, scatter = (float(np.median(quiet)), float(np.std(quiet, ddof=1))) if len(quiet) >= 3 else (0.0, 0.0)
+    # Hum and noise are in the rest, too, and their squares add up to energy.
+    noise = np.hypot(equations.deviations(equations.solved()), scatter)
+    energy = samples**2 - noise**2
+    total = float(energy.sum())
+    if not total > 0:
+        raise FitError("the taps have no shape in common that stands out of what differs between them")
+    ahead = np.flatnonzero(np.cumsum(energy) <= FAINT * total)
+    rise = int(np.argmax(np.abs(samples) >= LARGE * np.abs(samples).max()))
+    at_rest = np.flatnonzero(np.abs(samples - level)[:rise] <= 3.0 * noise[:rise])
+    begin = max(int(steps[-1]) if len(steps) else 0 for steps in (ahead, at_rest))
+    left = 0.0
+    end = len(samples) - 1
+    while end > rise and (left := max(0.0, left + samples[end] ** 2 - (2.0 * noise[end]) ** 2)) <= FAINT * total:
+        end -= 1
+    end = min(len(samples) - 1, end + 1)
+    faded = end == len(samples) - 1 and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > 0.05
+    length_s = (end - begin) / rate_hz
+    finer_hz = min(min(pulse.rate_hz for pulse in pulses), (MOST_SAMPLES - 1) / max(length_s, 1e-9))
+    count = max(LEAST_SAMPLES, math.floor(length_s * finer_hz + 1e-9) + 1)
+    moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in placed]
+    # A pulse is evaluated for 1.3 times its length.
+    pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(pulses, moved, strict=True)]
+    samples, found = common_shape(pulses, moved, finer_hz, count, turns=4)
+    if faded:
+        over = max(2, round(FADED * count))
+        samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
+        samples[-1] = 0.0
+    return pulses, samples, found, finer_hz, faded
+
+
+def _coarser(
+    pulses: Sequence[Pulse], samples: Floats, placed: list[Placed], rate_hz: float
+) -> tuple[Floats, list[Placed], float]:
+    """The same with as few samples as do: the rate is halved as long as the shape explains a ten-thousandth less at
+    most."""
+    least = float(np.median(_by_others(pulses, placed, rate_hz, len(samples))[1])) - 1e-4
+    while True:
+        half_hz = rate_hz / 2
+        count = math.ceil((len(samples) - 1) / 2) + 1
+        if count < LEAST_SAMPLES or half_hz < 100:
+            return samples, placed, rate_hz
+        tried, found = common_shape(pulses, placed, half_hz, count, turns=2)
+        if float(np.median(_by_others(pulses, found, half_hz, count)[1])) < least:
+            return samples, placed, rate_hz
+        samples, placed, rate_hz = tried, found, half_hz
+
+
+# ---- Intervals -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,60 +407,20 @@ class Uncertain:
         """(count,) of the 95 % intervals of the samples."""
         return np.asarray(np.hypot(student_t(self.freedom) * self.deviations, self.unresolved))
 
-    @property
-    def half_of_amplitudes(self) -> float:
-        """Of the 95 % interval of what all amplitudes have in common, as a part of them."""
-        return math.hypot(student_t(self.freedom) * self.of_amplitudes, self.of_amplitudes_unresolved)
-
-
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """The waveform of some pulses, and these by it."""
-
-    samples: Floats
-    rate_hz: float
-    placed: tuple[Placed, ...]
-    others: Others
-    uncertain: Uncertain
-    faded: bool
-
-    @property
-    def curve(self) -> Curve:
-        return Curve(self.samples, self.rate_hz)
-
-
-def shape_of(pulses: Sequence[Pulse]) -> Shape:
-    """The waveform of pulses, 3 or more. Raises FitError where they have nothing in common."""
-    rate_hz, before_s, rest_s, count = _window(pulses)
-    placed = []
-    for pulse in pulses:
-        above = pulse.measured - rest_of(pulse)
-        peak = float(above[np.argmax(np.abs(above))])
-        placed.append(Placed(peak, rest_of(pulse), crossing_s(pulse, CROSSES) - before_s, 0.0))
-    samples, found = common_shape(pulses, placed, rate_hz, count)
-    pulses, samples, found, rate_hz, faded = _trimmed(pulses, samples, found, rate_hz, math.floor(rest_s * rate_hz))
-    samples, found, rate_hz = _coarser(pulses, samples, found, rate_hz)
-    others = by_others(pulses, found, Equations(pulses, found, rate_hz, len(samples)), rate_hz)
-    uncertain = _uncertain(pulses, samples, found, rate_hz, faded)
-    return Shape(samples, rate_hz, tuple(found), others, uncertain, faded)
-
-
-def by_others(pulses: Sequence[Pulse], placed: Sequence[Placed], equations: Equations, rate_hz: float) -> Others:
-    """What the shape would be without each of the pulses."""
-    shares = []
-    for index, (pulse, where) in enumerate(zip(pulses, placed, strict=True)):
-        _, other = upright(equations.solved(without=index), rate_hz)
-        alone = place(other, pulse, where.onset_s, 2.0 / rate_hz)
-        shares.append([explained(other, pulse, alone, noise) for noise in (0.0, pulse.noise_m_per_s2)])
-    explains = np.array(shares)
-    return Others(explains[:, 0], explains[:, 1])
+    def widened(self, estimate: Estimate) -> Estimate:
+        """With the error besides that all amplitudes have in common."""
+        half = math.hypot(student_t(self.freedom) * self.of_amplitudes, self.of_amplitudes_unresolved)
+        value, further = estimate.value, half * estimate.value
+        low, high = math.hypot(value - estimate.low, further), math.hypot(estimate.high - value, further)
+        return Estimate(value, value - low, value + high)
 
 
 def _uncertain(
     pulses: Sequence[Pulse], samples: Floats, placed: Sequence[Placed], rate_hz: float, faded: bool
 ) -> Uncertain:
-    """Found again, with all onsets, without each of the pulses, and with twice as many samples."""
-    count, groups = len(samples), min(len(pulses), GROUPS)
+    """Found again, with all onsets, without each of the pulses (of more, without each of 16 groups), and with twice as
+    many samples."""
+    count, groups = len(samples), min(len(pulses), 16)
     shapes, sizes = [], []
     for group in range(groups):
         kept = [index for index in range(len(pulses)) if index % groups != group]
@@ -248,13 +433,14 @@ def _uncertain(
     changes = (FINER * (finer - Curve(samples, rate_hz).at(between_s))) ** 2
     # That a shape is faded out says nothing of the amplitudes.
     whole = changes[: math.floor((1 - FADED) * len(changes))] if faded else changes
-    about = np.zeros(count)
-    about[1:-1] = np.sqrt((changes[1:-3:2] + changes[2:-2:2] + changes[3:-1:2]) / 3)
+    # Squares in the mean over five neighbours, fewer near the ends: with few taps some are small by luck.
+    squares = jackknife_error(np.array(shapes))[1:-1] ** 2
+    mean = np.convolve(squares, np.ones(5))[2:-2] / np.convolve(np.ones(count - 2), np.ones(5))[2:-2]
     return Uncertain(
-        deviations=_with_neighbours(jackknife_error(np.array(shapes))),
+        deviations=np.pad(np.sqrt(mean), 1),
         of_amplitudes=float(jackknife_error(np.array(sizes))),
         freedom=groups - 1,
-        unresolved=about,
+        unresolved=np.pad(np.sqrt((changes[1:-3:2] + changes[2:-2:2] + changes[3:-1:2]) / 3), 1),
         of_amplitudes_unresolved=math.hypot(FINER * (_ratio(found, placed) - 1.0), math.sqrt(float(np.mean(whole)))),
     )
 
@@ -265,89 +451,72 @@ def _ratio(found: Sequence[Placed], before: Sequence[Placed]) -> float:
     return float(old @ np.array([each.amplitude for each in found]) / (old @ old))
 
 
-def _with_neighbours(errors: Floats) -> Floats:
-    """Standard errors (count,), 0 at the ends: their squares in the mean over five neighbours, fewer near the ends,
-    as with few taps some are small by luck."""
-    inner = np.ones(len(errors) - 2)
-    around = np.ones(5)
-    mean = np.convolve(errors[1:-1] ** 2, around)[2:-2] / np.convolve(inner, around)[2:-2]
-    return np.concatenate(([0.0], np.sqrt(mean), [0.0]))
+# ---- The fit, and its verdict ----------------------------------------------------------------------------------------
 
 
-def _window(pulses: Sequence[Pulse]) -> tuple[float, float, float, int]:
-    """The rate of the samples, how long before the crossing the shape may begin, how much of that is rest, and how many
-    samples it may have."""
-    rate_hz = min(pulse.rate_hz for pulse in pulses)
-    crossings = [crossing_s(pulse, CROSSES) for pulse in pulses]
-    peaks = [np.argmax(np.abs(pulse.measured - rest_of(pulse))) / pulse.rate_hz for pulse in pulses]
-    rise_s = float(np.median(np.subtract(peaks, crossings)))
-    before_s = min(2.0 * max(rise_s, 0.0) + 3.0 / rate_hz, max(1.0 / rate_hz, float(np.median(crossings))))
-    ends = [len(pulse.measured) / pulse.rate_hz for pulse in pulses]
-    length_s = min(LONGEST_S, before_s + float(np.median(np.subtract(ends, crossings))))
-    rate_hz = min(rate_hz, (MOST_SAMPLES - 1) / length_s)
-    # The rise from the crossing to the peak takes longer than the one from the contact to the crossing; and a sample
-    # before the first loud one of any pulse there is rest.
-    loud_s = min(before_s + pulse.onset_s - crossing for pulse, crossing in zip(pulses, crossings, strict=True))
-    rest_s = max(0.0, before_s - max(rise_s, 1.0 / rate_hz), min(loud_s, before_s) - 1.0 / rate_hz)
-    return rate_hz, before_s, rest_s, max(LEAST_SAMPLES, math.floor(length_s * rate_hz) + 1)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PulseHit(Tap):
+    """One tap by the waveform; the variance is accounted for by a waveform that was found without this tap."""
+
+    peak_m_per_s2: float
+    """Its largest acceleration, by the waveform."""
+
+    def to_dict(self) -> dict[str, Json]:
+        return fields_of(self, "recording", "onset_s", "speed_m_per_s", "peak_m_per_s2", "variance_accounted_for")
 
 
-def _trimmed(
-    pulses: Sequence[Pulse], samples: Floats, placed: list[Placed], rate_hz: float, rest: int
-) -> tuple[list[Pulse], Floats, list[Placed], float, bool]:
-    """The shape from where it begins to where it is over, at the rate of the recordings where that leaves room; and the
-    pulses until then. Its first `rest` samples are before the contact."""
-    equations = Equations(pulses, placed, rate_hz, len(samples))
-    quiet = samples[1 : 1 + rest]
-    level, scatter = (float(np.median(quiet)), float(np.std(quiet, ddof=1))) if len(quiet) >= QUIET else (0.0, 0.0)
-    # Hum and noise are in the rest, too, and their squares add up to energy.
-    noise = np.hypot(equations.deviations(equations.solved()), scatter)
-    energy = samples**2 - noise**2
-    total = float(energy.sum())
-    if not total > 0:
-        raise FitError("the taps have no shape in common that stands out of what differs between them")
-    ahead = np.flatnonzero(np.cumsum(energy) <= FAINT * total)
-    rise = int(np.argmax(np.abs(samples) >= LARGE * np.abs(samples).max()))
-    at_rest = np.flatnonzero(np.abs(samples - level)[:rise] <= CLEAR * noise[:rise])
-    begin = max(int(steps[-1]) if len(steps) else 0 for steps in (ahead, at_rest))
-    left = 0.0
-    end = len(samples) - 1
-    while end > rise and (left := max(0.0, left + samples[end] ** 2 - (2.0 * noise[end]) ** 2)) <= FAINT * total:
-        end -= 1
-    end = min(len(samples) - 1, end + 1)
-    faded = end == len(samples) - 1 and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > UNFINISHED
-    length_s = (end - begin) / rate_hz
-    finer_hz = min(min(pulse.rate_hz for pulse in pulses), (MOST_SAMPLES - 1) / max(length_s, 1e-9))
-    count = max(LEAST_SAMPLES, math.floor(length_s * finer_hz + 1e-9) + 1)
-    moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in placed]
-    over_s = [each.onset_s + AFTER * length_s for each in moved]
-    pulses = [pulse.until(end_s) for pulse, end_s in zip(pulses, over_s, strict=True)]
-    samples, found = common_shape(pulses, moved, finer_hz, count, turns=4)
-    if faded:
-        over = max(2, round(FADED * count))
-        samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
-        samples[-1] = 0.0
-    return pulses, samples, found, finer_hz, faded
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WaveformFit(Judged):
+    """What the taps have in common."""
 
+    taps: tuple[PulseHit, ...]
+    first_peak_slope_per_s: Estimate
+    """The largest acceleration over the speed, of a line through the origin."""
+    amplitudes: Amplitudes
+    """Instead of the line, where that does not do: speeds in m/s, rising, and m/s^2. Empty where the line does."""
+    rate_hz: float
+    """Of the samples."""
+    samples: tuple[float, ...]
+    """Of the curve, whose largest magnitude is 1."""
+    deviations: tuple[float, ...]
+    """Half of the 95 % interval of each sample."""
+    length_s: float
+    samples_a_period: float
+    """Of the recordings, in a period of the frequency below which half of the waveform's energy lies."""
+    r_squared: float
+    """Of A(v) through the origin."""
+    variance_accounted_for: float
+    """Median over the taps, each by a waveform that was found without it."""
+    sources: tuple[Source, ...]
 
-def _coarser(
-    pulses: Sequence[Pulse], samples: Floats, placed: list[Placed], rate_hz: float
-) -> tuple[Floats, list[Placed], float]:
-    """The same with as few samples as do."""
+    @property
+    def curve(self) -> Curve:
+        """The waveform."""
+        return Curve(self.samples, self.rate_hz)
 
-    def share(found: Sequence[Placed], at_hz: float, count: int) -> float:
-        return float(np.median(by_others(pulses, found, Equations(pulses, found, at_hz, count), at_hz).beside_noise))
+    def material(self) -> dict[str, Json]:
+        """Keys of a YAML material."""
+        tap: dict[str, Json] = {"attack": "first_peak"}
+        if self.amplitudes:
+            tap["amplitudes"] = [[speed, amplitude.value] for speed, amplitude in self.amplitudes]
+        else:
+            tap["attack_slope_per_s"] = self.first_peak_slope_per_s.value
+        tap["waveform"] = {"rate_hz": self.rate_hz, "samples": list(self.samples)}
+        return {"tap": tap}
 
-    least = share(placed, rate_hz, len(samples)) - COARSER
-    while True:
-        half_hz = rate_hz / 2
-        count = math.ceil((len(samples) - 1) / 2) + 1
-        if count < LEAST_SAMPLES or half_hz < 100:
-            return samples, placed, rate_hz
-        tried, found = common_shape(pulses, placed, half_hz, count, turns=2)
-        if share(found, half_hz, count) < least:
-            return samples, placed, rate_hz
-        samples, placed, rate_hz = tried, found, half_hz
+    def to_dict(self) -> dict[str, Json]:
+        """As JSON has it, without the stretches."""
+        return {
+            "first_peak_slope_per_s": self.first_peak_slope_per_s.to_dict(),
+            "amplitudes": [
+                {"speed_m_per_s": speed, "first_peak_m_per_s2": amplitude.to_dict()}
+                for speed, amplitude in self.amplitudes
+            ],
+            "waveform": {**fields_of(self, "rate_hz", "samples"), "half_of_the_interval": list(self.deviations)},
+            **fields_of(self, "length_s", "samples_a_period", "r_squared", "variance_accounted_for"),
+            "taps": [tap.to_dict() for tap in self.taps],
+            **end_of(self),
+        }
 
 
 def fit_waveform(
@@ -361,81 +530,62 @@ def fit_waveform(
     """
     pulses, shape = _alike(list(pulses), earlier, excluded)
     warnings = [*excluded.lines(), *earlier]
-    doubts = Doubts()
     peaks = np.array([each.amplitude for each in shape.placed])
     if float(np.median(peaks)) < 0:
         warnings.append("the taps push downwards: the acceleration is taken with its sign turned")
         peaks = -peaks
-    each = zip(pulses, shape.placed, shape.others.explained, strict=True)
-    hits = tuple(_hit(pulse, placed, share, shape.curve) for pulse, placed, share in each)
+    curve, uncertain = shape.curve, shape.uncertain
+    hits = tuple(
+        PulseHit(
+            recording=pulse.recording,
+            onset_s=pulse.begin_s + placed.onset_s,
+            speed_m_per_s=pulse.speed_m_per_s,
+            peak_m_per_s2=abs(placed.amplitude),
+            variance_accounted_for=float(share),
+            rate_hz=pulse.rate_hz,
+            measured=pulse.measured,
+            modelled=placed.modelled(curve, pulse),
+        )
+        for pulse, placed, share in zip(pulses, shape.placed, shape.explained, strict=True)
+    )
     check_speeds(hits)
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
     variances = _variances(pulses, shape)
     line = through_origin(speeds, peaks, variances, speeds**2)
-    part = shape.uncertain.half_of_amplitudes
-    slope = _wider(line.coefficients[0], part)
+    slope = uncertain.widened(line.coefficients[0])
     check_slope(slope)
-    share = float(np.median(shape.others.explained))
-    resolved = min(pulse.rate_hz for pulse in pulses) / shape.curve.middle_hz
-    _doubt_the_shape(doubts, shape, share, resolved)
+    share = float(np.median(shape.explained))
+    resolved = min(pulse.rate_hz for pulse in pulses) / curve.middle_hz
     law = law_of(speeds, peaks, variances)
-    if law.kind != "line":
-        warnings.append(f"A(v) is {law.named}, no line through the origin: {law.why}")
+    doubts = Doubts()
+    doubts.check("variance that a waveform explains", share)
+    if shape.faded:
+        reason = f"the pulses are not over after {1e3 * curve.length_s:.3g} ms"
+        doubts.add(False, reason, f"the waveform is faded out over its last {100 * FADED:.0f} %")
+    doubts.check("samples in a period of a waveform", resolved)
     doubt_the_law(doubts, law, line.r_squared)
-    doubts.add(False, mostly_excluded(excluded, len(hits), "tap"))
-    warnings += doubts.warnings
+    excluded.report_taps(len(hits), doubts)
+    check_hardness(slope.value, 2.0 * math.pi * curve.middle_hz, "the angular frequency of the pulses")
+    r_squared = line.r_squared if law.kind == "line" else law.r_squared
+    points = () if law.kind == "line" else law.points
     return WaveformFit(
         taps=hits,
         first_peak_slope_per_s=slope,
-        amplitudes=tuple(
-            (speed, _wider(amplitude, part)) for speed, amplitude in (() if law.kind == "line" else law.points)
-        ),
+        amplitudes=tuple((speed, uncertain.widened(amplitude)) for speed, amplitude in points),
         rate_hz=shape.rate_hz,
         samples=tuple(map(float, shape.samples)),
-        deviations=tuple(map(float, shape.uncertain.halves)),
-        length_s=shape.curve.length_s,
+        deviations=tuple(map(float, uncertain.halves)),
+        length_s=curve.length_s,
         samples_a_period=resolved,
         r_squared=line.r_squared,
         variance_accounted_for=share,
         sources=tuple(sources),
-        warnings=tuple(warnings),
+        warnings=tuple(warnings + doubts.warnings),
         judged=doubts.judged(
             f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
-            f"A(v) is {law.named} (r^2 {line.r_squared if law.kind == 'line' else law.r_squared:.3f})",
+            f"A(v) is {law.named} (r^2 {r_squared:.3f})",
         ),
         left_out=tuple(excluded.items),
-    )
-
-
-def _doubt_the_shape(doubts: Doubts, shape: Shape, share: float, resolved: float) -> None:
-    """Whether all taps have it, whether it is whole, and whether the samples resolve it."""
-    doubts.at_least(
-        "variance that a waveform explains",
-        share,
-        f"a waveform explains {100 * share:.1f} % of a tap",
-        "the taps differ in shape",
-    )
-    if shape.faded:
-        doubts.add(
-            False,
-            f"the pulses are not over after {1e3 * shape.curve.length_s:.3g} ms",
-            f"the waveform is faded out over its last {100 * FADED:.0f} %",
-        )
-    doubts.at_least(
-        "samples in a period of a waveform",
-        resolved,
-        f"{resolved:.1f} samples of the recordings are a period of its middle frequency",
-        "the waveform is not resolved: record faster",
-    )
-
-
-def _wider(estimate: Estimate, part: float) -> Estimate:
-    """With a further error, half of whose interval is this part of the value."""
-    further = (part * estimate.value) ** 2
-    return Estimate(
-        estimate.value,
-        estimate.value - math.sqrt((estimate.value - estimate.low) ** 2 + further),
-        estimate.value + math.sqrt((estimate.high - estimate.value) ** 2 + further),
     )
 
 
@@ -448,8 +598,8 @@ def _alike(pulses: list[Pulse], earlier: Sequence[str], excluded: Exclusions) ->
     shape = shape_of(pulses)
     usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
     kept = []
-    for pulse, placed, share in zip(pulses, shape.placed, shape.others.beside_noise, strict=True):
-        if share < ALIKE:
+    for pulse, placed, share in zip(pulses, shape.placed, shape.beside_noise, strict=True):
+        if share < 0.5:
             reason = f"the waveform of the others explains {100 * share:.0f} % of it"
         elif placed.amplitude * usual <= 0:
             reason = "it pushes the other way"
@@ -476,16 +626,3 @@ def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:
         noise = max(placed.squares, 1e-18 * placed.amplitude**2) / max(1, len(heard) - 3)
         found.append(noise / max(own, 1e-12))
     return np.array(found)
-
-
-def _hit(pulse: Pulse, placed: Placed, share: float, shape: Curve) -> PulseHit:
-    return PulseHit(
-        recording=pulse.recording,
-        onset_s=pulse.begin_s + placed.onset_s,
-        speed_m_per_s=pulse.speed_m_per_s,
-        peak_m_per_s2=abs(placed.amplitude),
-        variance_accounted_for=float(share),
-        rate_hz=pulse.rate_hz,
-        measured=pulse.measured,
-        modelled=placed.modelled(shape, pulse),
-    )

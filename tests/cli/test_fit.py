@@ -25,10 +25,9 @@ from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
 from hapticd.config.texture import Autoregressive, Grooves
-from hapticd.fit.exclusions import Exclusion
 from hapticd.fit.recording import Recording, load
 from hapticd.fit.report import Curve, Page, Panel, drawn, figure_rows, thinned
-from hapticd.fit.verdict import Verdict
+from hapticd.fit.verdict import Exclusion, Verdict
 from tests.cli.test_cli import said
 
 JUDGED = Verdict("fair", "one mode, well fitted <&>", ("the first tap is weak",))

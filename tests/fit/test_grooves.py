@@ -11,8 +11,7 @@ from hapticd.analysis.statistics import FitError, least_squares
 from hapticd.config.materials import Material, validate_materials
 from hapticd.fit.grooves import fit_grooves
 from hapticd.fit.recording import Recording
-from hapticd.fit.synthesize import Stylus
-from hapticd.fit.synthesize_strokes import Hand, grooves, texture
+from hapticd.fit.synthesize import Hand, Stylus, grooves, texture
 
 PLACES = ((0.04, 1.0), (0.04, 2.5), (0.08, 1.0), (0.08, 2.5))
 

@@ -12,11 +12,10 @@ import pytest
 from hapticd.analysis.statistics import FitError, Floats
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.fit.grooves import fit_grooves
-from hapticd.fit.invalid_samples import without_invalid_samples
+from hapticd.fit.preparation import without_invalid_samples
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.synthesize import Stylus, taps
-from hapticd.fit.synthesize_strokes import Hand, grooves, puncture, texture
+from hapticd.fit.synthesize import Hand, Stylus, grooves, puncture, taps, texture
 from hapticd.fit.tap import fit_tap
 from hapticd.fit.texture import fit_texture
 

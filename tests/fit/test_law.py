@@ -9,7 +9,7 @@ import pytest
 from scipy import optimize
 
 from hapticd.analysis.statistics import Floats
-from hapticd.fit.taps.amplitude import law_of
+from hapticd.fit.speed_law import law_of
 
 SPEEDS = np.geomspace(0.05, 0.5, 12)
 

@@ -15,13 +15,13 @@ from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.statistics import FitError
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
-from hapticd.fit.exclusions import Exclusions
 from hapticd.fit.grooves import fit_grooves
+from hapticd.fit.preparation import whole_stretches
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.stretches import whole_stretches
 from hapticd.fit.tap import fit_tap
 from hapticd.fit.texture import fit_texture
+from hapticd.fit.verdict import Exclusions
 from tests.cli.test_cli import said
 from tests.fit.test_refusals import GOOD, RATE_HZ, SEEN, TIME, Columns, puncture, ringing, written
 from tests.support.marks import rest_slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,10 @@ from hapticd.analysis.statistics import Floats
 from hapticd.base.yaml_source import load_text
 from hapticd.base.yaml_text import yaml_text
 from hapticd.config.materials import Material, shipped_materials, validate_materials
-from hapticd.fit import contribution
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.tap import TABLE, TapFit, fit_tap
+from hapticd.fit.speed_law import TABLE
+from hapticd.fit.tap import TapFit, fit_tap
+from tests.support.fitted import fitted_material
 from tests.support.rig import FLOOR, Rig
 
 RATE = 10_000
@@ -46,7 +46,7 @@ def rendered(material: Material, seed: int, speeds: Floats = SPEEDS) -> Recordin
 
 def through_yaml(fit: TapFit, recording: Recording, table: bool) -> Material:
     figures = fit.material(law="table" if table else None)
-    made = contribution.material(fit, figures, [recording], "m", 800.0, datetime.date(2026, 1, 31))
+    made = fitted_material(fit, [recording], "tap", 800.0, figures)
     data: Any = load_text(yaml_text({"materials": {"m": made.to_dict()}}), "m.yaml").data
     return validate_materials(data["materials"])["m"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
@@ -15,13 +14,13 @@ from hapticd.base.yaml_source import load_text
 from hapticd.base.yaml_text import yaml_text
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive
-from hapticd.fit import contribution
 from hapticd.fit.grooves import fit_grooves
-from hapticd.fit.provenance import Fit
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
+from hapticd.fit.result import Fit
 from hapticd.fit.texture import fit_texture
 from hapticd.rendering.filter_design import power_spectrum
+from tests.support.fitted import fitted_material
 from tests.support.rig import FLOOR, SKIN, Rig
 
 RATE = 10_000
@@ -78,7 +77,7 @@ def ruptured(material: Material, seed: int) -> list[Recording]:
 
 def again(fit: Fit, recordings: Sequence[Recording]) -> Material:
     """The fitted material, written and read."""
-    made = contribution.material(fit, fit.material(), recordings, "m", STIFFNESS, datetime.date(2026, 1, 31))
+    made = fitted_material(fit, recordings, "tap", STIFFNESS)
     data: Any = load_text(yaml_text({"materials": {"m": made.to_dict()}}), "m.yaml").data
     return validate_materials(data["materials"])["m"]
 

@@ -13,11 +13,10 @@ import numpy.typing as npt
 import pytest
 
 from hapticd.analysis.statistics import Estimate
-from hapticd.fit.exclusions import Exclusion
 from hapticd.fit.panels import compared, density, law, level, overlay, page_of
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.report import Curve, Panel
-from hapticd.fit.verdict import Verdict
+from hapticd.fit.verdict import Exclusion, Verdict
 from hapticd.rendering.filter_design import stochastic_filter
 from tests.support.marks import rest_slow
 
@@ -181,7 +180,7 @@ def test_taps_that_bend_and_have_two_modes() -> None:
     parts = {
         "taps": [hit],
         "linear": False,
-        "amplitudes": ((0.1, 20.0), (0.2, 61.0)),
+        "amplitudes": ((0.1, Estimate(20.0, 19.0, 21.0)), (0.2, Estimate(61.0, 60.0, 62.0))),
         "second": object(),
         "frequency_hz": Estimate(200.0, 199.0, 201.0),
         "slope_per_s": Estimate(300.0, 299.0, 301.0),

@@ -12,8 +12,7 @@ from hapticd.analysis.statistics import FitError, Floats
 from hapticd.config.materials import Material, validate_materials
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.synthesize import Stylus
-from hapticd.fit.synthesize_strokes import puncture
+from hapticd.fit.synthesize import Stylus, puncture
 
 SPEEDS = (0.03, 0.05, 0.08, 0.1, 0.06)
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hapticd.analysis.statistics import Floats
+from hapticd.fit.from_files import fit_taps
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.tap import fit_tap
-from hapticd.fit.tap_kind import fit_taps
 from hapticd.fit.waveform import WaveformFit
 
 RATE_HZ = 5000.0

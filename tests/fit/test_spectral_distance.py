@@ -8,8 +8,7 @@ from scipy import signal
 
 from hapticd.analysis.statistics import Floats
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.spectral_distance import spectral_distance_db
-from hapticd.fit.texture import fit_texture
+from hapticd.fit.texture import fit_texture, spectral_distance_db
 
 RATE_HZ = 2500.0
 PLACES = ((0.05, 0.6), (0.05, 2.0), (0.15, 0.6), (0.15, 2.0), (0.1, 1.0))

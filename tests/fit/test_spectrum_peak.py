@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 
 from hapticd.analysis.statistics import Floats
-from hapticd.fit.contribution import material
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.spectrum_peak import Peak, peak_of
-from hapticd.fit.texture import fit_texture
+from hapticd.fit.texture import Peak, fit_texture, peak_of
+from tests.support.fitted import fitted_material
 
 Density = Callable[[Floats], Floats]
 BLOCKS, STROKES = 50, 5
@@ -115,7 +113,7 @@ def test_a_texture_without_a_peak_says_so_in_the_material(autoregressive: bool) 
     assert told.startswith(
         "the peak is not resolved: the spectrum is broad, or highest below 20 Hz; it lies between 0 "
     )
-    made = material(fit, fit.material(), strokes, "m", 500.0, datetime.date(2026, 1, 31), kind="texture")
+    made = fitted_material(fit, strokes, "texture", 500.0)
     judged = made.fitted["texture"]
     assert (told in judged.reasons) != autoregressive
     assert autoregressive or judged.quality != "good"

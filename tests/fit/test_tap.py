@@ -27,9 +27,9 @@ from hapticd.analysis.statistics import (
 from hapticd.config.materials import Tap, shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.fit.recording import Recording, Source
+from hapticd.fit.ringing import fit_ringing
 from hapticd.fit.synthesize import Stylus, TapTruth, taps
 from hapticd.fit.tap import TapFit, fit_tap
-from hapticd.fit.taps.ringing import fit_ringing
 from tests.support.marks import rest_slow
 
 SEVEN = ("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel")

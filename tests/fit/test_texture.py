@@ -11,8 +11,7 @@ from hapticd.base.lattice import reflection_of
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.synthesize import Stylus
-from hapticd.fit.synthesize_strokes import Hand, texture
+from hapticd.fit.synthesize import Hand, Stylus, texture
 from hapticd.fit.texture import fit_texture
 from hapticd.rendering.filter_design import power_spectrum
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import math
 import re
 from pathlib import Path
@@ -16,13 +15,11 @@ from hapticd.base.yaml_source import load_text
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
-from hapticd.fit.contribution import material
 from hapticd.fit.puncture import fit_puncture
-from hapticd.fit.synthesize import Stylus
-from hapticd.fit.synthesize_strokes import puncture
+from hapticd.fit.synthesize import Stylus, puncture
 from hapticd.fit.verdict import Doubts, Verdict
+from tests.support.fitted import fitted_material
 
-DAY = datetime.date(2026, 1, 31)
 RUPTURE = {"depth_m": 0.002, "amplitude_m_per_s2": 38.0, "frequency_hz": 200.0, "decay_rate_per_s": 330.0}
 JUDGED = {"texture": {"quality": "poor", "reasons": ["no law"]}, "tap": {"quality": "good", "reasons": []}}
 
@@ -32,7 +29,7 @@ JUDGED = {"texture": {"quality": "poor", "reasons": ["no law"]}, "tap": {"qualit
 )
 def test_a_law_that_explains_little_is_fair_or_poor(value: float, quality: str) -> None:
     doubts = Doubts()
-    doubts.at_least("correlation of the law", value, "explained poorly")
+    doubts.check("correlation of the law", value, what="loudness")
     assert doubts.judged("so much").quality == quality
 
 
@@ -67,13 +64,13 @@ def test_the_material_keeps_the_verdict() -> None:
     origin = {"files": [{"path": "a"}], "date": "2026-01-01", "version": "1", "verdict": JUDGED}
     noise = {"kind": "stochastic", "peak_hz": 200.0, "mean_hz": 250.0, "velocity_gain_per_s": 1.0}
     before = validate_materials({"m": {"stiffness_n_per_m": 1.0, "texture": noise, "provenance": origin}})["m"]
-    made = material(fit, fit.material(), recordings, "m", 1.0, DAY, kind="puncture", onto=before)
+    made = fitted_material(fit, recordings, "puncture", 1.0, onto=before)
     assert {kind: each.quality for kind, each in made.fitted.items()} == {
         "texture": "poor",
         "tap": "good",
         "puncture": "good",
     }
-    again = material(fit, fit.material(), recordings, "m", 1.0, DAY, kind="grooves", onto=made)
+    again = fitted_material(fit, recordings, "grooves", 1.0, onto=made)
     assert set(again.fitted) == {"tap", "puncture", "grooves"}
     assert validate_materials({"m": made.to_dict()})["m"] == made
 

@@ -14,13 +14,12 @@ import hapticd
 from hapticd.analysis.statistics import FitError
 from hapticd.cli import main
 from hapticd.config.materials import shipped_materials, validate_materials
-from hapticd.fit.exclusions import Exclusions
+from hapticd.fit.from_files import fit_taps
 from hapticd.fit.recording import Recording, Source, save
 from hapticd.fit.synthesize import Stylus, taps
 from hapticd.fit.tap import TapFit
-from hapticd.fit.tap_kind import fit_taps
-from hapticd.fit.taps.pulse_shape import Equations, Placed, Pulse
-from hapticd.fit.waveform import WaveformFit
+from hapticd.fit.verdict import Exclusions
+from hapticd.fit.waveform import Equations, Placed, Pulse, WaveformFit
 from tests.support.marks import rest_slow
 
 Floats = npt.NDArray[np.float64]

@@ -20,8 +20,7 @@ import pytest
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.fit.recording import save
-from hapticd.fit.synthesize import Stylus, taps
-from hapticd.fit.synthesize_strokes import Hand, grooves, puncture, texture
+from hapticd.fit.synthesize import Hand, Stylus, grooves, puncture, taps, texture
 from hapticd.materials import shipped_materials
 from hapticd.sweeps import engine
 from hapticd.sweeps.batches.batch import Batch

@@ -81,9 +81,8 @@ def fitted_row(root: str, asked: RecordingSet) -> Row:
     from hapticd.fit.contribution import added, contribution_of
     from hapticd.fit.from_files import fitted_files
     from hapticd.fit.panels import first_row
-    from hapticd.fit.plain_data import finite
-    from hapticd.fit.plain_data import plain as plain_data
-    from hapticd.fit.provenance import estimates, plain_figures
+    from hapticd.fit.result import estimates, finite, plain_figures
+    from hapticd.fit.result import plain as plain_data
 
     require_scipy()
     for file in asked.files:

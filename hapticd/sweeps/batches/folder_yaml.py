@@ -15,7 +15,7 @@ from hapticd.base.model import Model, Stiffness, faults_of
 from hapticd.base.yaml_source import MAX_BYTES, Document, load_bytes, read_file
 from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.fit.options import FitOptions
-from hapticd.fit.provenance import Kind
+from hapticd.fit.recording import Kind
 
 NAME: Final = "fit.yaml"
 Key: TypeAlias = str

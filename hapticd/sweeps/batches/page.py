@@ -18,7 +18,7 @@ from hapticd.analysis.statistics import Estimate
 from hapticd.base import html_page, wording
 from hapticd.base.files import check_regular, write_whole
 from hapticd.config.schema import unit_of
-from hapticd.fit.provenance import Kind
+from hapticd.fit.recording import Kind
 from hapticd.fit.report import (
     Curve,
     Floats,

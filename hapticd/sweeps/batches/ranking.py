@@ -16,7 +16,7 @@ from hapticd.base.errors import InvalidError
 from hapticd.base.yaml_source import Json
 from hapticd.config.materials import Material
 from hapticd.fit.contribution import Contribution, added
-from hapticd.fit.provenance import Kind
+from hapticd.fit.recording import Kind
 from hapticd.sweeps.batches.batch import Batch, Quality
 from hapticd.sweeps.batches.folder_yaml import NAME
 from hapticd.sweeps.batches.tree import RecordingSet

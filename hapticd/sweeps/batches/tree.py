@@ -24,8 +24,8 @@ from hapticd.analysis.recordings.files import READERS, ending_of
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names, quoted
 from hapticd.base.yaml_source import one_line
 from hapticd.config.materials import MAX_PROVENANCE_FILES, validate_materials
-from hapticd.fit.options import FitOptions
-from hapticd.fit.provenance import KEY_OF, Kind
+from hapticd.fit.options import KEY_OF, FitOptions
+from hapticd.fit.recording import Kind
 from hapticd.sweeps.batches.folder_yaml import NAME, TAKEN_BY, BatchFolder, FolderYaml, key_of, merged, options_of
 
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)

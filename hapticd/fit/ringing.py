@@ -10,9 +10,11 @@ Levenberg's and Marquardt's steps from the best point of a grid.
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -20,26 +22,10 @@ import numpy as np
 from hapticd.analysis.recordings.sensor import Complexes, Sensor
 from hapticd.analysis.statistics import FitError, Floats
 
-ITERATIONS: Final = 60
-ENOUGH: Final = 1e-9
-"""The search ends where a step gains less than this part of the squares."""
-FREQUENCIES: Final = (0.85, 1.05, 1.35)
-"""Times the highest line of the spectrum, where the grid looks."""
-DAMPINGS: Final = (0.03, 0.12, 0.5)
-"""B over w, where the grid looks."""
-EARLIER: Final = (0.01, 0.05, 0.12)
-"""Onsets of the grid before the first sample that stands out, in periods."""
-STANDS_OUT: Final = 0.15
-"""Of the peak."""
 SHORTEST: Final = 16
 """Samples."""
-HALVES: Final = 2
-"""So many halves of a period the onset is looked for to each side."""
 PROBES: Final = ((2.0, 1.0), (0.5, 1.0), (1.0, 2.0), (2.0, 0.0), (0.5, 0.0))
 """Shapes beside a mode, times its B and w: of another decay, twice as fast, and pushes."""
-
-
-_NONE: Final = (np.empty(0), np.empty((0, 0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +51,18 @@ class Ringing:
     lack_of_fit: tuple[Floats, Floats]
     """Of one mode: what is left over times shapes that it does not have (PROBES), (k,), and those shapes' squares,
     (k, k). The shapes are as large as the mode, without what the fit can take up. Empty for more modes."""
+
+    def of_modes(self, which: Sequence[int]) -> Ringing:
+        """These modes of all, in this order; the rest is that of the fit of all."""
+        modes = len(self.coefficients)
+        places = [*which, *(modes + mode for mode in which), *(2 * modes + mode for mode in which), 3 * modes]
+        return dataclasses.replace(
+            self,
+            coefficients=self.coefficients[list(which)],
+            decay_rate_per_s=self.decay_rate_per_s[list(which)],
+            angular_frequency_rad_per_s=self.angular_frequency_rad_per_s[list(which)],
+            covariance=self.covariance[np.ix_(places, places)],
+        )
 
 
 def fit_ringing(
@@ -117,7 +115,7 @@ class _Search:
         if not size.max() > 0:
             raise FitError("nothing rings: the acceleration is constant")
         if onset_s is None:
-            onset_s = float(self._time_s[np.argmax(size > STANDS_OUT * size.max())])
+            onset_s = float(self._time_s[np.argmax(size > 0.15 * size.max())])
         return self._best(above, onset_s, np.empty(0))
 
     def joined(self, place: Floats) -> Floats:
@@ -132,29 +130,16 @@ class _Search:
         power = np.abs(np.fft.rfft(rings, 8 * len(rings))) ** 2
         highest = 1 + int(np.argmax(power[1:]))
         peak_hz = highest * self._rate_hz / (8 * len(rings))
-        found, least = None, math.inf
-        for tried in self._grid(peak_hz, onset_s, beside):
-            squares = self._squares(tried)
-            if squares < least:
-                found, least = tried, squares
-        assert found is not None
-        return found
-
-    def _grid(self, peak_hz: float, onset_s: float, beside: Floats) -> Iterator[Floats]:
         known = len(beside) // 2
-        for factor in FREQUENCIES:
+        grid = []
+        # Times the highest line of the spectrum; periods before the first sample that stands out; and B over w. Beside
+        # modes that are fitted already, the onset is known.
+        earliest = (0.01, 0.05, 0.12) if known == 0 else (0.0,)
+        for factor, earlier, damping in product((0.85, 1.05, 1.35), earliest, (0.03, 0.12, 0.5)):
             angular = min(2 * math.pi * peak_hz * factor, 0.95 * self._fastest)
-            # Beside modes that are fitted already, the onset is known.
-            for earlier in EARLIER if known == 0 else (0.0,):
-                for damping in DAMPINGS:
-                    yield np.concatenate(
-                        (
-                            beside[:known],
-                            [math.log(damping * angular)],
-                            beside[known : 2 * known],
-                            [math.log(angular), onset_s - earlier * 2 * math.pi / angular],
-                        )
-                    )
+            last = [math.log(angular), onset_s - earlier * 2 * math.pi / angular]
+            grid.append(np.concatenate((beside[:known], [math.log(damping * angular)], beside[known:-1], last)))
+        return min(grid, key=self._squares)
 
     # ---- The model ------------------------------------------------------------------------------------------------
 
@@ -216,7 +201,7 @@ class _Search:
         coefficients, left, _, base = self._solved(place)
         least = float(left @ left)
         damping = 1e-3
-        for _ in range(ITERATIONS):
+        for _ in range(60):
             slopes = self._slopes(place, coefficients)
             slopes -= base @ (base.T @ slopes)
             norms = np.sqrt(np.sum(slopes**2, axis=0))
@@ -236,7 +221,7 @@ class _Search:
                     damping = max(1e-12, damping / 10)
                     break
                 damping *= 6
-            if gained <= ENOUGH * least:
+            if gained <= 1e-9 * least:
                 break
         return place
 
@@ -244,7 +229,7 @@ class _Search:
         """The place, or a better one whose onset is half a period away: there the same ringing begins the other way."""
         least = self._squares(place)
         half_s = math.pi / math.exp(float(place[len(place) // 2]))
-        for turned in (*range(-HALVES, 0), *range(1, HALVES + 1)):
+        for turned in (-2, -1, 1, 2):
             tried = place.copy()
             tried[-1] += turned * half_s
             if not 0 <= tried[-1] < self._time_s[-2] or self._squares(tried) >= least:
@@ -292,7 +277,7 @@ class _Search:
             noise_m_per_s2=noise,
             lack_of_fit=self._lack_of_fit(place, float(coefficients[0]), jacobian / norms, left)
             if modes == 1
-            else _NONE,
+            else (np.empty(0), np.empty((0, 0))),
         )
 
     def _lack_of_fit(self, place: Floats, coefficient: float, taken: Floats, left: Floats) -> tuple[Floats, Floats]:

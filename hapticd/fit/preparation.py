@@ -1,0 +1,601 @@
+"""What every fit does with a recording first: invalid samples, whole stretches, units, rate, motion of the stylus.
+
+Invalid samples are replaced by straight lines, or the recording is refused where they are more than MOST of a column:
+then it is a unit or a column. Every finding is one line with file, time and value.
+
+    beyond a limit    no hand presses with more than 200 N; a sample that is NaN is beyond every limit
+    a spike           of force or speed, that comes and goes within 10 ms and is far beyond the usual values; of
+                      acceleration, that comes and goes within three samples
+    stuck             force, speed or acceleration stand still for 50 ms and more, and never so long elsewhere
+    a leap            of a position from one sample to the next: out and back it is a spike, after a standstill the
+                      samples were lost, otherwise an encoder wrapped or slipped and all later positions are moved back
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hapticd.analysis.recordings.clipping import clipped
+from hapticd.analysis.recordings.spans import Bools, Spans, spans_of
+from hapticd.analysis.statistics import (
+    Estimate,
+    FitError,
+    Floats,
+    Ints,
+    UnitError,
+    least_squares,
+    student_t,
+    well_conditioned,
+)
+from hapticd.fit.recording import Kind, Recording
+from hapticd.fit.verdict import PART, Doubts, Exclusions
+
+MOST: Final = 0.01
+"""Part of the samples of a column beyond its limit that is a wrong unit or column, and no fault of single samples."""
+MOST_FINDINGS: Final = 50
+"""In one column; more are no faults of single samples either."""
+NOISES: Final = 15.0
+"""A spike is so many standard deviations of the noise away from what is about it."""
+FALLS: Final = 8.0
+"""A spike of acceleration is so many times larger than the samples beside it."""
+WIDEST: Final = 3
+COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
+    "acceleration_m_per_s2": ("the acceleration", "m/s^2"),
+    "force_n": ("the force", "N"),
+    "speed_m_per_s": ("the speed", "m/s"),
+    "position_m": ("the position", "m"),
+    "tangential_position_m": ("the position along the surface", "m"),
+}
+"""What they are called, and their units."""
+FASTEST_M_PER_S: Final = 5.0
+"""Of a stroke."""
+TAP_ACCELERATION_M_PER_S2: Final = 1e6
+LEAST_WHOLE: Final = 0.5
+"""Part of a recording; one of which less is whole is left out altogether."""
+LEAST_RATE: Final = 2.5
+"""Samples in a cycle, below which nothing is fitted."""
+
+
+def refuse_duplicates(recordings: Sequence[Recording]) -> None:
+    """Raises FitError for two recordings of the same file, or of files with the same bytes: one would count twice."""
+    seen: dict[str, str] = {}
+    for recording in recordings:
+        sha256 = recording.source.sha256
+        if sha256 and sha256 in seen:
+            raise FitError(f"{recording.name}: holds the same as {seen[sha256]}, and would count twice; leave out one")
+        seen[sha256] = recording.name
+
+
+# ---- Invalid samples -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Cleaned:
+    """A recording without invalid samples."""
+
+    recording: Recording
+    replaced: Bools
+    """(n,) samples that were not measured so."""
+    warnings: tuple[str, ...]
+
+
+def without_invalid_samples(recording: Recording, kind: Kind) -> Cleaned:
+    """The recording with straight lines in place of its invalid samples, for a fit of this kind. FitError where there
+    are too many."""
+    columns = {name: each for name in COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
+    count = max((each.size for each in columns.values()), default=0)
+    replaced = np.zeros(count, dtype=np.bool_)
+    warnings: list[str] = []
+    changed: dict[str, Floats] = {}
+    for name, values in columns.items():
+        if values.size != count or count < 16:
+            # Of taps, one speed each.
+            continue
+        column = _Column(recording.name, name, values, recording.rate_hz)
+        column.clean(kind)
+        if column.warnings:
+            changed[name] = column.values
+            replaced |= column.bad
+            warnings += column.warnings
+    if changed:
+        recording = dataclasses.replace(recording, **changed)  # type: ignore[arg-type]
+    return Cleaned(recording, replaced, tuple(warnings))
+
+
+def report_cleaning(kept: Sequence[Cleaned], doubts: Doubts) -> None:
+    """What was left out of recordings, and where that is a doubt."""
+    doubts.warnings += [line for each in kept for line in each.warnings]
+    count = sum(each.replaced.size for each in kept)
+    part = sum(int(np.count_nonzero(each.replaced)) for each in kept) / max(1, count)
+    doubts.check("part left out", part, left=f"{100 * part:.0f} % of the samples are left out")
+
+
+class _Column:
+    """One column, and what was found in it."""
+
+    def __init__(self, file: str, name: str, values: Floats, rate_hz: float) -> None:
+        self.values = values
+        self.bad: Bools = np.zeros(len(values), dtype=np.bool_)
+        self.warnings: list[str] = []
+        self._file, self._name, self._rate_hz = file, name, rate_hz
+        self._what, self._unit = COLUMNS[name]
+
+    def clean(self, kind: Kind) -> None:
+        """A force that breaks off and a speed of taps come and go as spikes do. Of taps the position matters only just
+        before each, and where the way is uneven there, the tap is left out."""
+        stroke = kind in ("grooves", "texture")
+        fastest = 10.0 if kind == "tap" else FASTEST_M_PER_S
+        match self._name:
+            case "acceleration_m_per_s2":
+                most = TAP_ACCELERATION_M_PER_S2 if kind == "tap" else 1e5
+                self._replace_beyond(most, "is it in another unit, or another column?")
+                if kind == "texture":
+                    self._replace_stuck()
+                else:
+                    self._replace_short(above_all=True)
+            case "force_n" | "speed_m_per_s":
+                if self._name == "force_n":
+                    self._replace_beyond(200.0, "is it in mN, or swapped with the acceleration?")
+                else:
+                    swapped = ", or are columns swapped?" if kind == "tap" else "?"
+                    self._replace_beyond(fastest, f"is it in mm/s{swapped}")
+                if stroke:
+                    self._replace_spikes()
+                    self._replace_stuck()
+                elif kind == "puncture" and self._name == "force_n":
+                    self._replace_short(above_all=False)
+            case _:
+                self._replace_beyond(math.inf, "")
+                if kind != "tap":
+                    self._take_leaps_out(fastest)
+
+    def _replace_beyond(self, most: float, ask: str) -> None:
+        """Samples over the limit, or not finite. A wrong unit is asked for where they are many."""
+        # Not a number is not less than anything.
+        over = ~(np.abs(self.values) <= most) | ~np.isfinite(self.values)
+        if not over.any():
+            return
+        spans, first = spans_of(over), int(np.argmax(over))
+        value = f"{self._what} of {self._value(first)}"
+        bound = f" (at most {most:g})" if ask else ""
+        if np.mean(over) > MOST or len(spans) > MOST_FINDINGS:
+            raise UnitError(
+                f"{self._file}: {value} is not a hand's{bound}, nor is that of {100 * np.mean(over):.3g} % of the "
+                f"samples{f': {ask}' if ask else ''}"
+            )
+        more = int(np.count_nonzero(over)) - 1
+        self._replace(spans)
+        self._report(f"{value} cannot be{bound}" + (f", nor can that of {more} more samples" if more else ""))
+
+    def _replace_spikes(self) -> None:
+        """What comes and goes within 10 ms, far beyond the usual values."""
+        values = self.values
+        noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
+        far = max(2.0 * float(np.percentile(np.abs(values), 95)), NOISES * noise)
+        half = max(WIDEST, round(0.02 * self._rate_hz))
+        found: Spans = []
+        near = spans_of(np.abs(values - float(np.median(values))) > 0.75 * far)
+        for low, high in near if len(near) <= 10 * MOST_FINDINGS else ():
+            if high - low > 2 * half:
+                continue
+            about = float(np.median(values[max(0, low - half) : high + half]))
+            off = np.abs(values[low:high] - about) > far
+            found += [(low + a, low + b) for a, b in spans_of(off) if b - a <= half / 2]
+        self._replace_leaping(found)
+
+    def _replace_short(self, above_all: bool) -> None:
+        """Up to WIDEST samples far above those beside them and, with `above_all`, far above everything else: a tap that
+        is sampled slowly may be that short, too."""
+        size = np.abs(self.values - np.median(self.values))
+        loud = NOISES * 1.4826 * float(np.median(size))
+        if not size.max() > loud:
+            return
+        found: Spans = []
+        for low, high in spans_of(size > max(loud, size.max() / FALLS**2)):
+            around = np.concatenate((size[max(0, low - WIDEST) : low], size[high : high + WIDEST]))
+            if high - low <= WIDEST and size[low:high].max() > FALLS * around.max(initial=0.0):
+                found.append((low, high))
+        if above_all and found:
+            rest = size.copy()
+            for low, high in found:
+                rest[low:high] = 0.0
+            # Beside nothing that stands out of the noise there is nothing that it hides.
+            hides = float(rest.max()) > loud / 2
+            found = [(low, high) for low, high in found if hides and size[low:high].max() > FALLS * rest.max()]
+        self._replace_leaping(found)
+
+    def _replace_stuck(self) -> None:
+        """What stands still for so long as it does nowhere else; not at 0 at either end, where nothing is touched."""
+        edges = np.flatnonzero(np.diff(self.values)) + 1
+        starts, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(self.values)]))
+        runs = ends - starts
+        least = max(0.05 * self._rate_hz, 20.0 * float(np.percentile(runs, 99)), 16.0)
+        found = [
+            (int(low), int(high))
+            for low, high in zip(starts[runs >= least], ends[runs >= least], strict=True)
+            if self.values[low] != 0 or not (low == 0 or high == len(self.values))
+        ]
+        if not found or len(found) > MOST_FINDINGS:
+            return
+        low, high = found[0]
+        value = f"{self.values[low]:.6g} {self._unit}"
+        self._replace(found)
+        self._report(
+            f"{self._what} stands still at {value} from {self._at(low)} to {self._at(high - 1)}{_as_in_others(found)}"
+        )
+
+    def _take_leaps_out(self, fastest: float) -> None:
+        """Of a position, from one sample to the next: far larger than the largest usual step, and than the steps beside
+        it unless it is beyond the limit of speed."""
+        steps = np.diff(self.values)
+        size = np.abs(steps)
+        moved = size[size > 0]
+        if len(moved) < 8:
+            return
+        usual = 5.0 * float(np.percentile(moved, 99))
+        leaps = []
+        for k in np.flatnonzero(size > usual):
+            beside = np.concatenate((size[max(0, k - WIDEST) : k], size[k + 1 : k + 1 + WIDEST]))
+            if size[k] * self._rate_hz > fastest or size[k] > 3.0 * np.median(beside):
+                leaps.append(int(k))
+        if not leaps:
+            return
+        if len(leaps) > MOST_FINDINGS:
+            raise FitError(
+                f"{self._file}: {self._what} leaps in {len(leaps)} places, first by {steps[leaps[0]]:.4g} "
+                f"{self._unit} at {self._at(leaps[0] + 1)}: is it the right column, or was the encoder disturbed?"
+            )
+        spikes: Spans = []
+        lost: Spans = []
+        shift = np.zeros(len(self.values))
+        for first, last, drift in self._leaps(leaps, usual):
+            still = np.flatnonzero(self.values[: first + 1] != self.values[first])
+            since = int(still[-1]) + 1 if len(still) else 0
+            # A position usually stands still for so many samples.
+            run = 4 * len(self.values) / max(1, int(np.count_nonzero(steps)))
+            if last > first:
+                spikes.append((first + 1, last + 1))
+            elif first - since >= max(WIDEST, run):
+                lost.append((since + 1, first + 1))
+            else:
+                shift[first + 1] = steps[first] - drift
+        if spikes:
+            self._report(f"{self._what} leaps to {self._value(spikes[0][0])} and back{_as_in_others(spikes)}")
+        if lost:
+            low, high = lost[0]
+            still_from = f"stands still from {self._at(low - 1)}"
+            self._report(f"{self._what} {still_from}, and leaps to {self._value(high)}{_as_in_others(lost)}")
+        if shift.any():
+            slips = np.flatnonzero(shift).tolist()
+            value = f"by {shift[slips[0]]:.4g} {self._unit} to {self._value(slips[0])}"
+            self._report(f"{self._what} leaps {value}{_as_in_others(slips)}", "the leap is taken out")
+            self.bad[slips] = True
+            self.values = self.values - np.cumsum(shift)
+        self._replace([*spikes, *lost])
+
+    def _leaps(self, leaps: Sequence[int], usual: float) -> list[tuple[int, int, float]]:
+        """Of every leap the sample before it, the last one before the position is back (the same one where it does not
+        come back within 20 ms), and the usual step there."""
+        found = []
+        back = max(2, round(0.02 * self._rate_hz))
+        values, rest = self.values, list(leaps)
+        while rest:
+            at = rest.pop(0)
+            drift = float(np.median(np.diff(values[max(0, at - back) : at + 1]))) if at > 0 else 0.0
+            near = [k for k in rest if k - at <= back]
+            returns = [k for k in near if abs(values[k + 1] - values[at] - drift * (k + 1 - at)) < usual]
+            last = returns[-1] if returns else at
+            rest = [k for k in rest if k > last]
+            found.append((at, last, drift))
+        return found
+
+    def _replace_leaping(self, found: Spans) -> None:
+        if not found or len(found) > MOST_FINDINGS:
+            # So many are how it is.
+            return
+        low, high = found[0]
+        peak = low + int(np.argmax(np.abs(self.values[low:high] - np.median(self.values))))
+        finding = f"{self._what} leaps to {self._value(peak)} and back{_as_in_others(found)}"
+        self._replace(found)
+        self._report(finding)
+
+    def _replace(self, spans: Spans) -> None:
+        """By straight lines between the samples on either side."""
+        bad = np.zeros(len(self.values), dtype=np.bool_)
+        for low, high in spans:
+            bad[low:high] = True
+        if bad.all():
+            raise FitError(f"{self._file}: {self._what} has no sample that can be")
+        at = np.arange(len(self.values))
+        self.values = np.where(bad, np.interp(at, at[~bad], self.values[~bad]), self.values)
+        self.bad |= bad
+
+    def _report(self, found: str, done: str = "left out") -> None:
+        self.warnings.append(f"{self._file}: {found}; {done}")
+
+    def _value(self, sample: int) -> str:
+        return f"{self.values[sample]:.6g} {self._unit} at {self._at(sample)}"
+
+    def _at(self, sample: int) -> str:
+        return f"{sample / self._rate_hz:.6g} s"
+
+
+def _as_in_others(found: Sequence[object]) -> str:
+    return f", as in {len(found) - 1} other places" if len(found) > 1 else ""
+
+
+# ---- Whole stretches: between gaps of the clock and clipped samples --------------------------------------------------
+
+
+def between_gaps(recording: Recording, samples: int) -> list[tuple[int, int]]:
+    """First sample, and the one after the last, of every stretch in which no sample is missing."""
+    edges = [0, *(edge for gap in recording.gaps for edge in gap), samples]
+    return [(begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if end > begin]
+
+
+def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) -> list[Recording]:
+    """The recording, or its stretches of at least this length without gaps and clipped samples, as recordings.
+
+    What falls out is reported in `excluded`. Raises FitError where that is too much.
+    """
+    columns = {name: each for name in COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
+    samples = next((len(values) for name, values in columns.items() if name != "speed_m_per_s"), 0)
+    acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
+    cut = np.zeros(samples, dtype=np.bool_) if acceleration is None else clipped(acceleration)
+    bad = cut.copy()
+    for begin, end in recording.gaps:
+        bad[begin:end] = True
+    if not bad.any():
+        return [recording]
+    kept = [(begin, end) for begin, end in spans_of(~bad) if end - begin >= least_s * rate_hz]
+    there = sum(end - begin for begin, end in kept)
+    reasons = []
+    if acceleration is not None and cut.any():
+        places = len(spans_of(cut))
+        levels = " and ".join(f"{level:.4g}" for level in np.unique(acceleration[cut]))
+        reasons.append(f"clipped at {levels} m/s^2 in {places} {'place' if places == 1 else 'places'}")
+    if recording.gaps:
+        reasons.append(gaps_in_words(recording))
+    reason = ", ".join(reasons)
+    if there < LEAST_WHOLE * samples:
+        raise FitError(
+            f"{recording.name}: {reason}: {100 * there / samples:.0f} % of it is whole in stretches of {least_s:g} s, "
+            f"{100 * LEAST_WHOLE:.0f} % are wanted"
+        )
+    excluded.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", PART)
+    found = []
+    for begin, end in kept:
+        parts = {name: values[begin:end] for name, values in columns.items() if len(values) == samples}
+        name = f"{recording.name} from {begin / rate_hz:.4g} s"
+        found.append(dataclasses.replace(recording, name=name, gaps=(), **parts))  # type: ignore[arg-type]
+    return found
+
+
+def stretches_of(recordings: Sequence[Recording], least_s: float, excluded: Exclusions) -> list[Recording]:
+    """The whole stretches of all recordings; one that is not whole enough is left out."""
+    parts = excluded.each(recordings, lambda one: whole_stretches(one, least_s, excluded))
+    return [part for each in parts for part in each]
+
+
+def gaps_in_words(recording: Recording) -> str:
+    """Where samples are missing."""
+    (begin, end), more = recording.gaps[0], len(recording.gaps) - 1
+    others = f", and in {more} more {'place' if more == 1 else 'places'}" if more else ""
+    return f"{end - begin} samples are missing at {begin / recording.rate_hz:.4g} s{others}"
+
+
+# ---- Acceleration, force, their units, and the rate ------------------------------------------------------------------
+
+
+def acceleration_of(recording: Recording) -> Floats:
+    """The acceleration, m/s^2. FitError where there is none, or it is all one value."""
+    values = recording.acceleration_m_per_s2
+    if values is None:
+        raise FitError(f"{recording.name}: has no acceleration, which this fit needs")
+    if not np.ptp(values) > 0:
+        raise FitError(
+            f"{recording.name}: the acceleration is {values[0]:g} m/s^2 throughout: was the sensor connected?"
+        )
+    if np.ptp(values) < 0.02:
+        raise FitError(
+            f"{recording.name}: the acceleration moves by {np.ptp(values):.2g} m/s^2 in all, which is not felt: is its "
+            "unit another one?"
+        )
+    return values
+
+
+def force_of(recording: Recording) -> Floats:
+    """The normal force, N, pressing positive. FitError where there is none, or it cannot be one."""
+    values = recording.force_n
+    if values is None:
+        raise FitError(f"{recording.name}: has no force, which this fit needs")
+    if not np.any(values):
+        raise FitError(f"{recording.name}: the force is 0 throughout: was the sensor connected?")
+    largest = float(np.percentile(np.abs(values), 99.9))
+    if largest < 1e-3:
+        raise UnitError(f"{recording.name}: a force of {largest:.2g} N at most is too small to be felt: is it in kN?")
+    return values
+
+
+def pressed(recording: Recording) -> Floats:
+    """A force that presses for most of the time. FitError where it pulls, or swings about zero."""
+    values = force_of(recording)
+    if np.median(values) < 0:
+        raise UnitError(f"{recording.name}: the force is mostly negative: pressing must be positive (scale -1?)")
+    if np.mean(values < -0.1 * np.std(values)) > 0.2:
+        raise UnitError(f"{recording.name}: the force swings about 0: is it swapped with the acceleration?")
+    return values
+
+
+def check_force_varies(recordings: Sequence[Recording], force: Floats, doubts: Doubts) -> None:
+    """FitError where every sample of all recordings has the same force; reported where they differ by less than a fifth
+    of their mean."""
+    every = np.concatenate([recording.force_n for recording in recordings if recording.force_n is not None])
+    if not np.ptp(every) > 0:
+        raise FitError(f"the force is {every[0]:g} N in every sample: was the sensor connected?")
+    if float(np.ptp(force)) < 0.2 * abs(float(np.mean(force))):
+        doubts.doubt(
+            f"the force hardly varies ({force.min():.3g} to {force.max():.3g} N): its gain takes in all that does not "
+            "go with speed"
+        )
+
+
+def check_range(usual: float, least: float, most: float, figure: str, whose: str) -> None:
+    """FitError where a figure, as `strikes of 3 m/s^2 are`, lies where none of these does."""
+    if not least <= usual <= most:
+        raise FitError(f"{figure} no {whose} ({least:g} to {most:g}): is the acceleration's unit another one?")
+
+
+def vary_apart(speed: Floats, force: Floats) -> bool:
+    """Whether speed and force (n,) do not only rise and fall together."""
+    return well_conditioned(np.column_stack((speed, force)), 20)
+
+
+def check_apart(speed: Floats, force: Floats) -> None:
+    """FitError where speed and force (n,) do not vary apart."""
+    if not vary_apart(speed, force):
+        raise FitError(
+            f"speed ({speed.min():.3g} to {speed.max():.3g} m/s) and force ({force.min():.3g} to {force.max():.3g} N) "
+            "rise and fall together or not at all, so that their gains cannot be told apart: vary them on their own"
+        )
+
+
+def moved_with(
+    speed: Floats, force: Floats, frequencies: Floats, named: str, least: float, level: float, doubts: Doubts
+) -> tuple[Estimate | None, Estimate | None]:
+    """Slopes of frequencies (n,) over speed and force, where both vary apart from each other and from a constant. A
+    doubt where one moves by this part of the mean at least, and more than chance makes of it at this level."""
+    columns = np.column_stack((speed, force, np.ones_like(speed)))
+    if len(speed) < 6 or not well_conditioned(columns):
+        doubts.warn(f"too few strokes at different speeds and forces to tell whether the {named} moves with them")
+        return None, None
+    line = least_squares(columns, frequencies)
+    wider = student_t(line.freedom, level) / student_t(line.freedom)
+    for slope, values, name, unit in zip(
+        line.coefficients, (speed, force), ("speed", "force"), ("m/s", "N"), strict=False
+    ):
+        change = slope.value * float(np.ptp(values))
+        if abs(slope.value) > wider * (slope.high - slope.value) and abs(change) > least * float(frequencies.mean()):
+            doubts.doubt(
+                f"the {named} moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to {values.max():.3g} "
+                f"{unit}; the material has the mean"
+            )
+    return line.coefficients[0], line.coefficients[1]
+
+
+def gravity_of(recordings: Sequence[Recording]) -> list[str]:
+    """What rest values of the acceleration tell of its unit."""
+    found = []
+    for recording in recordings:
+        if recording.acceleration_m_per_s2 is None:
+            continue
+        rest = abs(float(np.median(recording.acceleration_m_per_s2)))
+        for usual, unit in ((1.0, "g"), (9.80665**2, "m/s^2 already, and multiplied by 9.80665 again")):
+            if abs(rest / usual - 1) < 0.02:
+                found.append(f"{recording.name}: rests at {rest:.3g} m/s^2: is the acceleration in {unit}?")
+    return found
+
+
+def undersampled(rate_hz: float, frequency_hz: float, least: float = LEAST_RATE) -> str:
+    """Why what rings at a frequency is not fitted at a rate, with fewer than `least` samples in a cycle; empty where it
+    is."""
+    if rate_hz >= least * frequency_hz:
+        return ""
+    return (
+        f"rings at {frequency_hz:.4g} Hz, and is sampled at {rate_hz:g} Hz, which is too low: less than "
+        f"{least:g} times that; {math.ceil(least * frequency_hz)} Hz are wanted"
+    )
+
+
+def report_sampling(recordings: Sequence[Recording], frequency_hz: float, doubts: Doubts) -> None:
+    """Where the slowest recording has few samples in a cycle."""
+    slowest = min(recording.rate_hz for recording in recordings)
+    doubts.check("samples in a cycle", slowest / frequency_hz, rate_hz=slowest, hz=frequency_hz)
+
+
+# ---- Motion along the surface ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Along the surface: `speed_m_per_s` has a sign; `position_m` begins anywhere."""
+
+    position_m: Floats
+    speed_m_per_s: Floats
+
+
+def motion_of(recording: Recording, samples: int) -> Motion:
+    """From the tangential position, or from the speed. FitError where there is neither, or they disagree."""
+    name, position = recording.name, recording.tangential_position_m
+    column: Floats | None = None
+    if recording.speed_m_per_s is not None:
+        given = np.asarray(recording.speed_m_per_s, dtype=np.float64).reshape(-1)
+        if given.size not in (1, samples):
+            raise FitError(f"{name}: holds {given.size} speeds for {samples} samples: a stroke needs one, or a column")
+        column = np.full(samples, given[0]) if given.size == 1 else given
+    if position is None:
+        if column is None:
+            raise FitError(f"{name}: a stroke needs the position along the surface, or the speed")
+        _refuse_speed(recording, column)
+        return Motion(np.concatenate(([0.0], np.cumsum((column[1:] + column[:-1]) / 2))) / recording.rate_hz, column)
+    if np.ptp(position) > 5.0:
+        raise UnitError(f"{name}: a stroke of {np.ptp(position):.4g} m is not a hand's: is it in mm?")
+    if not np.ptp(position) > 0:
+        raise FitError(f"{name}: the position along the surface never moves: is it the wrong column?")
+    found = slope_of(position, recording.rate_hz, 0.02)
+    _refuse_speed(recording, found)
+    if column is not None:
+        usual, said = float(np.median(np.abs(found))), float(np.median(np.abs(column)))
+        if not 0.5 * usual <= said <= 2 * usual:
+            raise UnitError(
+                f"{name}: the position moves at {usual:.3g} m/s, the speed says {said:.3g} m/s: one of them has the "
+                "wrong unit or column"
+            )
+    return Motion(position, found)
+
+
+def _refuse_speed(recording: Recording, speed: Floats) -> None:
+    usual = float(np.percentile(np.abs(speed), 90))
+    if usual > FASTEST_M_PER_S:
+        raise UnitError(f"{recording.name}: a speed of {usual:.4g} m/s is not a hand's: is it in mm/s?")
+    fastest = int(np.argmax(np.abs(speed)))
+    if not abs(speed[fastest]) <= FASTEST_M_PER_S:
+        at_s = fastest / recording.rate_hz
+        raise FitError(
+            f"{recording.name}: a speed of {abs(speed[fastest]):.4g} m/s at {at_s:.6g} s is not a hand's (at most "
+            f"{FASTEST_M_PER_S:g}): what is the position there?"
+        )
+    if usual < 1e-4:
+        raise UnitError(f"{recording.name}: a speed of {usual:.2g} m/s is none: is it in km/s, or of another column?")
+
+
+def slope_of(values: Floats, rate_hz: float, window_s: float) -> Floats:
+    """The slope, per second, of a straight line through the window about each sample; shorter at the ends."""
+    count = len(values)
+    half = min(max(1, round(window_s * rate_hz / 2)), (count - 1) // 2)
+    centred = values - values[count // 2]
+    ones = np.concatenate(([0.0], np.cumsum(centred)))
+    ramps = np.concatenate(([0.0], np.cumsum(centred * np.arange(count))))
+    low, high = _about(count, half)
+    number = (high - low).astype(np.float64)
+    moment = number * (number**2 - 1) / 12
+    return np.asarray(((ramps[high] - ramps[low]) - (low + high - 1) / 2 * (ones[high] - ones[low])) / moment * rate_hz)
+
+
+def running_mean(values: Floats, half: int) -> Floats:
+    """Over 2 half + 1 samples; fewer at the ends."""
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    low, high = _about(len(values), half)
+    return np.asarray((total[high] - total[low]) / (high - low))
+
+
+def _about(count: int, half: int) -> tuple[Ints, Ints]:
+    """First sample, and the one after the last, of the window about each."""
+    at = np.arange(count)
+    return np.maximum(at - half, 0), np.minimum(at + half + 1, count)
