@@ -351,24 +351,19 @@ def _step(logs: Floats, amplitudes: Floats, variances: Floats, height: float, ex
 def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
     """The one tap, a quarter and more off, without which A(v) is a line through the origin; empty where there is
     none."""
-    if len(speeds) < LEAST_TAPS + 3:
+    count = len(speeds)
+    if count < LEAST_TAPS + 3:
         return ""
-    found: tuple[float, int, float] | None = None
     scale = np.sqrt(np.mean(noise) / noise)
-    for index in range(len(speeds)):
-        others = np.delete(np.arange(len(speeds)), index)
-        line = through_origin((speeds * scale)[others], (amplitudes * scale)[others])
-        expected = line.coefficients[0].value * speeds[index]
-        own = float(((amplitudes[index] - expected) * scale[index]) ** 2)
-        # The line of the others is uncertain there, too.
-        own /= 1 + float((speeds * scale)[index] ** 2 / np.sum((speeds * scale)[others] ** 2))
-        # The deleted residual against those of the others: n ways to be the farthest by chance.
-        chance = len(speeds) * improbable(line.squares + own, line.freedom + 1, line.squares, line.freedom)
-        if found is None or chance < found[0]:
-            found = (chance, index, amplitudes[index] / expected - 1)
-    assert found is not None
-    chance, index, off = found
-    others = np.delete(np.arange(len(speeds)), index)
+    x, y = speeds * scale, amplitudes * scale
+    line = through_origin(x, y)
+    # By so much each tap adds to the squares that the line of the others leaves.
+    added = line.residual**2 / (1 - x**2 / float(x @ x))
+    index = int(np.argmax(added))
+    others = np.delete(np.arange(count), index)
+    # n ways to be the farthest by chance.
+    chance = count * improbable(line.squares, line.freedom, line.squares - float(added[index]), line.freedom - 1)
+    off = float(amplitudes[index] / speeds[index] * (x[others] @ x[others]) / (x[others] @ y[others])) - 1
     if chance > CHANCE or abs(off) < 0.25 or _bends(speeds[others], amplitudes[others], noise[others]):
         return ""
     side = "above" if off > 0 else "below"

@@ -674,13 +674,18 @@ def _usual_pair(hits: Sequence[Hit]) -> Floats | None:
         return None
     # By frequency: which of them is louder may change from tap to tap.
     rising = [pair.of_modes(np.argsort(pair.angular_frequency_rad_per_s).tolist()) for pair in pairs]
-    logs = np.array([np.log(pair.angular_frequency_rad_per_s) for pair in rising])
-    usual = np.median(logs, axis=0)
-    alike = np.all(np.abs(logs - usual) < ALIKE, axis=1)
+    usual, alike = _usual_logs(rising)
     if np.sum(alike) < max(LEAST_TAPS, AGREEING * len(pairs)):
         return None
     sizes = np.array([np.abs(pair.coefficients) / np.sqrt(pair.decay_rate_per_s) for pair in rising])[alike]
     return np.asarray(usual if np.median(sizes[:, 0] / sizes[:, 1]) >= 1 else usual[::-1])
+
+
+def _usual_logs(pairs: Sequence[Ringing]) -> tuple[Floats, Bools]:
+    """Medians of the logarithms of their two angular frequencies, and which of the pairs have both near them."""
+    logs = np.log([pair.angular_frequency_rad_per_s for pair in pairs])
+    usual = np.median(logs, axis=0)
+    return usual, np.all(np.abs(logs - usual) < ALIKE, axis=1)
 
 
 def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
@@ -706,11 +711,10 @@ def second_mode(hits: list[Hit], explained: float) -> SecondMode | None:
     both = [(tap, pair) for tap, pair in tried if pair is not None]
     if len(both) < enough:
         return None
-    logs = np.log([pair.angular_frequency_rad_per_s for _, pair in both])
-    alike = np.all(np.abs(logs - np.median(logs, axis=0)) < ALIKE, axis=1)
+    _, alike = _usual_logs([pair for _, pair in both])
     together = _median_explained(both)
     # A second mode explains a hundredth of the variance besides, at least.
-    if np.mean(alike) < AGREEING or np.sum(alike) < LEAST_TAPS or together < explained + 0.01:
+    if np.sum(alike) < max(LEAST_TAPS, AGREEING * len(both)) or together < explained + 0.01:
         return None
     return _common_pair([one for one, same in zip(both, alike, strict=True) if same], together, explained, False)
 
