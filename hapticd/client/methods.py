@@ -380,7 +380,7 @@ class Client(ABC):
     async def record(
         self, /, path: str | os.PathLike[str], overwrite: bool = False, **notes: object
     ) -> AsyncIterator[Recorder]:
-        """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
+        """Records every tick and every event while the block runs, into `path`: .npz, or an export of it.
 
         A thread with a separate connection records. The first sample is taken before the block begins, and what the
         block did last is in the file. `notes` are kept in it as they are, whatever JSON can hold. Gives a Recorder,
