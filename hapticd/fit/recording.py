@@ -20,11 +20,17 @@ from typing import Annotated, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, ValidationError
 
-from hapticd.analysis.recordings.clock import HIGHEST_HZ, LOWEST_HZ, RATES_ALIKE, uniform
-from hapticd.analysis.recordings.files import READERS, ending_of, file_bytes
-from hapticd.analysis.recordings.quantities import NAMES, UNITS, Quantity
+from hapticd.analysis.recordings.clock import HIGHEST_HZ, LOWEST_HZ, NAMES, RATES_ALIKE, UNITS, Quantity, uniform
+from hapticd.analysis.recordings.files import (
+    MAX_BYTES,
+    READERS,
+    Table,
+    ending_of,
+    file_bytes,
+    short_name,
+    shown_name,
+)
 from hapticd.analysis.recordings.sensor import Sensor
-from hapticd.analysis.recordings.table import MAX_BYTES, Table, short_name, shown_name
 from hapticd.analysis.statistics import Floats
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names
 from hapticd.base.files import write_whole

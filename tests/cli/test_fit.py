@@ -391,7 +391,7 @@ def test_names_that_are_no_text(fits: Fits, capsys: pytest.CaptureFixture[str]) 
     assert origin is not None and origin.files[0].path == r"caf\xe9 $x$.csv"
 
 
-@pytest.mark.parametrize("missing", ["scipy", "matplotlib"])
+@pytest.mark.parametrize("missing", ["scipy", "pandas", "matplotlib"])
 def test_without_what_the_extra_brings(
     missing: str, fits: Fits, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

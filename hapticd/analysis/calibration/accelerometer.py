@@ -21,8 +21,7 @@ import numpy.typing as npt
 from hapticd.analysis.calibration.fit import Fit, Point, model_motion, tapered
 from hapticd.analysis.calibration.sweep import Floats, Record
 from hapticd.analysis.recordings.clock import LEAST_SAMPLES
-from hapticd.analysis.recordings.files import READERS, ending_of, file_bytes
-from hapticd.analysis.recordings.table import MAX_BYTES
+from hapticd.analysis.recordings.files import MAX_BYTES, READERS, ending_of, file_bytes
 from hapticd.base.errors import HapticdError
 
 TIME: Final = "time_s"

@@ -1,64 +1,76 @@
-"""A recording's columns on a uniform clock: what its times say, and what of them can be put right."""
+"""What a recording may hold, and its columns on a uniform clock: what its times say, and what of them can be put
+right."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.recordings.quantities import LARGEST, NAMES, Quantity
-from hapticd.analysis.recordings.table import MAX_SAMPLES
 from hapticd.analysis.statistics import Floats, require_scipy
 
+Quantity: TypeAlias = Literal["time", "acceleration", "force", "position", "tangential_position", "speed"]
+Columns: TypeAlias = dict[Quantity, Floats]
+Gaps: TypeAlias = tuple[tuple[int, int], ...]
+
+NAMES: Final[dict[Quantity, str]] = {
+    "time": "time_s",
+    "acceleration": "acceleration_m_per_s2",
+    "force": "force_n",
+    "position": "position_m",
+    "tangential_position": "tangential_position_m",
+    "speed": "speed_m_per_s",
+}
+_LENGTHS: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+UNITS: Final[dict[Quantity, dict[str, float]]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "acceleration": {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": 9.80665},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "position": _LENGTHS,
+    "tangential_position": _LENGTHS,
+    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+}
 LEAST_SAMPLES: Final = 16
+MAX_SAMPLES: Final = 20_000_000
+LOWEST_HZ: Final = 100.0
+HIGHEST_HZ: Final = 1e6
 UNIFORM: Final = 1e-3
 """A clock whose samples are no more than this part of a period from where they should be is taken as uniform."""
 JITTER: Final = 0.5
 """Samples farther than this from where they should be, in periods, are missing or doubled ones."""
 RATES_ALIKE: Final = 0.02
-WANDER: Final = 0.01
-PARTS: Final = 20
-"""A clock that runs away from a uniform one is taken where each of so many parts of the recording has the mean rate
-within so much; what is no clock at all, a position for one, changes more."""
-OUTSTANDING: Final = 6.0
-"""A distance between samples that is so many times the scatter of all of them off the usual one is a gap."""
-MISSING: Final = 1.0
-"""So many samples may be missing, as a part of those that are there;"""
-OFTEN: Final = 50
-FEW_GAPS: Final = 3
-"""in so many places, or in one of so many samples."""
-LOWEST_HZ: Final = 100.0
-HIGHEST_HZ: Final = 1e6
+GAP_EVERY: Final = 50
+"""At most one gap in so many samples; three of them in a short recording."""
 
 
-Gaps: TypeAlias = tuple[tuple[int, int], ...]
-
-
-def uniform(
-    found: dict[Quantity, Floats], rate_hz: float | None, rounding_s: float
-) -> tuple[dict[Quantity, Floats], float, Gaps]:
+def uniform(found: Columns, rate_hz: float | None, rounding_s: float) -> tuple[Columns, float, Gaps]:
     """The columns at equal distances, the rate, and where samples are missing, which straight lines stand for there;
     times are rounded to `rounding_s`, or more than that. Raises ValueError."""
     _check_columns(found)
-    columns: dict[Quantity, Floats] = {quantity: values for quantity, values in found.items() if quantity != "time"}
+    columns: Columns = {quantity: values for quantity, values in found.items() if quantity != "time"}
     if rate_hz is not None and not LOWEST_HZ <= rate_hz <= HIGHEST_HZ:
         raise ValueError(f"a rate of {rate_hz:g} Hz is out of range: recordings have {LOWEST_HZ:g} Hz to 1 MHz")
     if "time" not in found:
         if rate_hz is None:
             raise ValueError("has neither a column time_s nor a rate: say rate_hz in the YAML beside it")
         return columns, rate_hz, ()
-    return _by_times(found["time"], columns, rate_hz, rounding_s)
+    evened, rate_hz, gaps = _by_times(found["time"], rate_hz, rounding_s)
+    if evened is not None:
+        # Speeds of taps, which are fewer, stay.
+        samples = len(found["time"])
+        columns = {key: evened(values) if len(values) == samples else values for key, values in columns.items()}
+    return columns, rate_hz, gaps
 
 
-def _check_columns(found: dict[Quantity, Floats]) -> None:
+def _check_columns(found: Columns) -> None:
     # Of taps the speeds may be fewer than samples.
     lengths = {NAMES[quantity]: len(values) for quantity, values in found.items() if quantity != "speed"}
-    if len(set(lengths.values())) != 1:
+    samples = next(iter(lengths.values()))
+    if set(lengths.values()) != {samples}:
         counts = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise ValueError(f"the columns are of different length: {counts}")
-    samples = next(iter(lengths.values()))
     if not LEAST_SAMPLES <= samples <= MAX_SAMPLES:
         raise ValueError(f"{samples} samples are no recording: it has {LEAST_SAMPLES} to {MAX_SAMPLES}")
     for quantity, values in found.items():
@@ -67,20 +79,21 @@ def _check_columns(found: dict[Quantity, Floats]) -> None:
             raise ValueError(
                 f"{NAMES[quantity]} is NaN or infinite in {len(broken)} samples, first in number {broken[0] + 1}"
             )
-        large = float(np.abs(values).max(initial=0.0))
-        if large > LARGEST[quantity]:
+        # Far beyond what can be, so that nothing overflows before a fit says what is wrong; times may be of a calendar.
+        largest = 1e12 if quantity == "time" else 1e9
+        if (large := float(np.abs(values).max(initial=0.0))) > largest:
             raise ValueError(
-                f"{NAMES[quantity]} reaches {large:.3g}, and nothing that a stylus records is over "
-                f"{LARGEST[quantity]:g}: is it in another unit, or another column?"
+                f"{NAMES[quantity]} reaches {large:.3g}, and nothing that a stylus records is over {largest:g}: is it "
+                "in another unit, or another column?"
             )
 
 
 def _by_times(
-    time_s: Floats, columns: dict[Quantity, Floats], rate_hz: float | None, rounding_s: float
-) -> tuple[dict[Quantity, Floats], float, Gaps]:
-    samples = len(time_s)
+    time_s: Floats, rate_hz: float | None, rounding_s: float
+) -> tuple[Callable[[Floats], Floats] | None, float, Gaps]:
+    """What puts a column (n,) onto a uniform clock (None: it is), the clock's rate, and its gaps. Raises ValueError."""
     since_s = time_s - time_s[0]
-    at = np.arange(samples) - (samples - 1) / 2
+    at = np.arange(len(time_s)) - (len(time_s) - 1) / 2
     period_s = float(at @ since_s / (at @ at))
     rounding_s = max(rounding_s, 2 * float(np.spacing(np.abs(time_s).max())), _decimals(time_s))
     if 1.01 * period_s < rounding_s <= float(since_s[-1]) and np.all(np.diff(since_s) >= 0):
@@ -89,26 +102,23 @@ def _by_times(
             f"({period_s:.3g} s): leave them out and say rate_hz, in the YAML beside it"
         )
     number, period_s = _numbered(time_s, rounding_s)
-    if not 1 / HIGHEST_HZ <= 1.001 * period_s <= 1.002 / LOWEST_HZ:
+    rate = 1.0 / period_s
+    if not LOWEST_HZ / 1.002 <= rate <= 1.001 * HIGHEST_HZ:
         raise ValueError(
-            f"the times say {1 / period_s:.6g} Hz: a recording has {LOWEST_HZ:g} Hz to 1 MHz; which unit is the time "
-            "in?"
+            f"the times say {rate:.6g} Hz: a recording has {LOWEST_HZ:g} Hz to 1 MHz; which unit is the time in?"
         )
     if rate_hz is not None and abs(rate_hz * period_s - 1) > RATES_ALIKE:
-        raise ValueError(
-            f"the times say {1 / period_s:.6g} Hz, rate_hz says {rate_hz:g} Hz: is the time in another unit?"
-        )
+        raise ValueError(f"the times say {rate:.6g} Hz, rate_hz says {rate_hz:g} Hz: is the time in another unit?")
     jumps = np.flatnonzero(np.diff(number) > 1)
     gaps = tuple((int(number[jump]) + 1, int(number[jump + 1])) for jump in jumps)
     begin_s = float(np.mean(since_s - period_s * number))
     late = np.abs(since_s - begin_s - period_s * number) / period_s
-    # Times that are rounded say a rate only so well, and a clock is made for a whole one.
-    rate = 1.0 / period_s
-    if abs(round(rate) / rate - 1) <= (rounding_s + UNIFORM * period_s) / float(since_s[-1]):
-        rate = float(round(rate))
     every = np.arange(int(number[-1]) + 1)
     if late.max() <= max(UNIFORM, 0.5 * rounding_s / period_s * 1.001 + UNIFORM):
-        return _each(columns, samples, lambda values: np.interp(every, number, values) if gaps else values), rate, gaps
+        # Times that are rounded say a rate only so well, and a clock is made for a whole one.
+        if abs(round(rate) / rate - 1) <= (rounding_s + UNIFORM * period_s) / float(since_s[-1]):
+            rate = float(round(rate))
+        return (lambda values: np.interp(every, number, values)) if gaps else None, rate, gaps
     # After a gap a clock goes on anywhere between two samples.
     if late.max() > JITTER + (0.5 if gaps else 0.0) and (gaps or not _wanders(since_s, period_s)):
         worst = int(np.argmax(late))
@@ -117,19 +127,7 @@ def _by_times(
             f"({time_s[worst]:.9g} s), {JITTER:g} is the most that is put right: were samples lost, or doubled?"
         )
     even_s: Floats = np.asarray(begin_s + period_s * every, dtype=np.float64)
-
-    def evened(values: Floats) -> Floats:
-        found = _resampled(since_s, values, even_s)
-        for begin, end in gaps:
-            found[begin:end] = np.interp(even_s[begin:end], since_s, values)
-        return found
-
-    return _each(columns, samples, evened), 1.0 / period_s, gaps
-
-
-def _each(columns: dict[Quantity, Floats], samples: int, made: Callable[[Floats], Floats]) -> dict[Quantity, Floats]:
-    """What is made of the columns; speeds of taps, which are fewer, stay."""
-    return {quantity: made(values) if len(values) == samples else values for quantity, values in columns.items()}
+    return lambda values: _resampled(since_s, values, even_s, gaps), rate, gaps
 
 
 def _numbered(time_s: Floats, rounding_s: float) -> tuple[npt.NDArray[np.int64], float]:
@@ -145,20 +143,21 @@ def _numbered(time_s: Floats, rounding_s: float) -> tuple[npt.NDArray[np.int64],
         )
     usual = float(np.median(steps))
     spread = 1.4826 * float(np.median(np.abs(steps - usual)))
-    jumps = np.flatnonzero(steps > usual + max(JITTER * usual, OUTSTANDING * spread) + rounding_s)
+    # A distance far off the usual one, by the scatter of all of them, is a gap.
+    jumps = np.flatnonzero(steps > usual + max(JITTER * usual, 6.0 * spread) + rounding_s)
     # One rate for all stretches, whatever lies between them.
     along = square = 0.0
-    for begin, end in zip([0, *(jumps + 1)], [*(jumps + 1), len(time_s)], strict=True):
-        at = np.arange(end - begin) - (end - begin - 1) / 2
-        along += float(at @ (time_s[begin:end] - time_s[begin]))
+    for stretch in np.split(time_s, jumps + 1):
+        at = np.arange(len(stretch)) - (len(stretch) - 1) / 2
+        along += float(at @ (stretch - stretch[0]))
         square += float(at @ at)
     period_s = along / square if square > 0 else usual
     missing = np.maximum(np.round(steps[jumps] / period_s) - 1, 0)
-    if missing.sum() > MISSING * len(time_s) or len(jumps) > max(FEW_GAPS, len(time_s) / OFTEN):
+    if missing.sum() > len(time_s) or len(jumps) > max(3, len(time_s) / GAP_EVERY):
         raise ValueError(
             f"samples are missing: between {time_s[jumps[0]]:.9g} s and {time_s[jumps[0] + 1]:.9g} s pass "
             f"{steps[jumps[0]] / usual:.1f} periods, in {len(jumps)} places like this, {missing.sum():.0f} samples in "
-            f"all beside {len(time_s)}; at most {100 * MISSING:.0f} % may be, and one gap in {OFTEN} samples"
+            f"all beside {len(time_s)}; at most as many may be, and one gap in {GAP_EVERY} samples"
         )
     more = np.ones(len(time_s), dtype=np.int64)
     more[0] = 0
@@ -167,11 +166,12 @@ def _numbered(time_s: Floats, rounding_s: float) -> tuple[npt.NDArray[np.int64],
 
 
 def _wanders(since_s: Floats, period_s: float) -> bool:
-    """Whether a clock goes evenly from each sample to the next and at one rate throughout, though not for ever."""
+    """Whether a clock goes evenly from each sample to the next and at one rate throughout, though not for ever: what is
+    no clock at all, a position for one, changes more than 1 % from one part of the recording to another."""
     steps = np.diff(since_s) / period_s
-    edges = np.linspace(0, len(since_s) - 1, min(PARTS, len(steps) // 50 + 1) + 1).round().astype(int)
+    edges = np.linspace(0, len(since_s) - 1, min(20, len(steps) // 50 + 1) + 1).round().astype(int)
     rates = np.diff(since_s[edges]) / np.diff(edges) / period_s
-    return bool(np.abs(steps - 1).max() < JITTER and np.abs(rates - 1).max() < WANDER)
+    return bool(np.abs(steps - 1).max() < JITTER and np.abs(rates - 1).max() < 0.01)
 
 
 def _decimals(time_s: Floats) -> float:
@@ -187,14 +187,16 @@ def _decimals(time_s: Floats) -> float:
     return 0.0
 
 
-def _resampled(time_s: Floats, values: Floats, even_s: Floats) -> Floats:
-    """By a cubic spline; what stands still at an end of the range, as clipped samples do, goes on to do so."""
+def _resampled(time_s: Floats, values: Floats, even_s: Floats, gaps: Gaps) -> Floats:
+    """By a cubic spline, in gaps by straight lines; what stands still at an end of the range, as clipped samples do,
+    goes on to do so."""
     require_scipy()
     from scipy.interpolate import CubicSpline
 
     found = np.asarray(CubicSpline(time_s, values)(even_s), dtype=np.float64)
     left = np.clip(np.searchsorted(time_s, even_s, side="right") - 1, 0, len(values) - 2)
     for extreme in (values.max(), values.min()):
-        held = (values[left] == extreme) & (values[left + 1] == extreme)
-        found[held] = extreme
+        found[(values[left] == extreme) & (values[left + 1] == extreme)] = extreme
+    for begin, end in gaps:
+        found[begin:end] = np.interp(even_s[begin:end], time_s, values)
     return found
