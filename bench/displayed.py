@@ -17,7 +17,7 @@ import numpy as np
 from bench.report import Advance, Floats, Options, Section, Table, between, spread, verdict
 from bench.swept import swept, workers
 from bench.tick import FLOOR, STRETCH, Stretch
-from hapticd.analysis.calibration.walls import AT_TICK, acceleration_on, tap_force
+from hapticd.analysis.calibration.verify import AT_TICK, acceleration_on, tap_force
 from hapticd.base.core import Flag
 from hapticd.config.configuration import Compensation, Hand, Sim, load_config
 from hapticd.config.dynamics import Dynamics

@@ -3,8 +3,7 @@
     check         `hapticd check`: what of a configuration its device, rate and grip can carry
     calibration/  `hapticd calibrate` and `hapticd verify`: handle and hand measured, what is displayed compared
     recordings/   recordings of surfaces in SI units on one clock, with what is wrong in them
-    statistics    least squares with intervals
-    robust        robust regression: Tukey's bisquare
+    statistics    least squares with intervals, robust regression
     drawing       what every figure and page of results shares: matplotlib, SVG in a page, labels
 
 Questions, and where to begin:

@@ -6,7 +6,7 @@ connected the report descriptor and the endpoint's interval are read, which the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Final, NamedTuple
 
@@ -108,46 +108,44 @@ class Report:
 
     def to_dict(self) -> dict[str, object]:
         """As JSON."""
-        output = self.output
+        lists = ("refused", "undisplayable", "warnings", "notes", "materials")
         return {
             "can_be_shown": self.faults == 0,
             "device": self.device,
-            "rate_hz": output.rate_hz,
-            "link_hz": output.link_rate_hz,
-            "rearm_m": output.rearm_m,
+            "rate_hz": self.output.rate_hz,
+            "link_hz": self.output.link_rate_hz,
+            "rearm_m": self.output.rearm_m,
             "encoder_step_m": self.encoder_step_m,
-            "refused": [asdict(problem) for problem in self.refused],
-            "undisplayable": [asdict(problem) for problem in self.undisplayable],
-            "warnings": [asdict(problem) for problem in self.warnings],
-            "notes": [asdict(problem) for problem in self.notes],
-            "materials": [asdict(material) for material in self.materials],
+            **{name: [asdict(each) for each in getattr(self, name)] for name in lists},
             "stability": self.stability.to_dict(),
         }
 
 
 def check(config: Config) -> Report:
     """Checks a configuration. Raises nothing for what cannot be shown: that is what is reported."""
-    rate_hz = config.servo.rate_hz
     scene, materials = config.scene, config.materials
     device = _device(config)
-    loop = device.loop
-    output = output_of(config, rate_hz, device.link_hz)
+    output = output_of(config, config.servo.rate_hz, device.link_hz)
     shown = materials_in(scene.objects, materials)
     refused = rate_faults(scene.objects, materials, output)
-    slow = () if refused else lag_warnings(shown, output)
-    # What the actuator is the cause of is reported once.
-    slowed = {problem.where for problem in slow}
-    others = () if refused else (*warnings(scene.objects, materials, output), *_driven(config, loop, shown))
-    told = (*slow, *(problem for problem in others if problem.where not in slowed))
+    told: list[Problem] = []
+    if not refused:
+        # What the actuator is the cause of is reported once.
+        told += lag_warnings(shown, output)
+        slowed = {problem.where for problem in told}
+        others = [*warnings(scene.objects, materials, output)]
+        others += [] if device.loop is None else driven(config, device.loop, shown)
+        told += [problem for problem in others if problem.where not in slowed]
+    unknown = Stability(device.unknown, None)
     return Report(
         output=output,
         device=device.words,
         materials=tuple(_checked(name, material, name in shown, output) for name, material in materials.items()),
-        stability=Stability(device.unknown, None) if loop is None else _stability(config, output, loop),
+        stability=unknown if device.loop is None else _stability(config, output, device.loop),
         refused=(*device.undrivable, *refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
-        warnings=told,
-        notes=(*device.notes, *_gone_through(config), *_doubtful(shown, materials)),
+        warnings=tuple(told),
+        notes=(*device.notes, *_gone_through(config), *_doubtful(shown)),
     )
 
 
@@ -168,17 +166,13 @@ def _gone_through(config: Config) -> Iterator[Problem]:
             )
 
 
-def _doubtful(shown: Iterable[str], materials: Mapping[str, Material]) -> Iterator[Problem]:
+def _doubtful(shown: Mapping[str, Material]) -> Iterator[Problem]:
     """The materials of the scene whose fits are not good, and why."""
-    for name in shown:
-        for kind, verdict in materials[name].fitted.items():
+    for name, material in shown.items():
+        for kind, verdict in material.fitted.items():
             if verdict.quality != "good":
                 where = path_text(("materials", name, "provenance", "verdict", kind))
                 yield Problem(where, f"the fit is {verdict.quality}: {'; '.join(verdict.reasons) or 'no reason given'}")
-
-
-def _driven(config: Config, loop: Loop | None, shown: Iterable[str]) -> list[Problem]:
-    return [] if loop is None else driven(config, loop, {name: config.materials[name] for name in shown})
 
 
 def _stability(config: Config, output: Output, loop: Loop) -> Stability:
@@ -220,22 +214,23 @@ def _device(config: Config) -> _Device:
             return _Device(f"a recording: {error}", _UNPLUGGED, undrivable=(Problem("device.replay", str(error)),))
         return _Device("a recording, which nothing pushes", "a recording has no loop")
     hid = device.hid
-    limit_hz = Link(None, None, hid.max_rate_hz).carried_hz(rate_hz)
     handle = "" if device.handle is not None else "; what its handle is, is not given"
-    unknown = UNKNOWN_HANDLE if handle else _UNPLUGGED
+    away = _Device(
+        "", UNKNOWN_HANDLE if handle else _UNPLUGGED, None, Link(None, None, hid.max_rate_hz).carried_hz(rate_hz)
+    )
     try:
         found = choose(hid, find())
     except UndrivableError as error:
-        return _Device(f"{error}{handle}", unknown, None, limit_hz, (Problem("device.hid", str(error)),))
+        return away._replace(words=f"{error}{handle}", undrivable=(Problem("device.hid", str(error)),))
     except HapticdError as error:
         notes = () if hid.max_rate_hz is not None else (Problem("device.hid.max_rate_hz", _LINK_UNKNOWN),)
-        return _Device(f"not there: {error}{handle}", unknown, None, limit_hz, notes=notes)
+        return away._replace(words=f"not there: {error}{handle}", notes=notes)
     told = f"{found.name} at {found.path}{handle}"
     try:
         _, plan = found.verdict.sound()
     except HapticdError as error:
         problem = Problem("device.hid", f"{found}: {error}")
-        return _Device(f"{told}: {error}", _UNPLUGGED, None, limit_hz, (problem,))
+        return away._replace(words=f"{told}: {error}", unknown=_UNPLUGGED, undrivable=(problem,))
     link_hz = link_of(plan, found.out_interval_s).carried_hz(rate_hz)
     loop = loop_of(
         config,
@@ -247,6 +242,31 @@ def _device(config: Config) -> _Device:
     return _Device(told, None if loop is not None else UNKNOWN_HANDLE, loop, link_hz)
 
 
+def _checked(name: str, material: Material, used: bool, output: Output) -> Checked:
+    fits = {kind: verdict.quality for kind, verdict in material.fitted.items()}
+    return Checked(name, used, material.stiffness_n_per_m, tuple(_sounds(material, output)), fits)
+
+
+def _sounds(material: Material, output: Output) -> Iterator[Sound]:
+    waveform, texture = waveform_of(material), material.texture
+    if waveform is not None:
+        yield _waveform_sound(waveform, output)
+    for use, mode in modes_of(material):
+        shown, _ = displayed_mode(mode, output)
+        yield Sound(use, mode.frequency_hz, None if shown is None else shown.frequency_hz, strike_error(mode, output))
+    if isinstance(texture, Stochastic):
+        pair = displayed_pair(texture, output)
+        yield Sound("texture", texture.peak_hz, None if pair is None else pair[0], None)
+    elif isinstance(texture, Autoregressive):
+        # Of the loudest model the peak; at a rate that does not reach it, the peak of what is shown instead.
+        loudest = max(texture.models, key=lambda model: model.level(reflection_of(model.coefficients)))
+        reflection = reflection_of(loudest.coefficients)
+        peak_hz = shown_hz = peak_of(reflection, texture.rate_hz)
+        if peak_hz >= output.rate_hz / 2:
+            shown_hz = peak_of(resampled(reflection, texture.rate_hz, output.rate_hz).reflection, output.rate_hz)
+        yield Sound("texture", peak_hz, shown_hz, None)
+
+
 def _waveform_sound(waveform: Waveform, output: Output) -> Sound:
     middle_hz, rate_hz = waveform.curve.middle_hz, displayed_wave_rate(waveform, output)
     if rate_hz is None:
@@ -255,32 +275,3 @@ def _waveform_sound(waveform: Waveform, output: Output) -> Sound:
     if rate_hz == waveform.rate_hz and output.dynamics is not None and output.actuator is None:
         error = waveform_error(waveform, output.dynamics, output.carried_hz, output.effective_mass_kg)
     return Sound("tap", middle_hz, middle_hz * rate_hz / waveform.rate_hz, error)
-
-
-def _autoregressive_sound(texture: Autoregressive, output: Output) -> Sound:
-    """Of the loudest model the peak; at a rate that does not reach it, the peak of what is shown instead."""
-    loudest = max(texture.models, key=lambda model: model.level(reflection_of(model.coefficients)))
-    reflection = reflection_of(loudest.coefficients)
-    peak_hz = peak_of(reflection, texture.rate_hz)
-    if peak_hz < output.rate_hz / 2:
-        return Sound("texture", peak_hz, peak_hz, None)
-    shown = resampled(reflection, texture.rate_hz, output.rate_hz)
-    return Sound("texture", peak_hz, peak_of(shown.reflection, output.rate_hz), None)
-
-
-def _checked(name: str, material: Material, used: bool, output: Output) -> Checked:
-    sounds: list[Sound] = []
-    waveform = waveform_of(material)
-    if waveform is not None:
-        sounds.append(_waveform_sound(waveform, output))
-    for use, mode in modes_of(material):
-        shown, _ = displayed_mode(mode, output)
-        shown_hz = None if shown is None else shown.frequency_hz
-        sounds.append(Sound(use, mode.frequency_hz, shown_hz, strike_error(mode, output)))
-    if isinstance(material.texture, Stochastic):
-        pair = displayed_pair(material.texture, output)
-        sounds.append(Sound("texture", material.texture.peak_hz, None if pair is None else pair[0], None))
-    elif isinstance(material.texture, Autoregressive):
-        sounds.append(_autoregressive_sound(material.texture, output))
-    fits = {kind: verdict.quality for kind, verdict in material.fitted.items()}
-    return Checked(name, used, material.stiffness_n_per_m, tuple(sounds), fits)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from hapticd.analysis.calibration.handle import Calibration
 
 DEFAULT_FORCE_N = 1.0
+TAKE_HOLD_S = 5.0
+"""To take the handle, where nobody is asked."""
 
 
 @click.command("calibrate", short_help="Measure handle and grip.")
@@ -67,7 +70,6 @@ def calibrate_command(
     A handle that leaves the middle third of its travel ends it. Ctrl-C takes the force away.
     """
     from hapticd.analysis.calibration import handle
-    from hapticd.analysis.calibration import plot as drawing
     from hapticd.analysis.calibration.accelerometer import check_name
     from hapticd.config.configuration import config_of
 
@@ -76,7 +78,7 @@ def calibrate_command(
         if target is not None:
             check_new(target, overwrite)
     if plot is not None:
-        drawing.require(plot)
+        handle.check_picture(plot)
     if accelerometer is not None:
         check_name(accelerometer)
     config = config_of(configs)
@@ -86,7 +88,7 @@ def calibrate_command(
         if simulated:
             return
         if yes:
-            handle.pause(held)
+            time.sleep(TAKE_HOLD_S if held else 0.0)
             return
         what = "Hold the handle in the middle as it will be used." if held else "Let go of the handle, in the middle."
         click.confirm(f"{what} It will move for half a minute with up to {force_n:g} N. Ready?", abort=True, err=True)
@@ -115,7 +117,7 @@ def calibrate_command(
     if output is not None:
         write_whole(output, yaml_text(section) + "\n", overwrite)
     if plot is not None:
-        write_whole(plot, drawing.drawn(plot, found.curves()), overwrite)
+        write_whole(plot, handle.picture(found, plot), overwrite)
 
 
 @contextmanager

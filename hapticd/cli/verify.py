@@ -58,7 +58,6 @@ def verify_command(
     """
     from hapticd.analysis.calibration import verify
     from hapticd.analysis.calibration.accelerometer import load_recording
-    from hapticd.analysis.calibration.walls import verdicts_on_walls
     from hapticd.config.configuration import config_of
 
     config = config_of(configs)
@@ -75,7 +74,7 @@ def verify_command(
         note("interrupted; the force is zero")
         raise
     if recording is None:
-        verdicts = [*verify.from_simulation(config, played), *verdicts_on_walls(config, speed, axis)]
+        verdicts = [*verify.from_simulation(config, played), *verify.verdicts_on_walls(config, speed, axis)]
     else:
         if not simulated and not yes:
             click.confirm(f"Stop the accelerometer. Is its recording in {recording}?", abort=True, err=True)

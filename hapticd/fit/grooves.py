@@ -26,8 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.recordings.spans import Bools
-from hapticd.analysis.robust import Robust, robust
-from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, common, well_conditioned
+from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, Robust, common, robust, well_conditioned
 from hapticd.config.modes import Mode
 from hapticd.fit.preparation import (
     Cleaned,

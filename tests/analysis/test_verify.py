@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hapticd.analysis.calibration import verify, walls
+from hapticd.analysis.calibration import verify
 from hapticd.analysis.calibration.accelerometer import Recording
 from hapticd.analysis.calibration.sweep import Axis, Floats
 from hapticd.analysis.calibration.verify import Played, Strike, Verdict
@@ -97,9 +97,9 @@ def wall_error_by_scipy(config: Config, force_n: Floats, stiffness_n_per_m: floa
 def test_a_tap_on_a_wall(name: str, compensation: str) -> None:
     exact = {"coulomb_friction_n": 0, "force_step_n": 0, "encoder_step_m": 0}
     config = load_config({"device": {"kind": "sim", "compensation": compensation, "sim": exact}})
-    verdict = next(each for each in walls.verdicts_on_walls(config) if each.strike.material == name)
+    verdict = next(each for each in verify.verdicts_on_walls(config) if each.strike.material == name)
     count = round((5 / verdict.strike.mode.decay_rate_per_s + verify.SETTLED_S) * 10_000)
-    force = walls.tap_force(config, name, 0.1, count)[:, 1]
+    force = verify.tap_force(config, name, 0.1, count)[:, 1]
     expected = wall_error_by_scipy(config, force, 800.0, verdict.strike)
     # The error is largest at 30 Hz, where the lines of the two transforms begin at different places.
     assert verdict.error == pytest.approx(expected, abs=5e-3)
@@ -113,7 +113,7 @@ def test_a_tap_along_the_wall_does_not_meet_it(axis: Axis) -> None:
     it = load_config({"materials": {"it": {"stiffness_n_per_m": 800, "tap": tap}}}).materials["it"]
     config = config_of().model_copy(update={"materials": {"it": it}})
     _, (free,) = displayed(config, *verify.strikes_of(config.materials))
-    (walled,) = walls.verdicts_on_walls(config, axis=axis)
+    (walled,) = verify.verdicts_on_walls(config, axis=axis)
     assert walled.error == pytest.approx(free.error, rel=1e-4)
 
 
@@ -122,10 +122,10 @@ def test_taps_on_walls_are_told_of_what_pushes_and_is_carried() -> None:
     given = {"firm": {"stiffness_n_per_m": 500, "tap": tap}, "soft": {"stiffness_n_per_m": 0, "tap": tap}}
     known = load_config({"materials": given}).materials
     config = config_of(2000).model_copy(update={"materials": {name: known[name] for name in (*given, "steel")}})
-    told = {each.strike.material: each for each in walls.verdicts_on_walls(config)}
+    told = {each.strike.material: each for each in verify.verdicts_on_walls(config)}
     assert "soft" not in told and told["firm"].strike.use == "wall"
     assert (told["steel"].displayed_hz, told["steel"].error) == (None, 1.0)
-    sideways = {each.strike.material: each for each in walls.verdicts_on_walls(config, axis="x")}
+    sideways = {each.strike.material: each for each in verify.verdicts_on_walls(config, axis="x")}
     assert sideways["firm"].error == pytest.approx(told["firm"].error, rel=1e-9)
 
 

@@ -53,7 +53,6 @@ def test_calibrate_writes_the_section(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_calibrate_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
     Path("old.yaml").write_text("old")
     assert main(["calibrate", "-c", "sim.yaml", "--json", "-o", "old.yaml", "--overwrite", "--axis", "y"]) == 0
@@ -66,10 +65,20 @@ def test_calibrate_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
     assert load_config("old.yaml").device.handle is not None
 
 
-def test_calibrate_without_matplotlib(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    error = said(capsys, 1, "calibrate", "-c", "sim.yaml", "--plot", "response.png")
-    assert error == "hapticd: a plot needs matplotlib: pip install 'hapticd[fit]'\n"
+@pytest.mark.parametrize(
+    ("missing", "what", "arguments"),
+    [("matplotlib", "a plot", ("--plot", "response.png")), ("scipy", "calibrating", ())],
+)
+def test_calibrate_without_what_the_extra_brings(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    missing: str,
+    what: str,
+    arguments: tuple[str, ...],
+) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    error = said(capsys, 1, "calibrate", "-c", "sim.yaml", *arguments)
+    assert error == f"hapticd: {what} needs {missing}: pip install 'hapticd[fit]'\n"
 
 
 @pytest.mark.parametrize(

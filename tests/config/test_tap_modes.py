@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hapticd.analysis.calibration.walls import verdicts_on_walls
+from hapticd.analysis.calibration.verify import verdicts_on_walls
 from hapticd.base.core import EventKind, lib
 from hapticd.base.errors import InvalidError
 from hapticd.config.configuration import load_config

@@ -6,8 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hapticd.analysis.robust import robust
-from hapticd.analysis.statistics import FitError, least_squares
+from hapticd.analysis.statistics import FitError, least_squares, robust
 from hapticd.config.materials import Material, validate_materials
 from hapticd.fit.grooves import fit_grooves
 from hapticd.fit.recording import Recording

@@ -1,11 +1,9 @@
 """Calibrating handle and grip, and verifying what a device displays: rigs, the sweep, the fit, the plot.
 
 rig            what is driven: the simulated joystick without clock, or a device at its servo
-handle         `hapticd calibrate`: drives free and held, fits both, says what handle and hand are
+handle         `hapticd calibrate`: drives free and held, fits both, says what handle and hand are, and draws it
 sweep          the drive: bursts of one frequency after the other
 fit            mass, damping, dry friction and stiffness from a drive, with bounds
-plot           the picture of a calibration
-verify         `hapticd verify`: strikes each mode of the library, and compares the handle's acceleration
-walls          what `hapticd verify` says of taps on a wall
+verify         `hapticd verify`: strikes each mode of the library, also on walls, and compares the acceleration
 accelerometer  recordings of an accelerometer: read, aligned with what was driven, compared
 """

@@ -3,8 +3,6 @@
 .npz  `time_s` and `acceleration_m_per_s2`, each (n,)
 .csv  the same as columns, named in the first line
 
-They are read as recordings for a fit are (hapticd.analysis.recordings), without a YAML beside them.
-
 The recording's clock starts anywhere: where in it a drive lies is found by cross-correlation.
 """
 
@@ -12,25 +10,24 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.calibration.fit import Fit, Point, model_motion, tapered
+from hapticd.analysis.calibration.fit import Fit, Point, model_motion, points_of, tapered
 from hapticd.analysis.calibration.sweep import Floats, Record
 from hapticd.analysis.recordings.clock import LEAST_SAMPLES
 from hapticd.analysis.recordings.files import MAX_BYTES, READERS, ending_of, file_bytes
+from hapticd.analysis.statistics import require_scipy
 from hapticd.base.errors import HapticdError
 
 TIME: Final = "time_s"
 ACCELERATION: Final = "acceleration_m_per_s2"
-ALIKE: Final = 0.3
-"""Less correlation than this is not the same motion."""
-SCALE_TO_HZ: Final = 120.0
-"""Where the encoder sees well, the accelerometer's scale is found by it: between 30 Hz and here."""
-SCALE_FROM_HZ: Final = 10.0
+SCALE_HZ: Final = (10.0, 120.0)
+"""Where the encoder sees well: there the accelerometer's scale is found by it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,19 +75,19 @@ def offset_of(recording: Recording, expected: Floats, rate_hz: float) -> float:
     The maximum of the normalised cross-correlation, between samples by a parabola. Raises HapticdError where nothing
     in the recording is like it.
     """
+    require_scipy("a recording of an accelerometer")
+    from scipy.signal import correlate, correlation_lags
+
     count = 1 + math.floor((recording.time_s[-1] - recording.time_s[0]) * rate_hz)
     heard = recording.at(recording.time_s[0] + np.arange(count) / rate_hz)
-    length = 1 << math.ceil(math.log2(count + len(expected)))
-    product = np.fft.irfft(np.fft.rfft(heard, length) * np.conj(np.fft.rfft(expected, length)), length)
-    # From all of `expected` before the recording to all of it behind.
-    lags = np.arange(-len(expected) + 1, count)
-    product = product[lags]
+    product = correlate(heard, expected, method="fft")
+    lags = correlation_lags(count, len(expected))
     power = np.concatenate(([0.0], np.cumsum(heard**2)))
     here = power[np.clip(lags + len(expected), 0, count)] - power[np.clip(lags, 0, count)]
     scale = np.sqrt(np.maximum(here, 1e-6 * power[-1]) * np.sum(expected**2))
     alike = product / np.where(scale > 0, scale, 1.0)
     best = int(np.argmax(alike))
-    if not alike[best] >= ALIKE:
+    if not alike[best] >= 0.3:
         raise HapticdError(
             f"{recording.name}: what was driven is not in it (correlation {alike[best]:.2f}): was it recorded "
             "meanwhile, along this axis, the right way round?"
@@ -118,32 +115,29 @@ def compare(record: Record, fit: Fit, recording: Recording) -> Heard:
 
     Accelerations are compared as spectra over the same time, so that each may have another rate.
     """
-    speed = model_motion(record, fit)[:, 1]
+    expected = np.diff(model_motion(record, fit)[:, 1]) * record.rate_hz
     period_s = 1.0 / record.rate_hz
-    expected = np.diff(speed) * record.rate_hz
-    begin_s = offset_of(recording, expected, record.rate_hz) + 0.5 * period_s  # middles of the periods
+    # From the middle of the first period on.
+    since_s = recording.time_s - (offset_of(recording, expected, record.rate_hz) + 0.5 * period_s)
     own_s = np.gradient(recording.time_s)
-    seen: dict[float, complex] = {}
-    said: dict[float, float] = {}
-    for burst in record.bursts:
-        end = min(burst.end, len(expected))
-        time_s = np.arange(burst.begin, end) * period_s
-        inside = np.flatnonzero((recording.time_s - begin_s >= time_s[0]) & (recording.time_s - begin_s <= time_s[-1]))
-        if len(inside) < 16 or burst.frequency_hz > 0.4 * recording.rate_hz:
-            continue
-        of_model = np.sum(tapered(time_s, burst.frequency_hz) * expected[burst.begin : end]) * period_s
-        heard_s = recording.time_s[inside] - begin_s
-        pointer = tapered(np.concatenate(([time_s[0]], heard_s, [time_s[-1]])), burst.frequency_hz)[1:-1]
-        # Both pointers turn from their own beginning on: at the same moment, the drive's.
-        of_sensor = np.sum(pointer * recording.acceleration_m_per_s2[inside] * own_s[inside])
-        frequency, line = burst.frequency_hz, complex(of_model)
-        seen[frequency] = seen.get(frequency, 0j) + complex(of_sensor) * line.conjugate()
-        said[frequency] = said.get(frequency, 0.0) + abs(line) ** 2
-    points = [Point(frequency, seen[frequency] / said[frequency]) for frequency in sorted(seen)]
-    low = [abs(point.ratio) for point in points if SCALE_FROM_HZ <= point.frequency_hz <= SCALE_TO_HZ]
+
+    def lines() -> Iterator[tuple[float, complex, complex]]:
+        for burst in record.bursts:
+            end = min(burst.end, len(expected))
+            time_s = np.arange(burst.begin, end) * period_s
+            inside = np.flatnonzero((since_s >= time_s[0]) & (since_s <= time_s[-1]))
+            if len(inside) < 16 or burst.frequency_hz > 0.4 * recording.rate_hz:
+                continue
+            modelled = np.sum(tapered(time_s, burst.frequency_hz) * expected[burst.begin : end]) * period_s
+            # Both pointers turn from the same moment on, the drive's.
+            around_s = np.concatenate((time_s[:1], since_s[inside], time_s[-1:]))
+            pointer = tapered(around_s, burst.frequency_hz)[1:-1]
+            measured = np.sum(pointer * recording.acceleration_m_per_s2[inside] * own_s[inside])
+            yield burst.frequency_hz, complex(measured), complex(modelled)
+
+    points = points_of(lines())
+    low = [abs(point.ratio) for point in points if SCALE_HZ[0] <= point.frequency_hz <= SCALE_HZ[1]]
     if not low:
-        raise HapticdError(
-            f"{recording.name}: holds none of the drive between {SCALE_FROM_HZ:g} and {SCALE_TO_HZ:g} Hz"
-        )
+        raise HapticdError(f"{recording.name}: holds none of the drive between {SCALE_HZ[0]:g} and {SCALE_HZ[1]:g} Hz")
     scale = float(np.median(low))
     return Heard(tuple(Point(point.frequency_hz, point.ratio / scale) for point in points), scale)

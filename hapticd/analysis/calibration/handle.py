@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import math
-import time
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from hapticd.analysis.calibration.accelerometer import Heard, compare, load_recording
-from hapticd.analysis.calibration.fit import Fit, difference, fit
-from hapticd.analysis.calibration.plot import Curve
+from hapticd.analysis.calibration.fit import Fit, Point, difference, fit
 from hapticd.analysis.calibration.rig import rig_of
 from hapticd.analysis.calibration.sweep import HIGHEST_HZ, Axis, Record, Sweep, sweep_config, travel_m
-from hapticd.analysis.statistics import Estimate
+from hapticd.analysis.drawing import require_matplotlib
+from hapticd.analysis.statistics import Estimate, require_scipy
+from hapticd.base.errors import HapticdError
 from hapticd.config.actuator import MOST_HZ
 from hapticd.config.configuration import Config
 from hapticd.rendering.rearm import Resting, at_rest
-
-PAUSE_S: Final = 5.0
-UNLIKE: Final = 0.05
-"""A fit that leaves more of the motion than this, and more than the encoder's step, is reported."""
 
 LAGGING: Final = 0.9
 """A lag bends the response as well as it delays it: the delay that is fitted is up to 7 % less than the lag's."""
@@ -74,16 +72,11 @@ class Calibration:
 
     def section(self) -> dict[str, object]:
         """What a configuration file takes, four figures of each."""
-        mass, damping, friction = (_shown(each) for each in self.handle)
-        grip_mass, grip_damping, stiffness = (_shown(each) for each in self.grip)
+        shown = [float(f"{max(0.0, each.value):.4g}") for each in (*self.handle, *self.grip)]
         return {
             "device": {
-                "handle": {"mass_kg": mass, "damping_n_s_per_m": damping, "friction_n": friction},
-                "grip": {
-                    "mass_kg": grip_mass,
-                    "damping_n_s_per_m": grip_damping,
-                    "stiffness_n_per_m": stiffness,
-                },
+                "handle": dict(zip(("mass_kg", "damping_n_s_per_m", "friction_n"), shown[:3], strict=True)),
+                "grip": dict(zip(("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"), shown[3:], strict=True)),
                 "rearm_m": self.resting.rearm_m,
             }
         }
@@ -95,11 +88,15 @@ class Calibration:
         in_ms = self.free.estimate(_DELAY, -math.inf).mapped(lambda seconds: 1e3 * seconds)
         return [*zip(names, (*self.handle, *self.grip), units, strict=True), ("delay", in_ms, "ms")]
 
+    def curves(self) -> Iterator[tuple[str, Record, Fit, Heard | None]]:
+        """Both drives: name, what was recorded, its fit, and what an accelerometer says of it."""
+        yield "free", self.records[0], self.free, None if self.heard is None else self.heard[0]
+        yield "held", self.records[1], self.held, None if self.heard is None else self.heard[1]
+
     def notes(self) -> list[str]:
         """What else there is to say, a line each."""
         lines = []
-        for index, (name, found) in enumerate((("free", self.free), ("held", self.held))):
-            record = self.records[index]
+        for name, record, found, heard in self.curves():
             highest = max(point.frequency_hz for point in found.points)
             lines.append(
                 f"{name}: seen by the encoder up to {highest:.0f} Hz; {1e6 * found.residual_m:.2g} um of "
@@ -107,13 +104,12 @@ class Calibration:
             )
             if record.left_out:
                 lines.append(f"{name}: {record.left_out} bursts are left out, the servo stalled during them")
-            if found.residual_m > max(UNLIKE * found.motion_m, record.step_m):
+            if found.residual_m > max(0.05 * found.motion_m, record.step_m):
                 lines.append(
                     f"{name}: that is much: this handle is not only a mass with damping and dry friction, or the hand "
                     "did not keep still; the bounds hold for the model only"
                 )
-            if self.heard is not None:
-                heard = self.heard[index]
+            if heard is not None:
                 beyond = [point for point in heard.points if point.frequency_hz > highest]
                 text = f"{name}: accelerometer's scale {heard.scale:.3g}"
                 if beyond:
@@ -133,17 +129,12 @@ class Calibration:
             "none is written"
         )
 
-    def curves(self) -> list[Curve]:
-        """For the plot."""
-        heard = ((), ()) if self.heard is None else tuple(each.points for each in self.heard)
-        return [Curve("free", self.free, heard[0]), Curve("held", self.held, heard[1])]
-
     def to_dict(self) -> dict[str, object]:
         """For programs."""
         return {
             "axis": self.axis,
             "estimates": {name.replace(" ", "_"): {**each.to_dict(), "unit": unit} for name, each, unit in self.rows()},
-            "response": {curve.name: _response(curve) for curve in self.curves()},
+            "response": {name: list(_response(fit, heard)) for name, _, fit, heard in self.curves()},
             "accelerometer_scale": None if self.heard is None else [each.scale for each in self.heard],
             "positions": self.resting.to_dict(),
             "actuator_bandwidth_at_least_hz": min(MOST_HZ, self.bandwidth_at_least_hz),
@@ -151,31 +142,22 @@ class Calibration:
         }
 
 
-def _response(curve: Curve) -> list[dict[str, object]]:
-    rows: list[dict[str, object]] = []
-    for by, points in (("encoder", curve.fit.points), ("accelerometer", curve.accelerometer)):
+def _measured(fit: Fit, heard: Heard | None) -> list[tuple[str, Sequence[Point]]]:
+    """What was measured, over the fit, and by what."""
+    return [("encoder", fit.points), ("accelerometer", () if heard is None else heard.points)]
+
+
+def _response(fit: Fit, heard: Heard | None) -> Iterator[dict[str, object]]:
+    for by, points in _measured(fit, heard):
         for point in points:
-            fitted = complex(curve.fit.response(np.array([point.frequency_hz]))[0])
+            fitted = complex(fit.response(np.array([point.frequency_hz]))[0])
             measured = fitted * point.ratio
-            rows.append(
-                {
-                    "by": by,
-                    "frequency_hz": point.frequency_hz,
-                    "measured_m_per_n": [measured.real, measured.imag],
-                    "fitted_m_per_n": [fitted.real, fitted.imag],
-                }
-            )
-    return rows
-
-
-def _shown(estimate: Estimate) -> float:
-    return float(f"{max(0.0, estimate.value):.4g}")
-
-
-def pause(held: bool) -> None:
-    """Time to take the handle, where nobody is asked."""
-    if held:
-        time.sleep(PAUSE_S)
+            yield {
+                "by": by,
+                "frequency_hz": point.frequency_hz,
+                "measured_m_per_n": [measured.real, measured.imag],
+                "fitted_m_per_n": [fitted.real, fitted.imag],
+            }
 
 
 def calibrate(
@@ -194,6 +176,7 @@ def calibrate(
 
     Raises HapticdError, one line, where that cannot be; the force is zero then, as with every other exception.
     """
+    require_scipy("calibrating")
     device = config.device
     limit_n = min(force_n, device.max_force_n)
     if device.kind == "sim":
@@ -204,9 +187,9 @@ def calibrate(
         progress("")
         ask(held)
         progress("held" if held else "free")
-        sweep = Sweep(axis, held, limit_n, travel_m(config), HIGHEST_HZ if wide else None)
+        highest_hz = HIGHEST_HZ if wide else None
         with rig_of(sweep_config(config, held=held, force_n=limit_n), real) as rig:
-            records.append(sweep.run(rig, progress))
+            records.append(Sweep(rig, progress, axis, held, limit_n, travel_m(config), highest_hz).run())
         progress("fitting")
         fits.append(fit(records[-1], fits[0] if held else None))
     return Calibration(device.kind, axis, (records[0], records[1]), fits[0], fits[1])
@@ -219,3 +202,49 @@ def with_accelerometer(found: Calibration, path: str) -> Calibration:
         compare(record, each, recording) for record, each in zip(found.records, (found.free, found.held), strict=True)
     )
     return replace(found, heard=(free, held))
+
+
+# ---- The picture ----------------------------------------------------------------------------------------------------
+
+
+def check_picture(path: str) -> None:
+    """Raises HapticdError (one line) where a picture cannot be drawn, or not one with that ending."""
+    require_matplotlib("a plot", "fit")
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    known = sorted(FigureCanvasBase.get_supported_filetypes())
+    ending = _picture_ending(path)
+    if ending not in known:
+        raise HapticdError(f"{path}: cannot be drawn: must end in .png or another of {', '.join(known)}")
+
+
+def picture(found: Calibration, path: str) -> bytes:
+    """The response as measured and as fitted, magnitude above phase; of the kind that the ending of `path` says."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 7), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    for color, (name, _, fitted, heard) in zip(("C0", "C1"), found.curves(), strict=True):
+        measured = _measured(fitted, heard)
+        frequencies = [point.frequency_hz for _, points in measured for point in points]
+        fine = np.geomspace(min(frequencies), max(frequencies), 500)
+        response = fitted.response(fine)
+        above.loglog(fine, np.abs(response), lw=1, color=color, label=f"{name}, fit")
+        below.semilogx(fine, np.degrees(np.angle(response)), lw=1, color=color)
+        for marker, (by, points) in zip("ox", measured, strict=True):
+            if points:
+                frequency = np.array([point.frequency_hz for point in points])
+                seen = fitted.response(frequency) * np.array([point.ratio for point in points])
+                above.loglog(frequency, np.abs(seen), marker, ms=4, color=color, label=f"{name}, {by}")
+                below.semilogx(frequency, np.degrees(np.angle(seen)), marker, ms=4, color=color)
+    above.set_ylabel("position over force, m/N")
+    above.legend(fontsize=8)
+    below.set_ylabel("phase, degrees")
+    below.set_xlabel("Hz")
+    content = io.BytesIO()
+    figure.savefig(content, dpi=120, format=_picture_ending(path))
+    return content.getvalue()
+
+
+def _picture_ending(path: str) -> str:
+    return os.path.splitext(path)[1].lower().lstrip(".") or "png"

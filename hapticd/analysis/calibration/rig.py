@@ -1,14 +1,21 @@
-"""A device that strikes a mode and tells what happened: the simulated joystick without clock, or a device at its servo.
+"""A rig: a device that strikes a mode and tells what happened. The simulated joystick without clock (SimRig), or a
+device at its servo (ServoRig); both run the servo's own tick over a configuration's scene.
 
-Both run the servo's own tick over a configuration's scene.
+strike(mode, amplitude, direction)  strikes a mode, amplitude its coefficient; the tick that renders it first
+run(duration_s)                     lets so much time pass; what was rendered in it, (n,) records of SAMPLE_DTYPE
+with rig:                           at its end the force is zero
+rate_hz, output                     of the servo, and how it renders for the device
+hold_s                              how long the actuator holds a force: a period of the servo or of its link
+force_steps_n                       steps of the actuator's force along x and y; 0: none are known
+
+What they cannot do they raise as HapticdError.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from abc import ABC, abstractmethod
-from typing import Final, Self
+from typing import Final, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -21,53 +28,21 @@ from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine
 from hapticd.protocol.events import fault_names
 from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.device_output import Output, output_of
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.joystick import new_sim
-from hapticd.rendering.offline import Samples, new_world
+from hapticd.rendering.offline import Samples, new_state_of, new_world
 
 POLL_S: Final = 0.005
 STALLED_S: Final = 1.0
 """A servo that gives no sample for so long does not run."""
-
-
 SIGNS_S: Final = 30.0
 """So long the check of a device's signs may wait for the handle to be let go."""
 
 
-class Rig(ABC):
-    """What is struck, and goes on for a while. Use as a context: at its end the force is zero."""
-
-    rate_hz: float
-    output: Output
-    hold_s: float
-    """How long the actuator holds a force: a period of the servo or of its link."""
-    force_steps_n: tuple[float, float]
-    """Steps of the actuator's force along x and y; 0: none are known."""
-
-    @abstractmethod
-    def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
-        """Strikes a mode, amplitude its coefficient; the tick that renders it first. Raises HapticdError."""
-
-    @abstractmethod
-    def run(self, duration_s: float) -> Samples:
-        """Lets so much time pass; what was rendered in it, (n,) records of SAMPLE_DTYPE. Raises HapticdError."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Takes the force away."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-
-class SimRig(Rig):
+class SimRig:
     """The simulated joystick; the same on every run."""
 
     def __init__(self, config: Config) -> None:
-        self.config = config
         self.rate_hz = config.servo.rate_hz
         self.output = output_of(config, self.rate_hz)
         self.hold_s = 1.0 / self.output.carried_hz
@@ -76,16 +51,17 @@ class SimRig(Rig):
         sim = config.device.sim
         self.force_steps_n = (sim.force_step_n, sim.force_step_n)
         self._sim = new_sim(sim, self.rate_hz)
-        state = lib.hd_state_new(max(1, len(config.scene.objects)))
-        if state == ffi.NULL:
-            raise MemoryError("no memory for the state of a run")
-        self._state = ffi.gc(state, lib.hd_state_free)
+        self._state = new_state_of(max(1, len(config.scene.objects)))
         lib.hd_state_set_resolution(self._state, sim.encoder_step_m)
         self._events = records(EVENT_DTYPE, 1024)
         self._event_count = ffi.new("size_t *")
-        self.ticks = 0
-        self.truth: list[npt.NDArray[np.float64]] = []
-        """Of each stretch that ran: (n, 4), true position and velocity at the ticks."""
+        self._ticks = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """Nothing moves without `run`."""
 
     def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
         played = ffi.new("struct hd_mode *", mode_record(mode, 1.0, 1.0, self.output))
@@ -94,7 +70,7 @@ class SimRig(Rig):
         status = lib.hd_play(self._state, played, unit, amplitude_m_per_s2)
         if status != Status.OK:
             raise HapticdError(f"a mode cannot be struck: {invalid_reason()}")
-        return self.ticks
+        return self._ticks
 
     def run(self, duration_s: float) -> Samples:
         count = max(1, round(duration_s * self.rate_hz))
@@ -115,15 +91,11 @@ class SimRig(Rig):
             raise MemoryError("no memory for a run")
         if status != Status.OK:
             raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
-        self.truth.append(truth)
-        self.ticks += count
+        self._ticks += count
         return samples
 
-    def close(self) -> None:
-        """Nothing moves without `run`."""
 
-
-class ServoRig(Rig):
+class ServoRig:
     """A device at a separate servo, as the daemon makes it. Forces are on from the start."""
 
     def __init__(self, config: Config) -> None:
@@ -145,6 +117,12 @@ class ServoRig(Rig):
         except BaseException:
             self.close()
             raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
 
     def _check_signs(self) -> None:
         """Waits while the signs of a device are checked. Raises HapticdError where nobody lets it go on."""
@@ -188,6 +166,9 @@ class ServoRig(Rig):
         if self._begun:
             self._begun = False
             self._engine.stop()
+
+
+Rig: TypeAlias = SimRig | ServoRig
 
 
 def rig_of(config: Config, real: bool | None = None) -> Rig:

@@ -26,36 +26,19 @@ from hapticd.rendering.offline import Samples
 
 SPRING: Final = Spring(kind="spring", center_m=(0.0, 0.0), stiffness_n_per_m=20.0, damping_n_s_per_m=0.3)
 FIRST_HZ: Final = 60.0
-STEP_DOWN: Final = 1.4
-STEP_UP: Final = 1.25
-LOWEST_FREE_HZ: Final = 2.0
-LOWEST_HELD_HZ: Final = 1.5
 HIGHEST_HZ: Final = 1600.0
 """As far as the paper measured."""
-CYCLES: Final = 3.0
-"""A burst falls to 1/e in so many cycles, and lasts three times as long."""
 LASTS: Final = 3.0
-LONGEST_S: Final = 0.7
-SHORTEST_S: Final = 0.05
-TWICE_FREE_HZ: Final = 20.0
-TWICE_HELD_HZ: Final = 5.0
-"""From here on there are two bursts to each side: around its resonance, a held handle tells its mass."""
+"""A burst's length, in times in which it falls to 1/e."""
 STRENGTH: Final = 0.8
-WEAKEST: Final = 0.02
-GROWTH: Final = 2.0
-"""No burst is more than so many times as strong as the one before."""
 LEAD_S: Final = 0.06
 """A burst is evaluated from so long before it on; a delay may be as long."""
 FORGOTTEN_S: Final = 0.03
 """A force that was not renewed for so long may have expired."""
 REST_S: Final = 0.1
-NOISE_S: Final = 1.0
-"""Before the free handle is driven, the noise of its positions is measured so long."""
 CHUNK_S: Final = 0.02
 MIDDLE: Final = 1.0 / 3.0
 """The part of the travel that the handle may not leave."""
-REACH: Final = 0.4
-"""The part of that which a burst is meant to use."""
 
 Floats = npt.NDArray[np.float64]
 Axis = Literal["x", "y"]
@@ -122,95 +105,88 @@ def travel_m(config: Config) -> float:
     return config.device.sim.workspace_m if config.device.kind == "sim" else config.device.hid.travel_m
 
 
-@dataclass(frozen=True, slots=True)
 class Sweep:
-    """What is driven."""
+    """A drive along one axis of a rig; up to `highest_hz`, however little moves, or (None) as far as the encoder sees
+    it. `progress` is called with what is done."""
 
-    axis: Axis
-    held: bool
-    limit_n: float
-    travel_m: float
-    highest_hz: float | None
-    """Up to here, however little moves; None: as far as the encoder sees it."""
-
-    def run(self, rig: Rig, progress: Callable[[str], None]) -> Record:
-        """Drives; `progress` is called with what is done. Raises HapticdError where the handle leaves the middle third,
-        or does not move."""
-        return _Drive(self, rig, progress).run()
-
-
-class _Drive:
-    def __init__(self, sweep: Sweep, rig: Rig, progress: Callable[[str], None]) -> None:
-        self._sweep, self._rig, self._progress = sweep, rig, progress
-        self._along = 0 if sweep.axis == "x" else 1
+    def __init__(
+        self,
+        rig: Rig,
+        progress: Callable[[str], None],
+        axis: Axis,
+        held: bool,
+        limit_n: float,
+        travel_m: float,
+        highest_hz: float | None = None,
+    ) -> None:
+        self._rig, self._progress = rig, progress
+        self._along = 0 if axis == "x" else 1
+        self._held, self._travel_m, self._highest_hz = held, travel_m, highest_hz
+        self._most_n = STRENGTH * limit_n
         self._taken: list[Samples] = []
         self._bursts: list[tuple[float, float, int, int]] = []
 
     def run(self) -> Record:
-        limit_n = STRENGTH * self._sweep.limit_n
-        self._let(REST_S if self._sweep.held else NOISE_S)
-        reach = self._burst(FIRST_HZ, limit_n / 4)
-        step = self._step()
-        if reach < 2 * step or step == 0.0:
-            reach = self._burst(FIRST_HZ, limit_n)
-            step = self._step()
-            if reach < 2 * step or step == 0.0:
-                raise HapticdError(
-                    f"the handle does not move under {limit_n:g} N at {FIRST_HZ:g} Hz along {self._sweep.axis}: "
-                    "`hapticd devices calibrate` says what a HID device is sent; --force-n gives more force"
-                )
-            start = (reach, limit_n)
+        """Drives. Raises HapticdError where the handle leaves the middle third, or does not move."""
+        # Before the free handle is driven, the noise of its positions is measured.
+        self._let(REST_S if self._held else 1.0)
+        for force in (self._most_n / 4, self._most_n):
+            reach = self._burst(FIRST_HZ, force)
+            step = self._record().step_m
+            if reach >= 2 * step > 0.0:
+                break
         else:
-            start = (reach, limit_n / 4)
-        self._go(start, self._down())
-        self._go(start, self._up(start, step))
+            raise HapticdError(
+                f"the handle does not move under {self._most_n:g} N at {FIRST_HZ:g} Hz along {'xy'[self._along]}: "
+                "`hapticd devices calibrate` says what a HID device is sent; --force-n gives more force"
+            )
+        self._go(reach, force, self._down())
+        self._go(reach, force, self._up(reach * self._most_n / force, step))
         self._let(REST_S)
         return self._record()
 
     def _down(self) -> Iterator[float]:
         frequency = FIRST_HZ
-        lowest = LOWEST_HELD_HZ if self._sweep.held else LOWEST_FREE_HZ
-        while frequency >= lowest:
+        while frequency >= (1.5 if self._held else 2.0):
             yield frequency
-            frequency /= STEP_DOWN
+            frequency /= 1.4
 
-    def _up(self, start: tuple[float, float], step_m: float) -> Iterator[float]:
-        """Up to where the motion falls below a step, or the highest that is asked for."""
-        frequency = FIRST_HZ * STEP_UP
-        highest = 0.4 / self._rig.hold_s
-        reach, force = start
-        while frequency <= highest:
-            seen = reach * STRENGTH * self._sweep.limit_n / force * (FIRST_HZ / frequency) ** 2 >= step_m
-            if not seen and (self._sweep.highest_hz is None or frequency > self._sweep.highest_hz):
+    def _up(self, reach_m: float, step_m: float) -> Iterator[float]:
+        """Up to where the motion, `reach_m` at FIRST_HZ under the most force, falls below a step, or the highest that
+        is asked for."""
+        frequency = 1.25 * FIRST_HZ
+        while frequency <= 0.4 / self._rig.hold_s:
+            seen = reach_m * (FIRST_HZ / frequency) ** 2 >= step_m
+            if not seen and (self._highest_hz is None or frequency > self._highest_hz):
                 return
             yield frequency
-            frequency *= STEP_UP
+            frequency *= 1.25
 
-    def _go(self, start: tuple[float, float], frequencies: Iterator[float]) -> None:
-        allowed = REACH * MIDDLE * self._sweep.travel_m
-        most = STRENGTH * self._sweep.limit_n
-        twice_hz = TWICE_HELD_HZ if self._sweep.held else TWICE_FREE_HZ
-        before, (reach, force) = FIRST_HZ, start
+    def _go(self, reach_m: float, force_n: float, frequencies: Iterator[float]) -> None:
+        """Bursts at these frequencies, after one at FIRST_HZ that reached so far."""
+        # A burst is meant to use 0.4 of the middle third.
+        allowed = 0.4 * MIDDLE * self._travel_m
+        # Around its resonance, a held handle tells its mass.
+        twice_hz = 5.0 if self._held else 20.0
+        before = FIRST_HZ
         for frequency in frequencies:
-            # What a mass does; a spring and friction do less, and GROWTH bounds what they hide.
-            likely = max(reach, 1e-9) * (before / frequency) ** 2
-            force = min(most, force * min(GROWTH, allowed / likely))
-            force = max(force, WEAKEST * most)
-            reach = 0.0
-            for _ in range(2 if frequency >= twice_hz else 1):
-                for side in (1.0, -1.0):
-                    reach = max(reach, self._burst(frequency, side * force))
+            # What a mass does; a spring and friction do less, and no burst is more than twice as strong as the one
+            # before.
+            likely = max(reach_m, 1e-9) * (before / frequency) ** 2
+            force_n = min(self._most_n, force_n * min(2.0, allowed / likely))
+            force_n = max(force_n, 0.02 * self._most_n)
+            sides = (force_n, -force_n) * (2 if frequency >= twice_hz else 1)
+            reach_m = max(self._burst(frequency, side) for side in sides)
             before = frequency
 
     def _burst(self, frequency_hz: float, force_n: float) -> float:
         """How far the handle went."""
-        what = "held" if self._sweep.held else "free"
-        self._progress(f"{what}: {frequency_hz:.3g} Hz, {abs(force_n):.2g} N")
-        decay_s = min(LONGEST_S, max(SHORTEST_S, CYCLES / frequency_hz))
+        self._progress(f"{'held' if self._held else 'free'}: {frequency_hz:.3g} Hz, {abs(force_n):.2g} N")
+        # It falls to 1/e in three cycles.
+        decay_s = min(0.7, max(0.05, 3.0 / frequency_hz))
         mode = Mode(1.0 / decay_s, 2 * math.pi * frequency_hz)
         side = math.copysign(1.0, force_n)
-        direction = (side, 0.0) if self._along == 0 else (0.0, side)
-        tick = self._rig.strike(mode, abs(force_n), direction)
+        tick = self._rig.strike(mode, abs(force_n), (side, 0.0) if self._along == 0 else (0.0, side))
         positions = self._let(LASTS * decay_s)
         self._bursts.append((frequency_hz, force_n, tick, tick + round(LASTS * decay_s * self._rig.rate_hz)))
         return float(np.ptp(positions))
@@ -225,16 +201,13 @@ class _Drive:
             self._taken.append(samples)
             positions = samples["position_m"][:, self._along]
             farthest = float(np.abs(positions).max())
-            if farthest > MIDDLE * self._sweep.travel_m:
+            if farthest > MIDDLE * self._travel_m:
                 raise HapticdError(
                     f"stopped, the force is zero: the handle left the middle third of its travel, {1e3 * farthest:.1f} "
-                    f"of {1e3 * self._sweep.travel_m:g} mm; bring it to the middle, or use less force (--force-n)"
+                    f"of {1e3 * self._travel_m:g} mm; bring it to the middle, or use less force (--force-n)"
                 )
             seen.append(positions)
         return np.concatenate(seen)
-
-    def _step(self) -> float:
-        return self._record().step_m
 
     def _record(self) -> Record:
         """On the grid of periods: those that the servo missed hold the force before them, and no position."""
@@ -261,7 +234,7 @@ class _Drive:
         return Record(
             rate_hz=rate_hz,
             hold_s=self._rig.hold_s,
-            held=self._sweep.held,
+            held=self._held,
             force_n=np.ascontiguousarray(force, dtype=np.float64),
             position_m=position,
             bursts=tuple(bursts),

@@ -6,34 +6,40 @@ library's waveform is taken as means over the same times. A link delays the forc
 onset is when the force begins at the actuator.
 
 Of a recording the acceleration is what it holds; the whole sequence is found in it by cross-correlation, and each onset
-where the error is least, within `SEARCH_S` of that.
+where the error is least, within 3 ms of that.
+
+Taps on a wall: the surface that is tapped acts on the handle while its tap rings. The forces of the tap are those that
+`hapticd.render` gives for a probe that comes onto a wall of the material at the speed, and is at rest there. Under them
+the simulated joystick moves; at each tick the wall adds -K times the way that the handle has gone, held until the next.
+Its acceleration is compared as of every strike: nothing of how the forces were chosen is used
+(hapticd.rendering.compensation knows the wall, too).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from hapticd.analysis.calibration.accelerometer import Recording, offset_of
-from hapticd.analysis.calibration.rig import Rig, on_grid, rig_of
+from hapticd.analysis.calibration.rig import on_grid, rig_of
 from hapticd.analysis.calibration.sweep import Axis, Floats
-from hapticd.base.core import lib, pointer
+from hapticd.base.core import ffi, lib, pointer
 from hapticd.base.errors import HapticdError
-from hapticd.config.configuration import Config, Link
+from hapticd.config.configuration import Config, Link, Sim
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
-from hapticd.config.scene import Scene
+from hapticd.config.scene import Scene, Wall
 from hapticd.config.texture import Grooves
 from hapticd.rendering.compensation import HIGH, LOW_HZ
 from hapticd.rendering.device_output import Output, output_of
 from hapticd.rendering.displayability import displayed_mode
 from hapticd.rendering.displayed_error import FINER, band_error, band_lines, waveform
 from hapticd.rendering.joystick import new_sim
-from hapticd.rendering.offline import Samples
+from hapticd.rendering.offline import Samples, render
 
 SPEED_M_PER_S: Final = 0.1
 PRESS_N: Final = 1.0
@@ -44,7 +50,8 @@ AFTER_S: Final = 0.06
 it. Longer would be more of the sensor's noise."""
 SETTLED_S: Final = 0.25
 """The same of the simulated handle, until hand and handle are at rest; less than from one strike to the next."""
-SEARCH_S: Final = 0.003
+AT_TICK: Final = 2.0**-20
+"""So much of a period an onset at a tick lies before it: an onset is a crossing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,18 +95,27 @@ def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = SPEED_M
     """What the materials ring with: taps and grooves at this speed, grooves pressed with 1 N, ruptures."""
     found = []
     for name, material in materials.items():
-        tap, rupture, texture = material.tap, material.rupture, material.texture
-        if tap is not None and tap.ringing is not None and (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
-            mode = tap.mode_at(speed_m_per_s)
-            coefficient = mode.coefficient(amplitude, tap.attack)
-            found.append(Strike(name, "tap", mode, coefficient))
-            if tap.second is not None and tap.second.ratio != 0:
-                found.append(Strike(name, "second", tap.second.mode, abs(tap.second.ratio) * coefficient))
+        for strike in _of_tap(name, material, speed_m_per_s):
+            found.append(replace(strike, coefficient_m_per_s2=abs(strike.coefficient_m_per_s2)))
+        rupture, texture = material.rupture, material.texture
         if isinstance(texture, Grooves) and (groove := material.groove_mode_at(speed_m_per_s, PRESS_N)) is not None:
             amplitude = texture.velocity_gain_per_s * speed_m_per_s + texture.force_gain_m_per_s2_per_n * PRESS_N
             found.append(Strike(name, "groove", groove, amplitude))
         if rupture is not None and rupture.amplitude_m_per_s2 > 0:
             found.append(Strike(name, "rupture", rupture.mode, rupture.amplitude_m_per_s2))
+    return found
+
+
+def _of_tap(name: str, material: Material, speed_m_per_s: float) -> list[Strike]:
+    """A tap's mode, and the second one that it strikes, of either sign; none of a tap that does not ring."""
+    tap = material.tap
+    if tap is None or tap.ringing is None or not (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
+        return []
+    mode = tap.mode_at(speed_m_per_s)
+    coefficient = mode.coefficient(amplitude, tap.attack)
+    found = [Strike(name, "tap", mode, coefficient)]
+    if tap.second is not None and tap.second.ratio != 0:
+        found.append(Strike(name, "second", tap.second.mode, tap.second.ratio * coefficient))
     return found
 
 
@@ -123,7 +139,6 @@ def play(
     """Strikes them one after the other, alone in an empty scene. Raises HapticdError."""
     alone = config.model_copy(update={"scene": Scene()})
     along = 0 if axis == "x" else 1
-    output = output_of(alone, alone.servo.rate_hz)
     taken: list[Samples] = []
     ticks: list[int | None] = []
     with rig_of(alone, real) as rig:
@@ -131,8 +146,10 @@ def play(
         taken.append(rig.run(REST_S))
         for strike in strikes:
             progress(f"{strike.material}, {strike.use}")
-            ticks.append(_strike(rig, output, strike, along))
-            if ticks[-1] is not None:
+            ticks.append(None)
+            if displayed_mode(strike.mode, output)[0] is not None:
+                direction = (1.0, 0.0) if along == 0 else (0.0, 1.0)
+                ticks[-1] = rig.strike(strike.mode, strike.coefficient_m_per_s2, direction)
                 taken.append(rig.run(5.0 / strike.mode.decay_rate_per_s + AFTER_S + REST_S))
     samples = np.concatenate(taken)
     place, holding = on_grid(samples, rig.rate_hz)
@@ -140,12 +157,6 @@ def play(
     first = int(samples["tick"][0])
     begins = [-1 if tick is None else int(place[tick - first]) for tick in ticks]
     return Played(rig.rate_hz, output, tuple(strikes), tuple(begins), force, along)
-
-
-def _strike(rig: Rig, output: Output, strike: Strike, along: int) -> int | None:
-    if displayed_mode(strike.mode, output)[0] is None:
-        return None
-    return rig.strike(strike.mode, strike.coefficient_m_per_s2, (1.0, 0.0) if along == 0 else (0.0, 1.0))
 
 
 def from_simulation(config: Config, played: Played) -> list[Verdict]:
@@ -188,8 +199,8 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
             return _compared(recording.at(times + shift_s), strike, rate_hz, played)[0]
 
         period_s = 1.0 / strike.mode.frequency_hz
-        step = min(period_s / 12, SEARCH_S / 10)
-        best = min(np.arange(-SEARCH_S, SEARCH_S + step / 2, step).tolist(), key=error_at)
+        step = min(period_s / 12, 0.0003)
+        best = min(np.arange(-0.003, 0.003 + step / 2, step).tolist(), key=error_at)
         while step > 1e-3 * period_s:
             step /= 3
             best = min((best - 2 * step, best - step, best, best + step, best + 2 * step), key=error_at)
@@ -234,3 +245,81 @@ def _verdicts(played: Played, measured: Callable[[Strike, int], tuple[float, flo
         error, strength = measured(strike, begin)
         found.append(Verdict(strike, shown.frequency_hz, force, error, strength))
     return found
+
+
+# ---- Taps on walls --------------------------------------------------------------------------------------------------
+
+
+def verdicts_on_walls(config: Config, speed_m_per_s: float = SPEED_M_PER_S, axis: Axis = "y") -> list[Verdict]:
+    """How the simulated joystick displays the taps of the materials, each on a separate wall."""
+    output = output_of(config, config.servo.rate_hz)
+    return [
+        _on_wall(config, output, strikes, speed_m_per_s, axis)
+        for name, material in config.materials.items()
+        if material.stiffness_n_per_m > 0 and (strikes := _of_tap(name, material, speed_m_per_s))
+    ]
+
+
+def tap_force(
+    config: Config, material: str, speed_m_per_s: float, count: int, *, axis: Axis = "y", part: float = AT_TICK
+) -> Floats:
+    """What a tap on a wall of a material adds to the force, (count, 2) in N, at ticks of the configuration's rate.
+
+    The wall's normal is `axis`, and the onset `part` of a period before the first of the ticks.
+    """
+    along = (1.0, 0.0) if axis == "x" else (0.0, 1.0)
+    wall = Wall(kind="wall", point_m=(0.0, 0.0), normal=along, material=material)
+    alone = config.model_copy(update={"scene": Scene(objects={"wall": wall})})
+    step_m = speed_m_per_s / config.servo.rate_hz
+    path = np.full(count + 1, -part * step_m)
+    path[0] = (1.0 - part) * step_m
+    speeds = np.zeros(count + 1)
+    speeds[:2] = -speed_m_per_s
+    samples = render(alone, np.outer(path, along), velocity_m_per_s=np.outer(speeds, along))
+    force: Floats = np.asarray(samples["vibration_force_n"][1:], dtype=np.float64)
+    return force
+
+
+def acceleration_on(
+    sim: Sim, force_n: Floats, rate_hz: float, stiffness_n_per_m: float, axis: Axis = "y", finer: int = FINER
+) -> Floats:
+    """Acceleration of the simulated handle, (n * finer, 2) in m/s^2, as means over equal parts of a period.
+
+    Forces (n, 2) are held for 1/rate_hz each; the wall's normal is `axis`, and its stiffness acts to both sides of
+    where the handle was at rest. What the servo would read of the handle (steps, age) does not matter.
+    """
+    joystick = new_sim(sim, rate_hz * finer)
+    along = 0 if axis == "x" else 1
+    now, unused = (ffi.new("double[2]") for _ in range(2))
+    held = np.empty((finer, 2))
+    motion = np.empty((len(force_n), finer, 4))
+    for tick, force in enumerate(force_n):
+        lib.hd_sim_truth(joystick, now, unused, unused)
+        held[:] = force
+        held[:, along] -= stiffness_n_per_m * (now[along] - sim.start_m[along])
+        lib.hd_sim_drive(joystick, pointer("double[]", held), finer, pointer("double[]", motion[tick]))
+    lib.hd_sim_truth(joystick, unused, now, unused)
+    speeds = np.concatenate((motion[:, :, 2:].reshape(-1, 2), [list(now)]))
+    acceleration: Floats = np.diff(speeds, axis=0) * (rate_hz * finer)
+    return acceleration
+
+
+def _on_wall(config: Config, output: Output, strikes: list[Strike], speed_m_per_s: float, axis: Axis) -> Verdict:
+    """`strikes`: the tap's mode, and the second one that it strikes."""
+    first = replace(strikes[0], use="wall")
+    shown, _ = displayed_mode(first.mode, output)
+    if shown is None:
+        return Verdict(first, None, 0.0, 1.0, 0.0)
+    rate_hz, material = config.servo.rate_hz, config.materials[first.material]
+    lasting_s = max(5.0 / strike.mode.decay_rate_per_s for strike in strikes) + SETTLED_S
+    force = tap_force(config, first.material, speed_m_per_s, round(lasting_s * rate_hz), axis=axis)
+    moved = acceleration_on(config.device.sim, force, rate_hz, material.stiffness_n_per_m, axis)
+    onset = arrival(config.device.sim.link, 0, rate_hz)
+    count = len(moved) - onset
+    reference = sum(each.coefficient_m_per_s2 * waveform(each.mode, count, rate_hz * FINER) for each in strikes)
+    assert material.tap is not None
+    # A tap pushes along the wall's normal n, its tangent (n_y, -n_x), or between.
+    across, along = material.tap.aim
+    towards = (across, -along) if axis == "x" else (along, across)
+    error, strength = compared(moved[onset:] @ np.array(towards), np.asarray(reference), rate_hz * FINER, output)
+    return Verdict(first, shown.frequency_hz, float(np.hypot(*force.T).max()), error, strength)

@@ -43,19 +43,12 @@ class Sensor(Model):
         """rad/s; none where nothing is given."""
         found: list[complex] = []
         if self.mounting_hz is not None:
-            pole = (
-                2
-                * math.pi
-                * self.mounting_hz
-                * complex(-self.mounting_damping, math.sqrt(1 - self.mounting_damping**2))
-            )
+            damping = self.mounting_damping
+            pole = 2 * math.pi * self.mounting_hz * complex(-damping, math.sqrt(1 - damping**2))
             found += [pole, pole.conjugate()]
         if self.filter_hz is not None:
-            order = self.filter_order
-            found += [
-                2 * math.pi * self.filter_hz * cmath.exp(0.5j * math.pi * (1 + (2 * k + 1) / order))
-                for k in range(order)
-            ]
+            turns = [1 + (2 * k + 1) / self.filter_order for k in range(self.filter_order)]
+            found += [2 * math.pi * self.filter_hz * cmath.exp(0.5j * math.pi * turn) for turn in turns]
         return tuple(found)
 
     def answer(self, pole: complex, since_s: npt.NDArray[np.float64]) -> tuple[Complexes, Complexes, Complexes]:
