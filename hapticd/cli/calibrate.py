@@ -127,18 +127,15 @@ def _progress() -> Iterator[Callable[[str], None]]:
         yield lambda text: None
         return
     from rich.console import Console
-    from rich.live import Live
-    from rich.spinner import Spinner
 
-    spinner = Spinner("dots", text="calibrating")
-    with Live(spinner, console=Console(stderr=True), transient=True) as live:
+    with Console(stderr=True).status("calibrating") as status:
         # A question needs the line for itself.
         def show(text: str) -> None:
             if text:
-                live.start()
-                spinner.update(text=text)
+                status.start()
+                status.update(text)
             else:
-                live.stop()
+                status.stop()
 
         yield show
 

@@ -283,6 +283,7 @@ def test_units_in_the_file_are_taken_where_the_yaml_says_none(tmp_path: Path) ->
         (b"time_s,force_n\n0,1\n0.1,2,3\n", "line 3 has not 2 columns, but 3"),
         (b"time_s force_n\n0 1\n0.1 2 3\n", "line 3 has not 2 columns, but 3"),
         (b"time_s,force_n,force_n\n0,1,2\n", 'has 2 columns "force_n": say its number'),
+        (b"time_s,force_n,note\n" + b"0,1,a\n" * 9 + b'0,1,"a\n' * 2, "a quotation mark that is not closed?"),
         (b"1," * 60_000, "has none of time_s"),
         (b"\0" * 100, "is no text"),
         (b"\x1b[31m,\x07\n" * 40, "hold no numbers"),

@@ -19,13 +19,11 @@ import numpy.typing as npt
 
 from hapticd.analysis.calibration.fit import Fit, Point, model_motion, points_of, tapered
 from hapticd.analysis.calibration.sweep import Floats, Record
-from hapticd.analysis.recordings.clock import LEAST_SAMPLES
+from hapticd.analysis.recordings.clock import NAMES, check_columns
 from hapticd.analysis.recordings.files import MAX_BYTES, READERS, ending_of, file_bytes
 from hapticd.analysis.statistics import require_scipy
 from hapticd.base.errors import HapticdError
 
-TIME: Final = "time_s"
-ACCELERATION: Final = "acceleration_m_per_s2"
 SCALE_HZ: Final = (10.0, 120.0)
 """Where the encoder sees well: there the accelerometer's scale is found by it."""
 
@@ -59,13 +57,12 @@ def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recordin
     check_name(name)
     try:
         table = READERS[ending_of(name)](file_bytes(name, MAX_BYTES))
-        time_s, acceleration = table.read([table.place(TIME), table.place(ACCELERATION)])
+        time_s, acceleration = table.read([table.place(NAMES["time"]), table.place(NAMES["acceleration"])])
+        check_columns({"time": time_s, "acceleration": acceleration})
     except ValueError as error:
         raise HapticdError(f"{name}: {error}") from None
-    if len(time_s) != len(acceleration) or len(time_s) < LEAST_SAMPLES:
-        raise HapticdError(f"{name}: {TIME} and {ACCELERATION} must be of one length, at least {LEAST_SAMPLES}")
-    if not (np.isfinite(time_s).all() and np.isfinite(acceleration).all() and (np.diff(time_s) > 0).all()):
-        raise HapticdError(f"{name}: {TIME} must rise, and every number be finite")
+    if not (np.diff(time_s) > 0).all():
+        raise HapticdError(f"{name}: {NAMES['time']} must rise")
     return Recording(name, time_s, (acceleration - acceleration.mean()) * scale)
 
 

@@ -190,6 +190,7 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
     if not expected.any():
         raise HapticdError("nothing of the library is displayed at this rate, so there is nothing to verify")
     begin_s = offset_of(recording, expected, played.rate_hz)
+    from scipy.optimize import minimize_scalar
 
     def measured(strike: Strike, begin: int) -> tuple[float, float]:
         count = round((5.0 / strike.mode.decay_rate_per_s + AFTER_S) * rate_hz)
@@ -200,10 +201,9 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
 
         period_s = 1.0 / strike.mode.frequency_hz
         step = min(period_s / 12, 0.0003)
-        best = min(np.arange(-0.003, 0.003 + step / 2, step).tolist(), key=error_at)
-        while step > 1e-3 * period_s:
-            step /= 3
-            best = min((best - 2 * step, best - step, best, best + step, best + 2 * step), key=error_at)
+        near = min(np.arange(-0.003, 0.003 + step / 2, step).tolist(), key=error_at)
+        around = (near - step, near + step)
+        best = minimize_scalar(error_at, bounds=around, method="bounded", options={"xatol": 1e-3 * period_s}).x
         return _compared(recording.at(times + best), strike, rate_hz, played)
 
     return _verdicts(played, measured)

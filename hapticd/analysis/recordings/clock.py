@@ -48,7 +48,7 @@ GAP_EVERY: Final = 50
 def uniform(found: Columns, rate_hz: float | None, rounding_s: float) -> tuple[Columns, float, Gaps]:
     """The columns at equal distances, the rate, and where samples are missing, which straight lines stand for there;
     times are rounded to `rounding_s`, or more than that. Raises ValueError."""
-    _check_columns(found)
+    check_columns(found)
     columns: Columns = {quantity: values for quantity, values in found.items() if quantity != "time"}
     if rate_hz is not None and not LOWEST_HZ <= rate_hz <= HIGHEST_HZ:
         raise ValueError(f"a rate of {rate_hz:g} Hz is out of range: recordings have {LOWEST_HZ:g} Hz to 1 MHz")
@@ -64,7 +64,8 @@ def uniform(found: Columns, rate_hz: float | None, rounding_s: float) -> tuple[C
     return columns, rate_hz, gaps
 
 
-def _check_columns(found: Columns) -> None:
+def check_columns(found: Columns) -> None:
+    """Raises ValueError for columns that differ in length, or hold what no recording holds."""
     # Of taps the speeds may be fewer than samples.
     lengths = {NAMES[quantity]: len(values) for quantity, values in found.items() if quantity != "speed"}
     samples = next(iter(lengths.values()))

@@ -154,7 +154,9 @@ def _csv_columns(text: str, first: int, delimiter: str, width: int, places: Sequ
     except ValueError:
         raise ValueError(_csv_fault(text, first, delimiter, width, places)) from None
     columns: list[Floats] = [frame[place].to_numpy(np.float64) for place in places]
-    if not all(np.isfinite(column).all() for column in columns):
+    # A quotation mark that is not closed would swallow lines.
+    is_whole = len(frame) == body.strip("\n").count("\n") + 1
+    if not is_whole or not all(np.isfinite(column).all() for column in columns):
         raise ValueError(_csv_fault(text, first, delimiter, width, places))
     return columns
 
@@ -172,7 +174,7 @@ def _csv_fault(text: str, first: int, delimiter: str, width: int, places: Sequen
             if value is None or not np.isfinite(value):
                 told = f"line {number} holds something else than numbers, {quoted(cells[place])}"
                 return f"{told} (a sample that is missing?)"
-    return f"is no table of numbers with {width} columns"
+    return f"is no table of {width} columns: a quotation mark that is not closed?"
 
 
 def _text(content: bytes) -> str:
