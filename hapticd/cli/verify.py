@@ -69,7 +69,7 @@ def verify_command(
             click.confirm("Hold the handle, and start the accelerometer. Ready?", abort=True, err=True)
     strikes = verify.strikes_of(config.materials, speed)
     try:
-        played = verify.play(config, strikes, axis, lambda text: None)
+        played = verify.play(config, strikes, axis)
     except KeyboardInterrupt:
         note("interrupted; the force is zero")
         raise

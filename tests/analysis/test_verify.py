@@ -19,10 +19,6 @@ from hapticd.config.modes import Mode
 from hapticd.rendering.joystick import new_sim
 
 
-def quiet(_: object) -> None:
-    """Nothing is shown."""
-
-
 def config_of(rate_hz: float = 10_000, **sim: object) -> Config:
     exact = {"coulomb_friction_n": 0, "force_step_n": 0, "encoder_step_m": 0}
     return load_config({"servo": {"rate_hz": rate_hz}, "device": {"kind": "sim", "sim": {**exact, **sim}}})
@@ -33,7 +29,7 @@ STEEL = Strike("steel", "tap", Mode(1 / 0.00032, 2 * math.pi * 1682), 169.2)
 
 
 def displayed(config: Config, *strikes: Strike) -> tuple[Played, list[Verdict]]:
-    played = verify.play(config, list(strikes), "y", quiet)
+    played = verify.play(config, list(strikes), "y")
     return played, verify.from_simulation(config, played)
 
 

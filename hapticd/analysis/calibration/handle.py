@@ -168,11 +168,9 @@ def calibrate(
     progress: Callable[[str], None],
     *,
     wide: bool = False,
-    real: bool | None = None,
 ) -> Calibration:
     """Drives and fits. `ask` is called before each drive, with whether the handle is to be held; an empty `progress`
-    makes room for it. `wide`: up to where an accelerometer sees. `real`: at a servo with its clock, which a simulated
-    joystick otherwise does without.
+    makes room for it. `wide`: up to where an accelerometer sees.
 
     Raises HapticdError, one line, where that cannot be; the force is zero then, as with every other exception.
     """
@@ -188,7 +186,7 @@ def calibrate(
         ask(held)
         progress("held" if held else "free")
         highest_hz = HIGHEST_HZ if wide else None
-        with rig_of(sweep_config(config, held=held, force_n=limit_n), real) as rig:
+        with rig_of(sweep_config(config, held=held, force_n=limit_n)) as rig:
             records.append(Sweep(rig, progress, axis, held, limit_n, travel_m(config), highest_hz).run())
         progress("fitting")
         fits.append(fit(records[-1], fits[0] if held else None))

@@ -171,13 +171,9 @@ class ServoRig:
 Rig: TypeAlias = SimRig | ServoRig
 
 
-def rig_of(config: Config, real: bool | None = None) -> Rig:
-    """What strikes the device of a configuration. `real`: at a servo with its clock; None: unless it is simulated.
-
-    Raises HapticdError where the device or the servo is not there.
-    """
-    simulated = config.device.kind == "sim" if real is None else not real
-    return SimRig(config) if simulated else ServoRig(config)
+def rig_of(config: Config) -> Rig:
+    """What strikes the device of a configuration. Raises HapticdError where the device or the servo is not there."""
+    return SimRig(config) if config.device.kind == "sim" else ServoRig(config)
 
 
 def on_grid(samples: Samples, rate_hz: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

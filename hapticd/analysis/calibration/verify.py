@@ -133,19 +133,16 @@ class Played:
     along: int
 
 
-def play(
-    config: Config, strikes: list[Strike], axis: Axis, progress: Callable[[str], None], *, real: bool | None = None
-) -> Played:
+def play(config: Config, strikes: list[Strike], axis: Axis) -> Played:
     """Strikes them one after the other, alone in an empty scene. Raises HapticdError."""
     alone = config.model_copy(update={"scene": Scene()})
     along = 0 if axis == "x" else 1
     taken: list[Samples] = []
     ticks: list[int | None] = []
-    with rig_of(alone, real) as rig:
+    with rig_of(alone) as rig:
         output = rig.output
         taken.append(rig.run(REST_S))
         for strike in strikes:
-            progress(f"{strike.material}, {strike.use}")
             ticks.append(None)
             if displayed_mode(strike.mode, output)[0] is not None:
                 direction = (1.0, 0.0) if along == 0 else (0.0, 1.0)
@@ -280,27 +277,25 @@ def tap_force(
     return force
 
 
-def acceleration_on(
-    sim: Sim, force_n: Floats, rate_hz: float, stiffness_n_per_m: float, axis: Axis = "y", finer: int = FINER
-) -> Floats:
-    """Acceleration of the simulated handle, (n * finer, 2) in m/s^2, as means over equal parts of a period.
+def acceleration_on(sim: Sim, force_n: Floats, rate_hz: float, stiffness_n_per_m: float, axis: Axis = "y") -> Floats:
+    """Acceleration of the simulated handle, (n * FINER, 2) in m/s^2, as means over equal parts of a period.
 
     Forces (n, 2) are held for 1/rate_hz each; the wall's normal is `axis`, and its stiffness acts to both sides of
     where the handle was at rest. What the servo would read of the handle (steps, age) does not matter.
     """
-    joystick = new_sim(sim, rate_hz * finer)
+    joystick = new_sim(sim, rate_hz * FINER)
     along = 0 if axis == "x" else 1
     now, unused = (ffi.new("double[2]") for _ in range(2))
-    held = np.empty((finer, 2))
-    motion = np.empty((len(force_n), finer, 4))
+    held = np.empty((FINER, 2))
+    motion = np.empty((len(force_n), FINER, 4))
     for tick, force in enumerate(force_n):
         lib.hd_sim_truth(joystick, now, unused, unused)
         held[:] = force
         held[:, along] -= stiffness_n_per_m * (now[along] - sim.start_m[along])
-        lib.hd_sim_drive(joystick, pointer("double[]", held), finer, pointer("double[]", motion[tick]))
+        lib.hd_sim_drive(joystick, pointer("double[]", held), FINER, pointer("double[]", motion[tick]))
     lib.hd_sim_truth(joystick, unused, now, unused)
     speeds = np.concatenate((motion[:, :, 2:].reshape(-1, 2), [list(now)]))
-    acceleration: Floats = np.diff(speeds, axis=0) * (rate_hz * finer)
+    acceleration: Floats = np.diff(speeds, axis=0) * (rate_hz * FINER)
     return acceleration
 
 
