@@ -278,7 +278,8 @@ class _Fitting:
             lambda own: self._model(values, own, window)[0] - window.seen_m,
             start,
             lambda own: self._by_start(values, own, window),
-            method="lm",
+            # A burst that the fit does not know well may not be begun anywhere.
+            bounds=(start - 100 * window.start_scale, start + 100 * window.start_scale),
             x_scale=window.start_scale,
             ftol=1e-3,
             max_nfev=12,
