@@ -25,7 +25,8 @@ What comes of a fit:
 
     contribution    what a fit gives to a material, with its provenance, and the material as the loader takes it
     report, panels  the report: an HTML page, and what it draws of each kind of fit
+    synthesize      recordings whose truth is known
 
-`synthesize` makes recordings whose truth is known. Least squares and robust regression are in analysis/, as are the
+Least squares and robust regression are in analysis/, as are the
 files themselves (analysis/recordings/).
 """
