@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, cast
 
@@ -102,12 +102,3 @@ class Members:
 def _header_size(count: int) -> int:
     """Bytes of the header of a map of so many members; of at most 65,535."""
     return 1 if count < 16 else 3
-
-
-def encoded_list(count: int, items: Iterable[object]) -> Encoded:
-    """A list of so many items, encoded one by one: nobody waits for all of them."""
-    packer = msgpack.Packer(buf_size=_PACKED)
-    data = bytearray(packer.pack_array_header(count))
-    for item in items:
-        data += packer.pack(item)
-    return Encoded((bytes(data),))

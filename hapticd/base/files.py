@@ -11,7 +11,7 @@ import os
 import secrets
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -138,7 +138,9 @@ def _rename(part: Path, place: Path, overwrite: bool) -> None:
             place.unlink()
             raise
     else:
-        part.unlink()
+        # The file has its name; that the hidden one stays does no harm, and whoever fails here must not undo the other.
+        with suppress(OSError):
+            part.unlink()
 
 
 def displaced(wanted: str | os.PathLike[str], place: str | os.PathLike[str]) -> str:

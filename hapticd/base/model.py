@@ -45,7 +45,7 @@ class DescribedAs:
 
 
 NAME_MAX_CHARACTERS = 64
-MOST_KEYS: Final = 100
+MOST_KEYS: Final = 256
 """No mapping of known keys has more."""
 MAX_FAULTS = 200
 """So many are reported one by one; nobody reads more, and reporting thousands takes seconds."""

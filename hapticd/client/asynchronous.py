@@ -6,6 +6,7 @@ The methods of `methods.py` on an event loop; several calls may be under way at 
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 from collections.abc import Awaitable, Callable, Coroutine, Generator
 from contextlib import AbstractContextManager
@@ -135,11 +136,11 @@ class Client(methods.Client):
         return zmq.asyncio.Context.instance().socket(zmq.SUB)
 
     async def _receive(self, socket: zmq.Socket[Any], timeout_s: float) -> list[bytes]:
-        try:
-            async with asyncio.timeout(timeout_s):
-                return await cast(zmq.asyncio.Socket, socket).recv_multipart()
-        except TimeoutError:
-            raise zmq.Again from None
+        # Not with a time-out around it: a message that was taken from the socket at the last moment would be lost.
+        awaited = cast(zmq.asyncio.Socket, socket)
+        if not await awaited.poll(min(math.ceil(timeout_s * 1e3), 2**31 - 1)):
+            raise zmq.Again
+        return await awaited.recv_multipart(zmq.NOBLOCK)
 
     @staticmethod
     async def _in_thread(work: Callable[..., T], /, *given: Any) -> T:

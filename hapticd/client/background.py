@@ -64,6 +64,8 @@ class Recorder:
         """Records what the daemon has rendered by now, and finishes the file; returns what is to be warned of. Raises
         HapticdError where the recording ended before, or the file is not where it was to be."""
         self._stop.set()
+        if self._thread.ident is None:  # it never began
+            raise HapticdError(f"{self.path}: was not recorded")
         self._thread.join()
         result = self.result
         if ended_early(result.ended_because) is not None:

@@ -369,8 +369,10 @@ class Client(ABC):
         try:
             yield token
         except BaseException:
-            with suppress(HapticdError):  # what went wrong in the block is reported
+            # What went wrong in the block is reported.
+            with suppress(Exception):
                 await end()
+            with suppress(Exception):
                 await self.lease(0, token)
             raise
         await end()
@@ -486,8 +488,12 @@ class Subscription(Generic[T]):
         self._socket.setsockopt(zmq.LINGER, 0)
         # Subscriptions take effect in their order, and `state` comes 60 times a second: the first message of any topic
         # shows that all are in effect. `status` comes every second, so that silence means that the daemon is gone.
-        self._set(zmq.SUBSCRIBE, (*sorted((self._wanted | {ALIVE}) - {READY}), READY))
-        self._socket.connect(client.paths.telemetry_endpoint)
+        try:
+            self._set(zmq.SUBSCRIBE, (*sorted((self._wanted | {ALIVE}) - {READY}), READY))
+            self._socket.connect(client.paths.telemetry_endpoint)
+        except BaseException:
+            self._socket.close()
+            raise
         client._subscriptions.add(self)
 
     def _set(self, option: int, topics: Iterable[bytes]) -> None:

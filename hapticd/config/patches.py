@@ -10,8 +10,8 @@ from hapticd.base.model import Model, Name, at_most
 
 MAX_PATCHES: Final = 512
 """Of a wall."""
-MAX_SCENE_PATCHES: Final = 10_000
-"""Of all walls of a scene: the largest change that is allowed keeps the command thread for 50 ms (docs/adr/0058)."""
+MAX_SCENE_PATCHES: Final = 5000
+"""Of all walls of a scene: the last step of a change keeps the command thread for some 50 ms then (docs/adr/0058)."""
 MIN_PATCH_M: Final = 1e-5
 """Patches, and the gaps between them, are at least this wide."""
 TOUCHING_M: Final = 1e-9

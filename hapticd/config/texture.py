@@ -255,7 +255,7 @@ class AutoregressiveModel(CheckedTogether):
 
     speed_m_per_s: float = Field(ge=0, le=10, description="Tangential speed that it was identified at.")
     force_n: float = Field(ge=0, le=100, description="Normal force that it was identified at.")
-    coefficients: Annotated[tuple[Coefficient, ...], Strict(False)] = Field(
+    coefficients: Annotated[tuple[Coefficient, ...], Strict(False), at_most(MAX_ORDER)] = Field(
         min_length=1, max_length=MAX_ORDER, description="a_1 to a_p; all poles are inside the unit circle."
     )
     rms_m_per_s2: Annotated[float, Field(ge=0, le=1e5)] | None = Field(

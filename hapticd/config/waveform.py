@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pydantic import Field, Strict
 
 from hapticd.base.core import WAVE_PARTS, WAVE_SAMPLES
-from hapticd.base.model import CheckedTogether
+from hapticd.base.model import CheckedTogether, at_most
 from hapticd.config.modes import Attack
 
 Floats = npt.NDArray[np.float64]
@@ -35,11 +35,10 @@ class Waveform(CheckedTogether):
     """The curve that a tap plays instead of ringing, as samples; it begins and ends at 0."""
 
     rate_hz: float = Field(ge=100, le=1e5, description="Samples a second.")
-    samples: Annotated[tuple[Sample, ...], Strict(False), Field(min_length=LEAST_SAMPLES, max_length=MOST_SAMPLES)] = (
-        Field(
-            description="The curve, as a multiple of the tap's amplitude, from the onset on; the first and the last "
-            "are 0."
-        )
+    samples: Annotated[tuple[Sample, ...], Strict(False), at_most(MOST_SAMPLES)] = Field(
+        min_length=LEAST_SAMPLES,
+        max_length=MOST_SAMPLES,
+        description="The curve, as a multiple of the tap's amplitude, from the onset on; the first and the last are 0.",
     )
 
     def cross_faults(self) -> list[str]:
@@ -151,7 +150,7 @@ class Curve:
         return np.concatenate((self._begin, [0.0], self.peaks_from(WAVE_PARTS)))
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1024)
 def _curve(samples: tuple[float, ...], rate_hz: float) -> Curve:
     """One curve of the same samples, whose material is changed again and again."""
     return Curve(samples, rate_hz)

@@ -27,6 +27,8 @@ from hapticd.system.repeated_lines import Repeats
 WAIT_S: Final = 1.0
 """So long `get_state` waits for a tick."""
 MOST_WAITING: Final = 64
+MOST_WAITING_BYTES: Final = 2 * messages.MAX_BODY
+"""Of the bodies of changes that wait."""
 SLICE_NS: Final = 5_000_000
 """So long a change goes on before other requests are looked at, and until the step is over that is under way then."""
 
@@ -53,6 +55,8 @@ class _Change:
     request: messages.Request
     steps: Steps[Changed]
     reply: Reply
+    size: int
+    """Bytes of its body."""
     over: bool = False
     """It is in force, or was refused."""
 
@@ -86,11 +90,13 @@ class Dispatch:
         """In the order in which they came; the first one is under way."""
         self._asked: deque[_Asked] = deque()
         self._reload = threading.Event()
+        self._reload_waits = False
+        """It is among the changes, and has not begun."""
 
     @property
     def busy(self) -> bool:
         """Whether a change is under way, or waits: `go_on` is to be called soon."""
-        return bool(self._changes) or self._reload.is_set()
+        return bool(self._changes)
 
     def ask_reload(self) -> None:
         """Has the configuration reloaded in its turn; what nobody has begun yet is one. For any thread."""
@@ -118,13 +124,17 @@ class Dispatch:
             self._answer(request, lambda: self._methods.stream(request.method, request.params, sender), reply)
         elif request.method not in CHANGES:
             self._answer(request, lambda: self._methods.perform(request.method, request.params), reply)
-        elif len(self._changes) < MOST_WAITING:
-            self._begin(request, reply)
+        elif self._has_room(len(body)):
+            self._add(_Change(request, self._methods.change(request.method, request.params), reply, len(body)))
         else:
             self._answer(request, _too_many_changes, reply)
 
     def turn(self) -> None:
         """Answers what another thread was asked for. To be called when `wake` was, and often."""
+        if self._reload.is_set() and not self._reload_waits:
+            self._reload_waits = True
+            # What comes of it is logged, a defect too.
+            self._add(_Change(messages.Request(0, True, "reload", {}), self._reloading(), _tell_ready, 0))
         now_ns = monotonic_ns()
         for _ in range(len(self._asked)):
             asked = self._asked.popleft()
@@ -137,21 +147,27 @@ class Dispatch:
 
     def go_on(self) -> None:
         """Goes on with the change that is under way, or begins the one that waits."""
-        if not self._changes and self._reload.is_set():
-            self._reload.clear()
-            notify.reloading()
-            # What comes of it is logged, a defect too.
-            self._begin(messages.Request(0, True, "reload", {}), _tell_ready)
-        elif self._changes:
+        if self._changes:
             change = self._changes[0]
             self._answer(change.request, change.go_on, change.reply)
             if change.over:
                 self._changes.popleft()
 
-    def _begin(self, request: messages.Request, reply: Reply) -> None:
-        self._changes.append(_Change(request, self._methods.change(request.method, request.params), reply))
+    def _has_room(self, size: int) -> bool:
+        """For one more change, with a body of so many bytes, to wait."""
+        waiting = size + sum(change.size for change in self._changes)
+        return not self._changes or (len(self._changes) < MOST_WAITING and waiting <= MOST_WAITING_BYTES)
+
+    def _add(self, change: _Change) -> None:
+        self._changes.append(change)
         if len(self._changes) == 1:
             self.go_on()
+
+    def _reloading(self) -> Steps[Changed]:
+        self._reload.clear()
+        self._reload_waits = False
+        notify.reloading()
+        return (yield from self._methods.change("reload", {}))
 
     def _wait_for(self, request: messages.Request, answer: Future[dict[str, object]], reply: Reply) -> None:
         """Answers once the other thread has; meanwhile others are served. Raises MethodError."""
@@ -208,5 +224,5 @@ def _tell_ready(_: bytes | codec.Encoded) -> None:
 
 def _too_many_changes() -> Done:
     raise MethodError(
-        messages.Code.RING_FULL, f"{MOST_WAITING} changes wait for their turn; nothing of this was done: send it again"
+        messages.Code.RING_FULL, "too many changes wait for their turn; nothing of this was done: send it again"
     )

@@ -68,6 +68,7 @@ from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.displayability import (
     displayed_mode,
+    material_rate_faults,
     materials_in,
     rate_faults,
     warnings,
@@ -376,10 +377,27 @@ class Engine:
         """Takes validated materials that define every name the scene uses; returns the revision."""
         return self._take(self.scene, (), materials, expected)
 
-    def prepare(self, objects: Iterable[SceneObject], materials: Materials) -> Steps[None]:
-        """Finds what takes long of the next change, which brings these objects and materials: the filters of textures
-        above all. Pauses after each."""
-        return self._compiler.prepare(used_materials(objects), materials)
+    def prepared(
+        self, objects: Iterable[SceneObject], materials: Materials, sent: Iterable[str]
+    ) -> Steps[dict[str, MaterialReport]]:
+        """Finds what takes long of the next change, which brings these objects and materials, of which some were sent:
+        the filters of textures above all. What is reported of these objects' materials, and of those that were sent.
+
+        Pauses after each filter and each material. `forget_prepared` is to be called once the change is made.
+        """
+        reports = {}
+        for name in dict.fromkeys([*sent, *used_materials(objects), *self._compiler.changing(materials)]):
+            material = materials[name]
+            # What no signal of this rate has is reported; whoever uses it is refused.
+            if not material_rate_faults(name, material, self.output):
+                yield from self._compiler.prepare(name, material)
+            reports[name] = self.report_of(name, material)
+            yield
+        return reports
+
+    def forget_prepared(self) -> None:
+        """The change is made, or given up."""
+        self._compiler.forget_prepared()
 
     def wait_revision(self, revision: int) -> int:
         """The first tick rendered with this revision or a later one. Raises WaitTimeoutError."""

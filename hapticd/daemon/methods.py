@@ -98,6 +98,10 @@ class NotInTurnError(MethodError):
     """A message of a stream that is sound, and counted, but was not taken."""
 
 
+class _RateChangedError(Exception):
+    """The servo has stepped down to another rate between two steps of a change, which begins again."""
+
+
 class Changed(NamedTuple):
     """A change that is in force, or will be in a moment."""
 
@@ -150,6 +154,8 @@ class Methods:
         self._sender: object = None
         self._status = Status(engine, self._lease, flight, self.streams)
         self._reference_m = engine.config.device.sim.start_m
+        self._begun_at = engine.output
+        """The output that the change under way is made for."""
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
         """The result of a method, however long it takes. Raises MethodError."""
@@ -181,13 +187,19 @@ class Methods:
     def change(self, method: str, params: Mapping[str, object]) -> Steps[Changed]:
         """Does one of CHANGES, in steps that take milliseconds each. Nothing is changed before the last one. Raises
         MethodError."""
+        engine = self._engine
         with self._refusals(params):
-            try:
-                return (yield from cast("Steps[Changed]", self._handled(method, params)))
-            except ValidationError as error:
-                engine = self._engine
-                more = yield from faults_beside(method, params, engine.scene, engine.materials)
-                raise _faulty([*problems_of(error), *more]) from None
+            while True:
+                self._begun_at = engine.output
+                try:
+                    return (yield from cast("Steps[Changed]", self._handled(method, params)))
+                except _RateChangedError:
+                    continue
+                except ValidationError as error:
+                    more = yield from faults_beside(method, params, engine.scene, engine.materials)
+                    raise _faulty([*problems_of(error), *more]) from None
+                finally:
+                    engine.forget_prepared()
 
     def _handled(self, method: str, params: Mapping[str, object]) -> Done | Future[dict[str, object]] | Steps[Changed]:
         """What the handler of a method returns. Raises ValidationError, and what `_refusals` names."""
@@ -279,14 +291,10 @@ class Methods:
     def _prepared(
         self, objects: Mapping[str, SceneObject], materials: Materials, sent: Iterable[str] = ()
     ) -> Steps[_Reports]:
-        """Finds what takes long of a change that brings these objects and materials, and what is reported of these
-        objects' materials and of those that were `sent`."""
-        engine = self._engine
-        yield from engine.prepare(objects.values(), materials)
-        reports = {}
-        for name in dict.fromkeys([*sent, *used_materials(objects.values())]):
-            reports[name] = engine.report_of(name, materials[name])
-            yield
+        """As Engine.prepared. Raises _RateChangedError where the rate is another one than when the change began."""
+        reports = yield from self._engine.prepared(objects.values(), materials, sent)
+        if self._engine.output is not self._begun_at:
+            raise _RateChangedError
         return reports
 
     def _problems_of(

@@ -116,6 +116,8 @@ class Peers:
         self._turns: Turns[Peer] = Turns()
         self._held = 0
         self._woken = False
+        self._idle = True
+        """At the last look nothing had come, and nobody waited for a turn."""
         self._accept_at_s: float | None = None
         self._space = bytearray(READ_BYTES)
         self._view = memoryview(self._space)
@@ -157,6 +159,7 @@ class Peers:
         if self._opening or self._accept_at_s is not None:
             timeout_s = self._look_after(timeout_s)
         came = self._epoll.poll(0 if self._turns else max(timeout_s, 0), _EVENTS_AT_ONCE)
+        self._idle = not came and not self._turns
         if len(came) == 1 and not self._turns:
             ((descriptor, what),) = came
             if what == select.EPOLLIN and (peer := self._peers.get(descriptor)) is not None:

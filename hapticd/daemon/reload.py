@@ -15,7 +15,7 @@ from hapticd.config.configuration import Config
 
 LOAD_S: Final = 10.0
 """So long the files of a configuration may take to be read."""
-_LOOK_S: Final = 0.01
+_LOOK_S: Final = 0.002
 
 
 def read_again(load: Callable[[], Config]) -> Steps[Config]:

@@ -16,6 +16,9 @@ LARGEST_MESSAGE: Final = 64 * 1024 * 1024
 MOST_FRAMES: Final = 1024
 """A message of more parts does, too."""
 
+LONGEST_LOOK_S: Final = 0.02
+"""So long peers may go on sending parts of messages before somebody else has the thread."""
+
 LIMITS: Final = Limits(zmtp.Bounds(MOST_FRAMES, LARGEST_MESSAGE, messages.MAX_BODY))
 
 
@@ -49,7 +52,8 @@ class Router(Peers):
         """Answers to peers that had left."""
 
     def receive(self, timeout_s: float) -> Request | None:
-        """The next request of whose turn it is; None after so long, or once somebody calls `wake`."""
+        """The next request of whose turn it is; None after so long if no peer is sending anything, after LONGEST_LOOK_S
+        more in any case, or once somebody calls `wake`."""
         until_s = time.monotonic() + timeout_s
         while True:
             came = self._turn(timeout_s)
@@ -63,7 +67,7 @@ class Router(Peers):
                 self._woken = False
                 return None
             timeout_s = until_s - time.monotonic()
-            if timeout_s <= 0:
+            if timeout_s <= (0 if self._idle else -LONGEST_LOOK_S):
                 self._repeats.flush()
                 return None
 

@@ -20,7 +20,7 @@ from hapticd.protocol import messages
 BEAT_EVERY_S: Final = 0.1
 """At the least."""
 LOOK_EVERY_S: Final = 0.02
-"""At the most: between requests that come faster nothing else is done, and no change goes on."""
+"""At the most: while requests come faster, so long passes until a change goes on, and until anything else is done."""
 
 
 def serve(

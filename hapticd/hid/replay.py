@@ -27,6 +27,8 @@ from hapticd.hid.device import MAX_REPORT_BYTES, arriving
 from hapticd.hid.plan import DeviceError
 
 VERSION: Final = 1
+_HEAD: Final = ("recording", "name", "vendor", "product", "descriptor")
+"""Members of the first line."""
 LEAST_PAUSE_S: Final = 1e-3
 """Between two rounds, so that a recording that takes no time does not keep a processor busy."""
 
@@ -87,9 +89,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
                     reports.append(_report(value, reports[-1][0] if reports else 0.0))
     except OSError as error:
         raise HapticdError(f"{name}: {error.strerror}") from None
-    except KeyError as error:
-        raise HapticdError(f"{place}: the first line needs {error}") from None
-    except (ValueError, TypeError, IndexError, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError) as error:
         raise HapticdError(f"{place}: is no line of a recording: {on_one_line(str(error))}") from None
     if recording is None or not reports:
         raise HapticdError(f"{name}: holds no report: was the device moved while it was recorded?")
@@ -97,8 +97,11 @@ def load(path: str | os.PathLike[str]) -> Recording:
 
 
 def _head(value: dict[str, Any]) -> Recording:
-    if value["recording"] != VERSION:
+    if value.get("recording", VERSION) != VERSION:
         raise ValueError(f"a recording of version {shown(value['recording'])}; this reads version {VERSION}")
+    missing = [name for name in _HEAD if name not in value]
+    if missing:
+        raise ValueError(f"the first line needs {', '.join(missing)}")
     descriptor = bytes.fromhex(value["descriptor"])
     return Recording(str(value["name"]), int(value["vendor"]), int(value["product"]), descriptor, ())
 

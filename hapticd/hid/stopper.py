@@ -101,6 +101,8 @@ class StopFile:
         }
         if self.path.is_symlink():  # its end would be written, and a link is never trusted
             self.path.unlink()
+        for part in self.path.parent.glob(f".{self.path.name}.*.part"):  # of a daemon that was killed here
+            part.unlink(missing_ok=True)
         write_whole(self.path, json.dumps(record), overwrite=True, mode=0o600)
 
     def drop(self) -> None:
@@ -111,17 +113,23 @@ class StopFile:
 def load(path: Path) -> Record | None:
     """Reads a record; None where there is none. Raises HapticdError for one that others may have written, or that is no
     record."""
-    if not os.path.lexists(path):
+    if path.is_symlink():
+        raise HapticdError(f"{path}: is a symbolic link; it must be a file of the daemon's own")
+    try:
+        text = read_trusted(path, _LARGEST_BYTES)
+    except HapticdError:
+        if os.path.lexists(path):
+            raise
         return None
-    text = read_trusted(path, _LARGEST_BYTES)
     try:
         record = json.loads(text)
         if record["version"] != _VERSION:
             raise ValueError(f"not of version {_VERSION}")
         identity, pause_s = record["identity"], float(record["pause_s"])
         zero, stop = (tuple(map(bytes.fromhex, record[name])) for name in ("zero", "stop"))
-        if not (os.path.isabs(record["path"]) and 0.0 <= pause_s <= 10.0 and all((*zero, *stop))):
-            raise ValueError("a relative path, a pause beyond 10 s or a report without bytes")
+        is_path = os.path.isabs(record["path"]) and "\0" not in record["path"]
+        if not (is_path and 0.0 <= pause_s <= 10.0 and all((*zero, *stop))):
+            raise ValueError("no absolute path, a pause beyond 10 s or a report without bytes")
         known = Identity(int(identity["major"]), int(identity["minor"]), dict(identity["device"]))
         return Record(record["path"], known, zero, stop, pause_s)
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:

@@ -74,6 +74,7 @@ def _no_object(id: str, scene: Scene) -> str:
 
 def whole_materials(given: Mapping[str, object], before: Materials) -> Steps[dict[str, Material]]:
     """All materials once those given took their places, with a pause after each. Raises InvalidError."""
+    _check_count(given)
     told = "must be a mapping, is null; update_materials removes a material"
     problems = [Problem(path_text(("materials", name)), told) for name, each in given.items() if each is None]
     materials = dict(before)
@@ -83,15 +84,18 @@ def whole_materials(given: Mapping[str, object], before: Materials) -> Steps[dic
         problems += error.problems
     if problems:
         raise InvalidError(problems)
-    return _not_too_many(materials)
+    _check_count(materials)
+    return materials
 
 
 def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[tuple[dict[str, Material], list[str]]]:
     """All materials once those given were merged or removed, and the names of the merged; with a pause after each.
     Raises InvalidError."""
+    _check_count(given)
     materials, shipped = dict(before), shipped_materials()
     patched: dict[str, object] = {}
     for name, patch in given.items():
+        yield
         if patch is None:
             materials.pop(name, None)
             if name in shipped:
@@ -100,14 +104,14 @@ def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[t
             old = before.get(name)
             patched[name] = merge_patch(None if old is None else old.to_dict(), cast(Any, patch))
     materials.update((yield from material_steps(patched)))
-    return _not_too_many(materials), list(patched)
+    _check_count(materials)
+    return materials, list(patched)
 
 
-def _not_too_many(materials: dict[str, Material]) -> dict[str, Material]:
+def _check_count(materials: Mapping[str, object]) -> None:
     if len(materials) > MAX_MATERIALS:
         problem = f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}"
         raise InvalidError([Problem("materials", problem)])
-    return materials
 
 
 def faults_beside(

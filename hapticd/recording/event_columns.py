@@ -43,7 +43,7 @@ MEMBERS: Final[dict[str, Kind]] = {
 }
 """Members of events as docs/protocol.md lists them."""
 
-ALWAYS: Final = ("event", "tick", "time_ns")
+MEMBERS_OF_ALL: Final = ("event", "tick", "time_ns")
 """Members that every event has."""
 
 EVENT_MEMBERS: Final[dict[str, object]] = {
@@ -79,7 +79,7 @@ def _text(kind: Kind, value: object) -> str:
 
 def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
     """How many events there are, and the columns that hold them: one for each member that occurs. Without events there
-    are the columns of `ALWAYS`, so that a file in which nothing happened is read like any other.
+    are the columns of `MEMBERS_OF_ALL`, so that a file in which nothing happened is read like any other.
 
     - truth values: i1, 0 or 1; -1
     - whole numbers: i8; 0, or NO_TIME where the name ends in `_ns`
@@ -97,7 +97,7 @@ def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
             if value is not None and (kind in (Kind.TEXT, Kind.JSON) or not isinstance(value, int | float)):
                 widths[name] = max(widths.get(name, 1), len(_text(kind or Kind.TEXT, value)))
     columns = []
-    for name, types in (found or {name: set() for name in ALWAYS}).items():
+    for name, types in (found or {name: set() for name in MEMBERS_OF_ALL}).items():
         kind = MEMBERS.get(name) or _guessed(types - {type(None)})
         forms: dict[Kind, tuple[str, object]] = {
             Kind.TRUTH: ("|i1", -1),

@@ -34,7 +34,7 @@ from hapticd._version import __version__
 from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import whole_file, write_whole
-from hapticd.recording.event_columns import ALWAYS, EVENT_MEMBERS, cell_of
+from hapticd.recording.event_columns import EVENT_MEMBERS, MEMBERS_OF_ALL, cell_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -118,7 +118,7 @@ def frame_of(samples: Samples) -> DataFrame:
 
 def _events_csv(events: Events) -> str:
     """A line of names, those that every event has among them, and a line for each event."""
-    names = dict.fromkeys((*ALWAYS, *(name for event in events for name in event)))
+    names = dict.fromkeys((*MEMBERS_OF_ALL, *(name for event in events for name in event)))
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, names)
     writer.writeheader()

@@ -45,5 +45,6 @@ def recording_into(target: str | os.PathLike[str], overwrite: bool = False) -> I
     if recording != Path(target):
         try:
             load(recording).save(target, overwrite)
-        except HapticdError as error:
-            raise HapticdError(f"{error}; the recording is in {recording}") from None
+        except (HapticdError, MemoryError) as error:
+            why = error if isinstance(error, HapticdError) else f"{target}: takes more memory than there is"
+            raise HapticdError(f"{why}; the recording is in {recording}") from None

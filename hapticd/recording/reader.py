@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import mmap
 import os
 import stat
 import struct
@@ -27,7 +28,7 @@ from hapticd.config.document_kinds import refuse_documents
 from hapticd.recording.event_columns import ROWS_BYTES, events_of_rows
 from hapticd.recording.writer import Samples
 
-TEXTS: Final[tuple[str, ...]] = ("config", "scene", "materials", "changes", "status", "recording", "flight")
+TEXT_MEMBERS: Final[tuple[str, ...]] = ("config", "scene", "materials", "changes", "status", "recording", "flight")
 """What stands beside the samples, by name; whatever else a file holds is not read."""
 
 _WIDEST_ROW: Final = 1 << 20
@@ -37,9 +38,13 @@ _MOST_EVENTS: Final = 100_000
 _READ_BYTES: Final = 1 << 20
 _SHOWN_CHARACTERS: Final = 200
 """Of what is wrong in a damaged file."""
+_MOST_UNPACKED, _MOST_RATIO = 2**30, 32
+"""Bytes that a member may have whatever it takes in the file, and beyond that, so many for each of its bytes there."""
+_MAP_NORESERVE: Final = 0x4000
+"""Of Linux; Python 3.11 has no name for it. A file may be larger than the memory."""
 _LOCAL_HEADER: Final = struct.Struct("<4s22xHH")
 """Of a member of an archive: its mark, and the lengths of name and extra field that follow."""
-WRONG: Final = (
+READING_ERRORS: Final = (
     ValueError,
     LookupError,
     TypeError,
@@ -73,7 +78,7 @@ def read(path: str | os.PathLike[str]) -> Contents:
         raise HapticdError(f"{name}: {error.strerror or error}") from None
     except MemoryError:
         raise HapticdError(f"{name}: takes more memory than there is") from None
-    except WRONG as error:
+    except READING_ERRORS as error:
         why = one_line(str(error)[:_SHOWN_CHARACTERS]) or type(error).__name__
         raise HapticdError(f"{name}: is damaged, or no recording of hapticd: {why}") from None
 
@@ -89,7 +94,7 @@ def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Contents:
         if truth.shape != (len(samples), 4) or truth.dtype != np.float64:
             raise ValueError(f"truth has shape {truth.shape} of {truth.dtype}, not {(len(samples), 4)} of float64")
     events = list(_read_events(archive, members["events"])) if "events" in members else []
-    texts = {name: json.loads(_read_text(archive, members[name])) for name in TEXTS if name in members}
+    texts = {name: json.loads(_read_text(archive, members[name])) for name in TEXT_MEMBERS if name in members}
     return samples, events, texts, truth
 
 
@@ -108,6 +113,8 @@ def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...
         raise ValueError(f"{info.filename} holds no plain array")
     if member.tell() + size != info.file_size:
         raise ValueError(f"{info.filename} says that it has {size} bytes, and has not")
+    if size > max(_MOST_UNPACKED, _MOST_RATIO * info.compress_size):
+        raise ValueError(f"{info.filename} would take {size} bytes of memory, from {info.compress_size} of the file")
     return shape, dtype
 
 
@@ -144,7 +151,11 @@ def _mapped(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipInfo) ->
     file.seek(info.header_offset)
     _, name_size, extra_size = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))
     at = info.header_offset + _LOCAL_HEADER.size + name_size + extra_size
-    return np.memmap(file, np.uint8, "c", at, (info.file_size,)).view(np.ndarray)
+    begin = at - at % mmap.ALLOCATIONGRANULARITY
+    flags = mmap.MAP_PRIVATE | _MAP_NORESERVE
+    protection = mmap.PROT_READ | mmap.PROT_WRITE
+    mapped = mmap.mmap(file.fileno(), at - begin + info.file_size, flags, protection, offset=begin)
+    return np.frombuffer(mapped, np.uint8, info.file_size, at - begin)
 
 
 def _as_now(samples: Samples) -> Samples:

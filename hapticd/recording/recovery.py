@@ -16,8 +16,8 @@ from typing import Final
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import one_line
 from hapticd.recording.output import recording_path
-from hapticd.recording.reader import WRONG
-from hapticd.recording.writer import NOTES, RecordingWriter
+from hapticd.recording.reader import READING_ERRORS
+from hapticd.recording.writer import NOTES_ENDING, RecordingWriter
 
 _DAMAGED: Final = "is damaged, and left as it is"
 
@@ -69,7 +69,7 @@ def recover(target: str | os.PathLike[str]) -> Recovered:
 
 def _recover(recording: Path, part: Path) -> Path | str:
     """The file that was made, or why none was."""
-    if not part.with_suffix(NOTES).exists():
+    if not part.with_suffix(NOTES_ENDING).exists():
         return _DAMAGED
     try:
         writer = RecordingWriter(recording, resume=part)
@@ -77,7 +77,7 @@ def _recover(recording: Path, part: Path) -> Path | str:
         return "is still being recorded"
     except OSError as error:
         return f"cannot be taken up: {error.strerror}"
-    except WRONG:
+    except READING_ERRORS:
         return _DAMAGED
     with writer:
         if not writer.count:
@@ -89,6 +89,6 @@ def _recover(recording: Path, part: Path) -> Path | str:
             writer.finish({"recording": {**writer.about, **about}})
         except HapticdError as error:
             return f"cannot be finished, and is left as it is ({error})"
-        except WRONG:
+        except READING_ERRORS:
             return _DAMAGED
         return writer.target

@@ -37,7 +37,7 @@ from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES
 from hapticd.protocol.events import event_map
 from hapticd.recording.missed_periods import rates_of
-from hapticd.recording.output import recording_into
+from hapticd.recording.output import recording_into, recording_path
 from hapticd.recording.recording import Recording, load
 from hapticd.recording.writer import Samples
 from hapticd.rendering.device_output import output_of
@@ -97,6 +97,8 @@ class Replay:
     """False: the recording has no tick to begin from, and what was before it is taken for nothing."""
     texts: Mapping[str, Any]
     """What stands in the recording beside the samples."""
+    source: str | os.PathLike[str]
+    """The recording."""
 
     def summary(self) -> str:
         """One line for people."""
@@ -117,8 +119,11 @@ class Replay:
         return text + "".join(f"; {doubt}" for doubt in self.doubts)
 
     def write(self, target: str | os.PathLike[str], overwrite: bool = False) -> None:
-        """Writes what was rendered as another recording. Raises HapticdError where the disk does not take it, or
-        the target is there already."""
+        """Writes what was rendered as another recording. Raises HapticdError where the disk does not take it, where the
+        target is there already, and where it would take the place of the recording itself."""
+        made = recording_path(target)
+        if made.exists() and made.samefile(self.source):
+            raise HapticdError(f"{os.fspath(target)}: {made} is what was rendered again; give another name")
         with recording_into(target, overwrite) as writer:
             last = ("changes", "recording", "flight")
             first = {name: text for name, text in self.texts.items() if name not in last}
@@ -233,6 +238,7 @@ def _replay(recorded: Recording) -> Replay:
         _doubts(configs[rate_hz].device, revisions) if different.any() else (),
         settled,
         texts,
+        recorded.path,
     )
 
 

@@ -38,7 +38,7 @@ from hapticd.recording.event_columns import columns_of, dtype_of, rows_of
 Samples: TypeAlias = npt.NDArray[np.void]
 Texts: TypeAlias = Mapping[str, object]
 
-NOTES: Final = ".notes"
+NOTES_ENDING: Final = ".notes"
 """Ending of the second partial file."""
 _STRETCH: Final = 10_000
 """Samples that `write_all` writes at once."""
@@ -93,7 +93,7 @@ class RecordingWriter:
         part = resume or hidden_beside(self.target)
         self._files: list[_PartialFile] = []
         try:
-            for path in (part, part.with_suffix(NOTES)):
+            for path in (part, part.with_suffix(NOTES_ENDING)):
                 self._files.append(_PartialFile(path, resume is not None))
             self._part, self._notes = self._files
             if resume is not None:

@@ -97,7 +97,7 @@ def tuning_of(material: Material, output: Output) -> Tuning | None:
     return Tuning(table, highest, output.undisplayable == "mute", Mode(decay, low), tail, nodes)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _nodes(
     decay_rate_per_s: float, low_rad_per_s: float, high_rad_per_s: float, output: Output
 ) -> tuple[Ringing | None, npt.NDArray[np.float64]]:

@@ -84,7 +84,7 @@ def _speeds(table: ModeTable) -> list[float]:
     return found
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _nodes(
     table: ModeTable, highest: float, output: Output, touched: Touched
 ) -> tuple[Ringing | None, npt.NDArray[np.float64]]:

@@ -1,6 +1,7 @@
 """Where the daemon's log goes, and which events of the servo stand in it.
 
-Lines go to stderr, by a thread that writes them: nobody else waits for a journal or a terminal that does not read.
+Lines go to stderr, by a thread that writes them: nobody else waits for a journal or a terminal that does not read. What
+it does not take is lost, and counted.
 Under systemd, whose journal takes them from stderr, each begins with its priority (`<3>` for an error, sd-daemon(3)),
 so that `journalctl -p warning` shows those that matter.
 """
@@ -10,11 +11,12 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from logging.handlers import QueueHandler, QueueListener
-from queue import SimpleQueue
+from contextlib import contextmanager, suppress
+from logging.handlers import QueueHandler
+from queue import Full, Queue
 from typing import Final
 
 from hapticd.base import wording
@@ -24,6 +26,11 @@ LEVELS: Final = ("debug", "info", "warning", "error")
 """What a line may be, the least important first."""
 _PRIORITIES: Final = {"CRITICAL": 2, "ERROR": 3, "WARNING": 4, "INFO": 6, "DEBUG": 7}
 """Python's levels as those of syslog."""
+
+MOST_WAITING: Final = 10_000
+"""Lines."""
+END_S: Final = 1.0
+"""So long the end waits for the last lines to be written."""
 
 _log = logging.getLogger("hapticd")
 
@@ -43,8 +50,9 @@ def attached(level: str = "info", environ: Mapping[str, str] = os.environ) -> It
         on_terminal = sys.stderr is not None and sys.stderr.isatty()
         time_of = "%H:%M:%S" if on_terminal else "%Y-%m-%d %H:%M:%S"
         handler.setFormatter(logging.Formatter("%(asctime)s hapticd: %(message)s", time_of))
-    waiting: SimpleQueue[logging.LogRecord] = SimpleQueue()
-    queued, writer = QueueHandler(waiting), QueueListener(waiting, handler)
+    queued = _Queued(handler)
+    # A daemon's thread: one that nobody reads does not hold up the end of the process.
+    writer = threading.Thread(target=queued.write, name="log", daemon=True)
     root, before = logging.getLogger(), _log.level
     root.addHandler(queued)
     _log.setLevel(level.upper())
@@ -54,7 +62,39 @@ def attached(level: str = "info", environ: Mapping[str, str] = os.environ) -> It
     finally:
         _log.setLevel(before)
         root.removeHandler(queued)
-        writer.stop()
+        queued.end()
+        writer.join(END_S)
+
+
+class _Queued(QueueHandler):
+    """Lines that wait for the thread that writes them."""
+
+    def __init__(self, handler: logging.Handler) -> None:
+        self._waiting: Queue[logging.LogRecord | None] = Queue(MOST_WAITING)
+        super().__init__(self._waiting)
+        self._handler = handler
+        self._lost = 0
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Without room the line is lost."""
+        try:
+            self._waiting.put_nowait(record)
+        except Full:
+            self._lost += 1
+
+    def end(self) -> None:
+        """No more lines come. Without room the thread ends with the process."""
+        with suppress(Full):
+            self._waiting.put_nowait(None)
+
+    def write(self) -> None:
+        """Writes all that come, until the end."""
+        while (record := self._waiting.get()) is not None:
+            self._handler.handle(record)
+            if self._lost:
+                lost, self._lost = self._lost, 0
+                words = f"{wording.count(lost, 'line')} of this log were lost: nobody read it"
+                self._handler.handle(_log.makeRecord(_log.name, logging.WARNING, "", 0, words, (), None))
 
 
 class _ForJournal(logging.Formatter):

@@ -193,12 +193,15 @@ def owned(paths: RuntimePaths) -> Iterator[Owned]:
     Raises HapticdError where another daemon holds it.
     """
     _make(paths)
-    directory = os.open(paths.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        directory = os.open(paths.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError as error:
+        raise HapticdError(f"runtime directory {paths.directory}: {error.strerror}") from None
     try:
         try:
             fcntl.flock(directory, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            holder = paths.lock.read_text().strip() if paths.lock.exists() else "unknown"
+            holder = paths.lock.read_text(errors="replace").strip() if paths.lock.exists() else "unknown"
             raise HapticdError(
                 f"another daemon (process {holder}) runs on {paths.directory}; stop it, or choose another "
                 "directory with --runtime-dir"

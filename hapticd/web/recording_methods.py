@@ -152,7 +152,8 @@ class Recordings:
         return playback
 
     async def _rows(self, page: Page, params: Mapping[str, object]) -> object:
-        return self._of(page).rows(_whole(params, "first"), _whole(params, "count"))
+        playback, first, count = self._of(page), _whole(params, "first"), _whole(params, "count")
+        return await asyncio.to_thread(playback.rows, first, count)
 
     async def _outline(self, page: Page, params: Mapping[str, object]) -> object:
         playback, column = self._of(page), params.get("column")

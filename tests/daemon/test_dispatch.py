@@ -187,6 +187,7 @@ def test_reloads_wait_for_other_changes_and_become_one(monkeypatch: pytest.Monke
     long = daemon.send("set_scene", {"scene": scene})
     for _ in range(40):
         daemon.dispatch.ask_reload()
+        daemon.dispatch.turn()
     assert daemon.woken.is_set() and not loads
     while told != ["reloading"]:
         daemon.dispatch.go_on()

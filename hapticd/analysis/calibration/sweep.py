@@ -2,7 +2,7 @@
 
 A burst is a slowly decaying mode, struck in turn to one side and to the other. A soft spring to the middle, whose
 force is part of the recorded one, brings a free handle back. The strength of each burst follows from how far the one
-before it went, so that the handle stays in the middle third of its travel; it is never more than `STRENGTH` of the
+before it went, so that the handle stays in the middle third of its travel; it is never more than `LARGEST_PART` of the
 limit, which leaves the spring its part.
 """
 
@@ -28,16 +28,16 @@ SPRING: Final = Spring(kind="spring", center_m=(0.0, 0.0), stiffness_n_per_m=20.
 FIRST_HZ: Final = 60.0
 HIGHEST_HZ: Final = 1600.0
 """As far as the paper measured."""
-LASTS: Final = 3.0
+BURST_DECAYS: Final = 3.0
 """A burst's length, in times in which it falls to 1/e."""
-STRENGTH: Final = 0.8
+LARGEST_PART: Final = 0.8
 LEAD_S: Final = 0.06
 """A burst is evaluated from so long before it on; a delay may be as long."""
 FORGOTTEN_S: Final = 0.03
 """A force that was not renewed for so long may have expired."""
 REST_S: Final = 0.1
 CHUNK_S: Final = 0.02
-MIDDLE: Final = 1.0 / 3.0
+MIDDLE_PART: Final = 1.0 / 3.0
 """The part of the travel that the handle may not leave."""
 
 Floats = npt.NDArray[np.float64]
@@ -122,7 +122,7 @@ class Sweep:
         self._rig, self._progress = rig, progress
         self._along = 0 if axis == "x" else 1
         self._held, self._travel_m, self._highest_hz = held, travel_m, highest_hz
-        self._most_n = STRENGTH * limit_n
+        self._most_n = LARGEST_PART * limit_n
         self._taken: list[Samples] = []
         self._bursts: list[tuple[float, float, int, int]] = []
 
@@ -165,7 +165,7 @@ class Sweep:
     def _go(self, reach_m: float, force_n: float, frequencies: Iterator[float]) -> None:
         """Bursts at these frequencies, after one at FIRST_HZ that reached so far."""
         # A burst is meant to use 0.4 of the middle third.
-        allowed = 0.4 * MIDDLE * self._travel_m
+        allowed = 0.4 * MIDDLE_PART * self._travel_m
         # Around its resonance, a held handle tells its mass.
         twice_hz = 5.0 if self._held else 20.0
         before = FIRST_HZ
@@ -187,8 +187,8 @@ class Sweep:
         mode = Mode(1.0 / decay_s, 2 * math.pi * frequency_hz)
         side = math.copysign(1.0, force_n)
         tick = self._rig.strike(mode, abs(force_n), (side, 0.0) if self._along == 0 else (0.0, side))
-        positions = self._let(LASTS * decay_s)
-        self._bursts.append((frequency_hz, force_n, tick, tick + round(LASTS * decay_s * self._rig.rate_hz)))
+        positions = self._let(BURST_DECAYS * decay_s)
+        self._bursts.append((frequency_hz, force_n, tick, tick + round(BURST_DECAYS * decay_s * self._rig.rate_hz)))
         return float(np.ptp(positions))
 
     def _let(self, duration_s: float) -> Floats:
@@ -201,7 +201,7 @@ class Sweep:
             self._taken.append(samples)
             positions = samples["position_m"][:, self._along]
             farthest = float(np.abs(positions).max())
-            if farthest > MIDDLE * self._travel_m:
+            if farthest > MIDDLE_PART * self._travel_m:
                 raise HapticdError(
                     f"stopped, the force is zero: the handle left the middle third of its travel, {1e3 * farthest:.1f} "
                     f"of {1e3 * self._travel_m:g} mm; bring it to the middle, or use less force (--force-n)"

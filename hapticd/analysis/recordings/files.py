@@ -156,6 +156,12 @@ def _csv_columns(text: str, first: int, delimiter: str, width: int, places: Sequ
     columns: list[Floats] = [frame[place].to_numpy(np.float64) for place in places]
     # A quotation mark that is not closed would swallow lines.
     is_whole = len(frame) == body.strip("\n").count("\n") + 1
+    # A line that lost a cell has its other values in the wrong columns, and none in the last.
+    if frame[width - 1].isna().any():
+        for number, line in _lines(text):
+            told = not line.lstrip().startswith("#") and number >= first
+            if told and (count := len(_cells(line, delimiter))) != width:
+                raise ValueError(f"line {number} has not {width} columns, but {count}")
     if not is_whole or not all(np.isfinite(column).all() for column in columns):
         raise ValueError(_csv_fault(text, first, delimiter, width, places))
     return columns

@@ -47,8 +47,8 @@ CODES: Final[dict[Code, CodeInWords]] = {
         '`{"lease_s"}`: seconds until that lease ends',
     ),
     Code.RING_FULL: CodeInWords(
-        "the servo has not yet taken earlier commands, or 64 marks, 64 `get_state` or 64 changes are "
-        "under way. Nothing of this command was done: send it again",
+        "the servo has not yet taken earlier commands, or 64 marks or 64 `get_state` are under way, or "
+        "64 changes wait, or 4 MiB of them. Nothing of this command was done: send it again",
     ),
     Code.WAIT_TIMED_OUT: CodeInWords(
         "the servo did not take a command or a revision within a second. It may still take it: a "

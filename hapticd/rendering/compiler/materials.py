@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Mapping
 from typing import Final, Protocol, cast
 
 import numpy as np
@@ -67,7 +67,7 @@ class Materials:
         self._own_numbers: dict[int, tuple[tuple[str, npt.NDArray[np.float64]], ...]] = {}
         """Material to what `numbers_of` finds, where it finds anything."""
         self._prepared: dict[tuple[Noise, Output], Design] = {}
-        """Designed for what is taken in now."""
+        """Designed for the change that is being made."""
         self._versions = 0
         self._noises = records(NOISE_DTYPE, 0)
         self._numbers = np.zeros(0)
@@ -170,36 +170,33 @@ class Materials:
             except StopIteration as end:
                 return cast(Design, end.value)
 
-    def prepare(self, names: Set[str], source: Mapping[str, Material]) -> Steps[None]:
-        """Finds what takes long of the materials that would be compiled, were `names` used and all taken from `source`:
-        filters, compensated shapes, spectra of waveforms. Pauses after each filter and each material."""
-        self._prepared = {}
-        output = self.output
-        for known, material in self._to_compile(names, source):
-            texture = material.texture
-            heard = known is not None and known.texture == texture
-            if isinstance(texture, Stochastic | Autoregressive) and not heard:
-                self._prepared[texture, output] = yield from design(texture, output)
-            # What these find is kept by the functions that they call.
-            material_record(material, 0, output, dict.fromkeys(struck_modes(material)))
-            for _ in numbers_of(material, output):
-                yield
+    def prepare(self, name: str, material: Material) -> Steps[None]:
+        """Finds what takes long of a material that is to be compiled under this name: filters, compensated shapes, the
+        spectrum of a waveform. Pauses after each filter, and after the rest."""
+        index, output = self._index.get(name), self.output
+        known = None if index is None else self._known[index]
+        if known is material:
+            return
+        texture = material.texture
+        heard = known is not None and known.texture == texture
+        if isinstance(texture, Stochastic | Autoregressive) and not heard:
+            self._prepared[texture, output] = yield from design(texture, output)
+        # What these find is kept by the functions that they call.
+        material_record(material, 0, output, dict.fromkeys(struck_modes(material)))
+        for _ in numbers_of(material, output):
             yield
+        yield
 
     def forget_prepared(self) -> None:
-        """What was prepared was taken in, or given up."""
+        """The change is made, or given up."""
         self._prepared = {}
 
-    def _to_compile(
-        self, names: Set[str], source: Mapping[str, Material]
-    ) -> Iterator[tuple[Material | None, Material]]:
-        """Each with what it takes the place of."""
-        yield from ((None, source[name]) for name in names - self._index.keys())
-        if source is not self._source:
-            for name, index in self._index.items():
-                known, material = self._known[index], source.get(name)
-                if material is not None and material is not known and material != known:
-                    yield known, material
+    def changing(self, source: Mapping[str, Material]) -> list[str]:
+        """The names in use of which `source` has another material."""
+        if source is self._source:
+            return []
+        places = self._index.items()
+        return [name for name, index in places if source.get(name, self._known[index]) is not self._known[index]]
 
     def _silence(self, index: int) -> None:
         place = self._noise_of.pop(index, None)

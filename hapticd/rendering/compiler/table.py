@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final, TypeAlias, TypeGuard, assert_never
 
 import numpy as np
@@ -145,10 +145,18 @@ class Compiler:
             self._materials.names(),
         )
 
-    def prepare(self, names: Set[str], materials: Mapping[str, Material]) -> Steps[None]:
-        """Designs what the next `update` needs for these materials and objects that are made of `names`, filter by
-        filter. It comes out as if that did it."""
-        return self._materials.prepare(names, materials)
+    def prepare(self, name: str, material: Material) -> Steps[None]:
+        """Designs what the next `update` needs where this is the material of that name, filter by filter. It comes out
+        as if that did it."""
+        return self._materials.prepare(name, material)
+
+    def forget_prepared(self) -> None:
+        """The update was made, or given up."""
+        self._materials.forget_prepared()
+
+    def changing(self, materials: Mapping[str, Material]) -> list[str]:
+        """The names in use of which these are other materials."""
+        return self._materials.changing(materials)
 
     def update(
         self,
@@ -164,10 +172,7 @@ class Compiler:
         stays valid and is the same one at every call. Its `changed` grows until `published` is called.
         """
         self._lost = {}
-        try:
-            return self._update(scene, list(changed), materials, revision, {})
-        finally:
-            self._materials.forget_prepared()
+        return self._update(scene, list(changed), materials, revision, {})
 
     def published(self) -> None:
         """The table was taken: what changes from now on is a change to it."""
