@@ -31,8 +31,8 @@ from hapticd.base.yaml_source import Document, Json, load_path
 from hapticd.config.document_kinds import refuse_other_keys, refuse_other_kinds
 from hapticd.config.patches import MAX_SCENE_PATCHES, TOUCHING_M, Patches, in_order
 
-MAX_OBJECTS: Final = 4000
-"""The last step of a change keeps the command thread for some 50 ms then (docs/adr/0058)."""
+MAX_OBJECTS: Final = 10_000
+"""The last step of a change keeps the command thread for some 100 ms then (docs/adr/0058)."""
 MIN_NORMAL_LENGTH = 1e-9
 MAX_NORMAL_COMPONENT = 1e9
 _ROUNDING: Final = 4 * 2.0**-52

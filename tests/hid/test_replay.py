@@ -59,7 +59,10 @@ HEAD = '{"recording": 1, "name": "a", "vendor": 1, "product": 2, "descriptor": "
         ("[]\n", ":1: is no line of a recording: "),
         ("{}\n", ":1: is no line of a recording: the first line needs recording, name"),
         ('{"recording": 2}\n', ":1: is no line of a recording: a recording of version 2; this reads version 1"),
-        ('{"recording": 1, "name": "a", "descriptor": ""}\n', ":1: is no line of a recording: the first line needs vendor, product"),
+        (
+            '{"recording": 1, "name": "a", "descriptor": ""}\n',
+            ":1: is no line of a recording: the first line needs vendor, product",
+        ),
         (HEAD.replace("0501", "05x"), ":1: is no line of a recording: non-hexadecimal number"),
         (HEAD, "holds no report: was the device moved while it was recorded?"),
         (HEAD + '[0.1, "01"]\n[0.05, "01"]\n', ":3: is no line of a recording: the time 0.05 does not follow 0.1"),

@@ -202,12 +202,12 @@ def test_default_runs_without_rights_and_says_what_it_did_not_get(tmp_path: Path
 
 
 def test_scene_that_outgrows_the_locked_memory_is_rendered_and_told(tmp_path: Path) -> None:
-    with without_rights(tmp_path / "run", 9 * 2**19) as (wire, _):
+    with without_rights(tmp_path / "run", 6 * 2**20) as (wire, _):
         status = wire.result("get_status")
         assert status["realtime"]["memory_locked"] == "servo"
         assert not any("all objects" in line for line in status["realtime"]["missing"])
         disc = {"kind": "disc", "radius_m": 1e-3, "material": "wood"}
-        discs = {f"d{i}": {**disc, "center_m": [0.01 * (i % 100), 0.1 + 0.01 * (i // 100)]} for i in range(3_990)}
+        discs = {f"d{i}": {**disc, "center_m": [0.01 * (i % 100), 0.1 + 0.01 * (i // 100)]} for i in range(9_990)}
         with connect(tmp_path / "run") as client, client.events() as events:
             for half in (list(discs.items())[::2], list(discs.items())[1::2]):
                 wire.result("update_scene", objects=dict(half), wait=True)
