@@ -19,7 +19,7 @@ MOST_CHANGED: Final = 1000
 """Objects, or materials, that a change tells of one by one. Of more, whoever wants to know asks for the scene."""
 FLIGHT_OBJECTS: Final = 2000
 """A larger scene stays out of the flight recorder's files: putting it into words would hold up commands."""
-FLIGHT_PIECES: Final = 8000
+FLIGHT_PIECES: Final = 4000
 """One of more `pieces` does, too: its words would take tens of megabytes."""
 MOST_PIECES: Final = 4000
 """The same of objects and materials with their patches and models, `pieces` of each."""

@@ -232,16 +232,16 @@ def test_killed_in_the_first_moments() -> None:
             stick.close()
 
 
-def test_a_fault_of_the_process_stops_the_joystick_before_it_ends() -> None:
+@pytest.mark.parametrize("fault", [signal.SIGABRT, signal.SIGSEGV])
+def test_a_fault_of_the_process_stops_the_joystick_before_it_ends(fault: signal.Signals) -> None:
     with moved() as (nursery, stick):
-        for fault in (signal.SIGABRT, signal.SIGSEGV):
-            set_up(stick)
-            pid = nursery.daemon()
-            wire = Wire(nursery.runtime)
-            wire.result("get_status")
-            push(wire, stick)
-            wire.close()
-            os.kill(pid, fault)
-            assert nursery.ended() == -fault
-            stick.wait(lambda: not stick.effects and not stick.enabled)
-            assert stick.force() == (0.0, 0.0)
+        set_up(stick)
+        pid = nursery.daemon()
+        wire = Wire(nursery.runtime)
+        wire.result("get_status")
+        push(wire, stick)
+        wire.close()
+        os.kill(pid, fault)
+        assert nursery.ended() == -fault
+        stick.wait(lambda: not stick.effects and not stick.enabled)
+        assert stick.force() == (0.0, 0.0)
