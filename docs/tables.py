@@ -212,8 +212,8 @@ def protocol(page: str) -> str:
             ("length", f"{messages.MAX_BODY // mib} MiB"),
             ("depth, the body itself counted", codec.MAX_DEPTH),
             ("members of a map", f"{messages.MAX_MEMBERS:,}"),
-            ("messages that are kept for a slow subscriber", publisher.MESSAGES),
-            ("bytes that are kept for it", f"{publisher.BYTES // mib} MiB"),
+            ("messages that are kept for a slow subscriber", publisher.QUEUED_MESSAGES),
+            ("bytes that are kept for it", f"{publisher.QUEUED_BYTES // mib} MiB"),
         ],
     )
 

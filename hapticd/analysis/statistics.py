@@ -25,9 +25,9 @@ from hapticd.base.yaml_source import Json
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 LEVEL: Final = 0.95
-TUKEY: Final = 4.685
+TUKEY_TUNING: Final = 4.685
 """Standard deviations from which on a point has no weight: 95 % as good as least squares for normal errors."""
-ROUNDS: Final = 60
+MOST_ROUNDS: Final = 60
 
 
 class FitError(HapticdError):
@@ -247,7 +247,7 @@ def robust(columns: Floats, y: Floats, shifts: Floats | None = None, grows: bool
     weight = np.ones(count)
     values = np.zeros(unknowns)
     for bisquare in (False, True):
-        for _ in range(ROUNDS):
+        for _ in range(MOST_ROUNDS):
             root = np.sqrt(weight) / scale
             before = values
             values = np.linalg.lstsq(columns * root[:, None], y * root, rcond=None)[0]
@@ -257,13 +257,13 @@ def robust(columns: Floats, y: Floats, shifts: Floats | None = None, grows: bool
                 break
             scale = _scales(off, np.abs(modelled) if grows else np.ones(count), unknowns)
             size = np.abs(off) / scale
-            weight = np.maximum(1 - (size / TUKEY) ** 2, 0) ** 2 if bisquare else 1 / np.maximum(1, size / 1.345)
+            weight = np.maximum(1 - (size / TUKEY_TUNING) ** 2, 0) ** 2 if bisquare else 1 / np.maximum(1, size / 1.345)
             if np.abs(values - before).max() < 1e-10 * np.abs(values).max():
                 break
     size = off / scale
-    inside = np.abs(size) < TUKEY
-    weight = np.where(inside, (1 - (size / TUKEY) ** 2) ** 2, 0.0)
-    bend = np.where(inside, (1 - (size / TUKEY) ** 2) * (1 - 5 * (size / TUKEY) ** 2), 0.0)
+    inside = np.abs(size) < TUKEY_TUNING
+    weight = np.where(inside, (1 - (size / TUKEY_TUNING) ** 2) ** 2, 0.0)
+    bend = np.where(inside, (1 - (size / TUKEY_TUNING) ** 2) * (1 - 5 * (size / TUKEY_TUNING) ** 2), 0.0)
     scaled = columns / scale[:, None]
     bread = np.linalg.pinv((scaled * bend[:, None]).T @ scaled)
     whitened = scaled * np.sqrt(weight)[:, None]

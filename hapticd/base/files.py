@@ -19,7 +19,7 @@ from typing import BinaryIO, Final
 from hapticd.base.errors import HapticdError
 
 _NO_HARD_LINKS: Final = frozenset((errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL))
-_NEW: Final = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+_NEW_FILE_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 _NOT_REGULAR: Final = {
     stat.S_IFBLK: "a block device",
     stat.S_IFCHR: "a character device",
@@ -103,7 +103,7 @@ def hidden_beside(target: Path) -> Path:
 
 def create(path: Path, mode: int = 0o666, buffering: int = -1) -> BinaryIO:
     """A new file to write and read. Raises OSError, FileExistsError where something has its name."""
-    return open(path, "w+b", buffering, opener=lambda name, _: os.open(name, _NEW, mode))
+    return open(path, "w+b", buffering, opener=lambda name, _: os.open(name, _NEW_FILE_FLAGS, mode))
 
 
 def give_name(part: Path, target: Path, overwrite: bool) -> Path:

@@ -6,7 +6,7 @@ nonsense; they are far outside what a hand can feel.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import NoneType, UnionType
@@ -219,10 +219,20 @@ def at_most(count: int) -> BeforeValidator:
 
     def check(given: object) -> object:
         if isinstance(given, list | tuple) and len(given) > count:
-            raise ValueError(f"must hold at most {count} entries, holds {len(given)}")
+            raise ValueError(_too_many(given, count))
         return given
 
     return BeforeValidator(check)
+
+
+def check_count(given: Sized, most: int, path: Path) -> None:
+    """Raises InvalidError where there are more than that, at this place."""
+    if len(given) > most:
+        raise InvalidError([Problem(path_text(path), _too_many(given, most))])
+
+
+def _too_many(given: Sized, most: int) -> str:
+    return f"must hold at most {most} entries, holds {len(given)}"
 
 
 _PLAIN: Final = frozenset({NoneType, bool, int, float, str})

@@ -42,7 +42,7 @@ _LONGEST_NUMBER = 400
 _TAG_DIRECTIVE = re.compile("(?:^|[\n\r\x85\u2028\u2029])%TAG")
 _MOST_TAG_DIRECTIVES = 16
 """Looking for one more takes libyaml as long as there are many."""
-_ARCHIVE = b"PK\x03\x04"
+_ZIP_MARK = b"PK\x03\x04"
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -147,7 +147,7 @@ def load_bytes(content: bytes, name: str) -> Document:
 
 def refuse_recording(content: bytes, name: str) -> None:
     """Raises InvalidError for a recording where somebody's text is to be read."""
-    if content.startswith(_ARCHIVE):
+    if content.startswith(_ZIP_MARK):
         ours = b"samples.npy" in content
         text = f"holds a recording; use: hapticd replay {one_line(name)}" if ours else "is an archive, no YAML"
         raise InvalidError([Problem(one_line(name), text)])

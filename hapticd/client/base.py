@@ -10,7 +10,7 @@ import zmq
 
 from hapticd.system.paths import RuntimePaths
 
-_OURS: Final = (__package__, "contextlib")
+_OWN_MODULES: Final = (__package__, "contextlib")
 """Packages and modules whose lines no warning is about."""
 
 
@@ -25,6 +25,6 @@ def connect_commands(socket: zmq.Socket[Any], place: RuntimePaths) -> None:
 def warn(warning: Warning) -> None:
     """Warns of the line that called the client, through however many functions of ours."""
     frame, level = sys._getframe(1), 2
-    while frame.f_globals.get("__name__", "").startswith(_OURS) and frame.f_back is not None:
+    while frame.f_globals.get("__name__", "").startswith(_OWN_MODULES) and frame.f_back is not None:
         frame, level = frame.f_back, level + 1
     warnings.warn(warning, stacklevel=level)

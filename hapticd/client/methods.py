@@ -63,7 +63,7 @@ T = TypeVar("T")
 Response: TypeAlias = object | RemoteError
 Wait: TypeAlias = Callable[[float], Awaitable[bool]]
 """Waits for so many seconds, or until the work is to end: then true."""
-READY: Final = b"state"
+READY_TOPIC: Final = b"state"
 
 
 class Client(ABC):
@@ -489,7 +489,7 @@ class Subscription(Generic[T]):
         # Subscriptions take effect in their order, and `state` comes 60 times a second: the first message of any topic
         # shows that all are in effect. `status` comes every second, so that silence means that the daemon is gone.
         try:
-            self._set(zmq.SUBSCRIBE, (*sorted((self._wanted | {ALIVE}) - {READY}), READY))
+            self._set(zmq.SUBSCRIBE, (*sorted((self._wanted | {ALIVE}) - {READY_TOPIC}), READY_TOPIC))
             self._socket.connect(client.paths.telemetry_endpoint)
         except BaseException:
             self._socket.close()
@@ -514,7 +514,7 @@ class Subscription(Generic[T]):
         frames = await self._client._receive(self._socket, timeout_s)
         if not self._ready:
             self._ready = True
-            self._set(zmq.UNSUBSCRIBE, ({READY} - self._wanted) | self._on_demand)
+            self._set(zmq.UNSUBSCRIBE, ({READY_TOPIC} - self._wanted) | self._on_demand)
         if len(frames) != 2 or frames[0] not in self._wanted:
             return None
         topic, message = cast(Topic, frames[0].decode()), messages.decode_trusted(frames[1])

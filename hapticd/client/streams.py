@@ -142,7 +142,7 @@ class _Sent:
         return sleep(0).__await__()
 
 
-_SENT: Final = _Sent()
+_ALREADY_SENT: Final = _Sent()
 
 
 class Stream:
@@ -164,7 +164,7 @@ class Stream:
         """Where the simulated hand wants to be, m. Raises DaemonNotRunning, and RemoteError for a message before."""
         most = MOST["target"]
         self._sender.send("target", arguments.within("x", x, most, "m"), arguments.within("y", y, most, "m"))
-        return _SENT
+        return _ALREADY_SENT
 
     def force(self, fx: float, fy: float) -> Awaitable[None]:
         """A force that is added to the rendered one, N. Raises DaemonNotRunning, and RemoteError for a message
@@ -172,7 +172,7 @@ class Stream:
         most = MOST["force"]
         self._sender.send("force", arguments.within("fx", fx, most, "N"), arguments.within("fy", fy, most, "N"))
         self._pushed = True
-        return _SENT
+        return _ALREADY_SENT
 
     async def __aenter__(self) -> Self:
         await self._in_thread(self._sender.open)

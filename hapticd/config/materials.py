@@ -24,12 +24,13 @@ from pydantic import (
     field_validator,
 )
 
-from hapticd.base.errors import InvalidError, Path, Problem, path_text, quoted
+from hapticd.base.errors import InvalidError, Path, Problem, quoted
 from hapticd.base.model import (
     Damping,
     Model,
     Name,
     Stiffness,
+    check_count,
     faults_of,
     one_by_one,
     one_of_two,
@@ -381,9 +382,7 @@ def material_steps(data: object, root: Path = ()) -> Steps[dict[str, Material]]:
     """As validate_materials, with a pause after each: tens of models of a texture take tens of milliseconds."""
     if not isinstance(data, dict):
         return _parsed(data, root)
-    if len(data) > MAX_MATERIALS:
-        problem = f"must hold at most {MAX_MATERIALS} entries, holds {len(data)}"
-        raise InvalidError([Problem(path_text((*root, "materials")), problem)])
+    check_count(data, MAX_MATERIALS, (*root, "materials"))
     return (yield from one_by_one(data, lambda name, each: _parsed({name: each}, root)[name], root, "materials"))
 
 

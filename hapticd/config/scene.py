@@ -20,6 +20,7 @@ from hapticd.base.model import (
     Name,
     Position,
     Stiffness,
+    check_count,
     faults_of,
     one_by_one,
     plain,
@@ -212,14 +213,11 @@ class Display(Model):
     vibration: bool = Field(default=True, description="Ringing modes and the noise of textures.")
 
 
-def _size_faults(objects: Mapping[str, object]) -> list[str]:
-    """Of more objects, or more patches of theirs, than a scene holds."""
-    if len(objects) > MAX_OBJECTS:
-        return [f"must hold at most {MAX_OBJECTS} entries, holds {len(objects)}"]
-    patches = sum(len(item.patches) for item in objects.values() if isinstance(item, Wall))
-    if patches > MAX_SCENE_PATCHES:
-        return [f"must have at most {MAX_SCENE_PATCHES} patches in all, have {patches}"]
-    return []
+def _patches_fault(objects: Mapping[str, SceneObject]) -> str | None:
+    """What is wrong where there are more than a scene holds."""
+    patches = sum(len(item.patches) for item in objects.values() if item.kind == "wall")
+    too_many = f"must have at most {MAX_SCENE_PATCHES} patches in all, have {patches}"
+    return too_many if patches > MAX_SCENE_PATCHES else None
 
 
 class Scene(Model):
@@ -238,10 +236,10 @@ class Scene(Model):
     )
 
     @model_validator(mode="after")
-    def _is_not_too_large(self) -> Self:
-        faults = _size_faults(self.objects)
-        if faults:
-            raise ValueError("; ".join(f"objects {fault}" for fault in faults))
+    def _has_not_too_many_patches(self) -> Self:
+        fault = _patches_fault(self.objects)
+        if fault is not None:
+            raise ValueError(f"objects {fault}")
         return self
 
     def with_objects(self, changes: Mapping[str, SceneObject | None]) -> "Scene":
@@ -256,9 +254,12 @@ class Scene(Model):
                 objects.pop(name, None)
             else:
                 objects[name] = changed
-        faults = _size_faults(objects)
-        if faults:
-            raise InvalidError([Problem("objects", fault) for fault in faults])
+        check_count(objects, MAX_OBJECTS, ("objects",))
+        # Of the others it is known, and to look at all of them would cost more than the rest of an update.
+        if any(changed is not None and changed.kind == "wall" and changed.patches for changed in changes.values()):
+            fault = _patches_fault(objects)
+            if fault is not None:
+                raise InvalidError([Problem("objects", fault)])
         # All is valid already; pydantic's ways to copy a model would cost more than the rest of an update.
         scene = Scene.__new__(Scene)
         values = {**self.__dict__, "objects": objects}
@@ -310,9 +311,7 @@ def scene_steps(data: object, root: Path = ()) -> Steps[Scene]:
     given = data.get("objects", {}) if isinstance(data, dict) else None
     if not isinstance(data, dict) or not isinstance(given, dict):
         return _parsed(data, root)
-    faults = _size_faults(given)
-    if faults:
-        raise InvalidError(Problem(path_text((*root, "objects")), fault) for fault in faults)
+    check_count(given, MAX_OBJECTS, (*root, "objects"))
     problems: list[Problem] = []
     scene, objects = Scene(), dict[str, SceneObject]()
     try:

@@ -21,9 +21,9 @@ from hapticd.daemon.peers import Limits, Peer, Peers
 from hapticd.protocol import zmtp
 from hapticd.system.repeated_lines import Since
 
-MESSAGES: Final = 400
+QUEUED_MESSAGES: Final = 400
 """In the queue of a subscriber; eight seconds of samples."""
-BYTES: Final = 10 * 1024 * 1024
+QUEUED_BYTES: Final = 10 * 1024 * 1024
 """In that queue, the newest message not counted."""
 MOST_USELESS: Final = 1000
 """Subscriptions to nothing that there is, and messages that are none, until a subscriber is disconnected."""
@@ -55,7 +55,7 @@ class Queue:
         """Appends a message; the oldest give way."""
         self._messages.append((topic, data))
         self._bytes += len(data)
-        while len(self) > MESSAGES or (self._bytes > BYTES and len(self) > 1):
+        while len(self) > QUEUED_MESSAGES or (self._bytes > QUEUED_BYTES and len(self) > 1):
             self.take()
             self.dropped += 1
 

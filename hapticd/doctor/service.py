@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from hapticd.config.configuration import Config
     from hapticd.config.locations import Chosen
 
-_SHOWN = ("LoadState", "ActiveState", "UnitFileState", "NRestarts", "Result")
-_WHY = "journalctl -u hapticd says why"
+_UNIT_PROPERTIES = ("LoadState", "ActiveState", "UnitFileState", "NRestarts", "Result")
+_SEE_JOURNAL = "journalctl -u hapticd says why"
 
 
 def configuration(chosen: Chosen) -> tuple[Config, Finding]:
@@ -32,7 +32,9 @@ def unit(machine: Machine, needs: Needs) -> Iterator[Finding]:
     if not machine.path("/run/systemd/system").exists():
         yield unknown("service", "systemd does not run here")
         return
-    said = machine.run(["systemctl", "show", "--no-pager", f"--property={','.join(_SHOWN)}", "hapticd.service"])
+    said = machine.run(
+        ["systemctl", "show", "--no-pager", f"--property={','.join(_UNIT_PROPERTIES)}", "hapticd.service"]
+    )
     if said is None:
         yield unknown("service", "systemctl is not here, or does not answer")
         return
@@ -45,9 +47,9 @@ def unit(machine: Machine, needs: Needs) -> Iterator[Finding]:
     elif state == "active" and not after:
         yield ok("service", f"hapticd.service is active, {at_start}")
     elif state == "active":
-        yield warn("service", f"hapticd.service is active, {at_start}{after}", _WHY)
+        yield warn("service", f"hapticd.service is active, {at_start}{after}", _SEE_JOURNAL)
     elif state == "failed" or after:
-        yield fail("service", f"hapticd.service: {state}, {shown.get('Result')}{after}", _WHY)
+        yield fail("service", f"hapticd.service: {state}, {shown.get('Result')}{after}", _SEE_JOURNAL)
     else:
         yield warn("service", f"hapticd.service is {state}, {at_start}", "systemctl enable --now hapticd")
 

@@ -54,15 +54,15 @@ from hapticd.fit.verdict import AT_LEAST, Doubts, Exclusions
 Complexes: TypeAlias = npt.NDArray[np.complex128]
 
 LEAST_STRIKES: Final = 8
-FAINT: Final = 0.3
+FAINT_STEP: Final = 0.3
 """Steps smaller than this part of the strong ones are not strikes."""
 WINDOW_CYCLES: Final = 1.25
 """Ringing on either side of a sample that is searched for a strike."""
-GROUP: Final = 8
+STRIKES_IN_GROUP: Final = 8
 """Strikes in a group whose frequency is fitted."""
-EVEN: Final = 0.05
+EVEN_ROW_PART: Final = 0.05
 """Where strikes lie off a regular row by less, no other damping is tried."""
-ACCOUNTED: Final = 0.5
+LEAST_ACCOUNTED: Final = 0.5
 """Less of the variance than this is not one mode struck again and again."""
 AMPLITUDES_M_PER_S2: Final = (0.1, 5000.0)
 """Of a usual strike; less is not felt."""
@@ -125,7 +125,7 @@ def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
         size = float(left[k]) / float(unit[middle])
         # A knock or two must not hide strikes.
         strong = float(np.percentile(np.abs(sizes), 75)) if len(sizes) >= LEAST_STRIKES else 0.0
-        if abs(size) <= max(FAINT * strong, min(4 * noise, 0.5 * strong)):
+        if abs(size) <= max(FAINT_STEP * strong, min(4 * noise, 0.5 * strong)):
             break
         low, high = max(0, k - middle), min(len(left), k + middle + 1)
         left[low:high] -= size * unit[low - k + middle : high - k + middle]
@@ -134,7 +134,9 @@ def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
         at.append(k)
         sizes.append(size)
     strong = float(np.percentile(np.abs(sizes), 75)) if sizes else 0.0
-    return np.array(sorted(k for k, size in zip(at, sizes, strict=True) if abs(size) > FAINT * strong), dtype=np.int64)
+    return np.array(
+        sorted(k for k, size in zip(at, sizes, strict=True) if abs(size) > FAINT_STEP * strong), dtype=np.int64
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,7 +311,7 @@ class StrokeFit:
         if slow := undersampled(self._rate_hz, rough):
             raise FitError(f"{self.name}: {slow}")
         mode, onsets = self._settled(*self._begun(2 * math.pi * rough))
-        if self._uneven(onsets) > EVEN:
+        if self._uneven(onsets) > EVEN_ROW_PART:
             # What is no strike followed from the mode that they were looked for with.
             again = self._found(mode)
             if len(again) >= LEAST_STRIKES and self._uneven(again) < self._uneven(onsets):
@@ -344,7 +346,7 @@ class StrokeFit:
             uneven = self._uneven(onsets)
             if best is None or uneven < best[0]:
                 best = uneven, mode, onsets
-            if uneven < EVEN:
+            if uneven < EVEN_ROW_PART:
                 break
         if best is None:
             raise FitError(f"{self.name}: {most} strikes, at least {LEAST_STRIKES} are needed: no grooves here")
@@ -477,7 +479,7 @@ class StrokeFit:
         """The best of a grid of modes about this one, of the same intervals for all."""
         w = mode.angular_frequency_rad_per_s
         reach = min(0.3 * w, 2 * math.pi / float(np.median(np.diff(onsets))))
-        windows = self._windows(mode, self._intervals(Mode(0.05 * w, w), onsets[: 2 * GROUP]))
+        windows = self._windows(mode, self._intervals(Mode(0.05 * w, w), onsets[: 2 * STRIKES_IN_GROUP]))
         if len(windows.used) == 0:
             return mode
         tried = [
@@ -512,7 +514,7 @@ class StrokeFit:
     # ---- What comes of it
 
     def _grouped(self, mode: Mode) -> list[Group]:
-        count = max(1, len(self._onsets) // GROUP)
+        count = max(1, len(self._onsets) // STRIKES_IN_GROUP)
         intervals = self._intervals(mode, self._onsets)
         edges = np.linspace(0, len(self._onsets), count + 1).round().astype(int)
         found = []
@@ -568,10 +570,10 @@ class StrokeFit:
         here = windows.index[windows.held]
         model[here] = self._seen[here] - left[windows.held]
         accounted = 1 - float(np.sum(left**2)) / float(np.sum(windows.flat**2))
-        if accounted < ACCOUNTED:
+        if accounted < LEAST_ACCOUNTED:
             raise FitError(
                 f"{self.name}: a mode struck by grooves accounts for {100 * accounted:.0f} % of the variance, "
-                f"at least {100 * ACCOUNTED:.0f} % is needed: no grooves here"
+                f"at least {100 * LEAST_ACCOUNTED:.0f} % is needed: no grooves here"
             )
         return Stroke(self.name, self._rate_hz, self._seen, model, accounted, self.spacing_m)
 
@@ -718,7 +720,7 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     modes = [_mean_mode(each.groups) for each in fits]
     groups = [group for each in fits for group in each.groups]
     if len(groups) < 2:
-        raise excluded.refused(f"{len(groups)} group of strikes has no interval: needs {2 * GROUP} strikes")
+        raise excluded.refused(f"{len(groups)} group of strikes has no interval: needs {2 * STRIKES_IN_GROUP} strikes")
     frequencies = np.array([group.mode.frequency_hz for group in groups])
     frequency = common(frequencies)
     decay = common(np.array([group.mode.decay_time_s for group in groups]))

@@ -22,7 +22,7 @@ from hapticd.fit.report import Curve, Page, Panel
 from hapticd.fit.result import Fit, estimates, plain_figures
 from hapticd.fit.ringing import fit_ringing
 from hapticd.fit.speed_law import Amplitudes
-from hapticd.fit.verdict import RECORDING, Exclusion
+from hapticd.fit.verdict import WHOLE_RECORDING, Exclusion
 from hapticd.fit.waveform import WaveformFit
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
@@ -193,7 +193,7 @@ def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
     used = [(tap.recording, tap.onset_s) for tap in getattr(fit, "taps", ())]
     both = dict.fromkeys(each.recording for each in excluded if each.recording in {name for name, _ in used})
     yield tuple(_marked(seen[name], used, excluded) for name in islice(both, DRAWN))
-    whole = [each for each in excluded if each.what == RECORDING or each.time_s is not None]
+    whole = [each for each in excluded if each.what == WHOLE_RECORDING or each.time_s is not None]
     for first in (0, DRAWN):
         yield tuple(_not_used(seen[each.recording], each) for each in whole[first : first + DRAWN])
 

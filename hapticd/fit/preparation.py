@@ -34,18 +34,18 @@ from hapticd.analysis.statistics import (
     well_conditioned,
 )
 from hapticd.fit.recording import Kind, Recording
-from hapticd.fit.verdict import PART, Doubts, Exclusions
+from hapticd.fit.verdict import ONE_PART, Doubts, Exclusions
 
-MOST: Final = 0.01
+MOST_BEYOND_LIMIT: Final = 0.01
 """Part of the samples of a column beyond its limit that is a wrong unit or column, and no fault of single samples."""
 MOST_FINDINGS: Final = 50
 """In one column; more are no faults of single samples either."""
-NOISES: Final = 15.0
+SPIKE_TO_NOISE: Final = 15.0
 """A spike is so many standard deviations of the noise away from what is about it."""
-FALLS: Final = 8.0
+SPIKE_RATIO: Final = 8.0
 """A spike of acceleration is so many times larger than the samples beside it."""
-WIDEST: Final = 3
-COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
+SPIKE_SAMPLES: Final = 3
+WORDS_OF_COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "acceleration_m_per_s2": ("the acceleration", "m/s^2"),
     "force_n": ("the force", "N"),
     "speed_m_per_s": ("the speed", "m/s"),
@@ -88,7 +88,7 @@ class Cleaned:
 def without_invalid_samples(recording: Recording, kind: Kind) -> Cleaned:
     """The recording with straight lines in place of its invalid samples, for a fit of this kind. FitError where there
     are too many."""
-    columns = {name: each for name in COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
+    columns = {name: each for name in WORDS_OF_COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
     count = max((each.size for each in columns.values()), default=0)
     replaced = np.zeros(count, dtype=np.bool_)
     warnings: list[str] = []
@@ -124,7 +124,7 @@ class _Column:
         self.bad: Bools = np.zeros(len(values), dtype=np.bool_)
         self.warnings: list[str] = []
         self._file, self._name, self._rate_hz = file, name, rate_hz
-        self._what, self._unit = COLUMNS[name]
+        self._what, self._unit = WORDS_OF_COLUMNS[name]
 
     def clean(self, kind: Kind) -> None:
         """A force that breaks off and a speed of taps come and go as spikes do. Of taps the position matters only just
@@ -164,7 +164,7 @@ class _Column:
         spans, first = spans_of(over), int(np.argmax(over))
         value = f"{self._what} of {self._value(first)}"
         bound = f" (at most {most:g})" if ask else ""
-        if np.mean(over) > MOST or len(spans) > MOST_FINDINGS:
+        if np.mean(over) > MOST_BEYOND_LIMIT or len(spans) > MOST_FINDINGS:
             raise UnitError(
                 f"{self._file}: {value} is not a hand's{bound}, nor is that of {100 * np.mean(over):.3g} % of the "
                 f"samples{f': {ask}' if ask else ''}"
@@ -177,8 +177,8 @@ class _Column:
         """What comes and goes within 10 ms, far beyond the usual values."""
         values = self.values
         noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
-        far = max(2.0 * float(np.percentile(np.abs(values), 95)), NOISES * noise)
-        half = max(WIDEST, round(0.02 * self._rate_hz))
+        far = max(2.0 * float(np.percentile(np.abs(values), 95)), SPIKE_TO_NOISE * noise)
+        half = max(SPIKE_SAMPLES, round(0.02 * self._rate_hz))
         found: Spans = []
         near = spans_of(np.abs(values - float(np.median(values))) > 0.75 * far)
         for low, high in near if len(near) <= 10 * MOST_FINDINGS else ():
@@ -193,13 +193,13 @@ class _Column:
         """Up to WIDEST samples far above those beside them and, with `above_all`, far above everything else: a tap that
         is sampled slowly may be that short, too."""
         size = np.abs(self.values - np.median(self.values))
-        loud = NOISES * 1.4826 * float(np.median(size))
+        loud = SPIKE_TO_NOISE * 1.4826 * float(np.median(size))
         if not size.max() > loud:
             return
         found: Spans = []
-        for low, high in spans_of(size > max(loud, size.max() / FALLS**2)):
-            around = np.concatenate((size[max(0, low - WIDEST) : low], size[high : high + WIDEST]))
-            if high - low <= WIDEST and size[low:high].max() > FALLS * around.max(initial=0.0):
+        for low, high in spans_of(size > max(loud, size.max() / SPIKE_RATIO**2)):
+            around = np.concatenate((size[max(0, low - SPIKE_SAMPLES) : low], size[high : high + SPIKE_SAMPLES]))
+            if high - low <= SPIKE_SAMPLES and size[low:high].max() > SPIKE_RATIO * around.max(initial=0.0):
                 found.append((low, high))
         if above_all and found:
             rest = size.copy()
@@ -207,7 +207,7 @@ class _Column:
                 rest[low:high] = 0.0
             # Beside nothing that stands out of the noise there is nothing that it hides.
             hides = float(rest.max()) > loud / 2
-            found = [(low, high) for low, high in found if hides and size[low:high].max() > FALLS * rest.max()]
+            found = [(low, high) for low, high in found if hides and size[low:high].max() > SPIKE_RATIO * rest.max()]
         self._replace_leaping(found)
 
     def _replace_stuck(self) -> None:
@@ -241,7 +241,7 @@ class _Column:
         usual = 5.0 * float(np.percentile(moved, 99))
         leaps = []
         for k in np.flatnonzero(size > usual):
-            beside = np.concatenate((size[max(0, k - WIDEST) : k], size[k + 1 : k + 1 + WIDEST]))
+            beside = np.concatenate((size[max(0, k - SPIKE_SAMPLES) : k], size[k + 1 : k + 1 + SPIKE_SAMPLES]))
             if size[k] * self._rate_hz > fastest or size[k] > 3.0 * np.median(beside):
                 leaps.append(int(k))
         if not leaps:
@@ -261,7 +261,7 @@ class _Column:
             run = 4 * len(self.values) / max(1, int(np.count_nonzero(steps)))
             if last > first:
                 spikes.append((first + 1, last + 1))
-            elif first - since >= max(WIDEST, run):
+            elif first - since >= max(SPIKE_SAMPLES, run):
                 lost.append((since + 1, first + 1))
             else:
                 shift[first + 1] = steps[first] - drift
@@ -344,7 +344,7 @@ def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) 
 
     What falls out is reported in `excluded`. Raises FitError where that is too much.
     """
-    columns = {name: each for name in COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
+    columns = {name: each for name in WORDS_OF_COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
     samples = next((len(values) for name, values in columns.items() if name != "speed_m_per_s"), 0)
     acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     cut = np.zeros(samples, dtype=np.bool_) if acceleration is None else clipped(acceleration)
@@ -368,7 +368,7 @@ def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) 
             f"{recording.name}: {reason}: {100 * there / samples:.0f} % of it is whole in stretches of {least_s:g} s, "
             f"{100 * LEAST_WHOLE:.0f} % are wanted"
         )
-    excluded.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", PART)
+    excluded.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", ONE_PART)
     found = []
     for begin, end in kept:
         parts = {name: values[begin:end] for name, values in columns.items() if len(values) == samples}

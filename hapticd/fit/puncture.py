@@ -44,7 +44,7 @@ LOADED: Final = (0.25, 0.98)
 BEFORE_S: Final = 0.01
 AMPLITUDES_M_PER_S2: Final = (0.1, 3000.0)
 """Of a rupture; less is not felt."""
-ACCOUNTED: Final = 0.7
+LEAST_ACCOUNTED: Final = 0.7
 """A ringing of which one mode explains less is none."""
 STIFFNESS_N_PER_M: Final = (1.0, 1e5)
 
@@ -278,10 +278,10 @@ def _ringing(kept: Cleaned, seen: Floats, push: _Push, begin: int) -> Ringing:
     ringing = min(fits, key=lambda each: each.noise_m_per_s2)
     if slow := undersampled(rate_hz, float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)):
         raise FitError(f"{name}: {slow}")
-    if ringing.variance_accounted_for < ACCOUNTED:
+    if ringing.variance_accounted_for < LEAST_ACCOUNTED:
         raise FitError(
             f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
-            f"{100 * ACCOUNTED:.0f} % are wanted"
+            f"{100 * LEAST_ACCOUNTED:.0f} % are wanted"
         )
     return ringing
 

@@ -20,10 +20,10 @@ from typing import Annotated, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, ValidationError
 
-from hapticd.analysis.recordings.clock import HIGHEST_HZ, LOWEST_HZ, NAMES, RATES_ALIKE, UNITS, Quantity, uniform
+from hapticd.analysis.recordings.clock import COLUMN_OF, HIGHEST_HZ, LOWEST_HZ, RATES_ALIKE, UNITS_OF, Quantity, uniform
 from hapticd.analysis.recordings.files import (
     MAX_BYTES,
-    READERS,
+    TABLE_READERS,
     Table,
     ending_of,
     file_bytes,
@@ -153,7 +153,7 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
 def npz_of(recording: Recording) -> bytes:
     """A recording as a .npz, which `load` reads without a YAML."""
     arrays: dict[str, Floats] = {"rate_hz": np.array(recording.rate_hz)}
-    for name in NAMES.values():
+    for name in COLUMN_OF.values():
         values = getattr(recording, name, None)
         if values is not None:
             arrays[name] = np.asarray(values, dtype=np.float64)
@@ -189,10 +189,10 @@ def _beside(name: str, own_name: str) -> RecordingSidecar:
     problems = [
         Problem(
             document.where(("columns", quantity, "unit")),
-            f"unknown unit of {quantity}, {known_names(unit, UNITS[quantity])}",
+            f"unknown unit of {quantity}, {known_names(unit, UNITS_OF[quantity])}",
         )
         for quantity, column in beside.columns.items()
-        if (unit := column.unit) is not None and _spelt(unit) not in UNITS[quantity]
+        if (unit := column.unit) is not None and _spelt(unit) not in UNITS_OF[quantity]
     ]
     problems += [
         Problem(document.where(("columns", quantity, "scale")), "is 0, which leaves nothing")
@@ -223,11 +223,11 @@ def _spelt(unit: str) -> str:
 
 def _table(name: str, content: bytes, named: bool) -> Table:
     ending = ending_of(name)
-    if ending not in READERS:
+    if ending not in TABLE_READERS:
         raise ValueError("a recording ends in .csv, .npz or .wav")
     if ending == ".wav" and not named:
         raise ValueError(f"a .wav needs {one_line(name)}.yaml, with its columns and their scale")
-    return READERS[ending](content)
+    return TABLE_READERS[ending](content)
 
 
 def _quantities(
@@ -235,15 +235,15 @@ def _quantities(
 ) -> tuple[dict[Quantity, Floats], float, float | None]:
     """The quantities in SI units, to how much the times are rounded, and the rate that the file says."""
     wanted = beside.columns or {
-        quantity: RecordedColumn(column=name) for quantity, name in NAMES.items() if name in table.names
+        quantity: RecordedColumn(column=name) for quantity, name in COLUMN_OF.items() if name in table.names
     }
-    unfit = [name for name in NAMES.values() if name in table.others] if not beside.columns else []
+    unfit = [name for name in COLUMN_OF.values() if name in table.others] if not beside.columns else []
     if unfit:
         raise ValueError(f"{unfit[0]} {table.others[unfit[0]]}: name other columns in {where}")
     if not set(wanted) & {"acceleration", "force", "position", "tangential_position"}:
         if beside.columns:
             raise ValueError(f"{where} names neither acceleration nor force nor position")
-        known = ", ".join(NAMES.values())
+        known = ", ".join(COLUMN_OF.values())
         has = known_names("", map(short_name, [*table.names, *table.others])).removeprefix("known: ")
         raise ValueError(f"has none of {known}; it has {has}: name them in {where}")
     places = {quantity: table.place(column.column) for quantity, column in wanted.items()}
@@ -254,12 +254,12 @@ def _quantities(
     rounding = 0.0
     for quantity, column in wanted.items():
         unit = column.unit if column.unit is not None else table.units.get(places[quantity], "")
-        if unit and _spelt(unit) not in UNITS[quantity]:
+        if unit and _spelt(unit) not in UNITS_OF[quantity]:
             raise ValueError(
-                f"says that {quantity} is in {shown_name(unit)}, which is none of {', '.join(UNITS[quantity])}: say "
+                f"says that {quantity} is in {shown_name(unit)}, which is none of {', '.join(UNITS_OF[quantity])}: say "
                 f"its unit in {where}"
             )
-        factor = column.scale * (UNITS[quantity][_spelt(unit)] if unit else 1.0)
+        factor = column.scale * (UNITS_OF[quantity][_spelt(unit)] if unit else 1.0)
         with np.errstate(all="ignore"):
             found[quantity] = read[quantity] * factor
             if quantity == "time":

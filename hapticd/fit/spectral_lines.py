@@ -21,7 +21,7 @@ from hapticd.fit.verdict import Doubts
 _T = TypeVar("_T")
 LOWEST_HZ: Final = 20.0
 """What is slower is a hand's."""
-CHANCE: Final = 1e-3
+LINE_CHANCE: Final = 1e-3
 LEAST_SHARE: Final = 0.005
 """Of the power, from which on a line is reported."""
 APART_HZ: Final = 0.5
@@ -57,7 +57,7 @@ def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[Spectr
     beside = 2 * (outer - inner)
     # That so many recordings have it within six bins of each other is as improbable as it may be, and that one of many
     # has it at most so.
-    chance = CHANCE / len(power) if needed == 1 else min(1e-3, (CHANCE / len(power)) ** (1 / needed) / 6)
+    chance = LINE_CHANCE / len(power) if needed == 1 else min(1e-3, (LINE_CHANCE / len(power)) ** (1 / needed) / 6)
     factor = float(fdtri(2, 2 * beside, 1 - chance))
     found: list[SpectralLine] = []
     left = power.copy()

@@ -39,12 +39,12 @@ Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
 
 LEAST_TAPS: Final = 3
 SPEEDS_M_PER_S: Final = (1e-3, 10.0)
-CHANCE: Final = 0.01
-BENT: Final = 0.05
+BENT_BY_CHANCE: Final = 0.01
+BENT_PART: Final = 0.05
 """A(v) is reported to be no line through the origin where that is less likely by chance, and matters more than this."""
-TABLE: Final = 8
+MOST_TABLE_SPEEDS: Final = 8
 """Speeds of a table of amplitudes, at most."""
-CLEARLY: Final = 2.0
+BETTER_BY_AICC: Final = 2.0
 """Of AICc."""
 
 
@@ -164,7 +164,8 @@ class Law:
         others = " and ".join(f"{above:.1f} for {names[kind]}" for kind, above in self.above.items() if above > 0)
         if self.kind == "line" and self.above.get("line", 0.0) > 0:
             return (
-                f"AICc of another law is lower by less than {CLEARLY:g}, or it differs by less than {100 * BENT:.0f} %"
+                f"AICc of another law is lower by less than {BETTER_BY_AICC:g}, "
+                f"or it differs by less than {100 * BENT_PART:.0f} %"
             )
         return f"AICc is higher by {others}" if others else "the taps are too few to tell"
 
@@ -209,7 +210,7 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
     kind: LawKind = min(known, key=lambda each: known[each])
     size = np.maximum(line, np.finfo(np.float64).tiny)
     bent = float(np.sqrt(np.mean(((laid[kind][0] - line) / size) ** 2)))
-    if bent < BENT or known.get("line", math.inf) < known[kind] + CLEARLY:
+    if bent < BENT_PART or known.get("line", math.inf) < known[kind] + BETTER_BY_AICC:
         kind = "line"
     kind = only or kind
     model = laid[kind][0]
@@ -263,7 +264,7 @@ def knots_of(speeds: Floats, count: int) -> Floats:
     return np.array(found)
 
 
-def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = TABLE) -> Amplitudes:
+def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = MOST_TABLE_SPEEDS) -> Amplitudes:
     """The straight lines between so many of the speeds that are nearest to the amplitudes, none below 0."""
     knots = knots_of(speeds, min(most, max(2, len(speeds) - 2)))
     nodes = np.concatenate(([0.0], knots))
@@ -288,7 +289,7 @@ def json_table(amplitudes: Amplitudes) -> Json:
 
 def _tables(speeds: Floats, amplitudes: Floats, variances: Floats) -> list[Amplitudes]:
     """Of 2 to TABLE speeds."""
-    counts = range(2, min(TABLE, max(2, len(speeds) - 2)) + 1)
+    counts = range(2, min(MOST_TABLE_SPEEDS, max(2, len(speeds) - 2)) + 1)
     tables = [table(speeds, amplitudes, variances, count) for count in counts]
     return list({len(points): points for points in tables}.values())
 
@@ -364,7 +365,7 @@ def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, nois
     # n ways to be the farthest by chance.
     chance = count * improbable(line.squares, line.freedom, line.squares - float(added[index]), line.freedom - 1)
     off = float(amplitudes[index] / speeds[index] * (x[others] @ x[others]) / (x[others] @ y[others])) - 1
-    if chance > CHANCE or abs(off) < 0.25 or _bends(speeds[others], amplitudes[others], noise[others]):
+    if chance > BENT_BY_CHANCE or abs(off) < 0.25 or _bends(speeds[others], amplitudes[others], noise[others]):
         return ""
     side = "above" if off > 0 else "below"
     return (
@@ -388,7 +389,7 @@ def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
     curve, curved = laid(speeds, speeds**2, ones)
     for less, more, apart in ((offset, curve, curved - shifted), (origin, offset, shifted - straight)):
         part = float(np.sqrt(np.mean(apart**2))) / size
-        if part > BENT and improbable(less.squares, less.freedom, more.squares, more.freedom) < CHANCE:
+        if part > BENT_PART and improbable(less.squares, less.freedom, more.squares, more.freedom) < BENT_BY_CHANCE:
             return True
     return False
 
@@ -401,7 +402,7 @@ def moves(speeds: Floats, logs: Floats, variances: Floats, what: str, least: flo
     slope = with_offset(speeds, logs, variances).coefficients[0]
     freedom = len(speeds) - 2
     # With the chance of CHANCE: as many standard errors as t has there.
-    wide = (slope.high - slope.value) * student_t(freedom, 1 - CHANCE) / student_t(freedom)
+    wide = (slope.high - slope.value) * student_t(freedom, 1 - BENT_BY_CHANCE) / student_t(freedom)
     change = math.expm1(slope.value * float(np.ptp(speeds)))
     if not slope.value or abs(slope.value) < wide or abs(change) < least:
         return ""

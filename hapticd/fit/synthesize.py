@@ -156,16 +156,16 @@ class Hand:
     position_noise_m: float = 2e-6
 
 
-PLAIN: Final = Stylus()
-STEADY: Final = Hand()
+PLAIN_STYLUS: Final = Stylus()
+STEADY_HAND: Final = Hand()
 
 
 def grooves(
     material: Material,
     speed_m_per_s: float,
     force_n: float,
-    stylus: Stylus = PLAIN,
-    hand: Hand = STEADY,
+    stylus: Stylus = PLAIN_STYLUS,
+    hand: Hand = STEADY_HAND,
     scatter: float = 0.0,
 ) -> Recording:
     """One stroke over a material with grooves displayed as vibration; `scatter` is the standard deviation of what
@@ -193,8 +193,8 @@ def texture(
     material: Material,
     speed_m_per_s: float,
     force_n: float,
-    stylus: Stylus = PLAIN,
-    hand: Hand = STEADY,
+    stylus: Stylus = PLAIN_STYLUS,
+    hand: Hand = STEADY_HAND,
 ) -> Recording:
     """One stroke over a material with a stochastic or an autoregressive texture (then: its model nearest in speed and
     force, with the level that it has there). Noise of exactly this spectrum: white in frequency, shaped by its root.
@@ -233,8 +233,8 @@ def texture(
 def puncture(
     material: Material,
     speed_m_per_s: float,
-    stylus: Stylus = PLAIN,
-    hand: Hand = STEADY,
+    stylus: Stylus = PLAIN_STYLUS,
+    hand: Hand = STEADY_HAND,
     ruptures: bool = True,
 ) -> Recording:
     """A membrane approached, drawn in and ruptured (or let go again where it does not) at this speed; position is

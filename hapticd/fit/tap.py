@@ -50,7 +50,7 @@ from hapticd.fit.result import Judged, end_of, fields_of
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
 from hapticd.fit.speed_law import (
-    CHANCE,
+    BENT_BY_CHANCE,
     LEAST_TAPS,
     SPEEDS_M_PER_S,
     Amplitudes,
@@ -71,13 +71,13 @@ from hapticd.fit.speed_law import (
 )
 from hapticd.fit.verdict import Doubts, Exclusions
 
-OUTSTANDING: Final = 8.0
+LEAST_PEAK_TO_NOISE: Final = 8.0
 """A tap's peak is at least so many times the noise."""
 SHORT_S: Final = 0.5
-RISES: Final = 0.1
+REST_PART: Final = 0.1
 """Of its largest change: what a recording changes less before is its rest."""
 BLOCK_S: Final = 0.002
-BLOCK: Final = 16
+LEAST_BLOCK_SAMPLES: Final = 16
 """Samples at least of a block whose noise is taken."""
 APPROACH_S: Final = 0.01
 """Speed is a position's over so long before the onset."""
@@ -87,24 +87,24 @@ LEAST_RATE: Final = 2.05
 """Samples in a cycle. So few are enough where the onset is known; at 2 amplitude and onset cannot be separated."""
 LEAST_REST: Final = 2
 """Samples of rest before a tap,"""
-REST: Final = 8
+LEAST_REST_SAMPLES: Final = 8
 """with which its onset is never asked for."""
-CLEAR: Final = 1.0
+CLEAR_ONSET_SAMPLES: Final = 1.0
 """With fewer, the onset lies behind the first of them, and is uncertain by less samples than this (one standard
 error)."""
-UNCERTAIN: Final = 0.5
+MOST_RELATIVE_ERROR: Final = 0.5
 """A tap whose amplitude, decay or frequency is known less than this, one standard error, is not used."""
-EXPLAINED: Final = 0.5
+LEAST_EXPLAINED: Final = 0.5
 """A tap of whose variance less is explained is not used."""
 WELL_EXPLAINED: Final = 0.95
 """Of the variance of the median tap: what explains less is reported."""
-ALIKE: Final = 0.1
+SAME_FREQUENCY: Final = 0.1
 """Frequencies within so much of one another are the same."""
-AGREEING: Final = 0.7
+AGREEING_PART: Final = 0.7
 """So large a part of the pairs has the same two frequencies."""
-COLOURED: Final = 1.3
+MOST_RESIDUAL_TO_NOISE: Final = 1.3
 """A residual so many times the noise before the onset has more in it than noise."""
-MISSHAPEN: Final = 0.02
+REPORTED_SHAPE: Final = 0.02
 """RMS over that of the ringing, from which on a shape of what is left over is reported."""
 LEAST_HZ: Final = 15.0
 """What is slower than this is a hand's motion."""
@@ -248,7 +248,7 @@ def _base(acceleration: Floats, rate_hz: float) -> Floats:
     begins at rest the level of that rest, which slow ringing does not move."""
     if len(acceleration) < SHORT_S * rate_hz:
         off = np.abs(acceleration - acceleration[0])
-        rest = int(np.argmax(off > RISES * off.max()))
+        rest = int(np.argmax(off > REST_PART * off.max()))
         if rest >= LEAST_REST:
             return np.full(len(acceleration), np.median(acceleration[:rest]))
     length = _samples(0.05, rate_hz, 32)
@@ -265,7 +265,7 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
     stretches = between_gaps(recording, len(above))
     longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
     for begin, end in stretches:
-        if (begin, end) != longest and end - begin < 2 * _samples(BLOCK_S, recording.rate_hz, BLOCK):
+        if (begin, end) != longest and end - begin < 2 * _samples(BLOCK_S, recording.rate_hz, LEAST_BLOCK_SAMPLES):
             continue
         try:
             found += [
@@ -282,20 +282,21 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
 def _events_in(recording: Recording, above: Floats) -> list[Event]:
     """What is loud in a stretch: beyond what noise reaches once in a hundred recordings, and beyond 5 % of the
     largest."""
-    length = _samples(BLOCK_S, recording.rate_hz, BLOCK)
+    length = _samples(BLOCK_S, recording.rate_hz, LEAST_BLOCK_SAMPLES)
     blocks = above[: len(above) // length * length].reshape(-1, length)
     # Where it is calm: the 20th percentile of the blocks lies 0.842 of their deviations below the middle.
     noise = float(np.percentile(blocks.std(axis=1), 20.0)) if len(blocks) else 0.0
     noise /= 1 - 0.842 / math.sqrt(2 * length)
     highest = float(np.abs(above).max())
-    rest = int(np.argmax(np.abs(above) > RISES * highest))
+    rest = int(np.argmax(np.abs(above) > REST_PART * highest))
     if len(above) < SHORT_S * recording.rate_hz and rest >= 5:
         # A short recording may ring to its end. So few samples may be quieter than noise is, by chance.
         noise = min(noise, 2.0 * float(np.std(above[:rest], ddof=1)))
-    if not highest > OUTSTANDING * noise:
+    if not highest > LEAST_PEAK_TO_NOISE * noise:
         times = "nothing" if highest == 0 else f"{highest / noise:.1f} times its noise"
         raise FitError(
-            f"{recording.name}: no onset: its largest acceleration is {times}, a tap has {OUTSTANDING:g} times at least"
+            f"{recording.name}: no onset: its largest acceleration is {times}, "
+            f"a tap has {LEAST_PEAK_TO_NOISE:g} times at least"
         )
     # A bound of the normal distribution's tail.
     loud_noise = math.sqrt(2 * math.log(len(above) / 0.01))
@@ -465,25 +466,28 @@ def _hit_of(loud: Events, index: int) -> Hit:
     measured = loud.acceleration[begin:end]
     share = ringing.variance_accounted_for
     fault: Unusable | None
-    if share < EXPLAINED:
-        fault = _NoTap(f"a decaying sinusoid explains {100 * share:.0f} % of it, {100 * EXPLAINED:.0f} % are wanted")
+    if share < LEAST_EXPLAINED:
+        fault = _NoTap(
+            f"a decaying sinusoid explains {100 * share:.0f} % of it, {100 * LEAST_EXPLAINED:.0f} % are wanted"
+        )
     else:
         fault = _fault_of(rate_hz, event, ringing)
     pair = None
     if share < WELL_EXPLAINED:
         pair = pair_of(measured, rate_hz, ringing, recording.sensor)
-        if pair and (pair.variance_accounted_for < EXPLAINED or _fault_of(rate_hz, event, pair) is not None):
+        if pair and (pair.variance_accounted_for < LEAST_EXPLAINED or _fault_of(rate_hz, event, pair) is not None):
             pair = None
     if fault is not None and pair is None:
         raise fault
     rest = event.first - room[0]
-    if rest < REST:
+    if rest < LEAST_REST_SAMPLES:
         off = math.sqrt(float(ringing.covariance[-1, -1])) * rate_hz
         place = begin - room[0] + ringing.onset_s * rate_hz
-        if place < 0 or off > CLEAR:
+        if place < 0 or off > CLEAR_ONSET_SAMPLES:
             raise Unusable(
                 f"{rest} samples of rest before it, and its onset is {place:.1f} samples behind the first of them, "
-                f"give or take {off:.2g}: {REST} samples are wanted, or an onset that is uncertain by {CLEAR:g} at most"
+                f"give or take {off:.2g}: {LEAST_REST_SAMPLES} samples are wanted, "
+                f"or an onset that is uncertain by {CLEAR_ONSET_SAMPLES:g} at most"
             )
     begin_s = begin / rate_hz
     tap = TapHit(
@@ -545,11 +549,11 @@ def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None
         if slow := undersampled(rate_hz, float(angular) / (2 * math.pi), LEAST_RATE):
             return _Undersampled(f"it {slow}")
     uncertain, figure = _uncertainty(ringing)
-    if not uncertain < UNCERTAIN:
+    if not uncertain < MOST_RELATIVE_ERROR:
         times = event.peak / event.noise if event.noise > 0 else math.inf
-        known = f"its {figure} is uncertain by {100 * uncertain:.0f} %, {100 * UNCERTAIN:.0f} % is the most"
+        known = f"its {figure} is uncertain by {100 * uncertain:.0f} %, {100 * MOST_RELATIVE_ERROR:.0f} % is the most"
         # What stands out more, and still cannot be fitted, has another shape.
-        strong = 2.0 * OUTSTANDING
+        strong = 2.0 * LEAST_PEAK_TO_NOISE
         if times > strong:
             return _NoTap(f"its shape is no ringing: it stands {times:.0f} times out of the noise, but {known}")
         return Unusable(
@@ -623,7 +627,7 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
     freedom = len(head) - 6
     one, two = float(left @ left), float(pair.residual @ pair.residual)
     turns = float(pair.angular_frequency_rad_per_s.min()) * len(head) / rate_hz
-    return pair if improbable(one, freedom, two, freedom - 3) < CHANCE and turns > math.pi else None
+    return pair if improbable(one, freedom, two, freedom - 3) < BENT_BY_CHANCE and turns > math.pi else None
 
 
 def as_pairs(hits: list[Hit], excluded: Exclusions) -> tuple[list[Hit], SecondMode | None]:
@@ -643,7 +647,7 @@ def as_pairs(hits: list[Hit], excluded: Exclusions) -> tuple[list[Hit], SecondMo
             # The first mode as if it were fitted alone.
             paired.append((first, pair.of_modes([0])))
             pairs.append((first, pair))
-        elif ringing.variance_accounted_for >= WELL_EXPLAINED and off < ALIKE:
+        elif ringing.variance_accounted_for >= WELL_EXPLAINED and off < SAME_FREQUENCY:
             paired.append((tap, ringing))
         else:
             others.append(tap)
@@ -675,7 +679,7 @@ def _usual_pair(hits: Sequence[Hit]) -> Floats | None:
     # By frequency: which of them is louder may change from tap to tap.
     rising = [pair.of_modes(np.argsort(pair.angular_frequency_rad_per_s).tolist()) for pair in pairs]
     usual, alike = _usual_logs(rising)
-    if np.sum(alike) < max(LEAST_TAPS, AGREEING * len(pairs)):
+    if np.sum(alike) < max(LEAST_TAPS, AGREEING_PART * len(pairs)):
         return None
     sizes = np.array([np.abs(pair.coefficients) / np.sqrt(pair.decay_rate_per_s) for pair in rising])[alike]
     return np.asarray(usual if np.median(sizes[:, 0] / sizes[:, 1]) >= 1 else usual[::-1])
@@ -685,13 +689,13 @@ def _usual_logs(pairs: Sequence[Ringing]) -> tuple[Floats, Bools]:
     """Medians of the logarithms of their two angular frequencies, and which of the pairs have both near them."""
     logs = np.log([pair.angular_frequency_rad_per_s for pair in pairs])
     usual = np.median(logs, axis=0)
-    return usual, np.all(np.abs(logs - usual) < ALIKE, axis=1)
+    return usual, np.all(np.abs(logs - usual) < SAME_FREQUENCY, axis=1)
 
 
 def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
     """With the modes in the order of these; None where they are others."""
     for order in ([0, 1], [1, 0]):
-        if np.all(np.abs(np.log(pair.angular_frequency_rad_per_s[order]) - usual) < ALIKE):
+        if np.all(np.abs(np.log(pair.angular_frequency_rad_per_s[order]) - usual) < SAME_FREQUENCY):
             return pair.of_modes(order)
     return None
 
@@ -703,7 +707,7 @@ def _median_explained(both: Sequence[Hit]) -> float:
 def second_mode(hits: list[Hit], explained: float) -> SecondMode | None:
     """A mode that most of the 12 loudest taps have besides, at one frequency, where one explains so much."""
     loudest = sorted(hits, key=lambda hit: hit[0].noise_m_per_s2 / hit[0].coefficient_m_per_s2)[:12]
-    coloured = [(tap, ringing) for tap, ringing in loudest if _colour(tap, ringing) > COLOURED]
+    coloured = [(tap, ringing) for tap, ringing in loudest if _colour(tap, ringing) > MOST_RESIDUAL_TO_NOISE]
     enough = max(LEAST_TAPS, len(loudest) / 2)
     if len(coloured) < enough:
         return None
@@ -714,7 +718,7 @@ def second_mode(hits: list[Hit], explained: float) -> SecondMode | None:
     _, alike = _usual_logs([pair for _, pair in both])
     together = _median_explained(both)
     # A second mode explains a hundredth of the variance besides, at least.
-    if np.sum(alike) < max(LEAST_TAPS, AGREEING * len(both)) or together < explained + 0.01:
+    if np.sum(alike) < max(LEAST_TAPS, AGREEING_PART * len(both)) or together < explained + 0.01:
         return None
     return _common_pair([one for one, same in zip(both, alike, strict=True) if same], together, explained, False)
 
@@ -741,7 +745,7 @@ def _common_pair(both: list[Hit], together: float, alone: float, kept: bool) -> 
     ratio = common(ratios, _levelled(of_ratio, relative))
     decay = [shared(decays[:, mode], own[:, 2 + mode]) for mode in range(2)]
     angular = [shared(angulars[:, mode], own[:, 4 + mode]) for mode in range(2)]
-    same = abs(angular[1].value - angular[0].value) < ALIKE
+    same = abs(angular[1].value - angular[0].value) < SAME_FREQUENCY
     # In periods of its own; what falls to 1/e sooner is a pulse.
     lasts = math.exp(angular[1].value - decay[1].value) / (2 * math.pi)
     if slope.value <= 0 or abs(ratio.value) > 10.0 or same or lasts < 0.3:
@@ -1207,9 +1211,9 @@ def _lack_of_fit(hits: Sequence[Hit]) -> str:
     taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
     share = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
     chance = improbable(float(samples), samples, max(0.0, samples - taken), samples - size)
-    if share > MISSHAPEN and (chance < CHANCE or coloured > COLOURED):
+    if share > REPORTED_SHAPE and (chance < BENT_BY_CHANCE or coloured > MOST_RESIDUAL_TO_NOISE):
         return f"what is left over has a shape, {100 * share:.0f} % of the ringing"
-    if coloured > COLOURED and math.sqrt(left / heard) > MISSHAPEN:
+    if coloured > MOST_RESIDUAL_TO_NOISE and math.sqrt(left / heard) > REPORTED_SHAPE:
         return f"what is left over is {coloured:.1f} times the noise before the taps"
     return ""
 

@@ -66,10 +66,10 @@ from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 LOW_HZ: Final = 20.0
 BLOCK_S: Final = 0.5
 LEAST_BLOCKS: Final = 8
-FALLS: Final = 1.78
+LEAST_FALL_OF_DENSITY: Final = 1.78
 """From 0.325 to 0.445 of the rate, the density of noise with two poles at low frequency, filtered at this very rate;
 the samples of a continuous one fall by more."""
-GROUPS: Final = 20
+JACKKNIFE_GROUPS: Final = 20
 """Of blocks, at most, that the jackknife leaves out one at a time."""
 HALF, QUARTER = 0.5, 0.75
 """Parts of the highest density above which parabolas are fitted."""
@@ -181,7 +181,7 @@ def _without_hiss(name: str, frequency: Floats, density: Floats, rate_hz: float)
         )
     # A texture's own density falls there, by FALLS at least; only what does not is the sensor's.
     nearer = float(np.mean(density[:, (frequency > 0.3 * rate_hz) & (frequency < 0.35 * rate_hz)]))
-    floor = min(max(0.0, (FALLS * floor - nearer) / (FALLS - 1)), floor)
+    floor = min(max(0.0, (LEAST_FALL_OF_DENSITY * floor - nearer) / (LEAST_FALL_OF_DENSITY - 1)), floor)
     return density - floor, floor
 
 
@@ -354,7 +354,7 @@ def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) 
     value = figure(shape.mean(axis=0))
     error, freedom = _left_out(figure, shape, _groups_of(len(shape)))
     by_stroke = [np.flatnonzero(strokes == each) for each in np.unique(strokes)]
-    if 3 <= len(by_stroke) <= GROUPS:
+    if 3 <= len(by_stroke) <= JACKKNIFE_GROUPS:
         wider, fewer = _left_out(figure, shape, by_stroke)
         if wider > error * math.sqrt(float(fdtri(fewer, freedom, 0.95))):
             error, freedom = wider, fewer
@@ -363,7 +363,7 @@ def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) 
 
 def _groups_of(blocks: int) -> list[Ints]:
     """Blocks in a row, by their numbers."""
-    edges = np.linspace(0, blocks, min(GROUPS, blocks) + 1).round().astype(np.int64)
+    edges = np.linspace(0, blocks, min(JACKKNIFE_GROUPS, blocks) + 1).round().astype(np.int64)
     return [np.arange(low, high) for low, high in pairwise(edges)]
 
 

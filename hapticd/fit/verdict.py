@@ -18,8 +18,8 @@ from hapticd.fit.recording import Recording
 
 _T = TypeVar("_T")
 Quality: TypeAlias = Literal["good", "fair", "poor"]
-RECORDING: Final = "recording"
-PART: Final = "part"
+WHOLE_RECORDING: Final = "recording"
+ONE_PART: Final = "part"
 
 
 class Rule(NamedTuple):
@@ -197,13 +197,13 @@ class Exclusion:
 
     recording: str
     reason: str
-    what: str = RECORDING
+    what: str = WHOLE_RECORDING
     """RECORDING for all of it, PART for some of it, or the event: `tap`."""
     time_s: float | None = None
     """Of the event, from the first sample."""
 
     def __str__(self) -> str:
-        if self.what == RECORDING:
+        if self.what == WHOLE_RECORDING:
             return f"{self.recording}: left out: {self.reason}"
         if self.time_s is None:
             return f"{self.recording}: a {self.what} is left out: {self.reason}"
@@ -223,7 +223,7 @@ class Exclusions:
         """Names of recordings all of whose events were left out."""
         self._strict = strict
 
-    def add(self, recording: str, reason: str, what: str = RECORDING, time_s: float | None = None) -> None:
+    def add(self, recording: str, reason: str, what: str = WHOLE_RECORDING, time_s: float | None = None) -> None:
         left = Exclusion(recording, reason.removeprefix(f"{recording}: "), what, time_s)
         if self._strict:
             raise StrictError(f"{left}; --strict refuses that")
@@ -259,12 +259,12 @@ class Exclusions:
     @property
     def recordings(self) -> set[str]:
         """Names of those of which nothing was used."""
-        return self.unused | {left.recording for left in self.items if left.what == RECORDING}
+        return self.unused | {left.recording for left in self.items if left.what == WHOLE_RECORDING}
 
     def refused(self, few: str) -> FitError:
         """That too little is left: `few` says what, and up to three reasons follow; of a single recording its own
         alone."""
-        whole = [left for left in self.items if left.what == RECORDING]
+        whole = [left for left in self.items if left.what == WHOLE_RECORDING]
         if len(self.items) == len(whole) == 1:
             return FitError(f"{whole[0].recording}: {whole[0].reason}")
         if not self.items:

@@ -31,11 +31,11 @@ from hapticd.fit.tap import LEAST_REST, Events, Unusable, events_of
 from hapticd.fit.verdict import Doubts, Exclusions
 
 LEAST_PULSES: Final = 3
-LARGE: Final = 0.6
+LARGE_PART: Final = 0.6
 """Of the peak."""
 CROSSES: Final = 0.25
 """Pulses begin to be laid over each other where they cross this part of their peak."""
-FAINT: Final = 5e-4
+FAINT_ENERGY: Final = 5e-4
 """What of the shape lies before its beginning, and what after its end, has at most this part of its energy."""
 FINER: Final = 4 / 3
 """How far samples are off, over what twice as many change: for errors that fall with the square of their distance."""
@@ -86,7 +86,7 @@ class Pulse:
         """When the pulse, on its way to its first large value, passes CROSSES of its peak; after the beginning of the
         stretch."""
         size = np.abs(self.measured - self.rest)
-        level, peak = CROSSES * float(size.max()), int(np.argmax(size >= LARGE * size.max()))
+        level, peak = CROSSES * float(size.max()), int(np.argmax(size >= LARGE_PART * size.max()))
         below = np.flatnonzero(size[:peak] < level)
         if not len(below):
             return 0.0
@@ -341,13 +341,13 @@ def _trimmed(
     total = float(energy.sum())
     if not total > 0:
         raise FitError("the taps have no shape in common that stands out of what differs between them")
-    ahead = np.flatnonzero(np.cumsum(energy) <= FAINT * total)
-    rise = int(np.argmax(np.abs(samples) >= LARGE * np.abs(samples).max()))
+    ahead = np.flatnonzero(np.cumsum(energy) <= FAINT_ENERGY * total)
+    rise = int(np.argmax(np.abs(samples) >= LARGE_PART * np.abs(samples).max()))
     at_rest = np.flatnonzero(np.abs(samples - level)[:rise] <= 3.0 * noise[:rise])
     begin = max(int(steps[-1]) if len(steps) else 0 for steps in (ahead, at_rest))
     left = 0.0
     end = len(samples) - 1
-    while end > rise and (left := max(0.0, left + samples[end] ** 2 - (2.0 * noise[end]) ** 2)) <= FAINT * total:
+    while end > rise and (left := max(0.0, left + samples[end] ** 2 - (2.0 * noise[end]) ** 2)) <= FAINT_ENERGY * total:
         end -= 1
     end = min(len(samples) - 1, end + 1)
     faded = end == len(samples) - 1 and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > 0.05

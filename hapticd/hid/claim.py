@@ -34,7 +34,7 @@ BOUND_S: Final = 5.0
 """A device that was bound has its hidraw node after so long."""
 _COMMAND_S: Final = 5.0
 _ACL: Final = "system.posix_acl_access"
-_RULED: Final = ": its event nodes are root's alone already, as a line of 70-hapticd.rules makes them"
+_KEPT_BY_RULE: Final = ": its event nodes are root's alone already, as a line of 70-hapticd.rules makes them"
 
 Write = Callable[[Path, str], None]
 
@@ -73,7 +73,7 @@ class Claims:
         if name in claimed:
             raise HapticdError(f"{found} is claimed already; `hapticd devices release {found.path}` lets others at it")
         if self._is_ruled(name):
-            raise HapticdError(f"{found}{_RULED}")
+            raise HapticdError(f"{found}{_KEPT_BY_RULE}")
         driver = self._rebind(found, claimed, [*claimed, name], GENERIC)
         for node in self.nodes(name):
             _hide(node)
@@ -83,7 +83,7 @@ class Claims:
         """Lets others at it again; the driver that it has now. Raises HapticdError, one line."""
         name, claimed = self._name(found), self.names()
         if name not in claimed:
-            raise HapticdError(f"{found} is not claimed{_RULED if self._is_ruled(name) else ''}")
+            raise HapticdError(f"{found} is not claimed{_KEPT_BY_RULE if self._is_ruled(name) else ''}")
         return self._rebind(found, claimed, [other for other in claimed if other != name], None)
 
     def nodes(self, name: str) -> list[Path]:

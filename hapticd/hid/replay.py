@@ -27,7 +27,7 @@ from hapticd.hid.device import MAX_REPORT_BYTES, arriving
 from hapticd.hid.plan import DeviceError
 
 VERSION: Final = 1
-_HEAD: Final = ("recording", "name", "vendor", "product", "descriptor")
+_HEAD_MEMBERS: Final = ("recording", "name", "vendor", "product", "descriptor")
 """Members of the first line."""
 LEAST_PAUSE_S: Final = 1e-3
 """Between two rounds, so that a recording that takes no time does not keep a processor busy."""
@@ -99,7 +99,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
 def _head(value: dict[str, Any]) -> Recording:
     if value.get("recording", VERSION) != VERSION:
         raise ValueError(f"a recording of version {shown(value['recording'])}; this reads version {VERSION}")
-    missing = [name for name in _HEAD if name not in value]
+    missing = [name for name in _HEAD_MEMBERS if name not in value]
     if missing:
         raise ValueError(f"the first line needs {', '.join(missing)}")
     descriptor = bytes.fromhex(value["descriptor"])

@@ -27,7 +27,7 @@ MOVED: Final = 0.02
 """A handle that moved by less than this part of its half travel was not pushed."""
 ENOUGH: Final = 0.2
 """A push ends early once the handle has moved by this part."""
-CLEARLY: Final = 2.0
+CLEARLY_FARTHER: Final = 2.0
 """The axis that was pushed moves so many times as far as the other."""
 
 
@@ -148,7 +148,7 @@ def calibrate(
 def _alone(moved: dict[str, tuple[float, float]]) -> str:
     """What a device needs that pushes along its first axis and not along its second one, as wheels that name both."""
     x, y = moved["x"]
-    if "y" not in moved or abs(x) < CLEARLY * abs(y):
+    if "y" not in moved or abs(x) < CLEARLY_FARTHER * abs(y):
         return ""
     sign = 1 if x > 0 else -1
     return (
@@ -159,7 +159,7 @@ def _alone(moved: dict[str, tuple[float, float]]) -> str:
 def _found(moved: dict[str, tuple[float, float]]) -> ForceAxes:
     ways = {}
     for name, (x, y) in moved.items():
-        if max(abs(x), abs(y)) < CLEARLY * min(abs(x), abs(y)):
+        if max(abs(x), abs(y)) < CLEARLY_FARTHER * min(abs(x), abs(y)):
             raise DeviceError(
                 f"the device's {name} axis moved the handle by {1e3 * x:.1f} mm along x and {1e3 * y:.1f} mm along y: "
                 "not clear which it is; was the handle touched?"

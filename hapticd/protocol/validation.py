@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from hapticd.base.errors import InvalidError, Problem, known_names, path_text
 from hapticd.base.merge_patch import merge_patch
-from hapticd.base.model import MAX_FAULTS
+from hapticd.base.model import MAX_FAULTS, check_count
 from hapticd.base.steps import Steps
 from hapticd.config.materials import MAX_MATERIALS, Material, Materials, material_steps, shipped_materials
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, scene_steps, validate_object
@@ -36,8 +36,7 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> Steps[dict[str
     faults of all."""
     changes: dict[str, SceneObject | None] = {}
     problems: list[Problem] = []
-    if len(given) > MAX_OBJECTS:
-        raise InvalidError([Problem("objects", f"must hold at most {MAX_OBJECTS} entries, holds {len(given)}")])
+    check_count(given, MAX_OBJECTS, ("objects",))
     for id, patch in given.items():
         yield
         if len(problems) > MAX_FAULTS:
@@ -74,7 +73,7 @@ def _no_object(id: str, scene: Scene) -> str:
 
 def whole_materials(given: Mapping[str, object], before: Materials) -> Steps[dict[str, Material]]:
     """All materials once those given took their places, with a pause after each. Raises InvalidError."""
-    _check_count(given)
+    check_count(given, MAX_MATERIALS, ("materials",))
     told = "must be a mapping, is null; update_materials removes a material"
     problems = [Problem(path_text(("materials", name)), told) for name, each in given.items() if each is None]
     materials = dict(before)
@@ -84,14 +83,14 @@ def whole_materials(given: Mapping[str, object], before: Materials) -> Steps[dic
         problems += error.problems
     if problems:
         raise InvalidError(problems)
-    _check_count(materials)
+    check_count(materials, MAX_MATERIALS, ("materials",))
     return materials
 
 
 def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[tuple[dict[str, Material], list[str]]]:
     """All materials once those given were merged or removed, and the names of the merged; with a pause after each.
     Raises InvalidError."""
-    _check_count(given)
+    check_count(given, MAX_MATERIALS, ("materials",))
     materials, shipped = dict(before), shipped_materials()
     patched: dict[str, object] = {}
     for name, patch in given.items():
@@ -104,14 +103,8 @@ def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[t
             old = before.get(name)
             patched[name] = merge_patch(None if old is None else old.to_dict(), cast(Any, patch))
     materials.update((yield from material_steps(patched)))
-    _check_count(materials)
+    check_count(materials, MAX_MATERIALS, ("materials",))
     return materials, list(patched)
-
-
-def _check_count(materials: Mapping[str, object]) -> None:
-    if len(materials) > MAX_MATERIALS:
-        problem = f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}"
-        raise InvalidError([Problem("materials", problem)])
 
 
 def faults_beside(

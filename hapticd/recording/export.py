@@ -46,7 +46,7 @@ Texts: TypeAlias = Mapping[str, Any]
 
 _PACKAGES: Final = {".mcap": ("mcap", "zstandard"), ".csv": ("pandas",)}
 """What each form needs; its extra is named after the first."""
-_STRETCH: Final = 100_000
+_STRETCH_SAMPLES: Final = 100_000
 """Samples that are converted at once."""
 _ATTACHED: Final = ("config", "scene", "materials", "status")
 _IN_METADATA: Final = ("recording", "flight")
@@ -93,8 +93,8 @@ def export(samples: Samples, events: Events, texts: Texts, target: Path, overwri
     write_whole(files[0], _events_csv(events), overwrite)
     write_whole(files[1], json.dumps(dict(texts), indent=1) + "\n", overwrite)
     with whole_file(target, overwrite) as file:
-        for first in range(0, max(1, len(samples)), _STRETCH):
-            frame = frame_of(samples[first : first + _STRETCH])
+        for first in range(0, max(1, len(samples)), _STRETCH_SAMPLES):
+            frame = frame_of(samples[first : first + _STRETCH_SAMPLES])
             frame.to_csv(file, index=False, header=first == 0, lineterminator="\n")
 
 
@@ -168,8 +168,8 @@ def _sample_schema() -> str:
 
 
 def _sample_messages(samples: Samples) -> Iterator[_Message]:
-    for first in range(0, len(samples), _STRETCH):
-        part = samples[first : first + _STRETCH]
+    for first in range(0, len(samples), _STRETCH_SAMPLES):
+        part = samples[first : first + _STRETCH_SAMPLES]
         data, size = part.tobytes(), part.dtype.itemsize
         for row, (tick, time_ns) in enumerate(zip(part["tick"].tolist(), part["time_ns"].tolist(), strict=True)):
             body = _CDR_LITTLE_ENDIAN + data[row * size : (row + 1) * size]

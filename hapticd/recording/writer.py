@@ -40,7 +40,7 @@ Texts: TypeAlias = Mapping[str, object]
 
 NOTES_ENDING: Final = ".notes"
 """Ending of the second partial file."""
-_STRETCH: Final = 10_000
+_STRETCH_SAMPLES: Final = 10_000
 """Samples that `write_all` writes at once."""
 _GIVEN_UP_BYTES: Final = 1 << 18
 """Samples that give way at once where a disk is full."""
@@ -150,8 +150,8 @@ class RecordingWriter:
         self.begin(texts)
         for change in changes:
             self.write_change(change)
-        for first in range(0, len(samples), _STRETCH):
-            self.write(samples[first : first + _STRETCH])
+        for first in range(0, len(samples), _STRETCH_SAMPLES):
+            self.write(samples[first : first + _STRETCH_SAMPLES])
         for event in events:
             self.write_event(event)
 

@@ -21,7 +21,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.protocol import messages
 from hapticd.web.telemetry_hub import TelemetryHub
 
-ADDRESS: Final = "127.0.0.1"
+LOCAL_ADDRESS: Final = "127.0.0.1"
 """No other machine gets the figures: they are not encrypted."""
 
 _log = logging.getLogger("hapticd.web")
@@ -111,10 +111,10 @@ def served(port: int) -> Iterator[DaemonCollector]:
     collector, registry = DaemonCollector(), CollectorRegistry(auto_describe=False)
     registry.register(collector)
     try:
-        server, thread = start_http_server(port, ADDRESS, registry)
+        server, thread = start_http_server(port, LOCAL_ADDRESS, registry)
     except OSError as error:
         raise HapticdError(f"--metrics {port}: {error.strerror}") from None
-    _log.info("metrics at http://%s:%d/metrics", ADDRESS, server.server_port)
+    _log.info("metrics at http://%s:%d/metrics", LOCAL_ADDRESS, server.server_port)
     try:
         yield collector
     finally:

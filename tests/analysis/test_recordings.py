@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from hapticd.analysis.recordings.clock import NAMES, UNITS, Quantity
+from hapticd.analysis.recordings.clock import COLUMN_OF, UNITS_OF, Quantity
 from hapticd.analysis.recordings.files import MAX_BYTES
 from hapticd.analysis.statistics import Floats
 from hapticd.base.errors import HapticdError, InvalidError
@@ -563,8 +563,8 @@ def test_damaged_files_are_read_or_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_the_documented_quantities_are_those_that_are_read() -> None:
-    assert set(NAMES) == set(UNITS) == set(get_args(Quantity))
+    assert set(COLUMN_OF) == set(UNITS_OF) == set(get_args(Quantity))
     rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (.*?) \|", DOCS, flags=re.MULTILINE)
-    assert {quantity: name for quantity, name, _ in rows} == NAMES
+    assert {quantity: name for quantity, name, _ in rows} == COLUMN_OF
     for quantity, _, units in rows:
-        assert re.findall(r"`([^`]+)`", units) == list(UNITS[quantity])
+        assert re.findall(r"`([^`]+)`", units) == list(UNITS_OF[quantity])

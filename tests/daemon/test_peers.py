@@ -518,9 +518,9 @@ def test_who_does_not_read_loses_the_oldest_and_costs_nobody_anything(path: Path
         made.wait(0)
         read()
     assert came == list(range(1000))
-    assert {len(queue) for queue in made._queues.values()} == {publisher.MESSAGES}
+    assert {len(queue) for queue in made._queues.values()} == {publisher.QUEUED_MESSAGES}
     kept = {id(data) for queue in made._queues.values() for _, data in queue._messages}
-    assert len(kept) <= publisher.MESSAGES + 1, "each has messages of its own"
+    assert len(kept) <= publisher.QUEUED_MESSAGES + 1, "each has messages of its own"
     made._reported_s = 0.0  # as if a second had passed
     made.wait(0)
     lost = [peer.lost for peer in made._peers.values()]

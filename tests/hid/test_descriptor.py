@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hapticd.hid.descriptor.parser import (
+    IS_VARIABLE,
     MAX_REPORT_BYTES,
-    VARIABLE,
     Descriptor,
     DescriptorError,
     ReportField,
@@ -114,7 +114,7 @@ def test_physical_range_and_unit() -> None:
     )
     assert (field.physical_min, field.physical_max) == (0, 36000)
     assert (field.unit, field.unit_exponent) == (0x14, -2)
-    assert field.flags == VARIABLE | 0x40
+    assert field.flags == IS_VARIABLE | 0x40
     negative = only(usage(0x30), logical(-1, 1), physical(-10000, 10000), unit(0x1003, -3), size(8), data(INPUT))
     assert (negative.physical_min, negative.physical_max, negative.unit_exponent) == (-10000, 10000, -3)
 

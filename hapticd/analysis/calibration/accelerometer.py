@@ -19,8 +19,8 @@ import numpy.typing as npt
 
 from hapticd.analysis.calibration.fit import Fit, Point, model_motion, points_of, tapered
 from hapticd.analysis.calibration.sweep import Floats, Record
-from hapticd.analysis.recordings.clock import NAMES, check_columns
-from hapticd.analysis.recordings.files import MAX_BYTES, READERS, ending_of, file_bytes
+from hapticd.analysis.recordings.clock import COLUMN_OF, check_columns
+from hapticd.analysis.recordings.files import MAX_BYTES, TABLE_READERS, ending_of, file_bytes
 from hapticd.analysis.statistics import require_scipy
 from hapticd.base.errors import HapticdError
 
@@ -56,13 +56,13 @@ def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recordin
     name = os.fspath(path)
     check_name(name)
     try:
-        table = READERS[ending_of(name)](file_bytes(name, MAX_BYTES))
-        time_s, acceleration = table.read([table.place(NAMES["time"]), table.place(NAMES["acceleration"])])
+        table = TABLE_READERS[ending_of(name)](file_bytes(name, MAX_BYTES))
+        time_s, acceleration = table.read([table.place(COLUMN_OF["time"]), table.place(COLUMN_OF["acceleration"])])
         check_columns({"time": time_s, "acceleration": acceleration})
     except ValueError as error:
         raise HapticdError(f"{name}: {error}") from None
     if not (np.diff(time_s) > 0).all():
-        raise HapticdError(f"{name}: {NAMES['time']} must rise")
+        raise HapticdError(f"{name}: {COLUMN_OF['time']} must rise")
     return Recording(name, time_s, (acceleration - acceleration.mean()) * scale)
 
 

@@ -15,7 +15,7 @@ Quantity: TypeAlias = Literal["time", "acceleration", "force", "position", "tang
 Columns: TypeAlias = dict[Quantity, Floats]
 Gaps: TypeAlias = tuple[tuple[int, int], ...]
 
-NAMES: Final[dict[Quantity, str]] = {
+COLUMN_OF: Final[dict[Quantity, str]] = {
     "time": "time_s",
     "acceleration": "acceleration_m_per_s2",
     "force": "force_n",
@@ -24,7 +24,7 @@ NAMES: Final[dict[Quantity, str]] = {
     "speed": "speed_m_per_s",
 }
 _LENGTHS: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-UNITS: Final[dict[Quantity, dict[str, float]]] = {
+UNITS_OF: Final[dict[Quantity, dict[str, float]]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "acceleration": {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": 9.80665},
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
@@ -67,7 +67,7 @@ def uniform(found: Columns, rate_hz: float | None, rounding_s: float) -> tuple[C
 def check_columns(found: Columns) -> None:
     """Raises ValueError for columns that differ in length, or hold what no recording holds."""
     # Of taps the speeds may be fewer than samples.
-    lengths = {NAMES[quantity]: len(values) for quantity, values in found.items() if quantity != "speed"}
+    lengths = {COLUMN_OF[quantity]: len(values) for quantity, values in found.items() if quantity != "speed"}
     samples = next(iter(lengths.values()))
     if set(lengths.values()) != {samples}:
         counts = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -78,14 +78,14 @@ def check_columns(found: Columns) -> None:
         broken = np.flatnonzero(~np.isfinite(values))
         if len(broken):
             raise ValueError(
-                f"{NAMES[quantity]} is NaN or infinite in {len(broken)} samples, first in number {broken[0] + 1}"
+                f"{COLUMN_OF[quantity]} is NaN or infinite in {len(broken)} samples, first in number {broken[0] + 1}"
             )
         # Far beyond what can be, so that nothing overflows before a fit says what is wrong; times may be of a calendar.
         largest = 1e12 if quantity == "time" else 1e9
         if (large := float(np.abs(values).max(initial=0.0))) > largest:
             raise ValueError(
-                f"{NAMES[quantity]} reaches {large:.3g}, and nothing that a stylus records is over {largest:g}: is it "
-                "in another unit, or another column?"
+                f"{COLUMN_OF[quantity]} reaches {large:.3g}, and nothing that a stylus records is over {largest:g}: "
+                "is it in another unit, or another column?"
             )
 
 

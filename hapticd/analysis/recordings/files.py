@@ -333,4 +333,4 @@ def wav_table(content: bytes) -> Table:
     return Table([str(index + 1) for index in range(len(channels))], read, {}, float(rate_hz))
 
 
-READERS: Final[Mapping[str, Callable[[bytes], Table]]] = {".csv": csv_table, ".npz": npz_table, ".wav": wav_table}
+TABLE_READERS: Final[Mapping[str, Callable[[bytes], Table]]] = {".csv": csv_table, ".npz": npz_table, ".wav": wav_table}

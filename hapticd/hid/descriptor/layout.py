@@ -22,7 +22,7 @@ from typing import Annotated, Any, Final, get_args, get_type_hints
 
 from hapticd.hid.descriptor.field_search import Group, Made, Number, OneOf, Row
 from hapticd.hid.descriptor.fields import Choice, Field, angle_fault, axis_fault, magnitude_fault
-from hapticd.hid.descriptor.parser import APPLICATION, Collection, Descriptor, ReportField, ReportKind
+from hapticd.hid.descriptor.parser import APPLICATION_COLLECTION, Collection, Descriptor, ReportField, ReportKind
 from hapticd.hid.descriptor.usages import AXES, COMMANDS, DESKTOP, EFFECT_TYPES, LOAD_STATUS, OPERATIONS, PID
 
 SKIPPED: Final = "report descriptor, "
@@ -370,7 +370,7 @@ class _Finder:
         groups: dict[tuple[int, int], Group] = {}
         for field in self._descriptor.fields:
             # Some devices nest application collections that have no usage of their own.
-            around = (c for c in reversed(field.path) if c.type == APPLICATION and c.usage)
+            around = (c for c in reversed(field.path) if c.type == APPLICATION_COLLECTION and c.usage)
             application = next(around, None)
             if field.kind != ReportKind.INPUT or application is None or not field.is_variable:
                 continue

@@ -39,11 +39,11 @@ MAX_REPORT_BYTES: Final = 16384
 MAX_DEPTH: Final = 64
 """Of collections, and of Push."""
 
-APPLICATION: Final = 1
+APPLICATION_COLLECTION: Final = 1
 """The type of a collection that is a device: a joystick, a keyboard."""
-CONSTANT: Final = 0x01
-VARIABLE: Final = 0x02
-RELATIVE: Final = 0x04
+IS_CONSTANT: Final = 0x01
+IS_VARIABLE: Final = 0x02
+IS_RELATIVE: Final = 0x04
 """Bits of an Input, Output or Feature item."""
 
 _LONG_ITEM: Final = 0xFE
@@ -113,15 +113,15 @@ class ReportField:
 
     @property
     def is_constant(self) -> bool:
-        return bool(self.flags & CONSTANT)
+        return bool(self.flags & IS_CONSTANT)
 
     @property
     def is_variable(self) -> bool:
-        return bool(self.flags & VARIABLE)
+        return bool(self.flags & IS_VARIABLE)
 
     @property
     def is_relative(self) -> bool:
-        return bool(self.flags & RELATIVE)
+        return bool(self.flags & IS_RELATIVE)
 
     def usage_at(self, index: int) -> int | None:
         """The usage of an element (variable) or of an index (array); the last one repeats in a variable field."""
@@ -444,7 +444,7 @@ class _Parser:
             return
         self._bits[report] = offset + bits
         logical = _range(state.logical_min, state.logical_max)
-        if logical[0] > logical[1] and not value & CONSTANT:
+        if logical[0] > logical[1] and not value & IS_CONSTANT:
             raise _error(at, name, f"its logical minimum {logical[0]} lies above its maximum {logical[1]}")
         physical = _range(state.physical_min, state.physical_max)
         state.physical_of = state.physical_of or logical

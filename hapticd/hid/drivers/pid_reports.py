@@ -13,7 +13,7 @@ from hapticd.hid.descriptor.fields import Choice, Field, duration_fault
 from hapticd.hid.descriptor.layout import Layout, Report, SetEffect, SetEnvelope
 from hapticd.hid.plan import Bits, DeviceError, Message, Scale, Value
 
-_COARSE: Final = 0.5
+_LEAST_SINE: Final = 0.5
 """Two directions whose sine is below this do not distinguish the axes."""
 
 
@@ -78,7 +78,7 @@ def parts(angle: Field, x_turns: float, y_turns: float) -> list[tuple[float, flo
     x_x, x_y = _pushes(angle, x_turns)
     y_x, y_y = _pushes(angle, y_turns)
     area = x_x * y_y - x_y * y_x
-    if area < _COARSE:
+    if area < _LEAST_SINE:
         return [(1.0, 0.0)] * 2
     return [(y_y / area, -y_x / area), (x_x / area, -x_y / area)]
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, get_args
 
-from hapticd.analysis.recordings.files import READERS, ending_of
+from hapticd.analysis.recordings.files import TABLE_READERS, ending_of
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names, quoted
 from hapticd.base.yaml_source import one_line
 from hapticd.config.materials import MAX_PROVENANCE_FILES, validate_materials
@@ -156,7 +156,7 @@ class _Reader:
             inside = os.path.join(name, entry)
             if (folder / entry).is_dir():
                 level.folders.append(inside)
-            elif ending_of(entry) in READERS:
+            elif ending_of(entry) in TABLE_READERS:
                 level.recordings.append(inside)
             elif ending_of(entry) in _YAML:
                 self.yaml(level, entry, entries)
@@ -178,7 +178,7 @@ class _Reader:
                 self.problems.append(Problem("", str(error)))
         elif described == os.path.splitext(NAME)[0]:
             self.fault(name, f"must be called {NAME}")
-        elif ending_of(described) not in READERS:
+        elif ending_of(described) not in TABLE_READERS:
             self.fault(name, f"is no YAML of a batch: that of a folder is {NAME}, that of tap1.csv is tap1.csv.yaml")
         elif described not in entries:
             self.fault(name, f"describes {one_line(described)}, which is not there")
@@ -211,7 +211,7 @@ class _Reader:
             for deeper in below.folders:
                 self.fault(deeper, f"is too deep: recordings stand in {one_line(folder)} itself")
             if not below.recordings:
-                self.fault(folder, f"holds no recordings ({', '.join(READERS)})")
+                self.fault(folder, f"holds no recordings ({', '.join(TABLE_READERS)})")
             elif last in kinds:
                 self.fault(
                     folder, f"is of the same kind as the recordings in {one_line(name)} itself: put them together"
