@@ -23,7 +23,6 @@ What the servo reports:
     telemetry        the telemetry thread: drains the servo's rings and makes messages of them
     publisher        the telemetry socket: sends those messages to subscribers
     counters         what the servo counts, read from the structs of csrc/api/
-    stability        the stability of the scene in force; in a separate thread for large scenes
     status           the result of `get_status`
     status_text      the status as a person reads it; clients use it, too
     flight_recorder  the last seconds, kept, and written by the flight thread on a fault or on request

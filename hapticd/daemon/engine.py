@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import math
 import os
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -57,7 +56,6 @@ from hapticd.daemon.counters import (
     read_stream_counters,
 )
 from hapticd.daemon.plays import Play
-from hapticd.daemon.stability import Snapshot, StabilityEvaluation
 from hapticd.hid.signs import Check, SignsLog
 from hapticd.hid.stopper import StopFile
 from hapticd.protocol.changes import Change, Reset, Revised, revised
@@ -65,7 +63,7 @@ from hapticd.protocol.displayability_warnings import MaterialReport
 from hapticd.protocol.marks import Mark, Marks, MarksFullError
 from hapticd.protocol.messages import GESTURE_ENDS
 from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.device_output import UNKNOWN_HANDLE, Output, loop_of, output_of
+from hapticd.rendering.device_output import Output, loop_of, output_of
 from hapticd.rendering.displayability import (
     displayed_mode,
     material_rate_faults,
@@ -74,8 +72,7 @@ from hapticd.rendering.displayability import (
     warnings,
 )
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
-from hapticd.rendering.scene_stability import Stability
-from hapticd.rendering.stability import Loop
+from hapticd.rendering.surface_margins import SurfaceMargins
 from hapticd.rendering.undisplayable_text import Undisplayable
 from hapticd.system.idle_states import IdleStateLock
 
@@ -166,9 +163,7 @@ class Engine:
             resolution_m, report_age_s = plan.resolution_m, 0.0
         self._resolution_m = resolution_m
         self.output = self._output_at(servo.rate_hz)
-        self._loop = self._loop_at(self.output)
-        self._compiling = threading.Lock()
-        self._stability = StabilityEvaluation(self._compiling, self._snapshot)
+        self._margins = self._margins_at(self.output)
         self._reports: dict[str, MaterialReport] = {}
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
@@ -213,14 +208,15 @@ class Engine:
     def _output_at(self, rate_hz: float) -> Output:
         return output_of(self.config, rate_hz, None if self._link is None else self._link.carried_hz(rate_hz))
 
-    def _loop_at(self, output: Output) -> Loop | None:
-        return loop_of(
+    def _margins_at(self, output: Output) -> SurfaceMargins | None:
+        loop = loop_of(
             self.config,
             output.rate_hz,
             resolution_m=self._resolution_m,
             force_step_n=max(self.force_steps_n),
             link_rate_hz=None if self._link is None else output.link_rate_hz,
         )
+        return None if loop is None else SurfaceMargins(loop)
 
     def _overrun_action(self, rate_hz: float) -> OverrunAction:
         """What the servo does about an overload at this rate."""
@@ -315,8 +311,7 @@ class Engine:
                 self.connection.suspect()
         self._signs.note(counters.signs)
         if counters.overloaded and not counters.running:
-            with self._compiling:
-                self._step_down()
+            self._step_down()
 
     def _step_down(self) -> None:
         """Half the rate, or, where that cannot be, the same with a fault."""
@@ -343,7 +338,7 @@ class Engine:
             raise HapticdError(f"servo: {invalid_reason()}")
         if self._sim is not None:
             set_rate(self._sim, self.config.device.sim, rate_hz)
-        self.output, self.rate_hz, self._loop = output, rate_hz, self._loop_at(output)
+        self.output, self.rate_hz, self._margins = output, rate_hz, self._margins_at(output)
         if self._offload is not None:
             self._offload.set_carried(output.carried_hz)
         self._compiler.turn_to(output)
@@ -440,14 +435,15 @@ class Engine:
             return []
         return self._offload.outcomes(materials_in(self.scene.objects, self.materials))
 
-    def stability(self) -> Stability:
-        """Which sets of objects that act together are not safe, of the scene in force. For any thread."""
-        return Stability(UNKNOWN_HANDLE, None) if self._loop is None else self._stability.find()
-
-    def _snapshot(self, known_revision: int | None) -> Snapshot | None:
-        if self.revision == known_revision or self._loop is None:
+    def margins(self, touched: bool = False) -> dict[str, float | None] | None:
+        """How many times as stiff each surface could be by itself, by id (None: any stiffness would do); `touched`: of
+        those that the last change brought or changed. None: mass and damping of the handle are not known."""
+        if self._margins is None:
             return None
-        return Snapshot(self.revision, self.scene, self._compiler.surfaces(), self._compiler.names(), self._loop)
+        slots = list(self._compiler.touched if touched else self._compiler.slots())
+        names = self._compiler.names_of(slots)
+        found = self._margins.of(self._compiler, slots)
+        return {name: margin if margin < math.inf else None for name, margin in zip(names, found, strict=True)}
 
     def name_of(self, slot: int, generation: int) -> str | None:
         """The id of the object that an event speaks of; None where no object is meant."""
@@ -460,14 +456,13 @@ class Engine:
 
     def _take(self, scene: Scene, changed: Iterable[str], materials: Materials, expected: int | None) -> int:
         changed = tuple(changed)
-        with self._compiling:
-            before = self.state
-            if expected is not None and expected != before.revision:
-                raise StaleRevisionError(f"revision {expected} is not in force")
-            revision = (before.revision + 1) & 0xFFFFFFFF
-            self._publish(scene, changed, materials, revision)
-            self._changes.append(revised(revision, before.scene, scene, changed, before.materials, materials))
-            self.state = State(scene, materials, revision)
+        before = self.state
+        if expected is not None and expected != before.revision:
+            raise StaleRevisionError(f"revision {expected} is not in force")
+        revision = (before.revision + 1) & 0xFFFFFFFF
+        self._publish(scene, changed, materials, revision)
+        self._changes.append(revised(revision, before.scene, scene, changed, before.materials, materials))
+        self.state = State(scene, materials, revision)
         return revision
 
     def _publish(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:

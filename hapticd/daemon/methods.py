@@ -109,6 +109,8 @@ class Changed(NamedTuple):
     wait: bool
     """Whether its answer says from which tick on."""
     warnings: list[Problem]
+    margins: dict[str, float | None] | None
+    """As Engine.margins, of the surfaces that it brought or changed."""
 
 
 CHANGES: Final = frozenset(("set_scene", "update_scene", "set_materials", "update_materials", "apply", "reload"))
@@ -130,6 +132,11 @@ def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
 def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
     """A result, with what is not displayed as it was meant if there is anything."""
     return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
+
+
+def _with_margins(result: dict[str, object], margins: dict[str, float | None] | None) -> dict[str, object]:
+    """A result, with the margins of surfaces if they are known."""
+    return result if margins is None else {**result, "margins": margins}
 
 
 class Methods:
@@ -167,7 +174,7 @@ class Methods:
         """The result of what was performed. Waits for the servo where a change asks for that. Raises MethodError."""
         if not isinstance(done, Changed):
             return done
-        result = _with_warnings({"revision": done.revision}, done.warnings)
+        result = _with_warnings(_with_margins({"revision": done.revision}, done.margins), done.warnings)
         if done.wait:
             try:
                 result["tick"] = self._engine.wait_revision(done.revision)
@@ -259,7 +266,8 @@ class Methods:
 
     def _get_scene(self, _: NoParams) -> dict[str, object]:
         state = self._engine.state
-        return {"scene": state.scene.to_dict(), "revision": state.revision}
+        result: dict[str, object] = {"scene": state.scene.to_dict(), "revision": state.revision}
+        return _with_margins(result, self._engine.margins())
 
     def _set_scene(self, params: SetSceneParams) -> Steps[Changed]:
         self._expect(params)
@@ -270,7 +278,7 @@ class Methods:
             raise _faulty(problems)
         reports = yield from self._prepared(scene.objects, engine.materials)
         revision = engine.set_scene(scene, params.expect_revision)
-        return Changed(revision, params.wait, self._warnings(scene.objects, ("scene", "objects"), reports))
+        return self._changed(revision, params, self._warnings(scene.objects, ("scene", "objects"), reports))
 
     def _update_scene(self, params: UpdateSceneParams) -> Steps[Changed]:
         self._expect(params)
@@ -286,7 +294,10 @@ class Methods:
                 raise _faulty(problems)
         reports = yield from self._prepared(present, engine.materials)
         revision = engine.update_objects(changes, params.expect_revision)
-        return Changed(revision, params.wait, self._warnings(present, ("objects",), reports))
+        return self._changed(revision, params, self._warnings(present, ("objects",), reports))
+
+    def _changed(self, revision: int, params: ChangeParams, warnings: list[Problem]) -> Changed:
+        return Changed(revision, params.wait, warnings, self._engine.margins(touched=True))
 
     def _prepared(
         self, objects: Mapping[str, SceneObject], materials: Materials, sent: Iterable[str] = ()
@@ -355,7 +366,7 @@ class Methods:
             raise _faulty(refused)
         reports = yield from self._prepared({}, materials, sent)
         revision = engine.set_materials(materials, params.expect_revision)
-        return Changed(revision, params.wait, self._warnings({}, (), reports, sent))
+        return self._changed(revision, params, self._warnings({}, (), reports, sent))
 
     def _apply(self, params: ApplyParams) -> Steps[Changed]:
         """Every fault of either part is reported; materials and scene change at one tick, or neither does."""
@@ -387,7 +398,7 @@ class Methods:
         reports = yield from self._prepared(objects, materials, params.materials or ())
         revision = engine.replace(scene, materials, params.expect_revision)
         warnings = self._warnings(objects, ("scene", "objects"), reports, params.materials or ())
-        return Changed(revision, params.wait, warnings)
+        return self._changed(revision, params, warnings)
 
     def _reload(self, params: ReloadParams) -> Steps[Changed]:
         """All or nothing: what needs a restart refuses the rest, too."""
@@ -423,7 +434,8 @@ class Methods:
         changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
         self._tell(logging.INFO, f"reloaded: revision {revision}, {wording.count(changed, 'object')} changed")
         sent = used_materials(new.values())
-        return Changed(revision, params.wait, self._warnings(new, ("scene", "objects"), reports, sent))
+        warnings = self._warnings(new, ("scene", "objects"), reports, sent)
+        return Changed(revision, params.wait, warnings, None) if same else self._changed(revision, params, warnings)
 
     def _tell(self, level: int, line: str) -> None:
         """What came of a reload: one line a second at most, though a client may ask for hundreds."""

@@ -52,6 +52,9 @@ SWITCH_S: Final = 0.0005
 """A thread that computes in the interpreter gives it to another one after so long, instead of 5 ms. The thread that
 serves commands waits for it after each system call."""
 
+MOST_NAMED: Final = 3
+"""Surfaces whose margin the log names at the start, the lowest first."""
+
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 _log = logging.getLogger("hapticd")
@@ -156,8 +159,13 @@ def _log_limits(engine: Engine, granted: Granted, chosen: Chosen) -> None:
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)
     undisplayable, warnings = engine.limits()
-    for problem in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
+    for problem in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS]):
         _log.warning("%s", problem)
+    low = [(margin, id) for id, margin in (engine.margins() or {}).items() if margin is not None and margin < 1.0]
+    if low:
+        worst = wording.listed([f"{id} {margin:.2g}" for margin, id in sorted(low)[:MOST_NAMED]])
+        surfaces = wording.count(len(low), "surface")
+        _log.warning("%s with a margin of stability below 1: %s; `hapticd check` says more", surfaces, worst)
 
 
 def _log_ready(engine: Engine, granted: Granted, command: Path) -> None:

@@ -21,7 +21,6 @@ from hapticd.daemon.lease import Lease
 from hapticd.daemon.streams import Streams
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.messages import PROTOCOL
-from hapticd.rendering.scene_stability import Stability
 
 
 class Status:
@@ -39,23 +38,23 @@ class Status:
 
     def report(self) -> dict[str, object]:
         """Every member, in the order of docs/protocol.md."""
-        counters, stability = self._engine.counters(), self._engine.stability()
-        return {**self._lasting(counters, stability), **self._changing(counters), **self._detail()}
+        counters = self._engine.counters()
+        return {**self._lasting(counters), **self._changing(counters), **self._detail()}
 
     def encoded(self, detail: bool) -> Encoded:
         """The same for an answer; what is long and seldom wanted only with `detail`."""
-        counters, stability = self._engine.counters(), self._engine.stability()
+        counters = self._engine.counters()
         known, lasting = self._encoded
-        state = self._state(counters, stability)
+        state = self._state(counters)
         if known != state:
-            lasting = Members.of(self._lasting(counters, stability))
+            lasting = Members.of(self._lasting(counters))
             self._encoded = state, lasting
         changing = self._changing(counters)
         if detail:
             changing |= self._detail()
         return Encoded((lasting.joined(changing),))
 
-    def _state(self, counters: Counters, stability: Stability) -> tuple[object, ...]:
+    def _state(self, counters: Counters) -> tuple[object, ...]:
         """What `_lasting` is made of."""
         engine, flight = self._engine, self._flight
         return (
@@ -65,11 +64,10 @@ class Status:
             counters.memory_refused,
             0 if flight is None else flight.version,
             engine.granted,
-            stability,
             self._streams.received > 0,
         )
 
-    def _lasting(self, counters: Counters, stability: Stability) -> dict[str, object]:
+    def _lasting(self, counters: Counters) -> dict[str, object]:
         engine, flight = self._engine, self._flight
         granted = engine.granted
         return {
@@ -82,7 +80,6 @@ class Status:
             "revision": engine.revision,
             "flight": None if flight is None else flight.status(),
             **self._find_limits(),
-            "stability": stability.to_dict(),
             "operator": engine.operator(),
             **({} if self._streams.received else {"streams": self._streams.status()}),
         }

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from hapticd.base import wording
 from hapticd.hid.device_texts import offload_text, unseen_text
-from hapticd.rendering.stability_text import stability_words
 from hapticd.rendering.undisplayable_text import undisplayable_text
 
 if TYPE_CHECKING:
@@ -63,9 +62,6 @@ def lines(status: Status) -> Iterator[Line]:
         yield "offload", offload_text(outcome)
     for warning in status["warnings"]:
         yield "warning", f"{warning['where']}: {warning['problem']}"
-    stability = status.get("stability")
-    if isinstance(stability, dict):
-        yield from stability_words(stability)
     yield "daemon", f"hapticd {status['version']}, protocol {status['protocol']}, {status['state']}"
 
 

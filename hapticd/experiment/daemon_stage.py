@@ -36,7 +36,7 @@ FADE_S: Final = 5.0
 _GRACE_S: Final = 1.0
 _ASKED_AGAIN_S: Final = 0.1
 """Between two tries to take a lease that somebody holds; nothing tells when one lapses."""
-_KEPT: Final = ("version", "protocol", "started_ns", "device", "rate_hz", "realtime", "stability", "undisplayable")
+_KEPT: Final = ("version", "protocol", "started_ns", "device", "rate_hz", "realtime", "undisplayable")
 
 
 class DaemonStage:

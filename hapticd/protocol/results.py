@@ -68,7 +68,6 @@ class Status(TypedDict):
     undisplayable: list[dict[str, Json]]
     warnings: list[dict[str, str]]
     offload: list[dict[str, Json]]
-    stability: dict[str, Json]
     operator: OperatorStatus | None
     connection: dict[str, Json] | None
     streams: dict[Literal["target", "force"], StreamStatus]
@@ -81,10 +80,12 @@ class ConfigResult(TypedDict):
 
 
 class SceneResult(TypedDict):
-    """The scene, and the revision that it has."""
+    """The scene, and the revision that it has. `margins`: how many times as stiff each surface could be by itself, by
+    id, None for any; absent where the handle's mass and damping are not known."""
 
     scene: dict[str, Json]
     revision: int
+    margins: NotRequired[dict[str, float | None]]
 
 
 class Warned(TypedDict):
@@ -97,11 +98,13 @@ class Warned(TypedDict):
 class RevisionResult(TypedDict):
     """The revision that a change made; with `wait`, also the first tick rendered with it or a later one.
 
-    `warning`: why forces are off. `warnings`: what of the change is not displayed as it was meant.
+    `margins`: as in `get_scene`, of the surfaces that the change brought or changed. `warning`: why forces are off.
+    `warnings`: what of the change is not displayed as it was meant.
     """
 
     revision: int
     tick: NotRequired[int]
+    margins: NotRequired[dict[str, float | None]]
     warning: NotRequired[str]
     warnings: NotRequired[list[Warned]]
 

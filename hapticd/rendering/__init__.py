@@ -32,6 +32,7 @@ Stability:
     stability_text      what a person reads of it
     surface_table       the part of a compiled table that the analysis reads
     surface_properties  what surfaces push back with, at most
+    surface_margins     the margin of each surface by itself, in microseconds
     disc_stiffness      how stiff a disc is along its radius and around it
 
 Without a daemon:

@@ -1,4 +1,4 @@
-"""How the contact sets of a scene stand, as it is reported: by `hapticd check`, in get_status and by a run."""
+"""How the contact sets of a scene stand, as it is reported: by `hapticd check` and by a run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Stability:
         return tuple(margin for margin in self.worst if margin.verdict == "unsafe")
 
     def to_dict(self) -> dict[str, object]:
-        """As get_status has it."""
+        """As `hapticd check --json` has it."""
         return {
             "unknown": self.unknown,
             "assumed": None if self.assumed is None else self.assumed.to_dict(),

@@ -217,7 +217,7 @@ class Loop:
         return BEND * self.encoder_step_m / self.timing.reading_s
 
     def to_dict(self) -> dict[str, object]:
-        """What is assumed, for get_status."""
+        """What is assumed, for `hapticd check`."""
         dynamics = self.dynamics
         return {
             "handle_mass_kg": dynamics.handle_mass_kg,
@@ -264,7 +264,7 @@ class Margin:
         return self.verdict == "safe"
 
     def to_dict(self) -> dict[str, object]:
-        """As get_status has it."""
+        """As `hapticd check --json` has it."""
         return {
             "objects": list(self.objects),
             "stiffness_n_per_m": self.stiffness_n_per_m,

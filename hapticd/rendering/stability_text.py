@@ -1,7 +1,4 @@
-"""What a person reads of the stability of a scene: what it means, and what to do. From the map that get_status has.
-
-It loads nothing, as `hapticd status` should not either.
-"""
+"""What a person reads of a scene's stability: what it means and what to do. From the map of `check --json`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final

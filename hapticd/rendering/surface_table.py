@@ -12,7 +12,7 @@ Ints = npt.NDArray[np.int64]
 
 
 class SurfaceTable(NamedTuple):
-    """A copy of it."""
+    """The arrays are the compiler's own: for as long as nothing updates its table."""
 
     objects: npt.NDArray[np.void]
     """OBJECT_DTYPE, by slot."""

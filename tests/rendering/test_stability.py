@@ -4,32 +4,28 @@ from __future__ import annotations
 
 import json
 import math
-import threading
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-import msgpack
 import numpy as np
 import pytest
 from scipy import signal
 
 from bench.stability import SEED, counted, draw, evaluated, fate_of, linear_grows
+from hapticd.analysis.check import check
 from hapticd.base.core import HidQuantity, ffi, lib
 from hapticd.cli import main
 from hapticd.config.actuator import Actuator
-from hapticd.config.configuration import load_config
+from hapticd.config.configuration import Config, load_config
 from hapticd.config.dynamics import Dynamics, held_motion
-from hapticd.config.scene import validate_scene
-from hapticd.daemon import stability as stability_module
-from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import Methods
 from hapticd.hid.plan import AxisPlan, Bits, Message, Plan, Value
 from hapticd.rendering import contact_sets
 from hapticd.rendering.contact_sets import ContactSets
 from hapticd.rendering.device_output import loop_of
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import render, simulate_run
+from hapticd.rendering.scene_stability import Stability
 from hapticd.rendering.stability import GROWS, PRESS_N, Loop, Timing, held_factor, spectral_radius, timing
 from tests.support.marks import rest_slow
 
@@ -454,15 +450,18 @@ def test_the_linear_simulation_knows_what_decays() -> None:
 
 # ---- Where it is told ----------------------------------------------------------------------------------------------
 
-LINKED = {
+LINKED: dict[str, Any] = {
     "device": {"sim": {"link": {"rate_hz": 1000}}},
     "scene": {"objects": {"floor": {**FLOOR, "material": "wood"}}},
 }
 
 
-def test_the_status_tells_what_is_not_safe_and_follows_the_scene() -> None:
-    daemon = Methods(Engine(load_config(LINKED)))
-    told: Any = daemon.status()["stability"]
+def stability_of(config: Config) -> Stability:
+    return check(config).stability
+
+
+def test_what_is_not_safe_is_told_with_its_limit() -> None:
+    told: Any = stability_of(load_config(LINKED)).to_dict()
     assert (told["unknown"], told["sets"], told["unsafe"]) == (None, 1, 1)
     (worst,) = told["worst"]
     assert worst["objects"] == ["floor"]
@@ -472,32 +471,27 @@ def test_the_status_tells_what_is_not_safe_and_follows_the_scene() -> None:
     free = Dynamics(0.04, 0.2, 0.05, 0.0, 0.0, 0.0)
     assert worst["free_radius"] == pytest.approx(roots(800, 0, free, 1e-3, 2), rel=1e-6)
     assert worst["spectral_radius"] == pytest.approx(roots(800, 0, HANDLE, 1e-3, 2), rel=1e-6)
-    msgpack.packb(told)
     json.dumps(told, allow_nan=False)
-    daemon.call("update_materials", {"materials": {"wood": {"stiffness_n_per_m": 70}}})
-    told = daemon.status()["stability"]
+    softer: dict[str, Any] = {**LINKED, "materials": {"wood": {"stiffness_n_per_m": 70}}}
+    told = stability_of(load_config(softer)).to_dict()
     assert (told["sets"], told["unsafe"]) == (1, 0)
     (safe,) = told["worst"]
     assert (safe["objects"], safe["verdict"], safe["remedy"]) == (["floor"], "safe", "")
     assert safe["limit_n_per_m"] == pytest.approx(0.2 / 2.5e-3)
     assert safe["margin"] == pytest.approx(80 / 70)
     second = {**FLOOR, "point_m": [0, -0.001], "material": "wood"}
-    daemon.call("update_scene", {"objects": {"second": second}})
-    told = daemon.status()["stability"]
-    assert [margin["objects"] for margin in told["worst"]] == [["floor", "second"]]
-    assert told["worst"][0]["stiffness_n_per_m"] == pytest.approx(140)
-    daemon.call("update_scene", {"objects": {"second": None}})
-    assert [margin["verdict"] for margin in daemon.status()["stability"]["worst"]] == ["safe"]
+    two = {"scene": {"objects": {**LINKED["scene"]["objects"], "second": second}}}
+    (worst,) = stability_of(load_config(softer | two)).worst
+    assert worst.objects == ("floor", "second")
+    assert worst.stiffness_n_per_m == pytest.approx(140)
 
 
 def test_many_sets_are_counted_and_few_told() -> None:
     objects = {
         f"d{i}": {"kind": "disc", "center_m": [0.001 * i, 0], "radius_m": 2e-4, "material": "m"} for i in range(60)
     }
-    engine = Engine(
-        load_config({**LINKED, "materials": {"m": {"stiffness_n_per_m": 800}}, "scene": {"objects": objects}})
-    )
-    stability = engine.stability()
+    materials = {"m": {"stiffness_n_per_m": 800}}
+    stability = stability_of(load_config({**LINKED, "materials": materials, "scene": {"objects": objects}}))
     assert (stability.sets, stability.unsafe, len(stability.worst)) == (60, 60, contact_sets.MOST_REPORTED)
     lines = [str(problem) for problem in stability.problems()]
     assert len(lines) == contact_sets.MOST_LINES + 1
@@ -505,51 +499,13 @@ def test_many_sets_are_counted_and_few_told() -> None:
         lines[-1]
         == f"scene.objects: {60 - contact_sets.MOST_LINES} more sets of objects are not safe, see `hapticd check`"
     )
-    assert engine.stability() is stability
-
-
-def test_nobody_waits_until_a_large_scene_is_evaluated(monkeypatch: pytest.MonkeyPatch) -> None:
-    go_on, done = threading.Event(), threading.Event()
-    evaluate = stability_module.evaluate
-
-    def held(*args: Any, **options: Any) -> Any:
-        assert go_on.wait(60)
-        try:
-            return evaluate(*args, **options)
-        finally:
-            done.set()
-
-    discs = {
-        f"d{i}": {"kind": "disc", "center_m": [0.001 * i, 0], "radius_m": 2e-4, "material": "m"}
-        for i in range(stability_module.EVALUATED_AT_ONCE + 2)
-    }
-    engine = Engine(load_config({**LINKED, "materials": {"m": {"stiffness_n_per_m": 800}}}))
-    before = engine.stability()
-    monkeypatch.setattr(stability_module, "evaluate", held)
-    engine.set_scene(validate_scene({"objects": discs}))
-    assert engine.stability() is before and engine.stability() is before
-    go_on.set()
-    assert done.wait(60)
-    with engine._stability.under_way:  # until the thread that evaluated has ended
-        pass
-    assert engine.stability().sets == len(discs)
-
-    def refused(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    monkeypatch.setattr(threading.Thread, "start", refused)
-    engine.update_objects({"d0": None})
-    assert engine.stability().sets == len(discs) - 1  # by whoever asks
-    engine.update_objects({f"d{i}": None for i in range(1, 400)})
-    assert engine.stability().sets == len(discs) - 400  # few enough: at once
 
 
 def test_virtual_damping_is_unproved_until_it_shakes_the_handle() -> None:
     """D T/m beyond 2 makes a held mass diverge: with 0.05 kg at 10 kHz beyond 1000 N s/m, at 1 kHz beyond 100."""
     for damping, verdict in ((0.001, "safe"), (2.0, "unproved"), (70.0, "unproved"), (150.0, "unsafe")):
         scene = {"objects": {"honey": {"kind": "viscous", "damping_n_s_per_m": damping}}}
-        engine = Engine(load_config({"servo": {"rate_hz": 1000}, "scene": scene}))
-        stability = engine.stability()
+        stability = stability_of(load_config({"servo": {"rate_hz": 1000}, "scene": scene}))
         assert [margin.verdict for margin in stability.worst] == [verdict]
         assert len(stability.problems()) == (verdict == "unsafe")
 

@@ -329,19 +329,22 @@ def test_right_angles_are_exact(run: _Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verdict", "words"),
+    ("margins", "kind", "words"),
     [
-        ({"safe": True, "verdict": "safe", "margin": 5.0, "remedy": ""}, ["ok", "Limit: 4000 N/m, margin 5."]),
-        (
-            {"safe": False, "verdict": "unproved", "margin": 0.5, "remedy": "lower m.stiffness_n_per_m to 400"},
-            ["warn", "To be safe: lower m.stiffness to 400."],
-        ),
-        ({"safe": False, "verdict": "unsafe", "margin": 0.1, "remedy": ""}, ["bad", "margin 0.1."]),
+        ({"floor": 5.0, "other": 0.1}, "ok", "floor: 800 N/m. Limit: 4000 N/m, margin 5."),
+        ({"floor": 0.5}, "warn", "floor: 800 N/m. Limit: 400 N/m, margin 0.5."),
+        ({"floor": 0.0}, "warn", "floor: 800 N/m. No stiffness is proved to be safe."),
+        ({"floor": None}, "ok", "floor: 800 N/m. No stiffness is too much."),
+        ({}, "plain", "Stability: not known yet."),
     ],
 )
-def test_the_margin_is_said_in_words(run: _Run, verdict: dict[str, Any], words: list[str]) -> None:
-    margin = {"objects": ["floor"], "stiffness_n_per_m": 800.0, "limit_n_per_m": 4000.0, **verdict}
-    stability = {"unknown": None, "sets": 1, "unsafe": 0, "worst": [margin]}
-    told = run({"w": "editor/warnings.js"}, "return w.stabilityOf(given[0], given[1], 'comb')", [stability, SCENE])
-    assert told["kind"] == words[0]
-    assert words[1] in told["text"] and told["text"].startswith("floor: 800 N/m.")
+def test_the_margin_is_said_in_words(run: _Run, margins: dict[str, Any], kind: str, words: str) -> None:
+    materials = {"comb": {"stiffness_n_per_m": 800.0}}
+    body = "return w.stabilityOf(given[0], given[1], given[2], 'comb')"
+    told = run({"w": "editor/warnings.js"}, body, [margins, SCENE, materials])
+    assert told["kind"] == kind and told["text"].startswith(words)
+
+
+def test_without_a_handle_no_margin_is_known(run: _Run) -> None:
+    told = run({"w": "editor/warnings.js"}, "return w.stabilityOf(undefined, given, {}, 'comb')", SCENE)
+    assert told == {"kind": "plain", "text": "Stability: not known: device.handle is not given."}

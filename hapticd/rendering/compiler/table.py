@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterable, Mapping
-from typing import Final, TypeAlias, TypeGuard, assert_never
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Final, TypeAlias, TypeGuard, assert_never
 
 import numpy as np
 
@@ -86,6 +86,8 @@ class Compiler:
         self._walls = PatchedWalls(self._materials)
         self._fields = Fields()
         self._changed: set[int] = set()
+        self.touched: dict[int, None] = {}
+        """The slots of surfaces that the last update put there, or of whose materials it changed one."""
         self._changed_slots = np.zeros(0, np.uint32)
         self._stamp = 0
         self._table: CData = ffi.new("struct hd_table *")
@@ -118,6 +120,25 @@ class Compiler:
         owner = None if slot is None else self._owners[slot]
         return None if slot is None or owner is None else (slot, owner[0])
 
+    @property
+    def parts_version(self) -> int:
+        """Another one once an update changed materials or pieces of walls."""
+        return int(self._table.parts_version)
+
+    def slots(self) -> Iterable[int]:
+        """Those of all surfaces."""
+        return self._slots.values()
+
+    def names_of(self, slots: Iterable[int]) -> list[str]:
+        """The ids of the surfaces at these slots."""
+        owners = self._owners
+        return [owner[1] for slot in slots if (owner := owners[slot]) is not None]
+
+    def records_of(self, slots: Iterable[int]) -> Iterator[tuple[Any, ...]]:
+        """The members of `struct hd_object` of the surfaces at these slots."""
+        memory, size = self._objects.memory, _RECORD.size
+        return (_RECORD.unpack_from(memory, slot * size) for slot in slots)
+
     def names(self) -> list[str]:
         """Ids by slot; empty where the slot is free. Not while another thread updates it."""
         return ["" if owner is None else owner[1] for owner in self._owners]
@@ -135,11 +156,11 @@ class Compiler:
         self._retired.read(revision)
 
     def surfaces(self) -> SurfaceTable:
-        """A copy of what of the table says how surfaces and fields push. Not while another thread updates it."""
+        """What of the table says how surfaces and fields push, as long as nothing updates it."""
         return SurfaceTable(
-            self._objects.array[: self._places.count].copy(),
-            self._materials.rows().copy(),
-            self._walls.records.copy(),
+            self._objects.array[: self._places.count],
+            self._materials.rows(),
+            self._walls.records,
             float(self._table.field.stiffness_n_per_m),
             float(self._table.field.damping_n_s_per_m),
             self._materials.names(),
@@ -196,6 +217,7 @@ class Compiler:
         former: Mapping[str, tuple[int, int]],
     ) -> CData:
         self._stamp = next_version(self._stamp)
+        self.touched = {}
         objects, table = scene.objects, self._table
         fields_changed = False
         # What goes makes room for what comes.
@@ -266,6 +288,7 @@ class Compiler:
         key = (generation, pose_version, surface_version, shape, material, first, count, 0)
         _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, *key, *place)
         self._changed.add(slot)
+        self.touched[slot] = None
 
     def _remove(self, id: str) -> None:
         slot = self._slots.pop(id)
@@ -292,4 +315,6 @@ class Compiler:
         touched = np.isin(array["material"], materials) & (array["shape"] != _NONE)
         touched[self._walls.made_of(materials)] = True
         array["surface_version"][touched] = self._stamp
-        self._changed.update(np.flatnonzero(touched).tolist())
+        slots = np.flatnonzero(touched).tolist()
+        self._changed.update(slots)
+        self.touched.update(dict.fromkeys(slots))

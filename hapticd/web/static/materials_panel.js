@@ -148,7 +148,7 @@ class MaterialsPanel {
     if (field !== null && stability.parentElement !== field) {
       field.append(stability);
     }
-    const word = { ok: "Stable in any hand", warn: "Not proved for every hand", bad: "May oscillate", plain: "" }[kind];
+    const word = { ok: "Stable in any hand", warn: "Not proved for every hand", plain: "" }[kind];
     const key = `${kind}${text}`;
     if (stability.dataset.shown !== key) {
       stability.dataset.shown = key;

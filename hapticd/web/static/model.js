@@ -16,6 +16,8 @@ export class Model extends EventTarget {
   status = {}; // as get_status
   state = null; // the newest sample, 60 times a second
   revision = null;
+  margins; // by surface, as get_scene has them; undefined: the daemon does not know them
+  marginsRevision = null; // the newest whose changes are all in `margins`
   away = false;
   #link;
   #loading = null;
@@ -79,6 +81,7 @@ export class Model extends EventTarget {
     this.materials = materials.materials;
     this.config = config.config;
     this.revision = scene.revision;
+    this.takeMargins(scene);
     for (const name of ["config", "status", "materials", "scene"]) {
       this.dispatchEvent(new Event(name));
     }
@@ -98,9 +101,19 @@ export class Model extends EventTarget {
     }
   }
 
-  // What a call of this page changed, a merge patch over `materials`, `objects` or `scene`. The topic `change` says the same
-  // a little later, in the daemon's own form.
-  applied(target, patch, revision) {
+  // The answer of get_scene has the margins of all surfaces.
+  takeMargins({ margins, revision }) {
+    this.margins = margins;
+    this.marginsRevision = revision;
+  }
+
+  // What a call of this page changed, a merge patch over `materials`, `objects` or `scene`, and its answer. The topic
+  // `change` says the same a little later, in the daemon's own form, but for the margins.
+  applied(target, patch, { revision, margins }) {
+    if (revision === this.marginsRevision + 1) {
+      this.margins = margins && { ...this.margins, ...margins };
+      this.marginsRevision = revision;
+    }
     const removed = target === "materials" && Object.values(patch).includes(null); // one may be there again, as shipped
     if (this.#loading !== null || revision !== this.revision + 1 || removed) {
       return;

@@ -160,7 +160,7 @@ export class Changes extends EventTarget {
     } else {
       result = await this.#link.call(`update_${target === "objects" ? "scene" : target}`, { [target]: patch, ...expected });
     }
-    this.#model.applied(target, patch, result.revision);
+    this.#model.applied(target, patch, result);
     const detail = { target, patch, warnings: result.warnings ?? [] };
     this.dispatchEvent(new CustomEvent("taken", { detail }));
     return result;

@@ -1,10 +1,10 @@
-// What of the scene is displayed otherwise than it was meant, and how stable it is: `app.warnings`, from the daemon's status.
+// What of the scene is displayed otherwise than it was meant, from the daemon's status, and how stable it is, from the
+// margins in its answers: `app.warnings`.
 //
-// The status comes once a second. After a change of this page it is asked for at once, one call under way.
+// The status comes once a second. After a change of this page it is asked for at once, one call under way. What others
+// change comes without margins: they are asked for with the next status.
 import { parsePath } from "./problem_path.js";
 import { withUnit } from "./numbers.js";
-
-const MOST_OBJECTS = 3;
 
 // Events: `changed`.
 export class Warnings extends EventTarget {
@@ -12,13 +12,17 @@ export class Warnings extends EventTarget {
   #status;
   #told = {}; // by material: what the daemon said when it was sent, for those that the scene does not use
   #asking = false;
+  #askingMargins = false;
   #again = false;
 
   constructor(app) {
     super();
     this.#app = app;
     this.#status = app.model.status;
-    app.model.addEventListener("status", () => this.#take(app.model.status));
+    app.model.addEventListener("status", () => {
+      this.#take(app.model.status);
+      this.#askMargins();
+    });
     app.undo.changes.addEventListener("taken", ({ detail }) => {
       if (detail.target === "materials") {
         const lines = detail.warnings.map(({ where, problem }) => ({ path: parsePath(where).slice(1), text: problem }));
@@ -47,9 +51,10 @@ export class Warnings extends EventTarget {
     return [...found, ...told, ...undisplayable.map((mode) => this.#undisplayable(mode))];
   }
 
-  // {kind: ok, warn, bad or plain; text} of the objects that have a material.
+  // {kind: ok, warn or plain; text} of the objects that have a material.
   stabilityOf(name) {
-    return stabilityOf(this.#status.stability, this.#app.model.scene, name);
+    const { margins, scene, materials } = this.#app.model;
+    return stabilityOf(margins, scene, materials, name);
   }
 
   #undisplayable({ material, mode, frequency_hz: frequency, shown_hz: shown }) {
@@ -61,6 +66,22 @@ export class Warnings extends EventTarget {
   #take(status) {
     this.#status = status;
     this.dispatchEvent(new Event("changed"));
+  }
+
+  async #askMargins() {
+    const { model, link } = this.#app;
+    if (this.#askingMargins || model.marginsRevision === null || model.marginsRevision === model.revision) {
+      return;
+    }
+    this.#askingMargins = true;
+    try {
+      model.takeMargins(await link.call("get_scene"));
+      this.dispatchEvent(new Event("changed"));
+    } catch (error) {
+      this.#failed(error);
+    } finally {
+      this.#askingMargins = false;
+    }
   }
 
   async #ask() {
@@ -75,10 +96,14 @@ export class Warnings extends EventTarget {
         this.#take({ ...this.#status, ...(await this.#app.link.call("get_status")) });
       } while (this.#again);
     } catch (error) {
-      this.#app.view.dispatchEvent(new CustomEvent("notice", { detail: { text: `No status: ${error.message}`, kind: "error" } }));
+      this.#failed(error);
     } finally {
       this.#asking = false;
     }
+  }
+
+  #failed(error) {
+    this.#app.view.dispatchEvent(new CustomEvent("notice", { detail: { text: `No status: ${error.message}`, kind: "error" } }));
   }
 }
 
@@ -122,40 +147,32 @@ export function objectsOf(scene, name) {
     .map(([id]) => id);
 }
 
-export function stabilityOf(stability, scene, name) {
+// `margins`: by object, how many times as stiff it could be by itself, null: any; undefined: the daemon does not know.
+export function stabilityOf(margins, scene, materials, name) {
   const ids = objectsOf(scene, name);
   if (!ids.length) {
     return { kind: "plain", text: "No object of the scene has this material." };
   }
-  if (!stability) {
+  if (margins === undefined) {
+    return { kind: "plain", text: "Stability: not known: device.handle is not given." };
+  }
+  const found = ids.filter((id) => id in margins).map((id) => [margins[id] ?? Infinity, id]);
+  if (!found.length) {
     return { kind: "plain", text: "Stability: not known yet." };
   }
-  if (stability.unknown !== null) {
-    return { kind: "plain", text: `Stability: not known: ${stability.unknown}` };
-  }
-  const set = stability.worst.find(({ objects }) => objects.some((id) => ids.includes(id)));
-  if (set === undefined) {
-    const safe = stability.worst.every(({ safe }) => safe) || stability.unsafe < stability.worst.length;
-    return { kind: safe ? "ok" : "plain", text: `Not among the ${stability.worst.length} least stable groups of objects.` };
-  }
-  return { kind: { safe: "ok", unproved: "warn", unsafe: "bad" }[set.verdict], text: setText(set) };
+  const [margin, id] = found.reduce((least, each) => (each[0] < least[0] ? each : least));
+  const stiffness = materials[name]?.stiffness_n_per_m ?? 0;
+  const check = margin < 1 ? " `hapticd check` says what may oscillate, and what to lower." : "";
+  return { kind: margin < 1 ? "warn" : "ok", text: `${id}: ${withUnit(stiffness, "N/m", 3)}.${reachText(margin, stiffness)}${check}` };
 }
 
-function setText({ objects, stiffness_n_per_m: stiffness, margin, limit_n_per_m: limit, verdict, remedy }) {
-  const names = objects.slice(0, MOST_OBJECTS).join(", ") + (objects.length > MOST_OBJECTS ? ` and ${objects.length - MOST_OBJECTS} more` : "");
-  const which = `${names}${objects.length > 1 ? " together" : ""}: ${withUnit(stiffness, "N/m", 3)}.`;
-  const held = verdict === "unproved" ? " In the hand that is set up it is stable." : "";
-  const help = remedy ? ` To be safe: ${remedy.replace(/_(n_per_m|m)\b/g, "").replace(/\.$/, "")}.` : "";
-  return `${which}${reachText(margin, limit, remedy)}${held}${help}`;
-}
-
-// How stiff it might be; empty where the remedy alone says it.
-function reachText(margin, limit, remedy) {
-  if (margin === null) {
+// How stiff it might be.
+function reachText(margin, stiffness) {
+  if (margin === Infinity) {
     return " No stiffness is too much.";
   }
-  if (limit > 0) {
-    return ` Limit: ${withUnit(limit, "N/m", 3)}, margin ${Number(margin.toPrecision(2))}.`;
+  if (margin === 0) {
+    return " No stiffness is proved to be safe.";
   }
-  return remedy ? "" : " No stiffness is proved to be safe.";
+  return ` Limit: ${withUnit(margin * stiffness, "N/m", 3)}, margin ${Number(margin.toPrecision(2))}.`;
 }
