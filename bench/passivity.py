@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from bench.tick import MATERIALS, RATE_HZ, STRETCH, Stretch, walls
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.base.yaml_source import Json
 from hapticd.config.configuration import load_config
-from hapticd.daemon.counters import Energy
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.joystick import new_operator, new_sim
@@ -138,6 +137,21 @@ def draw(seed: int, group: Group) -> Case:
         depth_m=random.uniform(0.001, 0.01),
         slide_m=float(random.choice([0.0, random.uniform(-0.02, 0.02)])),
     )
+
+
+class Energy(NamedTuple):
+    """What the touched objects gave to the hand, as far as the passivity observer saw it."""
+
+    energy_j: float
+    """In this contact, or in the last one; below zero: the hand gave more than it got."""
+    largest_j: float
+    """The largest so far in any contact."""
+    contacts: int
+    """From the first touch to the last release."""
+    restrained: int
+    """Of them, those in which the controller acted."""
+    acted: int
+    """Ticks in which it did."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -134,8 +134,7 @@ def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool
 def schema_command(protocol: str | None) -> None:
     """Print the JSON Schema of the configuration, for editors; or a description of the protocol, for programs."""
     from hapticd.config.schema import config_schema
-    from hapticd.daemon.described.asyncapi import asyncapi_document
-    from hapticd.daemon.described.openrpc import openrpc_document
+    from hapticd.daemon.described.documents import asyncapi_document, openrpc_document
 
     documents = {None: config_schema, "openrpc": openrpc_document, "asyncapi": asyncapi_document}
     click.echo(json.dumps(documents[protocol](), indent=2, ensure_ascii=False))

@@ -3,11 +3,9 @@
 From a request to the servo, and back:
 
     process          configuration, runtime directory, threads, signals: starts everything and takes it down
-    peers            a listening socket and the ZeroMQ peers that come to it (ADR 0024)
-    turns            whose turn it is among users, their processes and their connections
+    peers            a listening socket and the ZeroMQ peers that come to it, each in its turn (ADR 0024)
     router           the command socket: frames in, answers out
-    server           the command thread: one request after the other, and the beat between them
-    dispatch         answers requests; makes changes in steps, and answers others between them
+    dispatch         the command thread: answers requests, makes changes in steps and answers others between them, beats
     methods          the protocol's methods: what each does and answers, and the code of each error
     params           what the methods take
     described/       the protocol as OpenRPC and AsyncAPI documents, made of params, results and records
@@ -16,7 +14,6 @@ From a request to the servo, and back:
     reload           reads the configuration again, and says what needs a restart
     engine           scene, compiled table and servo: what the methods act on
     command_ring     sends commands to the servo, and waits for the tick that takes them
-    plays            modes that were sent to be struck and were not yet
 
 What the servo reports:
 

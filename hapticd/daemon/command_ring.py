@@ -1,17 +1,24 @@
 """The command ring: sends commands to the servo, loses none, and waits for the tick that takes them.
 
-For the thread that serves commands.
+Modes that were sent to be struck are remembered until the servo took them. For the thread that serves commands.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Final
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from hapticd.base.core import CData, CommandKind, Status, ffi, invalid_reason, lib
 from hapticd.base.errors import HapticdError
-from hapticd.daemon.plays import Play, Plays
+from hapticd.config.modes import Attack, Mode
+from hapticd.protocol.changes import Played
+from hapticd.rendering.compiler.mode_record import mode_record
+from hapticd.rendering.device_output import Output
+
+if TYPE_CHECKING:
+    from hapticd.hid.offload import EffectUse
 
 WAIT_S: Final = 1.0
 """How long a command waits for the servo to take it."""
@@ -27,6 +34,25 @@ class WaitTimeoutError(HapticdError):
     """The servo did not take a command or a revision in time."""
 
 
+_MOST_PLAYS: Final = 4096
+"""No less than the ring holds."""
+
+
+class Play(NamedTuple):
+    """What is struck, whatever the rate is when it is."""
+
+    mode: Mode
+    attack: Attack
+    direction: tuple[float, float]
+    amplitude_m_per_s2: float
+    effect: EffectUse | None
+    """What the device plays in its place."""
+
+    def record(self, output: Output) -> tuple[float | list[float], ...]:
+        """The numbers of its `struct hd_mode` at the output's rate."""
+        return mode_record(self.mode, 1.0, self.mode.coefficient(1.0, self.attack), output, self.effect)
+
+
 class CommandRing:
     """The commands of one servo."""
 
@@ -34,8 +60,8 @@ class CommandRing:
         """`look_after`: called while the servo is waited for."""
         self._servo, self._look_after = servo, look_after
         self._sequence = ffi.new("uint64_t *")
-        self.plays = Plays()
-        """Modes that were sent to be struck."""
+        self._plays: deque[tuple[int, Play]] = deque(maxlen=_MOST_PLAYS)
+        """The numbers of the commands that strike them."""
 
     def new(self, kind: CommandKind, revision: int) -> CData:
         """A `struct hd_command *` for this revision of the scene or a later one."""
@@ -47,7 +73,7 @@ class CommandRing:
         """The tick that took them all. `play`: what the command strikes. Raises RingFullError, WaitTimeoutError."""
         sequence = self._put(commands)
         if play is not None:
-            self.plays.sent(sequence, play)
+            self._plays.append((sequence, play))
         return self._taken(sequence)
 
     def _put(self, commands: list[CData]) -> int:
@@ -78,3 +104,17 @@ class CommandRing:
                 raise WaitTimeoutError(f"{late} within {WAIT_S:g} s")
             self._look_after()
         return int(tick[0])
+
+    def played(self) -> Iterator[Played]:
+        """The modes that the servo has struck since this was asked last, in their order."""
+        tick = ffi.new("uint64_t *")
+        while self._plays and lib.hd_servo_wait_command(self._servo, self._plays[0][0], 0, tick) == Status.OK:
+            _, play = self._plays.popleft()
+            yield Played(int(tick[0]), play.mode, play.attack, play.direction, play.amplitude_m_per_s2)
+
+    def turn_to(self, output: Output) -> None:
+        """The servo, which has ended, goes on at another rate: what it has not taken is struck for that rate."""
+        for sequence, play in self._plays:
+            mode = ffi.new("struct hd_mode *", play.record(output))
+            if lib.hd_servo_retune(self._servo, sequence, mode) != Status.OK:
+                raise HapticdError(f"a play under way: {invalid_reason()}")

@@ -63,21 +63,6 @@ def missing_of(grant: CData, servo: Servo) -> list[str]:
     return missing
 
 
-class Energy(NamedTuple):
-    """What the touched objects gave to the hand, as far as the passivity observer saw it."""
-
-    energy_j: float
-    """In this contact, or in the last one; below zero: the hand gave more than it got."""
-    largest_j: float
-    """The largest so far in any contact."""
-    contacts: int
-    """From the first touch to the last release."""
-    restrained: int
-    """Of them, those in which the controller acted."""
-    acted: int
-    """Ticks in which it did."""
-
-
 class Histogram(NamedTuple):
     """How often a time was how long: counts[0] below the first edge, counts[i] from edge i - 1 on and below edge i."""
 
@@ -118,10 +103,16 @@ class Counters(NamedTuple):
     """Part of the periods of the last whole second that were missed."""
     signs_word: int
     energy_j: float
+    """What touched objects gave to the hand in this contact, or in the last one, as far as the passivity observer saw
+    it; below zero: the hand gave more than it got."""
     largest_j: float
+    """The largest so far in any contact."""
     contacts: int
+    """From the first touch to the last release."""
     restrained: int
+    """Of them, those in which the controller acted."""
     acted: int
+    """Ticks in which it did."""
 
     @property
     def faults(self) -> Fault:
@@ -132,11 +123,6 @@ class Counters(NamedTuple):
     def signs(self) -> SignsStatus:
         """The check of a HID device's signs."""
         return SignsStatus.read(self.signs_word)
-
-    @property
-    def energy(self) -> Energy:
-        """As of the last tick that was observed."""
-        return Energy(self.energy_j, self.largest_j, self.contacts, self.restrained, self.acted)
 
 
 class StreamCounters(NamedTuple):

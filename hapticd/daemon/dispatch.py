@@ -1,51 +1,47 @@
-"""Answers requests, on the command thread alone.
+"""The command thread: takes one request after the other from `router.py`, answers it, and beats between them.
 
 Scene and materials change in the order in which requests came, one change at a time and in steps: between two steps
-other requests are answered (docs/adr/0058). `get_state` is answered when the thread that reads the samples has come to
-it. A reload of the configuration is a change, one for all signals that asked for it before it began.
+other requests are answered (docs/adr/0002, 0024, 0058). A reload of the configuration is a change, one for all signals
+that asked for it before it began. The beats tell the servo that somebody serves commands.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from time import monotonic_ns
 from typing import Final
 
 from hapticd.base import codec
 from hapticd.base.errors import quoted
 from hapticd.base.steps import Steps
+from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import CHANGES, Changed, Done, MethodError, Methods
+from hapticd.daemon.router import Router
 from hapticd.protocol import messages, streams
 from hapticd.system import notify
 from hapticd.system.repeated_lines import Repeats
 
-WAIT_S: Final = 1.0
-"""So long `get_state` waits for a tick."""
 MOST_WAITING: Final = 64
+"""Changes that wait for their turn."""
 MOST_WAITING_BYTES: Final = 2 * messages.MAX_BODY
-"""Of the bodies of changes that wait."""
+"""Of their bodies."""
 SLICE_NS: Final = 5_000_000
 """So long a change goes on before other requests are looked at, and until the step is over that is under way then."""
+BEAT_EVERY_S: Final = 0.1
+"""At the least."""
+LOOK_EVERY_S: Final = 0.02
+"""At the most: while requests come faster, so long passes until a change goes on, and until anything else is done."""
 
 _log = logging.getLogger("hapticd.server")
 
 Reply = Callable[[bytes | codec.Encoded], None]
 """Sends the body of an answer to who asked."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """A request that another thread answers, when it comes to it."""
-
-    request: messages.Request
-    answer: Future[dict[str, object]]
-    until_ns: int
-    reply: Reply
 
 
 @dataclass(slots=True)
@@ -88,7 +84,6 @@ class Dispatch:
         self._wake = wake
         self._changes: deque[_Change] = deque()
         """In the order in which they came; the first one is under way."""
-        self._asked: deque[_Asked] = deque()
         self._reload = threading.Event()
         self._reload_waits = False
         """It is among the changes, and has not begun."""
@@ -104,7 +99,7 @@ class Dispatch:
         self._wake()
 
     def take(self, body: bytes | None, reply: Reply, sender: object = None) -> None:
-        """Answers a body by `reply`, now or in a later `turn` or `go_on`; a notification not at all. Never raises for
+        """Answers a body by `reply`, now or in a later `go_on`; a notification not at all. Never raises for
         what was sent. `sender`: the connection that it came over, which is whose a stream is."""
         if body is not None and self._methods.streams.take_body(sender, body):
             return
@@ -130,20 +125,11 @@ class Dispatch:
             self._answer(request, _too_many_changes, reply)
 
     def turn(self) -> None:
-        """Answers what another thread was asked for. To be called when `wake` was, and often."""
+        """Takes up a reload that was asked for. To be called when `wake` was, and often."""
         if self._reload.is_set() and not self._reload_waits:
             self._reload_waits = True
             # What comes of it is logged, a defect too.
             self._add(_Change(messages.Request(0, True, "reload", {}), self._reloading(), _tell_ready, 0))
-        now_ns = monotonic_ns()
-        for _ in range(len(self._asked)):
-            asked = self._asked.popleft()
-            if asked.answer.done():
-                self._answer(asked.request, asked.answer.result, asked.reply)
-            elif asked.until_ns < now_ns:
-                self._answer(asked.request, _late, asked.reply)
-            else:
-                self._asked.append(asked)
 
     def go_on(self) -> None:
         """Goes on with the change that is under way, or begins the one that waits."""
@@ -169,25 +155,11 @@ class Dispatch:
         notify.reloading()
         return (yield from self._methods.change("reload", {}))
 
-    def _wait_for(self, request: messages.Request, answer: Future[dict[str, object]], reply: Reply) -> None:
-        """Answers once the other thread has; meanwhile others are served. Raises MethodError."""
-        if len(self._asked) >= MOST_WAITING:
-            raise MethodError(
-                messages.Code.RING_FULL, f"{MOST_WAITING} of {request.method} are under way; send it again later"
-            )
-        self._asked.append(_Asked(request, answer, monotonic_ns() + int(WAIT_S * 1e9), reply))
-        answer.add_done_callback(lambda _: self._wake())
-
-    def _answer(
-        self, request: messages.Request, perform: Callable[[], Done | Future[dict[str, object]] | None], reply: Reply
-    ) -> None:
-        """Answers a request by what was performed for it, at once or later; None: it goes on."""
+    def _answer(self, request: messages.Request, perform: Callable[[], Done | None], reply: Reply) -> None:
+        """Answers a request by what was performed for it; None: it goes on."""
         try:
             done = perform()
             if done is None:
-                return
-            if isinstance(done, Future):
-                self._wait_for(request, done, reply)
                 return
             result = self._methods.finish(done)
             _log.debug("%s: done", request.method)
@@ -214,10 +186,6 @@ class Dispatch:
                 reply(messages.result_reply(request.id, result))
 
 
-def _late() -> Done:
-    raise MethodError(messages.Code.WAIT_TIMED_OUT, f"no tick was rendered within {WAIT_S:g} s")
-
-
 def _tell_ready(_: bytes | codec.Encoded) -> None:
     notify.ready()
 
@@ -226,3 +194,36 @@ def _too_many_changes() -> Done:
     raise MethodError(
         messages.Code.RING_FULL, "too many changes wait for their turn; nothing of this was done: send it again"
     )
+
+
+def serve(
+    router: Router,
+    engine: Engine,
+    dispatch: Dispatch,
+    stop: threading.Event,
+    between: Callable[[], None] = lambda: None,
+) -> None:
+    """Answers requests until `stop` is set; calls `between` between them, ten times a second at least."""
+    repeats = dispatch.repeats
+    due_s = 0.0
+    while not stop.is_set():
+        if (now_s := time.monotonic()) >= due_s:
+            due_s = now_s + LOOK_EVERY_S
+            repeats.flush()
+            engine.beat()
+            engine.look_after()
+            between()
+            dispatch.go_on()
+        dispatch.turn()
+        request = router.receive(0.0 if dispatch.busy else BEAT_EVERY_S)
+        if request is None:
+            dispatch.go_on()
+            continue
+        if stop.is_set():
+            break
+        reply = partial(router.send, request.peer, request.delimited)
+        if request.too_long:
+            reply(messages.too_long(request.size))
+        else:
+            dispatch.take(request.body, reply, request.peer)
+    repeats.finish()

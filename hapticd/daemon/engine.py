@@ -43,7 +43,7 @@ from hapticd.config.configuration import Config, Device
 from hapticd.config.materials import Material, Materials
 from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, of_all_materials, used_materials
-from hapticd.daemon.command_ring import LOOK_EVERY_NS, CommandRing, RingFullError
+from hapticd.daemon.command_ring import LOOK_EVERY_NS, CommandRing, Play, RingFullError
 from hapticd.daemon.counters import (
     Counters,
     Granted,
@@ -55,7 +55,6 @@ from hapticd.daemon.counters import (
     read_histograms,
     read_stream_counters,
 )
-from hapticd.daemon.plays import Play
 from hapticd.hid.signs import Check, SignsLog
 from hapticd.hid.stopper import StopFile
 from hapticd.protocol.changes import Change, Reset, Revised, revised
@@ -303,7 +302,7 @@ class Engine:
         if now_ns < self._look_ns:
             return
         self._look_ns = now_ns + LOOK_EVERY_NS
-        self._changes.extend(self._ring.plays.taken(self._servo))
+        self._changes.extend(self._ring.played())
         counters = self.counters()
         if counters.suspends != self._suspends:
             self._suspends = counters.suspends
@@ -342,7 +341,7 @@ class Engine:
         if self._offload is not None:
             self._offload.set_carried(output.carried_hz)
         self._compiler.turn_to(output)
-        self._ring.plays.turn_to(self._servo, output)
+        self._ring.turn_to(output)
         revision = (self.revision + 1) & 0xFFFFFFFF
         self._publish(self.scene, (), self.materials, revision)
         self._changes.append(Revised(revision, {}, {}, {}, None, changed_hz))
@@ -504,7 +503,7 @@ class Engine:
             output = self.output
             command.mode = play.record(output)
             tick = self._ring.send([command], play)
-        self._changes.extend(self._ring.plays.taken(self._servo))
+        self._changes.extend(self._ring.played())
         played_hz = None if self._offload is None else self._offload.shown_hz(mode)
         if played_hz is not None:
             return tick, played_hz

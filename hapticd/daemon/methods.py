@@ -57,6 +57,7 @@ from hapticd.daemon.params import (
 )
 from hapticd.daemon.reload import needing_restart, read_again
 from hapticd.daemon.status import Status
+from hapticd.daemon.status_text import FAULTS
 from hapticd.daemon.streams import HeldError, LateError, Streams
 from hapticd.hid.signs import CORRECT
 from hapticd.protocol.displayability_warnings import MaterialReport, above_rate, change_warnings, operator_warnings
@@ -70,17 +71,6 @@ from hapticd.rendering.joystick import grip_of, target_of
 from hapticd.system.repeated_lines import SHORTEST_S, Repeats
 
 _log = logging.getLogger("hapticd")
-_FAULT_WORDS: Final = {
-    Fault.NONFINITE: "a position or a force was not a number",
-    Fault.CONTROL: "the control plane did not answer for a second",
-    Fault.LEASE: "a lease lapsed",
-    Fault.DEVICE: "the device does not report",
-    Fault.OVERRUN: "the servo missed too many periods",
-    Fault.FROZEN: "the device reported the same position all the time, under force",
-    Fault.SIGNS: "the signs of the device are not known",
-}
-
-
 _MOST_PARAMS: Final = 16
 
 
@@ -117,9 +107,11 @@ CHANGES: Final = frozenset(("set_scene", "update_scene", "set_materials", "updat
 """Methods that change scene or materials, in steps: one may take seconds. What else there is takes milliseconds."""
 Done: TypeAlias = dict[str, object] | Encoded | Changed
 """What was performed."""
+STATE_WAIT_S: Final = 1.0
+"""So long `get_state` waits for a tick."""
 _Reports: TypeAlias = Mapping[str, MaterialReport]
 """By material."""
-_Handler = Callable[["Methods", Any], Done | Future[dict[str, object]] | Steps[Changed]]
+_Handler = Callable[["Methods", Any], Done | Steps[Changed]]
 
 
 def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
@@ -167,7 +159,7 @@ class Methods:
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
         """The result of a method, however long it takes. Raises MethodError."""
         done = finish(self.change(method, params)) if method in CHANGES else self.perform(method, params)
-        result = done.result() if isinstance(done, Future) else self.finish(done)
+        result = self.finish(done)
         return cast(dict[str, object], decode_trusted(bytes(result))) if isinstance(result, Encoded) else result
 
     def finish(self, done: Done) -> dict[str, object] | Encoded:
@@ -185,11 +177,11 @@ class Methods:
             result["warning"] = self._off_because(faults)
         return result
 
-    def perform(self, method: str, params: Mapping[str, object]) -> Done | Future[dict[str, object]]:
+    def perform(self, method: str, params: Mapping[str, object]) -> Done:
         """Does what a method is for that changes neither scene nor materials; `finish` makes the result of it. Raises
         MethodError."""
         with self._refusals(params):
-            return cast("Done | Future[dict[str, object]]", self._handled(method, params))
+            return cast(Done, self._handled(method, params))
 
     def change(self, method: str, params: Mapping[str, object]) -> Steps[Changed]:
         """Does one of CHANGES, in steps that take milliseconds each. Nothing is changed before the last one. Raises
@@ -208,7 +200,7 @@ class Methods:
                 finally:
                     engine.forget_prepared()
 
-    def _handled(self, method: str, params: Mapping[str, object]) -> Done | Future[dict[str, object]] | Steps[Changed]:
+    def _handled(self, method: str, params: Mapping[str, object]) -> Done | Steps[Changed]:
         """What the handler of a method returns. Raises ValidationError, and what `_refusals` names."""
         entry = _METHODS.get(method)
         if entry is None:
@@ -255,10 +247,13 @@ class Methods:
     def _get_status(self, params: GetStatusParams) -> Encoded:
         return self._status.encoded(params.detail)
 
-    def _get_state(self, _: NoParams) -> Future[dict[str, object]]:
+    def _get_state(self, _: NoParams) -> dict[str, object]:
         if self._ask_state is None:
             raise MethodError(Code.INTERNAL, "this daemon has no telemetry")
-        return self._ask_state()
+        try:
+            return self._ask_state().result(STATE_WAIT_S)
+        except TimeoutError:
+            raise MethodError(Code.WAIT_TIMED_OUT, f"no tick was rendered within {STATE_WAIT_S:g} s") from None
 
     def _get_config(self, _: NoParams) -> dict[str, object]:
         config = self._engine.config
@@ -626,8 +621,8 @@ class Methods:
 
     def _off_because(self, faults: Fault) -> str:
         signs = self._engine.counters().signs
-        words = {**_FAULT_WORDS, Fault.SIGNS: signs.seen or _FAULT_WORDS[Fault.SIGNS]}
-        reasons = " and ".join(words[fault] for fault in Fault if fault in faults)
+        words = FAULTS | ({"signs": signs.seen} if signs.seen else {})
+        reasons = " and ".join(words[name] for name in fault_names(faults))
         if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
             return f"forces are off because {reasons}: {CORRECT}"
         return f"forces are off because {reasons}: `hapticd force on` or set_forces turns them on again"

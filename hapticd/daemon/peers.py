@@ -12,14 +12,13 @@ import select
 import socket
 import struct
 import time
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
 from hapticd.base import wording
-from hapticd.daemon.turns import Turns
 from hapticd.protocol import zmtp
 from hapticd.system.open_files import MOST_CONNECTIONS
 from hapticd.system.repeated_lines import Repeats
@@ -96,6 +95,38 @@ class Peer:
         return f"process {self.pid} of user {self.uid}"
 
 
+class Turns:
+    """Those who wait for their turn: one after the other among users, among the processes of each, and among the
+    connections of each of these. So what one of them wants, however much, costs another one turn at a time."""
+
+    def __init__(self) -> None:
+        self._users: OrderedDict[int, OrderedDict[int, deque[Peer]]] = OrderedDict()
+
+    def __bool__(self) -> bool:
+        return bool(self._users)
+
+    def add(self, waiting: Peer) -> None:
+        """Behind the others of its process."""
+        processes = self._users.get(waiting.uid)
+        if processes is None:
+            processes = self._users[waiting.uid] = OrderedDict()
+        queue = processes.get(waiting.pid)
+        if queue is None:
+            queue = processes[waiting.pid] = deque()
+        queue.append(waiting)
+
+    def next(self) -> Peer:
+        """The one whose turn it is, which does not wait any more. Raises KeyError: nobody waits."""
+        uid, processes = self._users.popitem(last=False)
+        pid, queue = processes.popitem(last=False)
+        found = queue.popleft()
+        if queue:
+            processes[pid] = queue
+        if processes:
+            self._users[uid] = processes
+        return found
+
+
 class Peers:
     """All peers of one socket."""
 
@@ -113,7 +144,7 @@ class Peers:
         """The same by user, process and descriptor."""
         self._opening: dict[int, Peer] = {}
         """Those whose handshake is not over, the oldest first."""
-        self._turns: Turns[Peer] = Turns()
+        self._turns: Turns = Turns()
         self._held = 0
         self._woken = False
         self._idle = True

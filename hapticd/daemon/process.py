@@ -1,7 +1,7 @@
 """The daemon's process: configuration, runtime directory, threads, signals.
 
     main thread      waits for a signal: has the configuration reloaded, or takes everything down in order
-    command thread   server.py: answers requests, beats
+    command thread   dispatch.py: answers requests, makes changes, beats
     telemetry thread hapticd.telemetry: drains the rings, publishes
     flight thread    flight_recorder.py: writes what was kept of that to a file, after a fault
     servo thread     csrc/servo/hd_servo_thread.c: owns time and force
@@ -31,9 +31,8 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.model import MAX_FAULTS
 from hapticd.config.configuration import Config, chosen_config
 from hapticd.config.locations import Chosen, choose
-from hapticd.daemon import server
 from hapticd.daemon.counters import Granted
-from hapticd.daemon.dispatch import Dispatch
+from hapticd.daemon.dispatch import Dispatch, serve
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.flight_recorder import Flight, directory_of
 from hapticd.daemon.flight_scene import FlightScene
@@ -132,7 +131,7 @@ def _run(
 
     _thread(
         "command",
-        lambda stop: server.serve(router, engine, dispatch, stop, between),
+        lambda stop: serve(router, engine, dispatch, stop, between),
         failures,
         stack,
         wake=router.wake,

@@ -18,11 +18,8 @@ from referencing import Registry, Resource
 
 from hapticd.base.core import EventKind
 from hapticd.cli import cli
-from hapticd.daemon.described.asyncapi import asyncapi_document
-from hapticd.daemon.described.beyond_schema import OF_METHOD
-from hapticd.daemon.described.error_codes import CODES
-from hapticd.daemon.described.methods_in_words import METHODS
-from hapticd.daemon.described.openrpc import openrpc_document
+from hapticd.daemon.described.documents import asyncapi_document, openrpc_document
+from hapticd.daemon.described.words import CODES, METHODS, OF_METHOD
 from hapticd.daemon.methods import METHOD_PARAMS
 from hapticd.daemon.telemetry import TOPICS
 from hapticd.protocol.messages import Code

@@ -13,8 +13,8 @@ from typing import Any, Final
 import pytest
 
 from hapticd.config.configuration import load_config
-from hapticd.daemon.described.beyond_schema import OF_METHOD, RULES
-from hapticd.daemon.described.openrpc import openrpc_document
+from hapticd.daemon.described.documents import openrpc_document
+from hapticd.daemon.described.words import OF_METHOD, RULES
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import MethodError, Methods
 from hapticd.protocol.messages import Code

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 import msgpack
 import numpy as np
@@ -15,9 +17,11 @@ from hapticd.base import codec, lattice
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, load_config
 from hapticd.daemon import dispatch as dispatching
+from hapticd.daemon import methods as methods_module
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import Methods
+from hapticd.daemon.router import Router
 from hapticd.protocol import messages
 from hapticd.rendering.compiler import noise_filters
 
@@ -259,25 +263,44 @@ def test_a_wall_that_moves_keeps_the_pieces_of_its_patches(daemon: Daemon) -> No
     assert (fresh._compiler._walls.records == daemon.engine._compiler._walls.records).all()
 
 
-def test_the_newest_sample_is_waited_for_by_nobody_else(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[Future[dict[str, object]]] = []
+def test_the_newest_sample_is_waited_for(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: Future[dict[str, object]] = Future()
+    daemon.methods._ask_state = lambda: asked
+    monkeypatch.setattr(methods_module, "STATE_WAIT_S", 0.0)
+    assert daemon.code(daemon.send("get_state")) == messages.Code.WAIT_TIMED_OUT
+    asked.set_result({"tick": 7})
+    assert daemon.ask("get_state") == {"tick": 7}
 
-    def ask() -> Future[dict[str, object]]:
-        asked.append(Future())
-        return asked[-1]
 
-    daemon.methods._ask_state = ask
-    first, second = daemon.send("get_state"), daemon.send("get_state")
-    assert daemon.ask("set_forces", {"enabled": False})["forces"] == "off"
-    assert not {first, second} & daemon.answers.keys()
-    asked[1].set_result({"tick": 7})
-    assert daemon.woken.is_set()
-    daemon.dispatch.turn()
-    assert daemon.answers[second]["result"] == {"tick": 7} and first not in daemon.answers
-    others = [daemon.send("get_state") for _ in range(dispatching.MOST_WAITING)]
-    assert daemon.code(others[-1]) == messages.Code.RING_FULL and others[-2] not in daemon.answers
-    now_ns = dispatching.monotonic_ns()
-    monkeypatch.setattr(dispatching, "monotonic_ns", lambda: now_ns + int(2e9))
-    daemon.dispatch.turn()
-    assert {daemon.code(id) for id in (first, *others[:-1])} == {messages.Code.WAIT_TIMED_OUT}
-    assert len(daemon.answers) == len(asked) + 1
+class Beating:
+    """What the loop needs of an engine."""
+
+    def __init__(self) -> None:
+        self.begun = threading.Event()
+
+    def beat(self) -> None:
+        self.begun.set()
+
+    def look_after(self) -> None:
+        """Nothing is wrong here."""
+
+
+def test_it_ends_without_a_request_or_a_beat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dispatching, "BEAT_EVERY_S", 3600.0)
+    listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+    listening.bind(str(tmp_path / "s"))
+    listening.listen()
+    router = Router(listening)
+    engine, stop = Beating(), threading.Event()
+    # Nobody asks anything, so there are no methods to perform.
+    arguments = (router, cast(Engine, engine), Dispatch(cast(Methods, None)), stop)
+    thread = threading.Thread(target=dispatching.serve, args=arguments, daemon=True)
+    thread.start()
+    assert engine.begun.wait(60)
+    stop.set()
+    router.wake()
+    thread.join(60)
+    assert not thread.is_alive()
+    # Nor does waking keep anything from ending where nobody serves any more.
+    router.wake()
+    router.close()

@@ -10,17 +10,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import zmq
 
 from hapticd.base.codec import Encoded
 from hapticd.daemon import peers, publisher, router
-from hapticd.daemon.peers import Peer, Peers
+from hapticd.daemon.peers import Peer, Peers, Turns
 from hapticd.daemon.publisher import Publisher
 from hapticd.daemon.router import Router
-from hapticd.daemon.turns import Turns
 from hapticd.protocol import zmtp
 
 DIALLED: list[zmq.Socket[bytes]] = []
@@ -227,15 +226,14 @@ def test_an_answer_to_one_who_has_gone_is_dropped(path: Path) -> None:
 
 
 def test_one_that_floods_over_many_connections_costs_another_a_turn_each() -> None:
-    class One:
-        def __init__(self, uid: int, pid: int) -> None:
-            self.uid, self.pid = uid, pid
+    def one(uid: int, pid: int) -> Peer:
+        return Peer(cast(Any, None), uid, pid, zmtp.Bounds(1, 1, 1))
 
-    turns: Turns[One] = Turns()
-    flood = [One(1, 10 + number // 10) for number in range(100)]
+    turns = Turns()
+    flood = [one(1, 10 + number // 10) for number in range(100)]
     for each in flood:
         turns.add(each)
-    mine, beside = One(2, 1), One(1, 5)
+    mine, beside = one(2, 1), one(1, 5)
     turns.add(mine)
     turns.add(beside)
     order = [turns.next() for _ in range(102)]

@@ -24,7 +24,7 @@ from hapticd.config.hid import Quirk
 from hapticd.config.materials import ModeKeys
 from hapticd.config.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
 from hapticd.daemon.counters import Granted
-from hapticd.daemon.described.error_codes import CODES
+from hapticd.daemon.described.words import CODES
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import _METHODS, Methods
 from hapticd.doctor import diagnose

@@ -1,0 +1,246 @@
+"""JSON Schema, draft 7, of what is sent: params, results and the maps of telemetry.
+
+Params are described by the models that validate them, and by merge patches (RFC 7396), which have members of what they
+are merged into, each optional and with null for one that is removed. What a patch makes of an object or a material is
+validated whole; that depends on what there is. Results and telemetry are described by the types of protocol/results and
+the records of the core. Members that this version does not have may come with a later one, so their objects are open.
+"""
+
+from __future__ import annotations
+
+from types import NoneType, UnionType
+from typing import Any, Final, Literal, NotRequired, Union, cast, get_args, get_origin, get_type_hints, is_typeddict
+
+import numpy as np
+from pydantic.json_schema import models_json_schema
+
+from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, records
+from hapticd.base.model import NAME_MAX_CHARACTERS, NAME_PATTERN, Model
+from hapticd.base.yaml_source import Json
+from hapticd.config.materials import Material
+from hapticd.config.operator import OperatorParams
+from hapticd.config.scene import Scene, SceneObject
+from hapticd.config.schema import closed
+from hapticd.daemon.methods import METHOD_PARAMS
+from hapticd.protocol.events import event_map
+from hapticd.recording.event_columns import EVENT_MEMBERS, MAY_BE_NONE
+
+# ---- Draft 7, which OpenRPC and AsyncAPI have, of what pydantic gives, 2020-12 ---------------------------------------
+
+_OPEN_API: Final = "discriminator"
+"""A keyword of OpenAPI; the `const` of `kind` says the same."""
+
+
+def draft7(schema: Json) -> Json:
+    """The same schema in draft 7: a list of fixed length by `items`, nothing beside a `$ref`, no default that is
+    null."""
+    if isinstance(schema, list):
+        return [draft7(each) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    found = {key: draft7(value) for key, value in schema.items() if key != _OPEN_API}
+    if isinstance(found.get("properties"), dict):
+        # pydantic's title of a property is its key in other letters.
+        found["properties"] = {key: _untitled(each) for key, each in found["properties"].items()}  # type: ignore[union-attr]
+    if "prefixItems" in found:
+        found["items"] = found.pop("prefixItems")
+    if found.get("default", 0) is None:
+        del found["default"]
+    if "$ref" in found and len(found) > 1:
+        found = {"allOf": [{"$ref": found.pop("$ref")}], **found}
+    return found
+
+
+def _untitled(schema: Json) -> Json:
+    if not isinstance(schema, dict) or not isinstance(schema.get("title"), str):
+        return schema
+    return {key: value for key, value in schema.items() if key != "title"}
+
+
+# ---- Params ----------------------------------------------------------------------------------------------------------
+
+REF: Final = "#/components/schemas/"
+_NULL: Final[dict[str, Json]] = {"type": "null"}
+_KEPT: Final = ("type", "description", "properties")
+"""What a patch has of the schema of an object; the rest is of the object as a whole."""
+Schemas = dict[str, dict[str, Json]]
+
+
+def params_model(method: str) -> type[Model]:
+    """The model that validates the params of a method."""
+    return METHOD_PARAMS[method] or OperatorParams
+
+
+def params_schemas() -> Schemas:
+    """By the names of the models, in draft 7: `params_model` of every method, and what they refer to."""
+    models = {params_model(method): None for method in METHOD_PARAMS} | {Scene: None, Material: None}
+    _, found = models_json_schema([(model, "validation") for model in models], ref_template=f"{REF}{{model}}")
+    schemas = cast(Schemas, draft7(closed(cast(Json, found["$defs"]))))
+    kinds = [model.__name__ for model in _kinds()]
+    schemas["MaterialPatch"] = _patch("Material", schemas)
+    for kind in kinds:
+        schemas[f"{kind}Patch"] = _patch(kind, schemas)
+    _properties(schemas["UpdateMaterialsParams"])["materials"]["patternProperties"] = _by_name([f"{REF}MaterialPatch"])
+    _properties(schemas["UpdateSceneParams"])["objects"]["patternProperties"] = _by_name(
+        [f"{REF}{kind}Patch" for kind in kinds]
+    )
+    for model, name in (("UpdateMaterialsParams", "materials"), ("UpdateSceneParams", "objects")):
+        # What never was there is removed without an error, whatever its name.
+        _properties(schemas[model])[name]["additionalProperties"] = _NULL
+    return schemas
+
+
+def _kinds() -> tuple[type[Model], ...]:
+    return cast("tuple[type[Model], ...]", get_args(SceneObject))
+
+
+def _properties(schema: dict[str, Json]) -> Schemas:
+    return cast(Schemas, schema["properties"])
+
+
+def _by_name(patches: list[str]) -> dict[str, Json]:
+    pattern = NAME_PATTERN.replace("]+$", f"]{{1,{NAME_MAX_CHARACTERS}}}$")
+    options: list[Json] = [{"$ref": patch} for patch in patches]
+    return {pattern: {"anyOf": [*options, _NULL]}}
+
+
+def _patch(name: str, schemas: Schemas) -> dict[str, Json]:
+    """A merge patch over what this schema describes. Keys that it does not have may be removed: they belonged to a kind
+    that the object had before."""
+    found = {key: value for key, value in schemas[name].items() if key in _KEPT}
+    found["description"] = f"A JSON Merge Patch. {found['description']}"
+    found["properties"] = {key: _patched(value, schemas) for key, value in _properties(found).items()}
+    return {**found, "additionalProperties": _NULL}
+
+
+def _patched(schema: dict[str, Json], schemas: Schemas) -> Json:
+    """A member of a patch: null, a patch where it is an object, else the member as it is to be."""
+    told = {"description": schema["description"]} if "description" in schema else {}
+    options = cast(
+        "list[dict[str, Json]]", schema.get("anyOf") or schema.get("oneOf") or schema.get("allOf") or [schema]
+    )
+    members: list[Json] = []
+    for option in options:
+        reference = cast("str | None", option.get("$ref"))
+        choices = cast("list[dict[str, Json]]", option.get("oneOf", []))
+        if reference is not None:
+            members.append(_nested(reference, schemas))
+        elif choices:
+            members += [_nested(cast(str, choice["$ref"]), schemas) for choice in choices]
+        elif option != _NULL:
+            members.append(_by_names(option) if "patternProperties" in option else _without_words(option))
+    return {**told, "anyOf": [*members, _NULL]}
+
+
+def _without_words(schema: dict[str, Json]) -> dict[str, Json]:
+    return {key: value for key, value in schema.items() if key not in ("default", "description")}
+
+
+def _by_names(schema: dict[str, Json]) -> dict[str, Json]:
+    """A patch over a mapping by names."""
+    found = {key: value for key, value in _without_words(schema).items() if key != "propertyNames"}
+    patterns = cast(Schemas, schema["patternProperties"])
+    found["patternProperties"] = {pattern: {"anyOf": [value, _NULL]} for pattern, value in patterns.items()}
+    return {**found, "additionalProperties": _NULL}
+
+
+def _nested(reference: str, schemas: Schemas) -> Json:
+    name = reference.removeprefix(REF)
+    if schemas[name].get("type") != "object":
+        return {"$ref": reference}
+    if f"{name}Patch" not in schemas:
+        schemas[f"{name}Patch"] = {}  # its place, should it refer to itself
+        schemas[f"{name}Patch"] = _patch(name, schemas)
+    return {"$ref": f"{reference}Patch"}
+
+
+# ---- Results and telemetry -------------------------------------------------------------------------------------------
+
+_PLAIN: Final[dict[object, str]] = {bool: "boolean", int: "integer", float: "number", str: "string", NoneType: "null"}
+
+
+class _AnyJson:
+    """Stands for `Json` in the annotations of results: anything."""
+
+
+def schema_of(kind: Any) -> dict[str, Json]:
+    """JSON Schema of a type of protocol/results, with its docstring as description."""
+    if kind is _AnyJson:
+        return {}
+    if kind in _PLAIN:
+        return {"type": _PLAIN[kind]}
+    if is_typeddict(kind):
+        return _mapping(kind)
+    arguments, origin = get_args(kind), get_origin(kind)
+    if origin is NotRequired:
+        return schema_of(arguments[0])
+    if origin is Literal:
+        return {"enum": list(arguments)}
+    if origin is list:
+        return {"type": "array", "items": schema_of(arguments[0])}
+    if origin is dict:
+        return {"type": "object", "additionalProperties": schema_of(arguments[1])}
+    if origin in (Union, UnionType):
+        return {"anyOf": [schema_of(each) for each in arguments]}
+    raise TypeError(f"no JSON Schema of {kind}: protocol/results has TypedDicts of plain types")
+
+
+def _mapping(kind: Any) -> dict[str, Json]:
+    members = get_type_hints(kind, localns={"Json": _AnyJson}, include_extras=True)
+    return {
+        "title": kind.__name__,
+        "description": " ".join((kind.__doc__ or "").split()),
+        "type": "object",
+        "required": [name for name, each in members.items() if get_origin(each) is not NotRequired],
+        "properties": {name: schema_of(each) for name, each in members.items()},
+    }
+
+
+def event_schema() -> dict[str, Json]:
+    """One event: by its kind, with the members that `event_map` gives it."""
+    record = records(EVENT_DTYPE, 1)[0]
+    kinds: list[Json] = []
+    for kind in EventKind:
+        record["kind"] = kind
+        members = event_map(record, "")
+        properties: dict[str, Json] = {name: _event_member(name) for name in members}
+        properties["event"] = {"const": members["event"]}  # type: ignore[dict-item]
+        kinds.append({"type": "object", "required": list(members), "properties": properties})
+    return {"title": "Event", "oneOf": kinds}
+
+
+def _event_member(name: str) -> Json:
+    described: Any = EVENT_MEMBERS[name]
+    return {"anyOf": [described, {"type": "null"}]} if described and name in MAY_BE_NONE else described
+
+
+def samples_schema() -> dict[str, Json]:
+    """One batch of samples. JSON has no bytes: `data` is msgpack's bin."""
+    return {
+        "title": "Samples",
+        "type": "object",
+        "required": ["first_tick", "dropped", "dtype", "data"],
+        "properties": {
+            "first_tick": {"type": "integer", "description": "tick of the first sample"},
+            "dropped": {
+                "type": "integer",
+                "description": "samples that found the daemon's ring full, total since the start",
+            },
+            "dtype": {
+                "type": "array",
+                "items": {"type": "array", "minItems": 2, "maxItems": 3},
+                "description": "numpy's descr of one record: `[name, format]`, or `[name, format, [length]]`",
+                "const": _plain(np.lib.format.dtype_to_descr(SAMPLE_DTYPE)),
+            },
+            "data": {
+                "type": "string",
+                "format": "binary",
+                "description": "the records, little-endian and packed as `dtype` says, "
+                f"{SAMPLE_DTYPE.itemsize} bytes each in this version",
+            },
+        },
+    }
+
+
+def _plain(value: Any) -> Json:
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
