@@ -21,7 +21,7 @@ from hapticd.base import codec
 from hapticd.base.errors import quoted
 from hapticd.base.steps import Steps
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import CHANGES, Changed, Done, MethodError, Methods
+from hapticd.daemon.methods import CHANGES, MethodError, Methods, Result
 from hapticd.daemon.router import Router
 from hapticd.protocol import messages, streams
 from hapticd.system import notify
@@ -49,14 +49,14 @@ class _Change:
     """A change that was asked for."""
 
     request: messages.Request
-    steps: Steps[Changed]
+    steps: Steps[Result]
     reply: Reply
     size: int
     """Bytes of its body."""
     over: bool = False
     """It is in force, or was refused."""
 
-    def go_on(self) -> Changed | None:
+    def go_on(self) -> Result | None:
         """Does some steps; None: there are more. Raises what refuses the change."""
         until_ns = monotonic_ns() + SLICE_NS
         self.over = True
@@ -65,8 +65,8 @@ class _Change:
             while monotonic_ns() < until_ns:
                 next(self.steps)
         except StopIteration as end:
-            done: Changed = end.value
-            return done
+            result: Result = end.value
+            return result
         self.over = False
         return None
 
@@ -149,19 +149,18 @@ class Dispatch:
         if len(self._changes) == 1:
             self.go_on()
 
-    def _reloading(self) -> Steps[Changed]:
+    def _reloading(self) -> Steps[Result]:
         self._reload.clear()
         self._reload_waits = False
         notify.reloading()
         return (yield from self._methods.change("reload", {}))
 
-    def _answer(self, request: messages.Request, perform: Callable[[], Done | None], reply: Reply) -> None:
+    def _answer(self, request: messages.Request, perform: Callable[[], Result | None], reply: Reply) -> None:
         """Answers a request by what was performed for it; None: it goes on."""
         try:
-            done = perform()
-            if done is None:
+            result = perform()
+            if result is None:
                 return
-            result = self._methods.finish(done)
             _log.debug("%s: done", request.method)
         except MethodError as error:
             _log.debug("%s: refused, %d: %s", quoted(request.method), error.code, quoted(error.message))
@@ -190,7 +189,7 @@ def _tell_ready(_: bytes | codec.Encoded) -> None:
     notify.ready()
 
 
-def _too_many_changes() -> Done:
+def _too_many_changes() -> Result:
     raise MethodError(
         messages.Code.RING_FULL, "too many changes wait for their turn; nothing of this was done: send it again"
     )

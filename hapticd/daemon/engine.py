@@ -10,7 +10,7 @@ import logging
 import math
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
@@ -349,27 +349,29 @@ class Engine:
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------
 
-    def set_scene(self, scene: Scene, expected: int | None = None) -> int:
-        """Takes a validated scene; returns its revision. `expected`: the revision that it is to follow on.
+    def take(
+        self, scene: Scene, materials: Materials, changed: Iterable[str] | None = None, expected: int | None = None
+    ) -> int:
+        """Takes a validated scene and the materials that it uses, at once; returns its revision.
 
-        Raises StaleRevisionError, as all that change something do.
+        `changed`: ids of all objects that may be others, or gone; None: whatever is. `expected`: the revision that it
+        is to follow on. A scene and materials that are in force are no change. Raises StaleRevisionError.
         """
-        return self.replace(scene, self.materials, expected)
-
-    def update_objects(self, changes: Mapping[str, SceneObject | None], expected: int | None = None) -> int:
-        """Adds, replaces and (None) removes validated objects; returns the revision."""
-        return self._take(self.scene.with_objects(changes), changes, self.materials, expected)
-
-    def replace(self, scene: Scene, materials: Materials, expected: int | None = None) -> int:
-        """Takes a validated scene and the materials that it uses, at once; returns its revision."""
-        before = self.scene.objects
-        changed = [id for id, item in scene.objects.items() if before.get(id) != item]
-        changed += [id for id in before if id not in scene.objects]
-        return self._take(scene, changed, materials, expected)
-
-    def set_materials(self, materials: Materials, expected: int | None = None) -> int:
-        """Takes validated materials that define every name the scene uses; returns the revision."""
-        return self._take(self.scene, (), materials, expected)
+        before = self.state
+        if expected is not None and expected != before.revision:
+            raise StaleRevisionError(f"revision {expected} is not in force")
+        if scene is before.scene and materials is before.materials:
+            self._compiler.touched.clear()
+            return before.revision
+        if changed is None:
+            old, new = before.scene.objects, scene.objects
+            changed = [id for id, item in new.items() if old.get(id) != item] + [id for id in old if id not in new]
+        changed = tuple(changed)
+        revision = (before.revision + 1) & 0xFFFFFFFF
+        self._publish(scene, changed, materials, revision)
+        self._changes.append(revised(revision, before.scene, scene, changed, before.materials, materials))
+        self.state = State(scene, materials, revision)
+        return revision
 
     def prepared(
         self, objects: Iterable[SceneObject], materials: Materials, sent: Iterable[str]
@@ -452,17 +454,6 @@ class Engine:
         """Every event was read that is older than a sample of this revision, or of its tick: objects removed
         since are not asked for by name any more."""
         self._compiler.events_read(revision)
-
-    def _take(self, scene: Scene, changed: Iterable[str], materials: Materials, expected: int | None) -> int:
-        changed = tuple(changed)
-        before = self.state
-        if expected is not None and expected != before.revision:
-            raise StaleRevisionError(f"revision {expected} is not in force")
-        revision = (before.revision + 1) & 0xFFFFFFFF
-        self._publish(scene, changed, materials, revision)
-        self._changes.append(revised(revision, before.scene, scene, changed, before.materials, materials))
-        self.state = State(scene, materials, revision)
-        return revision
 
     def _publish(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
         changed = list(changed)

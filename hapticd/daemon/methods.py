@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -26,6 +26,7 @@ from hapticd.config.configuration import Config
 from hapticd.config.materials import Materials
 from hapticd.config.operator import Target, parse_operator
 from hapticd.config.scene import (
+    Scene,
     SceneObject,
     material_names,
     materials_of,
@@ -60,7 +61,7 @@ from hapticd.daemon.status import Status
 from hapticd.daemon.status_text import FAULTS
 from hapticd.daemon.streams import HeldError, LateError, Streams
 from hapticd.hid.signs import CORRECT
-from hapticd.protocol.displayability_warnings import MaterialReport, above_rate, change_warnings, operator_warnings
+from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
 from hapticd.protocol.messages import Code, decode_trusted
@@ -88,11 +89,22 @@ class NotInTurnError(MethodError):
     """A message of a stream that is sound, and counted, but was not taken."""
 
 
-class _RateChangedError(Exception):
-    """The servo has stepped down to another rate between two steps of a change, which begins again."""
+class _Proposed(NamedTuple):
+    """What a change would bring: validated, but for what the materials in force and the rate decide."""
+
+    scene: Scene
+    materials: Materials
+    objects: Mapping[str, SceneObject] = {}
+    """Those of the scene that were sent."""
+    root: Path = ()
+    """Where `objects` stands in what was sent."""
+    sent: Collection[str] = ()
+    """Names of the materials that were sent."""
+    changed: Collection[str] | None = ()
+    """Ids of the objects that may be others, or gone; None: all that are."""
 
 
-class Changed(NamedTuple):
+class _Changed(NamedTuple):
     """A change that is in force, or will be in a moment."""
 
     revision: int
@@ -105,13 +117,10 @@ class Changed(NamedTuple):
 
 CHANGES: Final = frozenset(("set_scene", "update_scene", "set_materials", "update_materials", "apply", "reload"))
 """Methods that change scene or materials, in steps: one may take seconds. What else there is takes milliseconds."""
-Done: TypeAlias = dict[str, object] | Encoded | Changed
-"""What was performed."""
+Result: TypeAlias = dict[str, object] | Encoded
 STATE_WAIT_S: Final = 1.0
 """So long `get_state` waits for a tick."""
-_Reports: TypeAlias = Mapping[str, MaterialReport]
-"""By material."""
-_Handler = Callable[["Methods", Any], Done | Steps[Changed]]
+_Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
 
 
 def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
@@ -153,54 +162,38 @@ class Methods:
         self._sender: object = None
         self._status = Status(engine, self._lease, flight, self.streams)
         self._reference_m = engine.config.device.sim.start_m
-        self._begun_at = engine.output
-        """The output that the change under way is made for."""
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
         """The result of a method, however long it takes. Raises MethodError."""
-        done = finish(self.change(method, params)) if method in CHANGES else self.perform(method, params)
-        result = self.finish(done)
+        result = finish(self.change(method, params)) if method in CHANGES else self.perform(method, params)
         return cast(dict[str, object], decode_trusted(bytes(result))) if isinstance(result, Encoded) else result
 
-    def finish(self, done: Done) -> dict[str, object] | Encoded:
-        """The result of what was performed. Waits for the servo where a change asks for that. Raises MethodError."""
-        if not isinstance(done, Changed):
-            return done
-        result = _with_warnings(_with_margins({"revision": done.revision}, done.margins), done.warnings)
-        if done.wait:
-            try:
-                result["tick"] = self._engine.wait_revision(done.revision)
-            except WaitTimeoutError as error:
-                raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
-        faults = self._engine.faults()
-        if faults:
-            result["warning"] = self._off_because(faults)
-        return result
-
-    def perform(self, method: str, params: Mapping[str, object]) -> Done:
-        """Does what a method is for that changes neither scene nor materials; `finish` makes the result of it. Raises
-        MethodError."""
+    def perform(self, method: str, params: Mapping[str, object]) -> Result:
+        """Does what a method is for that changes neither scene nor materials; its result. Raises MethodError."""
         with self._refusals(params):
-            return cast(Done, self._handled(method, params))
+            return cast(Result, self._handled(method, params))
 
-    def change(self, method: str, params: Mapping[str, object]) -> Steps[Changed]:
-        """Does one of CHANGES, in steps that take milliseconds each. Nothing is changed before the last one. Raises
-        MethodError."""
+    def change(self, method: str, params: Mapping[str, object]) -> Steps[Result]:
+        """Does one of CHANGES, in steps that take milliseconds each; its result. Nothing is changed before the last
+        one, which may wait for the servo. Raises MethodError."""
         engine = self._engine
         with self._refusals(params):
-            while True:
-                self._begun_at = engine.output
-                try:
-                    return (yield from cast("Steps[Changed]", self._handled(method, params)))
-                except _RateChangedError:
-                    continue
-                except ValidationError as error:
-                    more = yield from faults_beside(method, params, engine.scene, engine.materials)
-                    raise _faulty([*problems_of(error), *more]) from None
-                finally:
-                    engine.forget_prepared()
+            try:
+                changed = yield from cast("Steps[_Changed]", self._handled(method, params))
+            except ValidationError as error:
+                more = yield from faults_beside(method, params, engine.scene, engine.materials)
+                raise InvalidError([*problems_of(error), *more]) from None
+            finally:
+                engine.forget_prepared()
+            result: dict[str, object] = {"revision": changed.revision}
+            if changed.wait:
+                result["tick"] = engine.wait_revision(changed.revision)
+            faults = engine.faults()
+            if faults:
+                result["warning"] = self._off_because(faults)
+            return _with_warnings(_with_margins(result, changed.margins), changed.warnings)
 
-    def _handled(self, method: str, params: Mapping[str, object]) -> Done | Steps[Changed]:
+    def _handled(self, method: str, params: Mapping[str, object]) -> Result | Steps[_Changed]:
         """What the handler of a method returns. Raises ValidationError, and what `_refusals` names."""
         entry = _METHODS.get(method)
         if entry is None:
@@ -209,7 +202,10 @@ class Methods:
         if len(params) > _MOST_PARAMS:
             raise _faulty([Problem("", f"has {len(params)} parameters, no method takes more than {_MOST_PARAMS}")])
         self._engine.beat()
-        return handler(self, params if model is None else model.parsed(params))
+        given = params if model is None else model.parsed(params)
+        if isinstance(given, ChangeParams) and given.expect_revision not in (None, self._engine.revision):
+            raise StaleRevisionError
+        return handler(self, given)
 
     @contextmanager
     def _refusals(self, params: Mapping[str, object]) -> Iterator[None]:
@@ -264,65 +260,62 @@ class Methods:
         result: dict[str, object] = {"scene": state.scene.to_dict(), "revision": state.revision}
         return _with_margins(result, self._engine.margins())
 
-    def _set_scene(self, params: SetSceneParams) -> Steps[Changed]:
-        self._expect(params)
-        engine = self._engine
+    def _set_scene(self, params: SetSceneParams) -> Steps[_Changed]:
         scene = yield from scene_steps(params.scene, ("scene",))
-        problems = self._problems_of(scene.objects, ("scene",))
-        if problems:
-            raise _faulty(problems)
-        reports = yield from self._prepared(scene.objects, engine.materials)
-        revision = engine.set_scene(scene, params.expect_revision)
-        return self._changed(revision, params, self._warnings(scene.objects, ("scene", "objects"), reports))
+        new = _Proposed(scene, self._engine.materials, scene.objects, ("scene", "objects"), changed=None)
+        return (yield from self._take(params, new))
 
-    def _update_scene(self, params: UpdateSceneParams) -> Steps[Changed]:
-        self._expect(params)
-        engine = self._engine
-        changes = yield from patched_objects(params.objects, engine.scene)
+    def _update_scene(self, params: UpdateSceneParams) -> Steps[_Changed]:
+        before = self._engine.scene
+        changes = yield from patched_objects(params.objects, before)
         present = {id: item for id, item in changes.items() if item is not None}
-        # What is made of the same as before is known to go together with it.
-        before = engine.scene.objects
-        others = {id: item for id, item in present.items() if not same_materials(before.get(id), item)}
-        if others:
-            problems = self._problems_of(others)
+        scene = before.with_objects(changes)
+        new = _Proposed(scene, self._engine.materials, present, ("objects",), changed=changes.keys())
+        return (yield from self._take(params, new))
+
+    def _take(self, params: ChangeParams, new: _Proposed) -> Steps[_Changed]:
+        """Compiles what is proposed and has it rendered from one tick on. Raises InvalidError, StaleRevisionError."""
+        engine, output = self._engine, None
+        # Between two steps the servo may have stepped down to another rate.
+        while output is not engine.output:
+            output = engine.output
+            problems = self._problems_of(new)
             if problems:
-                raise _faulty(problems)
-        reports = yield from self._prepared(present, engine.materials)
-        revision = engine.update_objects(changes, params.expect_revision)
-        return self._changed(revision, params, self._warnings(present, ("objects",), reports))
+                raise InvalidError(problems)
+            reports = yield from engine.prepared(new.objects.values(), new.materials, new.sent)
+        revision = engine.take(new.scene, new.materials, new.changed, params.expect_revision)
+        warnings = change_warnings(new.objects, new.sent, reports, new.root, engine.played())
+        return _Changed(revision, params.wait, warnings, engine.margins(touched=True))
 
-    def _changed(self, revision: int, params: ChangeParams, warnings: list[Problem]) -> Changed:
-        return Changed(revision, params.wait, warnings, self._engine.margins(touched=True))
-
-    def _prepared(
-        self, objects: Mapping[str, SceneObject], materials: Materials, sent: Iterable[str] = ()
-    ) -> Steps[_Reports]:
-        """As Engine.prepared. Raises _RateChangedError where the rate is another one than when the change began."""
-        reports = yield from self._engine.prepared(objects.values(), materials, sent)
-        if self._engine.output is not self._begun_at:
-            raise _RateChangedError
-        return reports
-
-    def _problems_of(
-        self, objects: Mapping[str, SceneObject], root: Path = (), materials: Materials | None = None
-    ) -> list[Problem]:
-        """Materials that these objects name and nobody defines, or no signal of this rate has."""
-        engine = self._engine
-        materials = engine.materials if materials is None else materials
-        problems = reference_problems(objects, materials, root)[:MAX_FAULTS]
+    def _problems_of(self, new: _Proposed) -> list[Problem]:
+        """Materials that objects name and nobody defines, or that no signal of this rate has."""
+        engine, before = self._engine, self._engine.scene.objects
+        if new.materials is not engine.materials:
+            known = engine.materials
+            others = {name: each for name, each in new.materials.items() if known.get(name) is not each}
+            # What the scene before is made of is compiled anew before its objects go.
+            problems = rate_faults(new.scene.objects, others, engine.output) or rate_faults(
+                before, others, engine.output
+            )
+            if problems:
+                return problems
+        # What is made of the same as before is known to go together with it.
+        objects = {id: item for id, item in new.objects.items() if not same_materials(before.get(id), item)}
+        if not objects:
+            return []
+        problems = reference_problems(objects, new.materials, new.root[:-1])[:MAX_FAULTS]
         if problems:
             return problems
-        used = {name: materials[name] for name in used_materials(objects.values())}
         refused = {
             name: faults
-            for name, material in used.items()
-            if (faults := material_rate_faults(name, material, engine.output))
+            for name in used_materials(objects.values())
+            if (faults := material_rate_faults(name, new.materials[name], engine.output))
         }
         for id, item in objects.items() if refused else ():
             for index, name in enumerate(materials_of(item)):
                 inner: Path = ("patches", index - 1, "material") if index else ("material",)
                 for fault in refused.get(name, ()):
-                    problems.append(Problem(path_text((*root, "objects", id, *inner)), str(fault)))
+                    problems.append(Problem(path_text((*new.root, id, *inner)), str(fault)))
             if len(problems) >= MAX_FAULTS:
                 break
         return problems[:MAX_FAULTS]
@@ -332,13 +325,12 @@ class Methods:
         materials = {name: material.to_dict() for name, material in state.materials.items()}
         return {"materials": materials, "revision": state.revision}
 
-    def _set_materials(self, params: SetMaterialsParams) -> Steps[Changed]:
-        self._expect(params)
-        materials = yield from whole_materials(params.materials, self._engine.materials)
-        return (yield from self._changed_materials(params, materials, params.materials))
+    def _set_materials(self, params: SetMaterialsParams) -> Steps[_Changed]:
+        engine = self._engine
+        materials = yield from whole_materials(params.materials, engine.materials)
+        return (yield from self._take(params, _Proposed(engine.scene, materials, sent=params.materials)))
 
-    def _update_materials(self, params: UpdateMaterialsParams) -> Steps[Changed]:
-        self._expect(params)
+    def _update_materials(self, params: UpdateMaterialsParams) -> Steps[_Changed]:
         engine = self._engine
         materials, patched = yield from patched_materials(params.materials, engine.materials)
         missing = [
@@ -348,56 +340,34 @@ class Methods:
             if name not in materials
         ]
         if missing:
-            raise _faulty(missing)
-        return (yield from self._changed_materials(params, materials, patched))
+            raise InvalidError(missing)
+        return (yield from self._take(params, _Proposed(engine.scene, materials, sent=patched)))
 
-    def _changed_materials(
-        self, params: SetMaterialsParams | UpdateMaterialsParams, materials: Materials, sent: Collection[str]
-    ) -> Steps[Changed]:
-        """Takes all materials, of which some were sent."""
-        engine = self._engine
-        refused = rate_faults(engine.scene.objects, materials, engine.output)
-        if refused:
-            raise _faulty(refused)
-        reports = yield from self._prepared({}, materials, sent)
-        revision = engine.set_materials(materials, params.expect_revision)
-        return self._changed(revision, params, self._warnings({}, (), reports, sent))
-
-    def _apply(self, params: ApplyParams) -> Steps[Changed]:
+    def _apply(self, params: ApplyParams) -> Steps[_Changed]:
         """Every fault of either part is reported; materials and scene change at one tick, or neither does."""
-        self._expect(params)
         engine = self._engine
         problems: list[Problem] = []
-        materials, scene = engine.materials, engine.scene
-        if params.materials is None and "scene" not in params.model_fields_set:
-            raise _faulty([Problem("", "needs materials, scene or both")])
+        has_scene = "scene" in params.model_fields_set
+        if params.materials is None and not has_scene:
+            raise InvalidError([Problem("", "needs materials, scene or both")])
+        new = _Proposed(engine.scene, engine.materials, sent=params.materials or ())
         if params.materials is not None:
             try:
-                materials = yield from whole_materials(params.materials, engine.materials)
+                new = new._replace(materials=(yield from whole_materials(params.materials, engine.materials)))
             except InvalidError as error:
                 problems += error.problems
-        if "scene" in params.model_fields_set:
+        if has_scene:
             try:
                 scene = yield from scene_steps(params.scene, ("scene",))
+                new = new._replace(scene=scene, objects=scene.objects, root=("scene", "objects"), changed=None)
             except InvalidError as error:
                 problems += error.problems
-        if not problems:
-            sent = {name: materials[name] for name in params.materials or ()}
-            problems = rate_faults(scene.objects, sent, engine.output)
-            # What the scene before is made of is compiled anew before its objects go.
-            problems = problems or rate_faults(engine.scene.objects, sent, engine.output)
-            problems = problems or self._problems_of(scene.objects, ("scene",), materials)
         if problems:
-            raise _faulty(problems)
-        objects = scene.objects if "scene" in params.model_fields_set else {}
-        reports = yield from self._prepared(objects, materials, params.materials or ())
-        revision = engine.replace(scene, materials, params.expect_revision)
-        warnings = self._warnings(objects, ("scene", "objects"), reports, params.materials or ())
-        return self._changed(revision, params, warnings)
+            raise InvalidError(problems)
+        return (yield from self._take(params, new))
 
-    def _reload(self, params: ReloadParams) -> Steps[Changed]:
+    def _reload(self, params: ReloadParams) -> Steps[_Changed]:
         """All or nothing: what needs a restart refuses the rest, too."""
-        self._expect(params)
         engine = self._engine
         if self._load is None:
             raise MethodError(Code.INTERNAL, "this daemon has no configuration to read")
@@ -406,31 +376,22 @@ class Methods:
             fixed = needing_restart(engine.config, config)
             if fixed:
                 raise InvalidError(fixed)
-            refused = rate_faults(config.scene.objects, config.materials, engine.output)
-            if refused:
-                raise InvalidError(refused)
-            before = engine.scene
-            reports = yield from self._prepared(config.scene.objects, config.materials)
-            same = config.scene == before and config.materials == engine.materials
-            if same:
-                self._expect(params)
-                revision = engine.revision
-            else:
-                revision = engine.replace(config.scene, config.materials, params.expect_revision)
-        except InvalidError as error:
-            self._tell(logging.ERROR, f"not reloaded: {error}")
-            raise _faulty(error.problems) from None
+            old, new = engine.scene.objects, config.scene.objects
+            used = used_materials(new.values())
+            proposed = _Proposed(config.scene, config.materials, new, ("scene", "objects"), used, changed=None)
+            if config.scene == engine.scene and config.materials == engine.materials:
+                # The objects in force stay: nothing of them is compiled again.
+                proposed = proposed._replace(scene=engine.scene, materials=engine.materials)
+            changed = yield from self._take(params, proposed)
         except StaleRevisionError:
             raise
         except HapticdError as error:
             self._tell(logging.ERROR, f"not reloaded: {error}")
-            raise _faulty([Problem("", str(error))]) from None
-        old, new = before.objects, config.scene.objects
-        changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
-        self._tell(logging.INFO, f"reloaded: revision {revision}, {wording.count(changed, 'object')} changed")
-        sent = used_materials(new.values())
-        warnings = self._warnings(new, ("scene", "objects"), reports, sent)
-        return Changed(revision, params.wait, warnings, None) if same else self._changed(revision, params, warnings)
+            problems = error.problems if isinstance(error, InvalidError) else (Problem("", str(error)),)
+            raise InvalidError(problems) from None
+        count = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
+        self._tell(logging.INFO, f"reloaded: revision {changed.revision}, {wording.count(count, 'object')} changed")
+        return changed
 
     def _tell(self, level: int, line: str) -> None:
         """What came of a reload: one line a second at most, though a client may ask for hundreds."""
@@ -443,11 +404,6 @@ class Methods:
             raise MethodError(Code.INTERNAL, "this daemon has no flight recorder")
         return {"file": str(self._flight.dump())}
 
-    def _expect(self, params: ChangeParams) -> None:
-        expected = params.expect_revision
-        if expected is not None and expected != self._engine.revision:
-            raise self._stale(expected)
-
     def _stale(self, expected: object) -> MethodError:
         revision = self._engine.revision
         return MethodError(
@@ -455,13 +411,6 @@ class Methods:
             f"expect_revision: {expected} is stale, the scene is at revision {revision}",
             {"revision": revision},
         )
-
-    def _warnings(
-        self, objects: Mapping[str, SceneObject], root: Path, reports: _Reports, sent: Collection[str] = ()
-    ) -> list[Problem]:
-        """What of these objects and materials, which are in force, is not displayed as it was meant."""
-        engine = self._engine
-        return change_warnings(objects, sent, reports, root, engine.played())
 
     # ---- Commands --------------------------------------------------------------------------------------------------
 

@@ -127,7 +127,7 @@ class Daemon:
 
     def put_back(self) -> None:
         if self.engine.scene is not self.config.scene or self.engine.materials is not self.config.materials:
-            self.engine.replace(self.config.scene, self.config.materials, None)
+            self.engine.take(self.config.scene, self.config.materials)
 
     def refusal(self, method: str, params: dict[str, object]) -> list[str] | None:
         """What is wrong with params; None where they are valid, whatever became of the request."""

@@ -241,7 +241,7 @@ def patched(count: int, **keys: object) -> dict[str, object]:
 
 
 def test_a_wall_that_moves_keeps_the_pieces_of_its_patches(daemon: Daemon) -> None:
-    daemon.engine.set_materials(load_config({}).materials)
+    daemon.engine.take(daemon.engine.scene, load_config({}).materials)
     daemon.methods.call("set_scene", {"scene": {"objects": {"one": patched(50), "other": patched(30)}}})
     rows = daemon.engine._compiler._walls.records.copy()
     objects = daemon.engine.scene.objects
@@ -259,7 +259,7 @@ def test_a_wall_that_moves_keeps_the_pieces_of_its_patches(daemon: Daemon) -> No
     daemon.methods.call("update_scene", {"objects": {"one": {"patches": None}}})
     assert len(daemon.engine._compiler._walls.records) == 61
     fresh = Engine(daemon.engine.config)
-    fresh.replace(daemon.engine.scene, daemon.engine.materials)
+    fresh.take(daemon.engine.scene, daemon.engine.materials)
     assert (fresh._compiler._walls.records == daemon.engine._compiler._walls.records).all()
 
 

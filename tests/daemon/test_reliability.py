@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from time import monotonic_ns
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -483,7 +483,7 @@ def test_a_reload_pauses_while_files_are_read() -> None:
     for _ in range(5):
         next(steps)
     read.set()
-    assert finish(steps).revision == engine.revision
+    assert cast(dict[str, object], finish(steps))["revision"] == engine.revision
 
 
 def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -148,10 +148,11 @@ def test_what_is_touched_is_right_again_after_events_were_lost() -> None:
         while engine.counters().events_dropped == 0:
             engine.beat()
             engine.reset(None)
-        engine.wait_revision(engine.update_objects({name: None for name in floors if name != "floor7"}))
+        left = engine.scene.with_objects({name: None for name in floors if name != "floor7"})
+        engine.wait_revision(engine.take(left, engine.materials))
         engine.reset(["floor7"])  # once it is answered, that tick is over
         assert touching() == ["floor7"]
-        engine.wait_revision(engine.update_objects({"floor7": None}))
+        engine.wait_revision(engine.take(engine.scene.with_objects({"floor7": None}), engine.materials))
         engine.reset(None)
         assert touching() == []
     finally:

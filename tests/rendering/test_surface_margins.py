@@ -78,8 +78,8 @@ def test_it_is_that_of_the_contact_set_of_one_surface(seed: int) -> None:
     assert margins == {id: alone(config, id) and pytest.approx(alone(config, id), rel=1e-9) for id in objects}
     # Changed one by one it is the same as all at once.
     for id in objects:
-        engine.update_objects({id: None})
-        engine.update_objects({id: config.scene.objects[id]})
+        for item in (None, config.scene.objects[id]):
+            engine.take(engine.scene.with_objects({id: item}), engine.materials)
         touched = engine.margins(touched=True)
         assert touched == {id: margins[id] and pytest.approx(margins[id], rel=1e-12)}
 

@@ -336,7 +336,7 @@ def test_the_running_servo_tells_what_was_given() -> None:
         engine.set_operator(np.array([[0.0, 0.0, -0.004]]), "linear")
         start = engine.counters().ticks
         while engine.counters().ticks < start + 200:
-            engine.wait_revision(engine.update_objects({}))
+            engine.wait_revision(engine.take(engine.scene.with_objects({}), engine.materials))
         found = engine.counters()
     finally:
         engine.stop()

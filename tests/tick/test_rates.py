@@ -97,7 +97,7 @@ def test_histograms_count_every_tick() -> None:
     engine = Engine(load_config({"servo": {"realtime": "off", "rate_hz": 1000}}))
     engine.start()
     while engine.counters().ticks < 300:
-        engine.wait_revision(engine.set_scene(engine.scene))
+        engine.wait_revision(engine.take(engine.scene.with_objects({}), engine.materials))
     engine.stop()
     counters = engine.counters()
     for histogram in engine.histograms():
