@@ -9,6 +9,7 @@ From a request to the servo, and back:
     methods          the protocol's methods: what each does and answers, and the code of each error
     params           what the methods take
     described/       the protocol as OpenRPC and AsyncAPI documents, made of params, results and records
+    refusal          why a request is refused
     streams          streamed targets and forces: who sends, in which order, and what became of every message
     lease            forces stay on only while somebody renews the lease
     reload           reads the configuration again, and says what needs a restart
@@ -32,7 +33,7 @@ Questions, and where to begin:
     How does a scene reach the servo?
         methods (_set_scene), then engine, which has rendering/compiler/table rewrite what changed and publishes it.
     Why did a request get an error?
-        methods (_refusals and the handlers) maps exceptions to codes: of LeaseHeldError it makes Code.LEASE_HELD.
+        refusal (MethodError) is the error of the answer; methods (_refusals) makes it of what others raise.
     Where does a sample go?
         telemetry drains it; publisher sends it; flight_recorder keeps it.
     What ends the force?

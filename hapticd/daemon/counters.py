@@ -170,13 +170,6 @@ def read_stream_counters(servo: CData, kind: StreamKind) -> StreamCounters:
     return StreamCounters._make(_STREAM.unpack(ffi.buffer(raw)))
 
 
-def read_faults(servo: CData) -> Fault:
-    """The faults that are latched. For any thread."""
-    raw = ffi.new("struct hd_counters *")
-    lib.hd_servo_counters(servo, raw)
-    return Fault(raw.faults) if raw.faults else _NO_FAULT
-
-
 def read_histograms(servo: CData) -> tuple[Histogram, Histogram]:
     """Of lateness and of work, since the start. For any thread."""
     raw = ffi.new("struct hd_histograms *")

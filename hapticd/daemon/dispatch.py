@@ -21,7 +21,8 @@ from hapticd.base import codec
 from hapticd.base.errors import quoted
 from hapticd.base.steps import Steps
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import CHANGES, MethodError, Methods, Result
+from hapticd.daemon.methods import CHANGES, Methods, Result
+from hapticd.daemon.refusal import MethodError
 from hapticd.daemon.router import Router
 from hapticd.protocol import messages, streams
 from hapticd.system import notify

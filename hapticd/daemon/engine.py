@@ -51,7 +51,6 @@ from hapticd.daemon.counters import (
     StreamCounters,
     missing_of,
     read_counters,
-    read_faults,
     read_histograms,
     read_stream_counters,
 )
@@ -604,10 +603,6 @@ class Engine:
     def histograms(self) -> tuple[Histogram, Histogram]:
         """Of lateness and of work, since the start. For any thread."""
         return read_histograms(self._servo)
-
-    def faults(self) -> Fault:
-        """The faults that are latched."""
-        return read_faults(self._servo)
 
     def read_changes(self) -> Iterator[Change]:
         """What commands changed since it was read last. For one thread."""

@@ -56,16 +56,16 @@ from hapticd.daemon.params import (
     UpdateMaterialsParams,
     UpdateSceneParams,
 )
+from hapticd.daemon.refusal import MethodError
 from hapticd.daemon.reload import needing_restart, read_again
 from hapticd.daemon.status import Status
 from hapticd.daemon.status_text import FAULTS
-from hapticd.daemon.streams import HeldError, LateError, Streams
+from hapticd.daemon.streams import NotInTurnError, Streams
 from hapticd.hid.signs import CORRECT
 from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
 from hapticd.protocol.messages import Code, decode_trusted
-from hapticd.protocol.streams import Kind
 from hapticd.protocol.validation import faults_beside, patched_materials, patched_objects, whole_materials
 from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
@@ -73,20 +73,6 @@ from hapticd.system.repeated_lines import SHORTEST_S, Repeats
 
 _log = logging.getLogger("hapticd")
 _MOST_PARAMS: Final = 16
-
-
-class MethodError(Exception):
-    """The error object of an answer."""
-
-    def __init__(self, code: Code, message: str, data: object = None) -> None:
-        super().__init__(message)
-        self.code = code
-        self.message = message
-        self.data = data
-
-
-class NotInTurnError(MethodError):
-    """A message of a stream that is sound, and counted, but was not taken."""
 
 
 class _Proposed(NamedTuple):
@@ -121,13 +107,6 @@ Result: TypeAlias = dict[str, object] | Encoded
 STATE_WAIT_S: Final = 1.0
 """So long `get_state` waits for a tick."""
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
-
-
-def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
-    first = str(problems[0])
-    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    data = [{"where": problem.where, "problem": problem.problem} for problem in problems]
-    return MethodError(Code.INVALID_PARAMS, f"{first}{more}", data)
 
 
 def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
@@ -188,7 +167,7 @@ class Methods:
             result: dict[str, object] = {"revision": changed.revision}
             if changed.wait:
                 result["tick"] = engine.wait_revision(changed.revision)
-            faults = engine.faults()
+            faults = engine.counters().faults
             if faults:
                 result["warning"] = self._off_because(faults)
             return _with_warnings(_with_margins(result, changed.margins), changed.warnings)
@@ -200,7 +179,7 @@ class Methods:
             raise MethodError(Code.NO_SUCH_METHOD, f"no such method; {known_names(method, _METHODS)}")
         model, handler = entry
         if len(params) > _MOST_PARAMS:
-            raise _faulty([Problem("", f"has {len(params)} parameters, no method takes more than {_MOST_PARAMS}")])
+            raise InvalidError([Problem("", f"has {len(params)} parameters, no method takes more than {_MOST_PARAMS}")])
         self._engine.beat()
         given = params if model is None else model.parsed(params)
         if isinstance(given, ChangeParams) and given.expect_revision not in (None, self._engine.revision):
@@ -213,9 +192,9 @@ class Methods:
         try:
             yield
         except ValidationError as error:
-            raise _faulty(problems_of(error)) from None
+            raise MethodError.faulty(problems_of(error)) from None
         except InvalidError as error:
-            raise _faulty(error.problems) from None
+            raise MethodError.faulty(error.problems) from None
         except StaleRevisionError:
             raise self._stale(params.get("expect_revision")) from None
         except RingFullError as error:
@@ -416,7 +395,7 @@ class Methods:
 
     def _play(self, params: PlayParams) -> dict[str, object]:
         if (params.mode is None) == (params.material is None):
-            raise _faulty([Problem("", "needs exactly one of mode and material")])
+            raise InvalidError([Problem("", "needs exactly one of mode and material")])
         problems = []
         if math.hypot(*params.direction) < 1e-9:
             problems.append(Problem("direction", "must have a direction: a length of at least 1e-9"))
@@ -441,7 +420,7 @@ class Methods:
                 problem = f"{quoted(params.material or '')} has neither a tap nor a rupture to play"
                 problems.append(Problem("material", problem))
         if problems:
-            raise _faulty(problems)
+            raise InvalidError(problems)
         self._need_forces()
         tick, shown_hz = self._engine.play(mode, cast(Any, attack), params.direction, params.amplitude_m_per_s2)
         wanted_hz = mode.frequency_hz
@@ -460,7 +439,7 @@ class Methods:
                 if id not in objects
             ]
             if unknown:
-                raise _faulty(unknown)
+                raise InvalidError(unknown)
         return {"tick": self._engine.reset(params.objects)}
 
     def _mark(self, params: MarkParams) -> dict[str, object]:
@@ -469,7 +448,7 @@ class Methods:
     def _set_forces(self, params: SetForcesParams) -> dict[str, object]:
         self._lease.forget_lapsed()
         tick = self._engine.set_forces(params.enabled)
-        faults = self._engine.faults()
+        faults = self._engine.counters().faults
         if params.enabled and faults:
             raise MethodError(Code.FORCES_OFF, self._off_because(faults), {"faults": fault_names(faults)})
         result: dict[str, object] = {"forces": "faulted" if faults else "on" if params.enabled else "off", "tick": tick}
@@ -487,13 +466,13 @@ class Methods:
         except LeaseLapsedError:
             raise self._lapsed() from None
         result: dict[str, object] = {"token": token}
-        faults = self._engine.faults()
+        faults = self._engine.counters().faults
         if faults:
             result["warning"] = self._off_because(faults)
         return result
 
     def _lapsed(self) -> MethodError:
-        faults = self._engine.faults()
+        faults = self._engine.counters().faults
         message = "token: no lease is held by it: it lapsed, was ended, or never was"
         if faults:
             message += f"; {self._off_because(faults)}"
@@ -525,11 +504,11 @@ class Methods:
                 "stream_target moves the simulated joystick's hand; this device is of kind "
                 f"{self._engine.config.device.kind}, whose hand is a person's",
             )
-        self._stream("target", params.seq, params.position_m)
+        self.streams.take(self._sender, "target", params.seq, *params.position_m)
         return {}
 
     def _stream_force(self, params: StreamForceParams) -> dict[str, object]:
-        self._stream("force", params.seq, params.force_n)
+        self.streams.take(self._sender, "force", params.seq, *params.force_n)
         counters = self._engine.counters()
         if counters.faults:
             return {"forces": "faulted", "warning": self._off_because(counters.faults)}
@@ -537,20 +516,6 @@ class Methods:
             warning = "nothing of it is felt while forces are off: `hapticd force on` or set_forces turns them on"
             return {"forces": "off", "warning": warning}
         return {"forces": "on"}
-
-    def _stream(self, kind: Kind, seq: int, vector: tuple[float, float]) -> None:
-        try:
-            self.streams.take(self._sender, kind, seq, *vector)
-        except HeldError as error:
-            raise NotInTurnError(
-                Code.STREAM_HELD,
-                f"another client streams a {kind}; send again once it has stopped for {1e3 * error.timeout_s:g} ms",
-                {"free_s": error.free_s},
-            ) from None
-        except LateError as error:
-            problem = Problem("seq", f"must be above {error.last}, the last of this stream, is {seq}")
-            refused = _faulty([problem])
-            raise NotInTurnError(refused.code, refused.message, refused.data) from None
 
     def _target(self, id: str) -> Target | None:
         item = self._engine.scene.objects.get(id)

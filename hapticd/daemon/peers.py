@@ -15,7 +15,7 @@ import time
 from collections import OrderedDict, deque
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from hapticd.base import wording
@@ -57,39 +57,26 @@ class Limits:
         return replace(self, connections=connections, process_connections=max(4, connections // 4))
 
 
+@dataclass(eq=False, slots=True)
 class Peer:
     """A connection; answers to a peer that has left are dropped."""
 
-    __slots__ = (
-        "began_s",
-        "closed",
-        "held",
-        "lost",
-        "out",
-        "parser",
-        "pid",
-        "queued",
-        "readable",
-        "ready",
-        "sock",
-        "subscriptions",
-        "uid",
-        "unsent",
-        "useless",
-    )
-
-    def __init__(self, sock: socket.socket, uid: int, pid: int, bounds: zmtp.Bounds) -> None:
-        self.sock, self.uid, self.pid = sock, uid, pid
-        self.parser = zmtp.Parser(bounds)
-        self.began_s = time.monotonic()
-        self.ready = self.closed = self.queued = self.readable = False
-        self.out: deque[bytes | memoryview] = deque()
-        self.unsent = 0
-        self.held = 0
-        # Of a subscriber:
-        self.subscriptions: dict[bytes, int] = {}
-        self.useless = 0
-        self.lost = 0
+    sock: socket.socket
+    uid: int
+    pid: int
+    parser: zmtp.Parser
+    began_s: float = field(default_factory=time.monotonic)
+    ready: bool = False
+    closed: bool = False
+    queued: bool = False
+    readable: bool = False
+    out: deque[bytes | memoryview] = field(default_factory=deque)
+    unsent: int = 0
+    held: int = 0
+    # Of a subscriber:
+    subscriptions: dict[bytes, int] = field(default_factory=dict)
+    useless: int = 0
+    lost: int = 0
 
     def __str__(self) -> str:
         return f"process {self.pid} of user {self.uid}"
@@ -358,7 +345,7 @@ class Peers:
                 return
             sock.setblocking(False)
             pid, uid, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
-            peer = Peer(sock, uid, pid, self._limits.message)
+            peer = Peer(sock, uid, pid, zmtp.Parser(self._limits.message))
             if len(self._owners.get(peer.uid, {}).get(peer.pid, ())) >= self._limits.process_connections:
                 sock.close()
                 self._tell_end(peer, f"it has {self._limits.process_connections:,} connections already")

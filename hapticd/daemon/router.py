@@ -48,8 +48,6 @@ class Router(Peers):
 
     def __init__(self, listening: socket.socket, limits: Limits = LIMITS) -> None:
         super().__init__(listening, limits)
-        self.undelivered = 0
-        """Answers to peers that had left."""
 
     def receive(self, timeout_s: float) -> Request | None:
         """The next request of whose turn it is; None after so long if no peer is sending anything, after LONGEST_LOOK_S
@@ -74,7 +72,6 @@ class Router(Peers):
     def send(self, peer: Peer, delimited: bool, body: bytes | codec.Encoded) -> None:
         """An answer, after those that were sent to this peer before. It is dropped if the peer has left."""
         if peer.closed:
-            self.undelivered += 1
             return
         first, *rest = (body,) if isinstance(body, bytes) else body.parts
         delimiter = zmtp.header(0, zmtp.MORE) if delimited else b""

@@ -13,27 +13,16 @@ from time import monotonic_ns
 from typing import Protocol
 
 from hapticd.base.core import StreamKind
+from hapticd.base.errors import Problem
 from hapticd.daemon.counters import StreamCounters
+from hapticd.daemon.refusal import MethodError
 from hapticd.protocol import streams as wire
+from hapticd.protocol.messages import Code
 from hapticd.protocol.streams import MOST, Kind
 
 
-class HeldError(Exception):
-    """Another connection owns the stream, which has not ended. The protocol's error is Code.STREAM_HELD."""
-
-    def __init__(self, free_s: float, timeout_s: float) -> None:
-        super().__init__(free_s)
-        self.free_s = free_s
-        """Seconds until the stream ends, if its owner sends no further message."""
-        self.timeout_s = timeout_s
-
-
-class LateError(Exception):
-    """The sequence number of a message is not above that of the last accepted message, which is `last`."""
-
-    def __init__(self, last: int) -> None:
-        super().__init__(last)
-        self.last = last
+class NotInTurnError(MethodError):
+    """A message that is sound, and counted, but was not taken."""
 
 
 class Servo(Protocol):
@@ -101,15 +90,19 @@ class Streams:
         self._streams[wire.METHODS[method]].refused += 1
 
     def take(self, sender: object, kind: Kind, seq: int, x: float, y: float) -> None:
-        """Gives a valid message to the servo. Raises HeldError, LateError."""
+        """Gives a valid message to the servo. Raises NotInTurnError where another connection owns the stream, or where
+        the sequence number is not above that of the last accepted message."""
         stream, now_ns = self._streams[kind], self._clock()
         if self._is_under_way(stream, now_ns):
             if stream.sender is not sender:
                 stream.held += 1
-                raise HeldError(1e-9 * (stream.last_ns + self._timeout_ns - now_ns), 1e-9 * self._timeout_ns)
+                free_s = 1e-9 * (stream.last_ns + self._timeout_ns - now_ns)
+                again = f"send again once it has stopped for {1e-6 * self._timeout_ns:g} ms"
+                raise NotInTurnError(Code.STREAM_HELD, f"another client streams a {kind}; {again}", {"free_s": free_s})
             if seq <= stream.seq:
                 stream.late += 1
-                raise LateError(stream.seq)
+                late = f"must be above {stream.seq}, the last of this stream, is {seq}"
+                raise NotInTurnError.faulty([Problem("seq", late)])
         self._hand_over(stream, sender, seq, now_ns, x, y)
 
     def _is_under_way(self, stream: _Stream, now_ns: int) -> bool:

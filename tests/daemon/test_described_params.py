@@ -16,7 +16,8 @@ from hapticd.config.configuration import load_config
 from hapticd.daemon.described.documents import openrpc_document
 from hapticd.daemon.described.words import OF_METHOD, RULES
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import MethodError, Methods
+from hapticd.daemon.methods import Methods
+from hapticd.daemon.refusal import MethodError
 from hapticd.protocol.messages import Code
 from tests.support.schema_messages import Values, validator
 

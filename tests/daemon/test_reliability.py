@@ -20,7 +20,8 @@ from hapticd.config.configuration import Config, load_config
 from hapticd.config.modes import Mode
 from hapticd.daemon import reload
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import MethodError, Methods
+from hapticd.daemon.methods import Methods
+from hapticd.daemon.refusal import MethodError
 from hapticd.protocol.changes import Played, Revised
 from hapticd.protocol.events import event_map
 from tests.hid.test_connection import World

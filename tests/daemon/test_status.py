@@ -8,7 +8,8 @@ import pytest
 from hapticd.base import codec
 from hapticd.config.configuration import load_config
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import MethodError, Methods
+from hapticd.daemon.methods import Methods
+from hapticd.daemon.refusal import MethodError
 from hapticd.protocol import messages
 
 WALL = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}

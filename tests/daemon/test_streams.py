@@ -16,10 +16,11 @@ from hapticd.daemon.counters import StreamCounters
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import Methods
-from hapticd.daemon.streams import HeldError, LateError, Streams
+from hapticd.daemon.streams import NotInTurnError, Streams
 from hapticd.hid.replay import Recording, save
 from hapticd.protocol import messages
 from hapticd.protocol import streams as wire
+from hapticd.protocol.messages import Code
 from tests.support.hid_descriptors import Joystick
 
 TIMEOUT_NS = 20_000_000
@@ -82,9 +83,9 @@ def test_gaps_are_counted_and_what_is_late_or_double_is_left_out() -> None:
     assert bench.send("a", 14)
     for seq in (14, 12, 0):
         assert not bench.send("a", seq)  # the ordinary way says why, and counts
-        with pytest.raises(LateError) as late:
+        with pytest.raises(NotInTurnError, match="above 14") as late:
             bench.streams.take("a", "force", seq, 0.0, 0.0)
-        assert late.value.last == 14
+        assert late.value.code == Code.INVALID_PARAMS
     assert bench.send("a", 15)
     assert bench.seqs() == [10, 14, 15]
     assert bench.counted() == {"received": 6, "late": 3, "lost": 3}
@@ -95,9 +96,9 @@ def test_a_stream_stands_until_it_timed_out_and_then_another_begins_at_any_numbe
     assert bench.send("a", 1000)
     bench.now_ns += TIMEOUT_NS - 1
     assert not bench.send("b", 2000)
-    with pytest.raises(HeldError) as held:
+    with pytest.raises(NotInTurnError, match="stopped for 20 ms") as held:
         bench.streams.take("b", "force", 2000, 0.0, 0.0)
-    assert (held.value.free_s, held.value.timeout_s) == (1e-9, 0.02)
+    assert (held.value.code, held.value.data) == (Code.STREAM_HELD, {"free_s": 1e-9})
     assert bench.send("b", 1, "target")  # the other kind is free
     bench.now_ns += 1
     assert bench.send("b", 3)

@@ -16,7 +16,8 @@ from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import load_config
 from hapticd.config.hid import Hid
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import MethodError, Methods
+from hapticd.daemon.methods import Methods
+from hapticd.daemon.refusal import MethodError
 from hapticd.hid import connection as connection_module
 from hapticd.hid.connection import Opened
 from hapticd.hid.drivers.pid import PidDriver

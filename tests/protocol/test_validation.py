@@ -6,7 +6,8 @@ import pytest
 
 from hapticd.config.configuration import load_config
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import MethodError, Methods
+from hapticd.daemon.methods import Methods
+from hapticd.daemon.refusal import MethodError
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 SCENE = {"objects": {"floor": {**FLOOR, "point_m": [0]}, "ball": {"kind": "disk"}}}

@@ -16,7 +16,8 @@ from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
 from hapticd.config.scene import validate_object
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import MethodError, Methods
+from hapticd.daemon.methods import Methods
+from hapticd.daemon.refusal import MethodError
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import material_rate_faults
 from hapticd.rendering.joystick import target_of

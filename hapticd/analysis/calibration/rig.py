@@ -144,7 +144,7 @@ class ServoRig:
             self._engine.beat()
             count, dropped = self._engine.read_samples(self._room)
             self._engine.read_events(self._events)
-            faults = self._engine.faults()
+            faults = self._engine.counters().faults
             if Fault.SIGNS in faults:
                 raise HapticdError(f"stopped, the force is zero: {self._engine.counters().signs.line()}")
             if faults:

@@ -80,16 +80,12 @@ CODES: Final[dict[Code, CodeInWords]] = {
         'wrong number of frames, not a map, a batch, `jsonrpc` is not `"2.0"`, an id of another type, '
         "`method` is not a string, an unknown member",
     ),
-    Code.NO_SUCH_METHOD: CodeInWords(
-        "there is no such method",
-    ),
+    Code.NO_SUCH_METHOD: CodeInWords("there is no such method"),
     Code.INVALID_PARAMS: CodeInWords(
         "`params` is not a map (then without `data`), or its content is wrong",
         'a list of `{"where", "problem"}`',
     ),
-    Code.INTERNAL: CodeInWords(
-        "a defect of the daemon; its log says more",
-    ),
+    Code.INTERNAL: CodeInWords("a defect of the daemon; its log says more"),
     Code.STALE_REVISION: CodeInWords(
         "`expect_revision` is not the scene's revision",
         '`{"revision"}`: the scene\'s',
@@ -115,12 +111,8 @@ CODES: Final[dict[Code, CodeInWords]] = {
         "no lease has this token: the lease lapsed, was ended, or never existed",
         '`{"faults"}`: the latched faults',
     ),
-    Code.NO_OPERATOR: CodeInWords(
-        "`set_operator` or `stream_target`, but the device is not the simulated joystick",
-    ),
-    Code.DAEMON_AWAY: CodeInWords(
-        "from the server of the page: no daemon took the request, or none answered it",
-    ),
+    Code.NO_OPERATOR: CodeInWords("`set_operator` or `stream_target`, but the device is not the simulated joystick"),
+    Code.DAEMON_AWAY: CodeInWords("from the server of the page: no daemon took the request, or none answered it"),
     Code.STREAM_HELD: CodeInWords(
         "the stream of another connection is under way",
         '`{"free_s"}`: seconds until that stream ends, if its sender sends nothing more',
