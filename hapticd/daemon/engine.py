@@ -93,7 +93,6 @@ CHANGES: Final = 1024
 LEAST_RATE_HZ: Final = 1000.0
 """The servo steps down to no less."""
 
-_NO_FAULT: Final = Fault(0)
 _log = logging.getLogger("hapticd")
 
 

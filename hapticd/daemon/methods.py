@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import logging
 import math
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping
-from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import asdict
 from time import monotonic_ns
@@ -105,7 +105,8 @@ CHANGES: Final = frozenset(("set_scene", "update_scene", "set_materials", "updat
 """Methods that change scene or materials, in steps: one may take seconds. What else there is takes milliseconds."""
 Result: TypeAlias = dict[str, object] | Encoded
 STATE_WAIT_S: Final = 1.0
-"""So long `get_state` waits for a tick."""
+"""So long `get_state` waits for the first tick."""
+_LOOK_S: Final = 0.001
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
 
 
@@ -127,13 +128,13 @@ class Methods:
         engine: Engine,
         load: Callable[[], Config] | None = None,
         flight: Flight | None = None,
-        ask_state: Callable[[], Future[dict[str, object]]] | None = None,
+        read_state: Callable[[], dict[str, object] | None] | None = None,
     ) -> None:
-        """`load` reads the configuration again, for `reload`; `ask_state` asks telemetry for the newest sample."""
+        """`load` reads the configuration again, for `reload`; `read_state` finds the newest sample."""
         self._engine = engine
         self._load = load
         self._flight = flight
-        self._ask_state = ask_state
+        self._read_state = read_state
         self.repeats = Repeats()
         """What clients cause in the log. Whoever calls also flushes it."""
         self._lease = Lease(engine.set_lease, monotonic_ns)
@@ -223,12 +224,14 @@ class Methods:
         return self._status.encoded(params.detail)
 
     def _get_state(self, _: NoParams) -> dict[str, object]:
-        if self._ask_state is None:
+        if self._read_state is None:
             raise MethodError(Code.INTERNAL, "this daemon has no telemetry")
-        try:
-            return self._ask_state().result(STATE_WAIT_S)
-        except TimeoutError:
-            raise MethodError(Code.WAIT_TIMED_OUT, f"no tick was rendered within {STATE_WAIT_S:g} s") from None
+        until_ns = monotonic_ns() + int(STATE_WAIT_S * 1e9)
+        while (state := self._read_state()) is None:
+            if monotonic_ns() >= until_ns:
+                raise MethodError(Code.WAIT_TIMED_OUT, f"no tick was rendered within {STATE_WAIT_S:g} s")
+            time.sleep(_LOOK_S)  # nothing tells when the first tick is over
+        return state
 
     def _get_config(self, _: NoParams) -> dict[str, object]:
         config = self._engine.config

@@ -106,7 +106,7 @@ def _run(
         lambda: _about(engine, methods),
     )
     methods = Methods(
-        engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
+        engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.state()
     )
     threads.check(threads.DAEMON)
     publisher = Publisher(mine.listen(paths.telemetry), TOPICS, TELEMETRY_LIMITS.of(connections))

@@ -2,14 +2,13 @@
 
 The same samples and events go to the flight recorder, and events to the log. The servo never waits for it; a ring
 holds more than a second, which outlasts a garbage collection. A slow subscriber costs itself messages, nobody else.
+The thread that serves commands reads samples, too, for `get_state`: a lock is about the samples that are not sent yet.
 """
 
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from time import monotonic_ns
 from typing import Any, Final
 
@@ -86,18 +85,18 @@ class Telemetry:
         self._held = 0
         self._newest: npt.NDArray[np.void] | None = None
         self._dropped = 0
-        self._asked: deque[Future[dict[str, object]]] = deque()
+        self._reading = threading.Lock()
+        """Held while samples that are not sent yet, or the newest one, are used."""
 
     def wake(self) -> None:
         """Ends the wait for the next message, so that `run` looks whether it is to stop. For any thread."""
         self._publisher.wake()
 
-    def ask_state(self) -> Future[dict[str, object]]:
-        """What `state` says once there is a tick, of the newest at this time or of a later one. For any thread."""
-        answer: Future[dict[str, object]] = Future()
-        self._asked.append(answer)
-        self._publisher.wake()
-        return answer
+    def state(self) -> dict[str, object] | None:
+        """What `state` says of the newest sample there is; None: there was none yet. For any thread."""
+        with self._reading:
+            self._read_samples()
+            return None if self._newest is None else self._state(self._newest[0])
 
     def run(self, stop: threading.Event) -> None:
         """Publishes until `stop` is set, and once more after it."""
@@ -111,9 +110,7 @@ class Telemetry:
             if stop.is_set():
                 break
             drained_ns = monotonic_ns()
-            asked = len(self._asked)
             self._drain()
-            self._answer(asked)
             self._log.flush()
             self._send_changes()
             now = monotonic_ns()
@@ -134,11 +131,11 @@ class Telemetry:
             self._flight.finish()
 
     def _drain(self) -> None:
-        count, self._dropped = self._engine.read_samples(self._samples[self._held :])
-        if count:
-            self._held += count
-            self._newest = self._samples[self._held - 1 : self._held]  # stays as it is until there is a newer one
-        if self._held == len(self._samples):
+        with self._reading:
+            self._read_samples()
+            revision = None if self._newest is None else int(self._newest["revision"][0])
+            full = self._held == len(self._samples)
+        if full:
             self._send_samples()
         # Bounded: a flood of events must not keep the samples waiting, and the ring counts what it has to drop.
         for _ in range(_EVENT_READS):
@@ -149,9 +146,18 @@ class Telemetry:
                 if self._flight is not None:
                     self._flight.keep_event(message)
             if count < len(self._events):
-                if self._newest is not None:
-                    self._engine.events_read(int(self._newest["revision"][0]))
+                # Of the sample that was read before them: the command thread may have read a newer one meanwhile.
+                if revision is not None:
+                    self._engine.events_read(revision)
                 break
+
+    def _read_samples(self) -> None:
+        """With `_reading` held."""
+        room = self._samples[self._held :]
+        count, self._dropped = self._engine.read_samples(room) if len(room) else (0, self._dropped)
+        if count:
+            self._held += count
+            self._newest = self._samples[self._held - 1 : self._held]  # stays as it is until there is a newer one
 
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
         """Events as maps. Those that come in floods are sent once for all that were found together: overruns of a busy
@@ -174,15 +180,14 @@ class Telemetry:
             yield event_map(overruns[-1], None) | total
 
     def _send_samples(self) -> None:
-        if not self._held:
-            return
-        batch = self._samples[: self._held]
-        self._held = 0
-        if self._publisher.wants("samples"):
-            data = batch.view(np.uint8).data
-            self._publisher.publish("samples", _samples_head(int(batch["tick"][0]), self._dropped, len(data)), data)
-        if self._flight is not None:
-            self._flight.keep_samples(batch)
+        with self._reading:
+            batch = self._samples[: self._held]
+            self._held = 0
+            if len(batch) and self._publisher.wants("samples"):
+                data = batch.view(np.uint8).data
+                self._publisher.publish("samples", _samples_head(int(batch["tick"][0]), self._dropped, len(data)), data)
+            if len(batch) and self._flight is not None:
+                self._flight.keep_samples(batch)
 
     def _send_changes(self) -> None:
         for change in self._engine.read_changes():
@@ -191,16 +196,10 @@ class Telemetry:
             if self._flight is not None:
                 self._flight.keep_change(change)
 
-    def _answer(self, count: int) -> None:
-        """Answers the first who asked for the state: those who did before the rings were drained."""
-        if count and self._newest is not None:
-            state = self._state(self._newest[0])
-            for _ in range(count):
-                self._asked.popleft().set_result(state)
-
     def _send_state(self) -> None:
-        if self._newest is not None and self._publisher.wants("state"):
-            self._send("state", self._state(self._newest[0]))
+        with self._reading:
+            if self._newest is not None and self._publisher.wants("state"):
+                self._send("state", self._state(self._newest[0]))
 
     def _state(self, sample: np.void) -> dict[str, object]:
         state = sample_map(sample)

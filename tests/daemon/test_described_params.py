@@ -7,7 +7,6 @@ import random
 import re
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import Future
 from typing import Any, Final
 
 import pytest
@@ -117,14 +116,8 @@ class Daemon:
     def __init__(self) -> None:
         self.config = load_config(CONFIG)
         self.engine = Engine(self.config)
-        self.methods = Methods(self.engine, lambda: self.config, ask_state=self._state)
+        self.methods = Methods(self.engine, lambda: self.config, read_state=lambda: {})
         self._streamed = itertools.count(1)
-
-    @staticmethod
-    def _state() -> Future[dict[str, object]]:
-        answer: Future[dict[str, object]] = Future()
-        answer.set_result({})
-        return answer
 
     def put_back(self) -> None:
         if self.engine.scene is not self.config.scene or self.engine.materials is not self.config.materials:

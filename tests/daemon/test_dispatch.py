@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, cast
 
@@ -263,13 +262,13 @@ def test_a_wall_that_moves_keeps_the_pieces_of_its_patches(daemon: Daemon) -> No
     assert (fresh._compiler._walls.records == daemon.engine._compiler._walls.records).all()
 
 
-def test_the_newest_sample_is_waited_for(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: Future[dict[str, object]] = Future()
-    daemon.methods._ask_state = lambda: asked
+def test_the_first_sample_is_waited_for(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    states: list[dict[str, object] | None] = [None, None, {"tick": 0}]
+    daemon.methods._read_state = lambda: states.pop(0)
+    assert daemon.ask("get_state") == {"tick": 0} and not states
     monkeypatch.setattr(methods_module, "STATE_WAIT_S", 0.0)
+    daemon.methods._read_state = lambda: None
     assert daemon.code(daemon.send("get_state")) == messages.Code.WAIT_TIMED_OUT
-    asked.set_result({"tick": 7})
-    assert daemon.ask("get_state") == {"tick": 7}
 
 
 class Beating:

@@ -159,6 +159,24 @@ def test_what_is_touched_is_right_again_after_events_were_lost() -> None:
         engine.stop()
 
 
+def test_samples_that_were_read_for_the_state_are_sent_all_the_same() -> None:
+    engine = Engine(load_config({"servo": {"rate_hz": 1000}}))
+    heard = Heard()
+    telemetry = Telemetry(engine, cast(Any, heard), dict)
+    assert telemetry.state() is None
+    engine.start()
+    try:
+        ticks: set[object] = set()
+        while len(ticks) < 5:
+            ticks.add((telemetry.state() or {"tick": 0})["tick"])
+    finally:
+        engine.stop()
+    telemetry._drain()
+    telemetry._send_samples()
+    sent = np.frombuffer(heard.last["samples"]["data"], SAMPLE_DTYPE)["tick"].astype(int).tolist()
+    assert sent == list(range(sent[0], engine.counters().ticks)) and ticks <= {0, *sent}
+
+
 @pytest.mark.slow
 def test_a_publisher_that_stands_still_loses_nothing_for_1_6_s_at_10_khz() -> None:
     """And of what it loses then, `dropped` tells."""

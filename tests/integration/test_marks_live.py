@@ -134,7 +134,7 @@ def test_materials_are_set_whole_and_others_stay(wire: Wire) -> None:
     before = wire.result("get_materials")["materials"]
     answer = wire.result("set_materials", materials={"soft": {"stiffness_n_per_m": 400.0}}, wait=True)
     after = wire.result("get_materials")
-    assert set(answer) == {"revision", "tick"}
+    assert set(answer) == {"revision", "margins", "tick"}
     assert after["revision"] == answer["revision"]
     assert after["materials"]["soft"] == {"stiffness_n_per_m": 400.0, "damping_n_s_per_m": 0.0}
     assert {**after["materials"], "soft": before["soft"]} == before

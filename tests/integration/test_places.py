@@ -121,7 +121,7 @@ def test_a_scene_is_told_of_the_materials_that_it_names(wire: Wire) -> None:
     answer = wire.result("apply", materials={"loud": LOUD}, scene={"objects": {"floor": loud}})
     assert answer["warnings"] == [{"where": "materials.loud.tap", "problem": SILENT}]
     answer = wire.result("set_scene", scene={"objects": {}})
-    assert answer.keys() == {"revision"}
+    assert answer.keys() == {"revision", "margins"}
 
 
 def test_patches_that_are_narrowed_are_told_where_they_stand(wire: Wire) -> None:

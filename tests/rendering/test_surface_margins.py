@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from bench.stability import evaluated
 from hapticd.config.configuration import Config, load_config
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import Methods
+from hapticd.daemon.process import _log_limits
 from hapticd.rendering.device_output import loop_of
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "m"}
@@ -121,3 +123,18 @@ def test_without_a_handle_there_are_none() -> None:
     methods = Methods(engine)
     assert "margins" not in methods.call("get_scene", {})
     assert "margins" not in methods.call("update_scene", {"objects": {"floor": {"point_m": [0, 0.001]}}})
+
+
+def test_the_log_names_the_worst_at_the_start(caplog: pytest.LogCaptureFixture) -> None:
+    def said(materials: dict[str, Any]) -> list[str]:
+        caplog.clear()
+        objects = {f"wall_{name}": {**FLOOR, "material": name} for name in materials}
+        engine = Engine(load_config({**LINKED, "materials": materials, "scene": {"objects": objects}}))
+        _log_limits(engine, cast(Any, SimpleNamespace(missing=())), cast(Any, "built in"))
+        return [record.message for record in caplog.records if record.levelname == "WARNING"]
+
+    stiff = {f"m{place}": {"stiffness_n_per_m": 80 * place} for place in range(2, 7)}
+    (line,) = said(stiff)
+    worst = "wall_m6 0.17, wall_m5 0.2 and wall_m4 0.25"
+    assert line == f"5 surfaces with a margin of stability below 1: {worst}; `hapticd check` says more"
+    assert said({"soft": {"stiffness_n_per_m": 40}}) == []
