@@ -235,7 +235,7 @@ def test_unplugged_and_plugged_in_again_during_contact(world: World) -> None:
     stick.wait(pressed(stick, 0.004))
     world.events()
     world.unplug()
-    world.until(lambda: Fault.DEVICE in engine.faults())
+    world.until(lambda: Fault.DEVICE in engine.counters().faults)
     assert EventKind.DEVICE_LOST in world.events()
     connection = engine.connection
     assert connection is not None
@@ -273,7 +273,7 @@ def test_a_device_that_was_reset_is_set_up_anew(world: World) -> None:
         stick.reset()
         stick.wait(lambda: "operation start 2" in stick.log and "create" in stick.log)
         stick.wait(pressed(stick, 0.004))
-    assert engine.faults() == Fault(0)
+    assert engine.counters().faults == Fault(0)
     connection = engine.connection
     assert connection is not None
     world.until(
@@ -298,7 +298,7 @@ def test_a_reset_that_leaves_the_actuators_on_is_seen_by_the_effects(world: Worl
         stick.reset(enabled=True)
         stick.wait(lambda: "operation start 2" in stick.log and "create" in stick.log)
         stick.wait(pressed(stick, 0.004))
-    assert engine.faults() == Fault(0)
+    assert engine.counters().faults == Fault(0)
     connection = engine.connection
     assert connection is not None and connection.status()["resets"] == 3 and connection.status()["connects"] == 1
 
@@ -325,7 +325,7 @@ def test_effects_with_other_numbers_after_a_reset(world: World) -> None:
     stick.wait(lambda: "operation start 6" in stick.log)
     world.hold(0.004)
     # The connection began anew, which the servo may have seen as a fault: then forces are off until somebody says so.
-    world.until(lambda: engine.set_forces(True) > 0 and not engine.faults() and pressed(stick, 0.004)())
+    world.until(lambda: engine.set_forces(True) > 0 and not engine.counters().faults and pressed(stick, 0.004)())
 
 
 def test_a_set_up_that_hangs_does_not_keep_the_end_waiting(
@@ -450,4 +450,4 @@ def test_a_device_that_may_have_lost_what_it_was_told_is_set_up_anew_and_gets_no
     stick.wait(lambda: "create" in stick.log)
     stick.wait(pressed(stick, 0.004))
     assert engine.connection.status()["resets"] == 1
-    assert engine.faults() == Fault(0)
+    assert engine.counters().faults == Fault(0)

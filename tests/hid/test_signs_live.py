@@ -151,7 +151,7 @@ def test_the_signs_of_known_firmware(flashed: Flashed, descriptor: bytes, varian
     assert signs.state == state, signs
     if state == SignsState.WRONG:
         assert signs.axis == ("x" if variant.signs[0] < 0 else "y")
-        assert engine.faults() == Fault.SIGNS
+        assert engine.counters().faults == Fault.SIGNS
         last = int(np.flatnonzero(flashed.checked())[-1])
         settled(flashed)
         assert not flashed.samples["force_n"][last + 1 :].any()
@@ -186,7 +186,7 @@ def test_right_signs_then_the_scene_and_a_replay_bit_for_bit(world: Sprung, tmp_
     assert refused.value.code == -32003
     world.comes_to(SignsState.RIGHT)
     world.hold(0.024)  # by hand, on top of what gives way
-    assert engine.faults() == Fault(0)
+    assert engine.counters().faults == Fault(0)
     world.until(lambda: (world.look(), world.samples["force_n"][-1, 1] > 0.5 * 0.004 * STIFFNESS)[1])
     checked = world.checked()
     forces = world.samples["force_n"][checked]
@@ -233,7 +233,7 @@ def test_wrong_signs_and_never_a_force_of_the_scene(world: Sprung, caplog: pytes
     signs = signs_of(engine)
     assert (signs["state"], signs["axis"], signs["problem"]) == ("wrong", "x", "reversed")
     assert "hapticd devices calibrate" in signs["advice"] and "\n" not in signs["advice"]
-    assert engine.faults() == Fault.SIGNS
+    assert engine.counters().faults == Fault.SIGNS
     world.hold(0.024)
     for _ in range(2):
         with pytest.raises(
@@ -249,13 +249,13 @@ def test_wrong_signs_and_never_a_force_of_the_scene(world: Sprung, caplog: pytes
     assert sum("signs of the device are wrong" in line for line in caplog.messages) == 1
     # It stays so when the same device comes back; another one is checked.
     world.unplug()
-    world.until(lambda: Fault.DEVICE in engine.faults())
+    world.until(lambda: Fault.DEVICE in engine.counters().faults)
     world._y = 0
     world.way = ((1.0, 0.0), (0.0, 1.0))
     world.port = "elsewhere"
     world.plug()
     world.until(lambda: engine.counters().signs.state == SignsState.UNCHECKED)
-    world.until(lambda: engine.set_forces(True) > 0 and engine.faults() == Fault(0))
+    world.until(lambda: engine.set_forces(True) > 0 and engine.counters().faults == Fault(0))
     world.comes_to(SignsState.RIGHT)
 
 
@@ -291,9 +291,9 @@ def test_a_device_that_comes_back_is_not_checked_again(world: Sprung) -> None:
     engine.set_forces(True)
     world.comes_to(SignsState.RIGHT)
     world.unplug()
-    world.until(lambda: Fault.DEVICE in engine.faults())
+    world.until(lambda: Fault.DEVICE in engine.counters().faults)
     world.plug()
-    world.until(lambda: engine.set_forces(True) > 0 and engine.faults() == Fault(0))
+    world.until(lambda: engine.set_forces(True) > 0 and engine.counters().faults == Fault(0))
     world.look()
     before = len(world.samples)
     settled(world)
