@@ -29,7 +29,7 @@ from hapticd.fit.options import STIFFNESS_N_PER_M, FitOptions
 
 if TYPE_CHECKING:
     from hapticd.config.modes import Attack
-    from hapticd.fit.from_files import TapKind
+    from hapticd.fit.options import TapKind
     from hapticd.fit.recording import Kind
     from hapticd.fit.result import Fit
     from hapticd.fit.speed_law import LawKind
@@ -182,7 +182,7 @@ def _run(
     onto = library.get(name)
 
     with _progress(len(files) * per_file + (per_file == 1)) as step:
-        recordings, unused, fitted = fitted_files(files, asked.fitting(kind), step, strict)
+        recordings, unused, fitted = fitted_files(files, kind, asked, step, strict)
     notes = list(fitted.notes)
     part = contribution_of(kind, fitted, recordings)
     found = added(part, name, datetime.date.today(), onto=onto, stiffness_n_per_m=stiffness_n_per_m)

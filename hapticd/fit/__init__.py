@@ -1,7 +1,7 @@
 """From recordings of an instrumented stylus to materials: what `hapticd fit` does.
 
     from_files      reads files, runs a fit, says what goes into the material: begin here
-    options         what may be asked of a fit, and the fit that does it
+    options         what may be asked of a fit
     recording       reads recordings into SI units on a uniform clock; documented (`hapticd.fit.recording.save`)
     preparation     what every fit does with a recording first: invalid samples, whole stretches, units, rate, motion
 

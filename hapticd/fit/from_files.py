@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -16,17 +16,15 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import load_path, one_line
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
-from hapticd.config.modes import Attack
+from hapticd.fit.options import FitOptions, TapKind
 from hapticd.fit.preparation import refuse_duplicates
-from hapticd.fit.recording import NoRecordingError, Recording, RecordingError, load
+from hapticd.fit.recording import Kind, NoRecordingError, Recording, RecordingError, load
 from hapticd.fit.result import Fit, estimates
-from hapticd.fit.speed_law import LawKind
 from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.verdict import AT_LEAST, Exclusions
-from hapticd.fit.waveform import Pulse, WaveformFit, fit_waveform, pulses_of
+from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of
 
 AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
-TapKind: TypeAlias = Literal["auto", "mode", "waveform"]
 Step: TypeAlias = Callable[[str], None]
 """Called with what is being done."""
 
@@ -43,11 +41,8 @@ class Fitted:
     """Figures that say nothing of the material, as it is taken."""
 
 
-Fitting: TypeAlias = Callable[[Sequence[Recording], Step, Exclusions], Fitted]
-
-
 def fitted_files(
-    files: Sequence[str], fit: Fitting, step: Step, strict: bool, folder: str = ""
+    files: Sequence[str], kind: Kind, asked: FitOptions, step: Step, strict: bool, folder: str = ""
 ) -> tuple[list[Recording], list[Recording], Fitted]:
     """The recordings that were used, those that were left out, and what was made of them. Files are known by their
     names in the folder."""
@@ -66,7 +61,7 @@ def fitted_files(
     # What comes of a division by zero and the like is no number, and no material takes one.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        fitted = fit(recordings, step, excluded)
+        fitted = _fitted(kind, asked, recordings, step, excluded)
     used: list[Recording] = []
     unused: list[Recording] = []
     for recording in recordings:
@@ -85,64 +80,59 @@ def materials_of(path: str) -> dict[str, Material]:
     return {name: found[name] for name in given}
 
 
-def of_one_kind(fit: Callable[..., Fit]) -> Fitting:
-    """A fit whose every figure goes into the material."""
+def _fitted(kind: Kind, asked: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
+    found: Fit
+    if kind == "tap":
+        return _fitted_taps(asked, recordings, step, excluded)
+    step("fitting")
+    if kind == "grooves":
+        from hapticd.fit.grooves import fit_grooves
 
-    def fitted(recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
-        step("fitting")
-        found = fit(recordings, excluded=excluded)
-        return Fitted(found, found.material())
+        found = fit_grooves(recordings, excluded=excluded)
+    elif kind == "texture":
+        from hapticd.fit.texture import fit_texture
 
-    return fitted
+        found = fit_texture(recordings, autoregressive=asked.autoregressive is True, excluded=excluded)
+    else:
+        from hapticd.fit.puncture import fit_puncture
+
+        found = fit_puncture(recordings, excluded=excluded)
+    return Fitted(found, found.material())
 
 
 # ---- Taps ------------------------------------------------------------------------------------------------------------
 
 
-def of_taps(
-    form: TapKind, attack: Attack | None, law: LawKind | None, two_modes: bool | None, mode_table: bool | None
-) -> Fitting:
-    """A fit of taps, of which the material has what is asked for; None: as the taps have it."""
-
-    def fitted(recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
-        found = fit_taps(recordings, form, lambda recording: step(f"fitting {recording.name}"), excluded)
-        if isinstance(found, WaveformFit):
-            told = () if form == "waveform" else (AS_WAVEFORM,)
-            return Fitted(found, found.material(), told, ("first_peak_slope_per_s",) if found.amplitudes else ())
-        kind = law or found.law.kind
-        two = two_modes if two_modes is not None else found.second is not None and found.second.kept
-        figures = found.material(attack or "coefficient", law, two, mode_table)
-        return Fitted(found, figures, _notes(found, kind, two), _without(found, kind, two, figures))
-
-    return fitted
-
-
-def _notes(found: TapFit, kind: LawKind, two: bool) -> tuple[str, ...]:
-    notes = []
+def _fitted_taps(asked: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
+    form: TapKind = asked.form or ("mode" if asked.of_modes else "auto")
+    found = fit_taps(recordings, form, lambda recording: step(f"fitting {recording.name}"), excluded)
+    if isinstance(found, WaveformFit):
+        notes = () if form == "waveform" else (AS_WAVEFORM,)
+        return Fitted(found, found.material(), notes, ("first_peak_slope_per_s",) if found.amplitudes else ())
+    kind = asked.law or found.law.kind
+    two = asked.two_modes if asked.two_modes is not None else found.second is not None and found.second.kept
+    figures = found.material(asked.attack or "coefficient", kind, two, asked.mode_table)
+    told = []
     if kind == "power" and found.law.power is not None:
         points = found.law.power.points
-        notes.append(
+        told.append(
             f"the power law is written as {len(points)} amplitudes over speed, which are within "
             f"{100 * found.law.power.off:.2g} % of it from {points[0][0]:.3g} to {points[-1][0]:.3g} m/s"
         )
     if found.second is not None and not two:
-        notes.append("--two-modes takes both modes into the material")
-    return tuple(notes)
-
-
-def _without(found: TapFit, kind: LawKind, two: bool, figures: Mapping[str, object]) -> set[str]:
-    """Intervals of what the material does not have would mislead."""
-    said = set(estimates(found))
-    second = {name for name in said if name.startswith("second.")}
-    without = said - second if two else second
-    if kind != "line":
-        without |= {name for name in said if "slope" in name or "offset" in name}
-    if kind != "power":
-        without |= {name for name in said if name.startswith("power.")}
+        told.append("--two-modes takes both modes into the material")
+    # Intervals of what the material does not have would mislead.
+    table = {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
     tap = figures["tap"]
-    if isinstance(tap, dict) and "mode_table" in tap:
-        without |= {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
-    return without
+    without = {
+        name
+        for name in estimates(found)
+        if name.startswith("second.") != two
+        or (kind != "line" and ("slope" in name or "offset" in name))
+        or (kind != "power" and name.startswith("power."))
+        or (isinstance(tap, dict) and "mode_table" in tap and name in table)
+    }
+    return Fitted(found, figures, tuple(told), without)
 
 
 def fit_taps(
@@ -162,7 +152,7 @@ def fit_taps(
         return fit_tap(recordings, progress, excluded)
     if kind == "waveform":
         warnings: list[str] = []
-        return _waveform(pulses_of(recordings, warnings, excluded), recordings, warnings, excluded)
+        return fit_waveform(pulses_of(recordings, warnings, excluded), warnings, excluded)
     # What the form that is not taken leaves out does not matter.
     of_mode, of_waveform = excluded.copy(), excluded.copy()
     ringing: TapFit | FitError
@@ -195,7 +185,7 @@ def _better_waveform(
     try:
         pulses = pulses_of(recordings, warnings, excluded)
         if isinstance(ringing, FitError):
-            found = _waveform(pulses, recordings, warnings, excluded)
+            found = fit_waveform(pulses, warnings, excluded)
             explains = found.variance_accounted_for >= AT_LEAST["variance that a waveform explains"].poor
             resolved = found.samples_a_period >= AT_LEAST["samples in a period of a waveform"].poor
             return found if explains and resolved else None
@@ -206,13 +196,7 @@ def _better_waveform(
         by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
         if rings and by_mode >= 0.95:
             return None
-        found = _waveform(pulses, recordings, warnings, excluded)
+        found = fit_waveform(pulses, warnings, excluded)
     except FitError:
         return None
     return found if 1 - found.variance_accounted_for < 0.5 * (1 - by_mode) else None
-
-
-def _waveform(
-    pulses: Sequence[Pulse], recordings: Sequence[Recording], warnings: Sequence[str], excluded: Exclusions
-) -> WaveformFit:
-    return fit_waveform(pulses, [recording.source for recording in recordings], warnings, excluded)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, TypeAlias
@@ -28,26 +28,10 @@ import numpy.typing as npt
 from hapticd.analysis.recordings.spans import Bools
 from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, Robust, common, robust, well_conditioned
 from hapticd.config.modes import Mode
-from hapticd.fit.preparation import (
-    Cleaned,
-    acceleration_of,
-    check_apart,
-    check_force_varies,
-    check_range,
-    gravity_of,
-    motion_of,
-    moved_with,
-    pressed,
-    refuse_duplicates,
-    report_cleaning,
-    report_sampling,
-    running_mean,
-    stretches_of,
-    undersampled,
-    without_invalid_samples,
-)
+from hapticd.fit import preparation
+from hapticd.fit.preparation import Stroke, stroke_of
 from hapticd.fit.recording import Recording
-from hapticd.fit.result import Judged, fields_of
+from hapticd.fit.result import Fit
 from hapticd.fit.spectral_lines import lines_in_residual, report_lines
 from hapticd.fit.verdict import AT_LEAST, Doubts, Exclusions
 
@@ -118,25 +102,25 @@ def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
     left = step.copy()
     middle = len(unit) // 2
     free = np.ones(len(step), dtype=np.bool_)
-    at: list[int] = []
-    sizes: list[float] = []
-    while len(at) < 2000:
+    sizes: dict[int, float] = {}
+
+    def strong() -> float:
+        return float(np.percentile(np.abs([*sizes.values()]), 75)) if sizes else 0.0
+
+    while len(sizes) < 2000:
         k = int(np.argmax(np.where(free, np.abs(left), 0.0)))
         size = float(left[k]) / float(unit[middle])
         # A knock or two must not hide strikes.
-        strong = float(np.percentile(np.abs(sizes), 75)) if len(sizes) >= LEAST_STRIKES else 0.0
-        if abs(size) <= max(FAINT_STEP * strong, min(4 * noise, 0.5 * strong)):
+        usual = strong() if len(sizes) >= LEAST_STRIKES else 0.0
+        if abs(size) <= max(FAINT_STEP * usual, min(4 * noise, 0.5 * usual)):
             break
         low, high = max(0, k - middle), min(len(left), k + middle + 1)
         left[low:high] -= size * unit[low - k + middle : high - k + middle]
         # What is left about a strike is the error of its time and of the mode.
         free[max(0, k - reach) : k + reach + 1] = False
-        at.append(k)
-        sizes.append(size)
-    strong = float(np.percentile(np.abs(sizes), 75)) if sizes else 0.0
-    return np.array(
-        sorted(k for k, size in zip(at, sizes, strict=True) if abs(size) > FAINT_STEP * strong), dtype=np.int64
-    )
+        sizes[k] = size
+    least = FAINT_STEP * strong()
+    return np.array(sorted(k for k, size in sizes.items() if abs(size) > least), dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,17 +202,18 @@ class _FreeRinging:
     separate linear fit.
     """
 
-    def __init__(
-        self, seen: Floats, rate_hz: float, intervals: Sequence[tuple[int, int, float]], mode: Mode, least: int
-    ) -> None:
-        self.used: Ints = np.array([k for k, (low, high, _) in enumerate(intervals) if high - low >= least], np.int64)
-        low, high, onset = np.array([intervals[k] for k in self.used], dtype=np.float64).reshape(-1, 3).T
+    def __init__(self, seen: Floats, rate_hz: float, low: Ints, high: Ints, onset_s: Floats, mode: Mode) -> None:
+        """From the samples `low` to the ones before `high`, after these onsets; only those that are long enough to say
+        anything are `used`."""
+        least = max(5, math.ceil(0.4 * rate_hz / mode.frequency_hz))
+        self.used: Ints = np.flatnonzero(high - low >= least)
+        low, high, onset_s = low[self.used], high[self.used], onset_s[self.used]
         count = high - low
         steps = np.arange(int(count.max(initial=0)))
         index = low[:, None] + steps
         self.held: Bools = index < high[:, None]
-        self.index: Ints = np.where(self.held, index, low[:, None]).astype(np.int64)
-        self._first_s = low / rate_hz - onset
+        self.index: Ints = np.where(self.held, index, low[:, None])
+        self._first_s = low / rate_hz - onset_s
         self._since_s = steps / rate_hz
         # A level takes a cycle to tell from the ringing, a slope two.
         cycles = count / rate_hz * mode.frequency_hz
@@ -274,13 +259,13 @@ class Strike:
 
 
 @dataclass(frozen=True, slots=True)
-class Stroke:
+class ModelledStroke:
     """One recording as fitted: time from its first sample, and the acceleration that the strikes make."""
 
     name: str
     rate_hz: float
-    acceleration_m_per_s2: Floats
-    model_m_per_s2: Floats
+    acceleration_m_per_s2: Floats = dataclasses.field(repr=False)
+    model_m_per_s2: Floats = dataclasses.field(repr=False)
     """NaN where no ringing was fitted."""
     variance_accounted_for: float
     spacing_m: float
@@ -298,17 +283,14 @@ class Group:
 class StrokeFit:
     """The strikes of one recording, and the mode that they ring with."""
 
-    def __init__(self, kept: Cleaned) -> None:
-        self.kept = kept
-        recording = kept.recording
-        self.name, self._rate_hz = recording.name, recording.rate_hz
-        self._seen = acceleration_of(recording)
-        force = pressed(recording)
-        self._force_n = running_mean(force, round(0.005 * self._rate_hz))
-        self._motion = motion_of(recording, len(self._seen))
+    def __init__(self, stroke: Stroke) -> None:
+        self.stroke = stroke
+        self.name, self._rate_hz = stroke.recording.name, stroke.recording.rate_hz
+        self._seen = stroke.acceleration
+        self._force_n = preparation.running_mean(stroke.force, round(0.005 * self._rate_hz))
         self._time_s = np.arange(len(self._seen)) / self._rate_hz
         rough = _loudest_frequency(self._seen, self._rate_hz)
-        if slow := undersampled(self._rate_hz, rough):
+        if slow := preparation.undersampled(self._rate_hz, rough):
             raise FitError(f"{self.name}: {slow}")
         mode, onsets = self._settled(*self._begun(2 * math.pi * rough))
         if self._uneven(onsets) > EVEN_ROW_PART:
@@ -323,7 +305,7 @@ class StrokeFit:
         if mode is better or len(self._onsets) < len(onsets):
             mode, self._onsets = self._settled(mode, self._onsets)
         self.mode = mode
-        self.groups = self._grouped(mode)
+        self.groups = self._grouped()
 
     # ---- Onsets
 
@@ -359,7 +341,7 @@ class StrokeFit:
         """Mode and onsets, each refined three times in turn by the other; an onset is moved to where the phase of its
         step says, by a sixth of a cycle at most."""
         for _ in range(3):
-            mode = self._refined(mode, self._intervals(mode, onsets))
+            mode = self._refined(mode, self._windows(mode, onsets))
             jump, whole = self._jumps(mode, onsets)
             late = np.where(whole, _late(jump, mode), 0.0)
             limit = 1 / (6 * mode.frequency_hz)
@@ -376,7 +358,7 @@ class StrokeFit:
         )
 
     def _places(self, onsets: Floats) -> Floats:
-        return np.interp(onsets, self._time_s, self._motion.position_m)
+        return np.interp(onsets, self._time_s, self.stroke.position)
 
     def _uneven(self, onsets: Floats) -> float:
         """RMS distance from a regular row, as a part of its spacing."""
@@ -390,7 +372,7 @@ class StrokeFit:
         reach = max(2, round(0.5 * self._rate_hz / mode.frequency_hz))
         unit = _ringing_steps(_unit_strike(mode, self._rate_hz), self._rate_hz, mode).real
         kept = _pick_strikes(step, unit, noise, reach)
-        moving = np.abs(self._motion.speed_m_per_s)
+        moving = np.abs(self.stroke.speed)
         return np.asarray(kept[moving[kept] > 0.1 * np.percentile(moving, 90)] / self._rate_hz)
 
     def _regular(self, mode: Mode, onsets: Floats) -> Floats:
@@ -442,22 +424,17 @@ class StrokeFit:
 
     # ---- The ringing between strikes
 
-    def _intervals(self, mode: Mode, onsets: Floats) -> list[tuple[int, int, float]]:
-        """First and last sample (excluded) after each strike, and the strike's time."""
+    def _windows(self, mode: Mode, onsets: Floats, part: slice = slice(None)) -> _FreeRinging:
+        """What rings freely after each strike, or some of them."""
         guard = 0.1 / mode.frequency_hz
         ends = np.minimum(np.append(onsets[1:] - guard, self._time_s[-1]), onsets + 5 * mode.decay_time_s)
-        low = np.maximum(np.ceil((onsets + guard) * self._rate_hz), 0).astype(int)
-        high = np.minimum(np.floor(ends * self._rate_hz) + 1, len(self._seen)).astype(int)
-        return list(zip(low.tolist(), high.tolist(), onsets.tolist(), strict=True))
-
-    def _windows(self, mode: Mode, intervals: Sequence[tuple[int, int, float]]) -> _FreeRinging:
-        """Of the intervals that are long enough to say anything."""
-        least = max(5, math.ceil(0.4 * self._rate_hz / mode.frequency_hz))
-        return _FreeRinging(self._seen, self._rate_hz, intervals, mode, least)
+        low = np.maximum(np.ceil((onsets + guard) * self._rate_hz), 0).astype(np.int64)
+        high = np.minimum(np.floor(ends * self._rate_hz) + 1, len(self._seen)).astype(np.int64)
+        return _FreeRinging(self._seen, self._rate_hz, low[part], high[part], onsets[part], mode)
 
     def _jumps(self, mode: Mode, onsets: Floats) -> tuple[Complexes, Bools]:
         """The step in z at each strike, and which steps have a ringing on either side."""
-        windows = self._windows(mode, self._intervals(mode, onsets))
+        windows = self._windows(mode, onsets)
         z = np.zeros(len(onsets), dtype=np.complex128)
         whole = np.zeros(len(onsets), dtype=np.bool_)
         if len(windows.used) == 0:
@@ -472,14 +449,14 @@ class StrokeFit:
 
     def _left(self, mode: Mode) -> float:
         """Squares that a mode, refined, leaves."""
-        intervals = self._intervals(mode, self._onsets)
-        return float(np.sum(self._windows(mode, intervals).solved(self._refined(mode, intervals))[1] ** 2))
+        windows = self._windows(mode, self._onsets)
+        return float(np.sum(windows.solved(self._refined(mode, windows))[1] ** 2))
 
     def _searched(self, mode: Mode, onsets: Floats, wide: bool = False) -> Mode:
         """The best of a grid of modes about this one, of the same intervals for all."""
         w = mode.angular_frequency_rad_per_s
         reach = min(0.3 * w, 2 * math.pi / float(np.median(np.diff(onsets))))
-        windows = self._windows(mode, self._intervals(Mode(0.05 * w, w), onsets[: 2 * STRIKES_IN_GROUP]))
+        windows = self._windows(Mode(0.05 * w, w), onsets[: 2 * STRIKES_IN_GROUP])
         if len(windows.used) == 0:
             return mode
         tried = [
@@ -489,44 +466,36 @@ class StrokeFit:
         ]
         return min(tried, key=lambda each: float(np.sum(windows.solved(each)[1] ** 2)))
 
-    def _refined(self, mode: Mode, intervals: Sequence[tuple[int, int, float]]) -> Mode:
-        """Least squares in log B and log w over these intervals."""
+    def _refined(self, mode: Mode, windows: _FreeRinging) -> Mode:
+        """Least squares in log B and log w over these intervals, which stay as they are while the mode moves, so that
+        sums of squares compare. FitError where no interval says anything."""
         from scipy.optimize import least_squares
 
-        place = np.log([mode.decay_rate_per_s, mode.angular_frequency_rad_per_s])
-        # The intervals stay as they are while the mode moves, so that sums of squares compare.
-        windows = self._ringing(mode, intervals)
+        if len(windows.used) == 0:
+            raise FitError(f"{self.name}: the strikes follow one another within half a cycle: stroke more slowly")
 
         def left(at: Floats) -> Floats:
             return windows.solved(Mode(math.exp(at[0]), math.exp(at[1])))[1].ravel()
 
+        place = np.log([mode.decay_rate_per_s, mode.angular_frequency_rad_per_s])
         bounds = place + np.log([[0.02, 0.3], [50.0, 3.0]])
         found = least_squares(left, place, bounds=bounds, xtol=1e-6, ftol=None, gtol=None, max_nfev=40).x
         return Mode(math.exp(found[0]), math.exp(found[1]))
 
-    def _ringing(self, mode: Mode, intervals: Sequence[tuple[int, int, float]]) -> _FreeRinging:
-        """FitError where no interval says anything."""
-        windows = self._windows(mode, intervals)
-        if len(windows.used) == 0:
-            raise FitError(f"{self.name}: the strikes follow one another within half a cycle: stroke more slowly")
-        return windows
-
     # ---- What comes of it
 
-    def _grouped(self, mode: Mode) -> list[Group]:
+    def _grouped(self) -> list[Group]:
         count = max(1, len(self._onsets) // STRIKES_IN_GROUP)
-        intervals = self._intervals(mode, self._onsets)
-        edges = np.linspace(0, len(self._onsets), count + 1).round().astype(int)
         found = []
-        for low, high in pairwise(edges):
+        for low, high in pairwise(np.linspace(0, len(self._onsets), count + 1).round().astype(int)):
             speed, force = self._moved(self._onsets[low:high])
-            refined = self._refined(mode, intervals[low:high])
+            refined = self._refined(self.mode, self._windows(self.mode, self._onsets, slice(low, high)))
             found.append(Group(refined, float(np.mean(np.abs(speed))), float(np.mean(force))))
         return found
 
     def _moved(self, onsets: Floats) -> tuple[Floats, Floats]:
         """Speed and force at each."""
-        columns = (self._motion.speed_m_per_s, self._force_n)
+        columns = (self.stroke.speed, self._force_n)
         speed, force = (np.interp(onsets, self._time_s, column) for column in columns)
         return speed, force
 
@@ -537,7 +506,7 @@ class StrokeFit:
         at = np.round(self._onsets * self._rate_hz).astype(np.int64)
         reach = max(1, round(self._rate_hz / mode.frequency_hz))
         low, high = np.maximum(at - reach, 0), np.minimum(at + reach + 1, len(self._seen))
-        replaced = np.concatenate(([0], np.cumsum(self.kept.replaced)))
+        replaced = np.concatenate(([0], np.cumsum(self.stroke.replaced)))
         whole &= replaced[high] == replaced[low]
         along = jump * np.sign(self._moved(self._onsets)[0])
         along *= np.sign(np.sum(along.real[whole])) or 1.0
@@ -563,8 +532,9 @@ class StrokeFit:
             found[k] = self._sizes(moved)[0][whole] - size[whole]
         return found
 
-    def stroke(self, mode: Mode) -> Stroke:
-        windows = self._ringing(mode, self._intervals(mode, self._onsets))
+    def modelled(self, mode: Mode) -> ModelledStroke:
+        """The stroke by a mode. FitError where that explains too little."""
+        windows = self._windows(mode, self._onsets)
         left = windows.solved(mode)[1]
         model = np.full(len(self._seen), np.nan)
         here = windows.index[windows.held]
@@ -575,7 +545,7 @@ class StrokeFit:
                 f"{self.name}: a mode struck by grooves accounts for {100 * accounted:.0f} % of the variance, "
                 f"at least {100 * LEAST_ACCOUNTED:.0f} % is needed: no grooves here"
             )
-        return Stroke(self.name, self._rate_hz, self._seen, model, accounted, self.spacing_m)
+        return ModelledStroke(self.name, self._rate_hz, self._seen, model, accounted, self.spacing_m)
 
 
 def _late(jump: Complexes, mode: Mode) -> Floats:
@@ -586,31 +556,13 @@ def _late(jump: Complexes, mode: Mode) -> Floats:
 # ---- Intervals and the laws of all strikes ---------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class _Points:
-    """What the law is fitted to: of every strike (n,) speed, force and amplitude."""
-
-    speed: Floats
-    force: Floats
-    amplitude: Floats
-    shifts: Floats
-    """(2, n) what one standard error of frequency and of decay does to the amplitudes, all at once."""
-
-    @property
-    def both(self) -> Floats:
-        """(n, 2) speed and force."""
-        return np.column_stack((self.speed, self.force))
-
-    @property
-    def usual(self) -> float:
-        """A usual amplitude, m/s^2."""
-        return float(np.median(np.abs(self.amplitude)))
-
-
-def _gains(points: _Points, law: Robust, doubts: Doubts) -> tuple[list[Estimate], float]:
-    """Of speed and of force, none below 0, of the law of both, whatever their signs; and the correlation. FitError
-    where a gain is negative beyond doubt."""
+def _gains(
+    columns: Floats, amplitude: Floats, shifts: Floats, law: Robust, doubts: Doubts
+) -> tuple[list[Estimate], float]:
+    """Of speed and of force, none below 0, of the law of both, whatever their signs; and the correlation. `columns` are
+    speed and force (n, 2), `shifts` as of StrokeFit. FitError where a gain is negative beyond doubt."""
     gains, correlation = list(law.coefficients), law.correlation
+    usual = float(np.median(np.abs(amplitude)))
     for which, name in enumerate(("velocity", "force")):
         gain = law.coefficients[which]
         if gain.high < 0:
@@ -618,22 +570,22 @@ def _gains(points: _Points, law: Robust, doubts: Doubts) -> tuple[list[Estimate]
                 f"the {name} gain comes out negative ({gain.low:.3g} to {gain.high:.3g}): "
                 "strikes that weaken are not of this model; is a column swapped?"
             )
-        doubts.check_gain(name, gain, float(np.median(points.both[:, which])), points.usual)
+        doubts.check_gain(name, gain, float(np.median(columns[:, which])), usual)
         if gain.value < 0:
-            alone = robust(points.both[:, [1 - which]], points.amplitude, points.shifts)
+            alone = robust(columns[:, [1 - which]], amplitude, shifts)
             gains[which], gains[1 - which] = Estimate(0.0, 0.0, max(0.0, gain.high)), alone.coefficients[0]
             correlation = alone.correlation
     return gains, correlation
 
 
-def _offset(points: _Points, doubts: Doubts) -> Estimate | None:
+def _offset(columns: Floats, amplitude: Floats, shifts: Floats, doubts: Doubts) -> Estimate | None:
     """A constant beside the two gains, which the model does not have; None where it cannot be separated from them."""
-    columns = np.column_stack((points.both, np.ones_like(points.speed)))
+    columns = np.column_stack((columns, np.ones_like(amplitude)))
     if len(columns) <= 3 or not well_conditioned(columns):
         return None
-    offset = robust(columns, points.amplitude, points.shifts).coefficients[2]
+    offset = robust(columns, amplitude, shifts).coefficients[2]
     if offset.excludes_zero:
-        doubts.check("offset", abs(offset.value) / float(points.amplitude.mean()), offset=offset)
+        doubts.check("offset", abs(offset.value) / float(amplitude.mean()), offset=offset)
     return offset
 
 
@@ -661,7 +613,7 @@ def _mean_mode(groups: Sequence[Group]) -> Mode:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GroovesFit(Judged):
+class GroovesFit(Fit):
     """What strokes over grooves say. All intervals are of 95 %."""
 
     spacing_m: Estimate
@@ -677,7 +629,7 @@ class GroovesFit(Judged):
     frequency_per_force_hz_per_n: Estimate | None
     variance_accounted_for: float
     strikes: tuple[Strike, ...]
-    strokes: tuple[Stroke, ...]
+    strokes: tuple[ModelledStroke, ...]
 
     def material(self) -> dict[str, object]:
         """The keys of a material: its texture. Stiffness is not measured by strokes."""
@@ -695,11 +647,6 @@ class GroovesFit(Judged):
             }
         }
 
-    def to_dict(self) -> Mapping[str, object]:
-        """Plain data, without the samples."""
-        strokes = [fields_of(each, "name", "rate_hz", "variance_accounted_for", "spacing_m") for each in self.strokes]
-        return {**fields_of(self), "strokes": strokes, "verdict": self.verdict}
-
 
 def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> GroovesFit:
     """Of strokes at several speeds and forces, one or more to a recording. FitError where they do not say it.
@@ -708,15 +655,15 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     """
     excluded = Exclusions() if excluded is None else excluded
     doubts = Doubts()
-    refuse_duplicates(recordings)
-    stretches = stretches_of(recordings, 0.1, excluded)
-    fits = excluded.each(stretches, lambda each: StrokeFit(without_invalid_samples(each, "grooves")))
+    preparation.refuse_duplicates(recordings)
+    stretches = preparation.stretches_of(recordings, 0.1, excluded)
+    fits = excluded.each(stretches, lambda each: StrokeFit(stroke_of(each, "grooves")))
     if not fits:
         raise excluded.refused(f"none of {len(recordings)} recordings can be used")
-    report_cleaning([each.kept for each in fits], doubts)
+    preparation.report_cleaning([each.stroke for each in fits], doubts)
     excluded.report(recordings, doubts)
     _refuse_others(fits)
-    recordings = [each.kept.recording for each in fits]
+    recordings = [each.stroke.recording for each in fits]
     modes = [_mean_mode(each.groups) for each in fits]
     groups = [group for each in fits for group in each.groups]
     if len(groups) < 2:
@@ -725,28 +672,26 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     frequency = common(frequencies)
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
     strikes = tuple(strike for each, mode in zip(fits, modes, strict=True) for strike in each.strikes(mode))
-    strokes = tuple(each.stroke(mode) for each, mode in zip(fits, modes, strict=True))
+    strokes = tuple(each.modelled(mode) for each, mode in zip(fits, modes, strict=True))
+    shifts = np.concatenate([each.shifts(mode) for each, mode in zip(fits, modes, strict=True)], 1)
     _doubt_the_recordings(recordings, fits, strokes, frequency, doubts)
     spacing = _spacing(fits)
-    points = _Points(
-        np.array([abs(strike.speed_m_per_s) for strike in strikes]),
-        np.array([strike.force_n for strike in strikes]),
-        np.array([strike.amplitude_m_per_s2 for strike in strikes]),
-        np.concatenate([each.shifts(mode) for each, mode in zip(fits, modes, strict=True)], 1),
-    )
-    check_range(points.usual, *AMPLITUDES_M_PER_S2, f"strikes of {points.usual:.3g} m/s^2 are", "grooves'")
-    check_force_varies(recordings, points.force, doubts)
-    check_apart(points.speed, points.force)
-    law = robust(points.both, points.amplitude, points.shifts)
-    (by_velocity, by_press), correlation = _gains(points, law, doubts)
+    columns = np.array([(abs(strike.speed_m_per_s), strike.force_n) for strike in strikes])
+    amplitude = np.array([strike.amplitude_m_per_s2 for strike in strikes])
+    usual = float(np.median(np.abs(amplitude)))
+    preparation.check_range(usual, *AMPLITUDES_M_PER_S2, f"strikes of {usual:.3g} m/s^2 are", "grooves'")
+    preparation.check_force_varies(recordings, columns[:, 1], doubts)
+    preparation.check_apart(columns[:, 0], columns[:, 1])
+    law = robust(columns, amplitude, shifts)
+    (by_velocity, by_press), correlation = _gains(columns, amplitude, shifts, law, doubts)
     if law.outliers:
         first = strikes[law.outliers[0]]
         reason = f"{len(law.outliers)} of {len(strikes)} strikes are far off the others and do not count"
         doubts.warn(f"{reason}; the first: {first.recording} at {first.time_s:.4g} s")
         doubts.check("part left out", len(law.outliers) / len(strikes), left=reason)
-    offset = _offset(points, doubts)
+    offset = _offset(columns, amplitude, shifts, doubts)
     doubts.check("correlation of the law", correlation, what="amplitudes")
-    by_speed, by_force = moved_with(
+    by_speed, by_force = preparation.moved_with(
         np.array([group.speed_m_per_s for group in groups]),
         np.array([group.force_n for group in groups]),
         frequencies,
@@ -802,13 +747,12 @@ def _refuse_others(fits: Sequence[StrokeFit]) -> None:
 def _doubt_the_recordings(
     recordings: Sequence[Recording],
     fits: Sequence[StrokeFit],
-    strokes: Sequence[Stroke],
+    strokes: Sequence[ModelledStroke],
     frequency: Estimate,
     doubts: Doubts,
 ) -> None:
     """Wrong units, hum, strikes that follow one another too soon, and a rate that is too low."""
-    for line in gravity_of(recordings):
-        doubts.doubt(line)
+    preparation.report_gravity(recordings, doubts)
     report_lines(
         strokes,
         lambda each, needed: lines_in_residual(each.acceleration_m_per_s2, each.model_m_per_s2, each.rate_hz, needed),
@@ -816,4 +760,4 @@ def _doubt_the_recordings(
     )
     for each in fits:
         doubts.check("cycles from strike to strike", each.cycles, name=each.name)
-    report_sampling(recordings, frequency.value, doubts)
+    preparation.report_sampling(recordings, frequency.value, doubts)

@@ -1,18 +1,17 @@
-"""The options of the fits: those of taps may exclude one another, and each makes its fit. Loads no fit before that."""
+"""The options of the fits: those of taps may exclude one another. Loads no fit."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 if TYPE_CHECKING:
     from hapticd.config.modes import Attack
-    from hapticd.fit.from_files import Fitting, TapKind
     from hapticd.fit.recording import Kind
     from hapticd.fit.speed_law import LawKind
 
+TapKind: TypeAlias = Literal["auto", "mode", "waveform"]
 STIFFNESS_N_PER_M: Final = 800.0
 """What a material gets where neither recordings nor the user say it: as most of the library's."""
 KEY_OF: Final[Mapping[Kind, str]] = {
@@ -37,12 +36,17 @@ class FitOptions:
     autoregressive: bool | None = None
     """Of textures."""
 
+    @property
+    def of_modes(self) -> list[str]:
+        """Options that are given and concern modes."""
+        return [name for name in ("law", "two_modes", "mode_table", "attack") if getattr(self, name) is not None]
+
     def fault(self, spelled: Callable[[str], str]) -> tuple[str, str] | None:
         """Which option does not go together with the others, and why; `spelled` is how the user writes an option."""
-        modes = self._of_modes()
-        if self.form == "waveform" and modes:
-            return modes[0], (
-                f"{spelled(modes[0])} is only for modes, and {spelled('form')} waveform fits none: leave out one"
+        if self.form == "waveform" and self.of_modes:
+            word = spelled(self.of_modes[0])
+            return self.of_modes[0], (
+                f"{word} is only for modes, and {spelled('form')} waveform fits none: leave out one"
             )
         bent = self.law not in (None, "line")
         for option, given in (("law", bent), ("two_modes", self.two_modes is True)):
@@ -52,28 +56,3 @@ class FitOptions:
                     f"{word} and {spelled('attack')} do not go together: leave out one, {word} is of coefficients"
                 )
         return None
-
-    def fitting(self, kind: Kind) -> Fitting:
-        """The fit of recordings of this kind."""
-        from hapticd.fit.from_files import of_one_kind, of_taps
-
-        match kind:
-            case "tap":
-                form: TapKind = self.form if self.form is not None else "mode" if self._of_modes() else "auto"
-                return of_taps(form, self.attack, self.law, self.two_modes, self.mode_table)
-            case "grooves":
-                from hapticd.fit.grooves import fit_grooves
-
-                return of_one_kind(fit_grooves)
-            case "texture":
-                from hapticd.fit.texture import fit_texture
-
-                return of_one_kind(partial(fit_texture, autoregressive=self.autoregressive is True))
-            case "puncture":
-                from hapticd.fit.puncture import fit_puncture
-
-                return of_one_kind(fit_puncture)
-
-    def _of_modes(self) -> list[str]:
-        """Options that are given and concern modes."""
-        return [name for name in ("law", "two_modes", "mode_table", "attack") if getattr(self, name) is not None]

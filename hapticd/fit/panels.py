@@ -10,29 +10,25 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from hapticd.analysis.statistics import Estimate, FitError
-from hapticd.base.lattice import reflection_of
+from hapticd.analysis.statistics import Estimate, FitError, Floats
 from hapticd.config.materials import Material, validate_materials
-from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
+from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.fit.preparation import without_invalid_samples
 from hapticd.fit.recording import Kind, Recording
 from hapticd.fit.report import Curve, Page, Panel
 from hapticd.fit.result import Fit, estimates, plain_figures
 from hapticd.fit.ringing import fit_ringing
 from hapticd.fit.speed_law import Amplitudes
+from hapticd.fit.synthesize import level_of, unit_density
 from hapticd.fit.verdict import WHOLE_RECORDING, Exclusion
-from hapticd.fit.waveform import WaveformFit
-from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
+from hapticd.fit.waveform import PulseHit, WaveformFit
 
 if TYPE_CHECKING:
     from hapticd.fit.grooves import GroovesFit
     from hapticd.fit.puncture import PunctureFit
-    from hapticd.fit.tap import TapFit
+    from hapticd.fit.tap import TapFit, TapHit
     from hapticd.fit.texture import TextureFit
-
-Floats = npt.NDArray[np.float64]
 
 Row: TypeAlias = tuple[Panel, ...]
 
@@ -126,7 +122,8 @@ def compared(title: str, unit: str, modelled: Floats, recorded: Floats) -> Panel
 
 def _tap(fit: TapFit | WaveformFit, recordings: Sequence[Recording]) -> Iterator[Row]:
     yield _waveform(fit) if isinstance(fit, WaveformFit) else _ringing(fit)
-    for tap in sorted(fit.taps, key=lambda tap: -tap.speed_m_per_s)[:DRAWN]:
+    taps: Sequence[TapHit | PulseHit] = fit.taps
+    for tap in sorted(taps, key=lambda tap: -tap.speed_m_per_s)[:DRAWN]:
         name = f"{os.path.basename(tap.recording)}, {tap.speed_m_per_s:.3g} m/s"
         yield overlay(name, tap.rate_hz, tap.measured, tap.modelled)
         if isinstance(fit, WaveformFit) or fit.second is None:
@@ -249,7 +246,7 @@ def _texture(fit: TextureFit, recordings: Sequence[Recording]) -> Iterator[Row]:
     texture = _material(fit).texture
     assert isinstance(texture, Stochastic | Autoregressive)
     speed, force, rms, mean = _columns(fit.blocks, "speed_m_per_s", "force_n", "rms_m_per_s2", "mean_hz")
-    modelled = np.array([_level(texture, *place) for place in zip(speed, force, strict=True)])
+    modelled = np.concatenate([level_of(texture, speed[at : at + 1], force[at : at + 1]) for at in range(len(speed))])
     yield (
         compared("RMS of each half second", ACCELERATION, modelled, rms),
         level("mean frequency", "m/s", "Hz", speed, mean, fit.mean_hz),
@@ -265,13 +262,9 @@ def _power(recording: Recording, texture: Stochastic | Autoregressive) -> Row:
     assert acceleration is not None and force is not None
     speed, force_n = _speed(recording), float(np.mean(force))
     frequency, recorded = density(acceleration, rate_hz, 2048)
-    if isinstance(texture, Stochastic):
-        unit = power_spectrum(stochastic_filter(texture.peak_hz, texture.mean_hz, rate_hz), frequency, rate_hz)
-    else:
-        reflection = reflection_of(_nearest(texture, speed, force_n).coefficients)
-        unit = power_spectrum((reflection, None), np.minimum(frequency, texture.rate_hz / 2), texture.rate_hz)
-        unit = np.where(frequency <= texture.rate_hz / 2, unit, np.nan)  # says nothing beyond
-    modelled = _level(texture, speed, force_n) ** 2 * unit
+    unit = unit_density(texture, speed, force_n, frequency, rate_hz)
+    unit[unit == 0] = np.nan  # autoregressive models say nothing beyond half of their rate
+    modelled = level_of(texture, np.array([speed]), np.array([force_n])) ** 2 * unit
     decibels = 10 * np.log10(np.maximum(recorded, 1e-300) / np.maximum(modelled, 1e-300))
     heard = modelled > 1e-3 * np.nanmax(modelled)
     name = f"{os.path.basename(recording.name)}, {speed:.3g} m/s, {force_n:.3g} N"
@@ -281,21 +274,6 @@ def _power(recording: Recording, texture: Stochastic | Autoregressive) -> Row:
         Panel(name, "Hz", DENSITY, spectra, logarithmic=True),
         Panel("recording over model, where its power is", "Hz", "dB", ratio),
     )
-
-
-def _level(texture: Stochastic | Autoregressive, speed_m_per_s: float, force_n: float) -> float:
-    """RMS of the model at a speed and force, m/s^2; of autoregressive models the one nearest to them."""
-    if isinstance(texture, Autoregressive):
-        model = _nearest(texture, speed_m_per_s, force_n)
-        return model.level(reflection_of(model.coefficients))
-    gains = texture.velocity_gain_per_s, texture.force_gain_m_per_s2_per_n
-    return max(0.0, gains[0] * speed_m_per_s + gains[1] * force_n) * min(1.0, speed_m_per_s / texture.threshold_m_per_s)
-
-
-def _nearest(texture: Autoregressive, speed_m_per_s: float, force_n: float) -> AutoregressiveModel:
-    places = np.array([(model.speed_m_per_s, model.force_n) for model in texture.models])
-    apart = np.abs(places - (speed_m_per_s, force_n)) / np.maximum(places.max(axis=0), 1e-9)
-    return texture.models[int(np.argmin(apart.sum(axis=1)))]
 
 
 def _is_whole(recording: Recording) -> bool:

@@ -21,18 +21,10 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.analysis import statistics
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.recordings.spans import Bools, Spans, spans_of
-from hapticd.analysis.statistics import (
-    Estimate,
-    FitError,
-    Floats,
-    Ints,
-    UnitError,
-    least_squares,
-    student_t,
-    well_conditioned,
-)
+from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, UnitError
 from hapticd.fit.recording import Kind, Recording
 from hapticd.fit.verdict import ONE_PART, Doubts, Exclusions
 
@@ -88,7 +80,7 @@ class Cleaned:
 def without_invalid_samples(recording: Recording, kind: Kind) -> Cleaned:
     """The recording with straight lines in place of its invalid samples, for a fit of this kind. FitError where there
     are too many."""
-    columns = {name: each for name in WORDS_OF_COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
+    columns = _columns(recording)
     count = max((each.size for each in columns.values()), default=0)
     replaced = np.zeros(count, dtype=np.bool_)
     warnings: list[str] = []
@@ -106,6 +98,11 @@ def without_invalid_samples(recording: Recording, kind: Kind) -> Cleaned:
     if changed:
         recording = dataclasses.replace(recording, **changed)  # type: ignore[arg-type]
     return Cleaned(recording, replaced, tuple(warnings))
+
+
+def _columns(recording: Recording) -> dict[str, Floats]:
+    """Those that have many values."""
+    return {name: each for name in WORDS_OF_COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
 
 
 def report_cleaning(kept: Sequence[Cleaned], doubts: Doubts) -> None:
@@ -129,31 +126,29 @@ class _Column:
     def clean(self, kind: Kind) -> None:
         """A force that breaks off and a speed of taps come and go as spikes do. Of taps the position matters only just
         before each, and where the way is uneven there, the tap is left out."""
-        stroke = kind in ("grooves", "texture")
-        fastest = 10.0 if kind == "tap" else FASTEST_M_PER_S
+        tap, stroke = kind == "tap", kind in ("grooves", "texture")
+        fastest = 10.0 if tap else FASTEST_M_PER_S
         match self._name:
             case "acceleration_m_per_s2":
-                most = TAP_ACCELERATION_M_PER_S2 if kind == "tap" else 1e5
+                most = TAP_ACCELERATION_M_PER_S2 if tap else 1e5
                 self._replace_beyond(most, "is it in another unit, or another column?")
                 if kind == "texture":
                     self._replace_stuck()
                 else:
                     self._replace_short(above_all=True)
-            case "force_n" | "speed_m_per_s":
-                if self._name == "force_n":
-                    self._replace_beyond(200.0, "is it in mN, or swapped with the acceleration?")
-                else:
-                    swapped = ", or are columns swapped?" if kind == "tap" else "?"
-                    self._replace_beyond(fastest, f"is it in mm/s{swapped}")
-                if stroke:
-                    self._replace_spikes()
-                    self._replace_stuck()
-                elif kind == "puncture" and self._name == "force_n":
+            case "force_n":
+                self._replace_beyond(200.0, "is it in mN, or swapped with the acceleration?")
+                if kind == "puncture":
                     self._replace_short(above_all=False)
+            case "speed_m_per_s":
+                self._replace_beyond(fastest, f"is it in mm/s{', or are columns swapped?' if tap else '?'}")
             case _:
                 self._replace_beyond(math.inf, "")
-                if kind != "tap":
+                if not tap:
                     self._take_leaps_out(fastest)
+        if stroke and self._name in ("force_n", "speed_m_per_s"):
+            self._replace_spikes()
+            self._replace_stuck()
 
     def _replace_beyond(self, most: float, ask: str) -> None:
         """Samples over the limit, or not finite. A wrong unit is asked for where they are many."""
@@ -170,8 +165,7 @@ class _Column:
                 f"samples{f': {ask}' if ask else ''}"
             )
         more = int(np.count_nonzero(over)) - 1
-        self._replace(spans)
-        self._report(f"{value} cannot be{bound}" + (f", nor can that of {more} more samples" if more else ""))
+        self._replace(spans, f"{value} cannot be{bound}" + (f", nor can that of {more} more samples" if more else ""))
 
     def _replace_spikes(self) -> None:
         """What comes and goes within 10 ms, far beyond the usual values."""
@@ -225,14 +219,12 @@ class _Column:
             return
         low, high = found[0]
         value = f"{self.values[low]:.6g} {self._unit}"
-        self._replace(found)
-        self._report(
-            f"{self._what} stands still at {value} from {self._at(low)} to {self._at(high - 1)}{_as_in_others(found)}"
-        )
+        where = f"from {self._at(low)} to {self._at(high - 1)}"
+        self._replace(found, f"{self._what} stands still at {value} {where}{_as_in_others(found)}")
 
     def _take_leaps_out(self, fastest: float) -> None:
         """Of a position, from one sample to the next: far larger than the largest usual step, and than the steps beside
-        it unless it is beyond the limit of speed."""
+        it unless it is beyond the limit of speed. Back within 20 ms it is a spike."""
         steps = np.diff(self.values)
         size = np.abs(steps)
         moved = size[size > 0]
@@ -253,47 +245,39 @@ class _Column:
             )
         spikes: Spans = []
         lost: Spans = []
-        shift = np.zeros(len(self.values))
-        for first, last, drift in self._leaps(leaps, usual):
-            still = np.flatnonzero(self.values[: first + 1] != self.values[first])
+        values, shift = self.values, np.zeros(len(self.values))
+        back = max(2, round(0.02 * self._rate_hz))
+        # A position usually stands still for so many samples.
+        run = max(SPIKE_SAMPLES, 4 * len(values) / max(1, int(np.count_nonzero(steps))))
+        while leaps:
+            at = leaps[0]
+            drift = float(np.median(steps[max(0, at - back) : at])) if at > 0 else 0.0
+            near = [k for k in leaps[1:] if k - at <= back]
+            last = max([k for k in near if abs(values[k + 1] - values[at] - drift * (k + 1 - at)) < usual], default=at)
+            leaps = [k for k in leaps if k > last]
+            still = np.flatnonzero(values[: at + 1] != values[at])
             since = int(still[-1]) + 1 if len(still) else 0
-            # A position usually stands still for so many samples.
-            run = 4 * len(self.values) / max(1, int(np.count_nonzero(steps)))
-            if last > first:
-                spikes.append((first + 1, last + 1))
-            elif first - since >= max(SPIKE_SAMPLES, run):
-                lost.append((since + 1, first + 1))
+            if last > at:
+                spikes.append((at + 1, last + 1))
+            elif at - since >= run:
+                lost.append((since + 1, at + 1))
             else:
-                shift[first + 1] = steps[first] - drift
+                shift[at + 1] = steps[at] - drift
         if spikes:
-            self._report(f"{self._what} leaps to {self._value(spikes[0][0])} and back{_as_in_others(spikes)}")
+            value = self._value(spikes[0][0])
+            self._replace(spikes, f"{self._what} leaps to {value} and back{_as_in_others(spikes)}")
         if lost:
             low, high = lost[0]
-            still_from = f"stands still from {self._at(low - 1)}"
-            self._report(f"{self._what} {still_from}, and leaps to {self._value(high)}{_as_in_others(lost)}")
+            where = f"stands still from {self._at(low - 1)}"
+            self._replace(lost, f"{self._what} {where}, and leaps to {self._value(high)}{_as_in_others(lost)}")
         if shift.any():
             slips = np.flatnonzero(shift).tolist()
             value = f"by {shift[slips[0]]:.4g} {self._unit} to {self._value(slips[0])}"
-            self._report(f"{self._what} leaps {value}{_as_in_others(slips)}", "the leap is taken out")
+            self.warnings.append(
+                f"{self._file}: {self._what} leaps {value}{_as_in_others(slips)}; the leap is taken out"
+            )
             self.bad[slips] = True
             self.values = self.values - np.cumsum(shift)
-        self._replace([*spikes, *lost])
-
-    def _leaps(self, leaps: Sequence[int], usual: float) -> list[tuple[int, int, float]]:
-        """Of every leap the sample before it, the last one before the position is back (the same one where it does not
-        come back within 20 ms), and the usual step there."""
-        found = []
-        back = max(2, round(0.02 * self._rate_hz))
-        values, rest = self.values, list(leaps)
-        while rest:
-            at = rest.pop(0)
-            drift = float(np.median(np.diff(values[max(0, at - back) : at + 1]))) if at > 0 else 0.0
-            near = [k for k in rest if k - at <= back]
-            returns = [k for k in near if abs(values[k + 1] - values[at] - drift * (k + 1 - at)) < usual]
-            last = returns[-1] if returns else at
-            rest = [k for k in rest if k > last]
-            found.append((at, last, drift))
-        return found
 
     def _replace_leaping(self, found: Spans) -> None:
         if not found or len(found) > MOST_FINDINGS:
@@ -301,12 +285,10 @@ class _Column:
             return
         low, high = found[0]
         peak = low + int(np.argmax(np.abs(self.values[low:high] - np.median(self.values))))
-        finding = f"{self._what} leaps to {self._value(peak)} and back{_as_in_others(found)}"
-        self._replace(found)
-        self._report(finding)
+        self._replace(found, f"{self._what} leaps to {self._value(peak)} and back{_as_in_others(found)}")
 
-    def _replace(self, spans: Spans) -> None:
-        """By straight lines between the samples on either side."""
+    def _replace(self, spans: Spans, found: str) -> None:
+        """By straight lines between the samples on either side; `found` says what is left out."""
         bad = np.zeros(len(self.values), dtype=np.bool_)
         for low, high in spans:
             bad[low:high] = True
@@ -315,9 +297,7 @@ class _Column:
         at = np.arange(len(self.values))
         self.values = np.where(bad, np.interp(at, at[~bad], self.values[~bad]), self.values)
         self.bad |= bad
-
-    def _report(self, found: str, done: str = "left out") -> None:
-        self.warnings.append(f"{self._file}: {found}; {done}")
+        self.warnings.append(f"{self._file}: {found}; left out")
 
     def _value(self, sample: int) -> str:
         return f"{self.values[sample]:.6g} {self._unit} at {self._at(sample)}"
@@ -339,29 +319,35 @@ def between_gaps(recording: Recording, samples: int) -> list[tuple[int, int]]:
     return [(begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if end > begin]
 
 
+def stretches_of(recordings: Sequence[Recording], least_s: float, excluded: Exclusions) -> list[Recording]:
+    """The whole stretches of all recordings; one that is not whole enough is left out."""
+    parts = excluded.each(recordings, lambda one: whole_stretches(one, least_s, excluded))
+    return [part for each in parts for part in each]
+
+
 def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) -> list[Recording]:
     """The recording, or its stretches of at least this length without gaps and clipped samples, as recordings.
 
     What falls out is reported in `excluded`. Raises FitError where that is too much.
     """
-    columns = {name: each for name in WORDS_OF_COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
-    samples = next((len(values) for name, values in columns.items() if name != "speed_m_per_s"), 0)
     acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
-    cut = np.zeros(samples, dtype=np.bool_) if acceleration is None else clipped(acceleration)
-    bad = cut.copy()
+    columns = _columns(recording)
+    samples = next((len(values) for name, values in columns.items() if name != "speed_m_per_s"), 0)
+    bad = np.zeros(samples, dtype=np.bool_)
+    reasons = []
+    if acceleration is not None and (cut := clipped(acceleration)).any():
+        bad |= cut
+        places = len(spans_of(cut))
+        levels = " and ".join(f"{level:.4g}" for level in np.unique(acceleration[cut]))
+        reasons.append(f"clipped at {levels} m/s^2 in {places} {'place' if places == 1 else 'places'}")
+    if recording.gaps:
+        reasons.append(gaps_in_words(recording))
     for begin, end in recording.gaps:
         bad[begin:end] = True
     if not bad.any():
         return [recording]
     kept = [(begin, end) for begin, end in spans_of(~bad) if end - begin >= least_s * rate_hz]
     there = sum(end - begin for begin, end in kept)
-    reasons = []
-    if acceleration is not None and cut.any():
-        places = len(spans_of(cut))
-        levels = " and ".join(f"{level:.4g}" for level in np.unique(acceleration[cut]))
-        reasons.append(f"clipped at {levels} m/s^2 in {places} {'place' if places == 1 else 'places'}")
-    if recording.gaps:
-        reasons.append(gaps_in_words(recording))
     reason = ", ".join(reasons)
     if there < LEAST_WHOLE * samples:
         raise FitError(
@@ -375,12 +361,6 @@ def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) 
         name = f"{recording.name} from {begin / rate_hz:.4g} s"
         found.append(dataclasses.replace(recording, name=name, gaps=(), **parts))  # type: ignore[arg-type]
     return found
-
-
-def stretches_of(recordings: Sequence[Recording], least_s: float, excluded: Exclusions) -> list[Recording]:
-    """The whole stretches of all recordings; one that is not whole enough is left out."""
-    parts = excluded.each(recordings, lambda one: whole_stretches(one, least_s, excluded))
-    return [part for each in parts for part in each]
 
 
 def gaps_in_words(recording: Recording) -> str:
@@ -454,7 +434,7 @@ def check_range(usual: float, least: float, most: float, figure: str, whose: str
 
 def vary_apart(speed: Floats, force: Floats) -> bool:
     """Whether speed and force (n,) do not only rise and fall together."""
-    return well_conditioned(np.column_stack((speed, force)), 20)
+    return statistics.well_conditioned(np.column_stack((speed, force)), 20)
 
 
 def check_apart(speed: Floats, force: Floats) -> None:
@@ -472,11 +452,11 @@ def moved_with(
     """Slopes of frequencies (n,) over speed and force, where both vary apart from each other and from a constant. A
     doubt where one moves by this part of the mean at least, and more than chance makes of it at this level."""
     columns = np.column_stack((speed, force, np.ones_like(speed)))
-    if len(speed) < 6 or not well_conditioned(columns):
+    if len(speed) < 6 or not statistics.well_conditioned(columns):
         doubts.warn(f"too few strokes at different speeds and forces to tell whether the {named} moves with them")
         return None, None
-    line = least_squares(columns, frequencies)
-    wider = student_t(line.freedom, level) / student_t(line.freedom)
+    line = statistics.least_squares(columns, frequencies)
+    wider = statistics.student_t(line.freedom, level) / statistics.student_t(line.freedom)
     for slope, values, name, unit in zip(
         line.coefficients, (speed, force), ("speed", "force"), ("m/s", "N"), strict=False
     ):
@@ -502,6 +482,12 @@ def gravity_of(recordings: Sequence[Recording]) -> list[str]:
     return found
 
 
+def report_gravity(recordings: Sequence[Recording], doubts: Doubts) -> None:
+    """A doubt for each recording whose rest value tells of another unit."""
+    for line in gravity_of(recordings):
+        doubts.doubt(line)
+
+
 def undersampled(rate_hz: float, frequency_hz: float, least: float = LEAST_RATE) -> str:
     """Why what rings at a frequency is not fitted at a rate, with fewer than `least` samples in a cycle; empty where it
     is."""
@@ -519,19 +505,34 @@ def report_sampling(recordings: Sequence[Recording], frequency_hz: float, doubts
     doubts.check("samples in a cycle", slowest / frequency_hz, rate_hz=slowest, hz=frequency_hz)
 
 
-# ---- Motion along the surface ----------------------------------------------------------------------------------------
+# ---- Strokes along the surface ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """Along the surface: `speed_m_per_s` has a sign; `position_m` begins anywhere."""
+class Stroke(Cleaned):
+    """A recording of a stroke, without invalid samples; arrays (n,)."""
 
-    position_m: Floats
-    speed_m_per_s: Floats
+    acceleration: Floats
+    """m/s^2."""
+    force: Floats
+    """N."""
+    position: Floats
+    """m along the surface, from anywhere."""
+    speed: Floats
+    """m/s along the surface, with a sign."""
 
 
-def motion_of(recording: Recording, samples: int) -> Motion:
-    """From the tangential position, or from the speed. FitError where there is neither, or they disagree."""
+def stroke_of(recording: Recording, kind: Kind) -> Stroke:
+    """A recording as a fit of this kind takes it. FitError where it cannot be one of a stroke."""
+    kept = without_invalid_samples(recording, kind)
+    acceleration, force = acceleration_of(kept.recording), pressed(kept.recording)
+    position, speed = _motion_of(kept.recording, len(acceleration))
+    return Stroke(kept.recording, kept.replaced, kept.warnings, acceleration, force, position, speed)
+
+
+def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
+    """Position and speed, from the tangential position, or from the speed. FitError where there is neither, or they
+    disagree."""
     name, position = recording.name, recording.tangential_position_m
     column: Floats | None = None
     if recording.speed_m_per_s is not None:
@@ -543,7 +544,7 @@ def motion_of(recording: Recording, samples: int) -> Motion:
         if column is None:
             raise FitError(f"{name}: a stroke needs the position along the surface, or the speed")
         _refuse_speed(recording, column)
-        return Motion(np.concatenate(([0.0], np.cumsum((column[1:] + column[:-1]) / 2))) / recording.rate_hz, column)
+        return np.concatenate(([0.0], np.cumsum((column[1:] + column[:-1]) / 2))) / recording.rate_hz, column
     if np.ptp(position) > 5.0:
         raise UnitError(f"{name}: a stroke of {np.ptp(position):.4g} m is not a hand's: is it in mm?")
     if not np.ptp(position) > 0:
@@ -557,7 +558,7 @@ def motion_of(recording: Recording, samples: int) -> Motion:
                 f"{name}: the position moves at {usual:.3g} m/s, the speed says {said:.3g} m/s: one of them has the "
                 "wrong unit or column"
             )
-    return Motion(position, found)
+    return position, found
 
 
 def _refuse_speed(recording: Recording, speed: Floats) -> None:

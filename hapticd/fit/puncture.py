@@ -16,23 +16,9 @@ import numpy as np
 
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.statistics import Estimate, FitError, Floats, UnitError, common, with_offset
-from hapticd.fit.preparation import (
-    Cleaned,
-    acceleration_of,
-    check_range,
-    force_of,
-    gaps_in_words,
-    gravity_of,
-    refuse_duplicates,
-    report_cleaning,
-    report_sampling,
-    running_mean,
-    slope_of,
-    undersampled,
-    without_invalid_samples,
-)
+from hapticd.fit import preparation
 from hapticd.fit.recording import Recording
-from hapticd.fit.result import Judged
+from hapticd.fit.result import Fit
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
 from hapticd.fit.verdict import Doubts, Exclusions
@@ -65,32 +51,19 @@ class Rupture:
     variance_accounted_for: float
 
 
-# ---- Onset: where the force falls ------------------------------------------------------------------------------------
+# ---- Model: one puncture, from where the force falls back to the touch, and on to the ringing ------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class _Push:
-    """Force and position of a recording, each (n,), and where the force drops."""
+class _Puncture:
+    """A recording of a puncture, and what speaks against it. FitError where there is none, or it cannot be fitted."""
 
-    name: str
-    rate_hz: float
-    force: Floats
-    place: Floats
-    at: int
-    """The last sample before the force falls to nothing."""
-    half: int
-    """Samples of half of DROP_S."""
-    smooth: Floats
-    """The force, without what is faster than DROP_S."""
-    speed: Floats
-    """Along the normal, m/s."""
-
-    @classmethod
-    def of(cls, recording: Recording) -> _Push:
-        """FitError where force or position cannot be a puncture's."""
+    def __init__(self, recording: Recording) -> None:
+        self._kept = preparation.without_invalid_samples(recording, "puncture")
+        self.doubts = Doubts()
+        preparation.report_cleaning([self._kept], self.doubts)
+        recording = self._kept.recording
         name, rate_hz = recording.name, recording.rate_hz
-        force = force_of(recording)
-        place = recording.position_m
+        force, place = preparation.force_of(recording), recording.position_m
         if place is None:
             raise FitError(f"{name}: has no position along the normal, which this fit needs")
         if np.ptp(place) > 1.0:
@@ -102,9 +75,155 @@ class _Push:
         at = _drop(force, rate_hz)
         if at is None:
             raise _no_puncture(name)
-        half = max(1, round(DROP_S * rate_hz / 2))
-        speed = slope_of(place, rate_hz, 8 * DROP_S)
-        return cls(name, rate_hz, force, place, at, half, running_mean(force, half), speed)
+        self._name, self._rate_hz, self._force, self._place = name, rate_hz, force, place
+        self._at = at
+        """The last sample before the force falls to nothing."""
+        self._half = max(1, round(DROP_S * rate_hz / 2))
+        self._smooth = preparation.running_mean(force, self._half)
+        """The force, without what is faster than DROP_S."""
+        self._speed = preparation.slope_of(place, rate_hz, 8 * DROP_S)
+        self._seen = preparation.acceleration_of(recording)
+        self._load()
+        self._doubt_the_touch()
+        self.rupture = self._ruptured()
+
+    def _load(self) -> None:
+        """The line of force over position before the rupture: `stiffness_n_per_m` from `surface_m` on, where the sensor
+        reads `rest_n`, to the load, over that, just before the force drops. FitError where there is none."""
+        at, half, smooth, name = self._at, self._half, self._smooth, self._name
+        least = max(0, at - 2 * half)
+        highest = float(np.median(self._force[least : max(at - half, least + 1)]))
+        early = np.flatnonzero(smooth[: at - half] < LOADED[0] * highest)
+        self._begin = int(early[-1]) + 1 if len(early) else 0
+        loaded = np.arange(self._begin, at - half)
+        loaded = loaded[smooth[loaded] < LOADED[1] * highest]
+        if len(loaded) < 20:
+            raise FitError(f"{name}: force rises within {len(loaded)} samples: too few for a stiffness")
+        way, pressed = self._place[loaded], self._force[loaded]
+        level, stiffness = map(float, np.polynomial.polynomial.polyfit(way - way.mean(), pressed, 1))
+        if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < 0.7:
+            raise FitError(f"{name}: force does not go with position before it falls: are columns swapped?")
+        if stiffness < 0:
+            raise UnitError(
+                f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)"
+            )
+        if not STIFFNESS_N_PER_M[0] <= stiffness <= STIFFNESS_N_PER_M[1]:
+            raise UnitError(
+                f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?"
+            )
+        near = way < np.median(way)
+        below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
+        if abs(above - below) > 0.1 * stiffness:
+            self._doubt(
+                "the stiffness changes on the way",
+                f"stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in",
+            )
+        # Before the touch the sensor may read other than 0.
+        rest, surface, quiet = 0.0, 0.0, np.zeros(0)
+        for _ in range(3):
+            surface = float(way.mean()) - (level - rest) / stiffness
+            free = np.flatnonzero(self._place[: self._begin] < surface)
+            quiet = self._force[: max(0, int(free[-1]) - 2 * half if len(free) else 0)]
+            rest = float(np.median(quiet)) if len(quiet) >= 20 else 0.0
+        if len(quiet) < 20:
+            self._doubt("begun in contact", "begins in contact: what the sensor reads without force is taken to be 0")
+        self._load_n, self._stiffness_n_per_m, self._surface_m, self._rest_n = highest - rest, stiffness, surface, rest
+
+    def _doubt(self, what: str, text: str) -> None:
+        self.doubts.doubt_recording(what, f"{self._name}: {text}")
+
+    def _doubt_the_touch(self) -> None:
+        """Whether it is softer at first: then the line begins behind the touch. A fiftieth of the load, or six standard
+        errors of the force, is met a thirtieth of the depth before it is due on the line."""
+        half = self._half
+        soft = max(0.02 * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
+        touched = np.flatnonzero(self._smooth[: self._at - half] - self._rest_n > soft)
+        if not len(touched):
+            return
+        due = self._surface_m + soft / self._stiffness_n_per_m
+        early_m = due - float(np.mean(self._place[max(0, touched[0] - half) : touched[0] + half + 1]))
+        if early_m > 0.03 * self._load_n / self._stiffness_n_per_m:
+            self._doubt(
+                "softer at first",
+                f"it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more behind the "
+                "touch, and depth is counted from there",
+            )
+
+    def _ruptured(self) -> Rupture:
+        """FitError where it was let go, or ruptures twice."""
+        at, half, force = self._at, self._half, self._force
+        index = np.arange(max(0, at - 4 * half), at + 1)
+        fitted = np.polynomial.polynomial.polyfit(index - at, self._place[index], 1)
+        if self._speed[at] <= 0:
+            # Let go, or bounced off.
+            raise _no_puncture(self._name)
+        # The force is gone between this sample and the next.
+        depth = float(fitted[0] + 0.5 * fitted[1]) - self._surface_m
+        ringing = self._ringing()
+        left = float(np.median(force[at + 2 * half : at + 6 * half])) - self._rest_n
+        if left > 0.1 * self._load_n:
+            self._doubt(
+                "force is left after the rupture",
+                f"{100 * left / self._load_n:.0f} % of the force is left after the rupture: something holds what went "
+                "in; the model has none of it",
+            )
+        # The force drops again, before or after, from 0.3 of the load, while the stylus goes on.
+        for start, part in ((0, force[: max(0, at - 4 * half)]), (at + 4 * half, force[at + 4 * half :])):
+            other = _drop(part, self._rate_hz)
+            if other is None or not part[other] - self._rest_n > 0.3 * self._load_n:
+                continue
+            if self._speed[start + other] > 0:
+                early, late = sorted((at, start + other))
+                places = f"{early / self._rate_hz:.4g} s and at {late / self._rate_hz:.4g} s"
+                raise FitError(f"{self._name}: ruptures at {places}: give each puncture its own file")
+        share = ringing.variance_accounted_for
+        if share < 0.8:
+            self.doubts.warn(f"{self._name}: one mode accounts for {100 * share:.0f} % of the ringing")
+        return Rupture(
+            recording=self._name,
+            time_s=(at + 0.5) / self._rate_hz,
+            speed_m_per_s=float(self._speed[at]),
+            stiffness_n_per_m=self._stiffness_n_per_m,
+            depth_m=depth,
+            force_n=self._stiffness_n_per_m * depth,
+            amplitude_m_per_s2=abs(float(ringing.coefficients[0])),
+            frequency_hz=float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi),
+            decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
+            variance_accounted_for=share,
+        )
+
+    def _ringing(self) -> Ringing:
+        """The mode that the rupture strikes. FitError where it was not measured, or does not ring with one mode."""
+        name, at, rate_hz, begin, seen = self._name, self._at, self._rate_hz, self._begin, self._seen
+        first = max(0, at - round(BEFORE_S * rate_hz))
+        end = min(len(seen), at + round(0.08 * rate_hz))
+        if np.mean(self._kept.replaced[begin:end]) > 0.02:
+            raise FitError(f"{name}: much of the puncture was not measured")
+        if clipped(seen)[first:end].any():
+            raise FitError(
+                f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record "
+                "with a wider range"
+            )
+        recording = self._kept.recording
+        if any(begin < last and early < end for early, last in recording.gaps):
+            gaps = preparation.gaps_in_words(recording)
+            raise FitError(f"{name}: {gaps}: between the touch and the end of the ringing")
+        try:
+            # A slow sensor of force tells the rupture late.
+            onsets = [max(0.0, (at + 0.5 - first) / rate_hz - late_s) for late_s in (0.0, 0.002, 0.005)]
+            fits = [fit_ringing(seen[first:end], rate_hz, onset_s=onset_s) for onset_s in onsets]
+        except FitError as error:
+            raise FitError(f"{name}: the rupture has no ringing: {error}") from None
+        ringing = min(fits, key=lambda each: each.noise_m_per_s2)
+        hertz = float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)
+        if slow := preparation.undersampled(rate_hz, hertz):
+            raise FitError(f"{name}: {slow}")
+        if ringing.variance_accounted_for < LEAST_ACCOUNTED:
+            raise FitError(
+                f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
+                f"{100 * LEAST_ACCOUNTED:.0f} % are wanted"
+            )
+        return ringing
 
 
 def _no_puncture(name: str) -> FitError:
@@ -116,7 +235,7 @@ def _drop(force: Floats, rate_hz: float) -> int | None:
     half = max(1, round(DROP_S * rate_hz / 2))
     if len(force) < 20 * half:
         return None
-    mean = running_mean(force, half)
+    mean = preparation.running_mean(force, half)
     fall = mean[: -4 * half] - mean[4 * half :]
     middle = int(np.argmax(fall)) + 2 * half
     before, after = float(mean[middle - 2 * half]), float(mean[middle + 2 * half])
@@ -132,191 +251,11 @@ def _noise(force: Floats) -> float:
     return 1.4826 * float(np.median(np.abs(np.diff(force)))) / math.sqrt(2)
 
 
-# ---- Model: one puncture ---------------------------------------------------------------------------------------------
-
-
-def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
-    """The puncture of a recording, and what speaks against it. FitError where there is none, or it cannot be fitted."""
-    doubts = Doubts()
-    kept = without_invalid_samples(recording, "puncture")
-    report_cleaning([kept], doubts)
-    push = _Push.of(kept.recording)
-    seen = acceleration_of(kept.recording)
-    loading = _loading(push, doubts)
-    _doubt_the_touch(push, loading, doubts)
-    depth, speed = _rupture_place(push) - loading.surface_m, float(push.speed[push.at])
-    ringing = _ringing(kept, seen, push, loading.begin)
-    _doubt_force_left(push, loading, doubts)
-    _refuse_second_rupture(push, loading)
-    if ringing.variance_accounted_for < 0.8:
-        doubts.warn(f"{push.name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
-    found = Rupture(
-        recording=push.name,
-        time_s=(push.at + 0.5) / push.rate_hz,
-        speed_m_per_s=speed,
-        stiffness_n_per_m=loading.stiffness_n_per_m,
-        depth_m=depth,
-        force_n=loading.stiffness_n_per_m * depth,
-        amplitude_m_per_s2=abs(float(ringing.coefficients[0])),
-        frequency_hz=float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi),
-        decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
-        variance_accounted_for=float(ringing.variance_accounted_for),
-    )
-    return found, doubts
-
-
-@dataclass(frozen=True, slots=True)
-class _Loading:
-    """The membrane drawn in, from the first load on: a line of force over position."""
-
-    begin: int
-    """The first sample with a quarter of the load."""
-    load_n: float
-    """Just before the force drops, over what the sensor reads without a touch."""
-    stiffness_n_per_m: float
-    surface_m: float
-    """Where the line begins."""
-    rest_n: float
-    """What the sensor reads without a touch."""
-
-
-def _loading(push: _Push, doubts: Doubts) -> _Loading:
-    """The line of force over position before the rupture. FitError where there is none."""
-    at, half, smooth = push.at, push.half, push.smooth
-    least = max(0, at - 2 * half)
-    highest = float(np.median(push.force[least : max(at - half, least + 1)]))
-    early = np.flatnonzero(smooth[: at - half] < LOADED[0] * highest)
-    begin = int(early[-1]) + 1 if len(early) else 0
-    loaded = np.arange(begin, at - half)
-    loaded = loaded[smooth[loaded] < LOADED[1] * highest]
-    if len(loaded) < 20:
-        raise FitError(f"{push.name}: force rises within {len(loaded)} samples: too few for a stiffness")
-    way, pressed = push.place[loaded], push.force[loaded]
-    level, stiffness = map(float, np.polynomial.polynomial.polyfit(way - way.mean(), pressed, 1))
-    _check_stiffness(push.name, way, pressed, stiffness)
-    near = way < np.median(way)
-    below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
-    if abs(above - below) > 0.1 * stiffness:
-        doubts.doubt_recording(
-            "the stiffness changes on the way",
-            f"{push.name}: stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in",
-        )
-    # Before the touch the sensor may read other than 0.
-    rest, surface, quiet = 0.0, 0.0, np.zeros(0)
-    for _ in range(3):
-        surface = float(way.mean()) - (level - rest) / stiffness
-        free = np.flatnonzero(push.place[:begin] < surface)
-        quiet = push.force[: max(0, int(free[-1]) - 2 * half if len(free) else 0)]
-        rest = float(np.median(quiet)) if len(quiet) >= 20 else 0.0
-    if len(quiet) < 20:
-        doubts.doubt_recording(
-            "begun in contact", f"{push.name}: begins in contact: what the sensor reads without force is taken to be 0"
-        )
-    return _Loading(begin, highest - rest, stiffness, surface, rest)
-
-
-def _check_stiffness(name: str, way: Floats, pressed: Floats, stiffness: float) -> None:
-    """FitError where force over position is no membrane's."""
-    low, high = STIFFNESS_N_PER_M
-    if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < 0.7:
-        raise FitError(f"{name}: force does not go with position before it falls: are columns swapped?")
-    if stiffness < 0:
-        raise UnitError(f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)")
-    if not low <= stiffness <= high:
-        raise UnitError(f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?")
-
-
-def _doubt_the_touch(push: _Push, loading: _Loading, doubts: Doubts) -> None:
-    """Whether it is softer at first: then the line begins behind the touch. A fiftieth of the load, or six standard
-    errors of the force, is met a thirtieth of the depth before it is due on the line."""
-    half, load = push.half, loading.load_n
-    soft = max(0.02 * load, 6.0 * _noise(push.force) / math.sqrt(2 * half + 1))
-    touched = np.flatnonzero(push.smooth[: push.at - half] - loading.rest_n > soft)
-    if not len(touched):
-        return
-    due = loading.surface_m + soft / loading.stiffness_n_per_m
-    early_m = due - float(np.mean(push.place[max(0, touched[0] - half) : touched[0] + half + 1]))
-    if early_m > 0.03 * load / loading.stiffness_n_per_m:
-        doubts.doubt_recording(
-            "softer at first",
-            f"{push.name}: it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more "
-            "behind the touch, and depth is counted from there",
-        )
-
-
-def _rupture_place(push: _Push) -> float:
-    """Where the membrane ruptures, m. FitError where it was let go."""
-    index = np.arange(max(0, push.at - 4 * push.half), push.at + 1)
-    fitted = np.polynomial.polynomial.polyfit(index - push.at, push.place[index], 1)
-    if push.speed[push.at] <= 0:
-        # Let go, or bounced off.
-        raise _no_puncture(push.name)
-    # The force is gone between this sample and the next.
-    return float(fitted[0] + 0.5 * fitted[1])
-
-
-def _ringing(kept: Cleaned, seen: Floats, push: _Push, begin: int) -> Ringing:
-    """The mode that the rupture strikes. FitError where it was not measured, or does not ring with one mode."""
-    name, at, rate_hz = push.name, push.at, push.rate_hz
-    first = max(0, at - round(BEFORE_S * rate_hz))
-    end = min(len(seen), at + round(0.08 * rate_hz))
-    if np.mean(kept.replaced[begin:end]) > 0.02:
-        raise FitError(f"{name}: much of the puncture was not measured")
-    if clipped(seen)[first:end].any():
-        raise FitError(
-            f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record with "
-            "a wider range"
-        )
-    if any(begin < last and early < end for early, last in kept.recording.gaps):
-        raise FitError(f"{name}: {gaps_in_words(kept.recording)}: between the touch and the end of the ringing")
-    try:
-        # A slow sensor of force tells the rupture late.
-        onsets = [max(0.0, (at + 0.5 - first) / rate_hz - late_s) for late_s in (0.0, 0.002, 0.005)]
-        fits = [fit_ringing(seen[first:end], rate_hz, onset_s=onset_s) for onset_s in onsets]
-    except FitError as error:
-        raise FitError(f"{name}: the rupture has no ringing: {error}") from None
-    ringing = min(fits, key=lambda each: each.noise_m_per_s2)
-    if slow := undersampled(rate_hz, float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)):
-        raise FitError(f"{name}: {slow}")
-    if ringing.variance_accounted_for < LEAST_ACCOUNTED:
-        raise FitError(
-            f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
-            f"{100 * LEAST_ACCOUNTED:.0f} % are wanted"
-        )
-    return ringing
-
-
-def _doubt_force_left(push: _Push, loading: _Loading, doubts: Doubts) -> None:
-    """Whether something holds a tenth or more of what went in."""
-    left = float(np.median(push.force[push.at + 2 * push.half : push.at + 6 * push.half])) - loading.rest_n
-    if left > 0.1 * loading.load_n:
-        doubts.doubt_recording(
-            "force is left after the rupture",
-            f"{push.name}: {100 * left / loading.load_n:.0f} % of the force is left after the rupture: something holds "
-            "what went in; the model has none of it",
-        )
-
-
-def _refuse_second_rupture(push: _Push, loading: _Loading) -> None:
-    """FitError where the force drops again, before or after, from 0.3 of the load, while the stylus goes on."""
-    at, half = push.at, push.half
-    for start, part in ((0, push.force[: max(0, at - 4 * half)]), (at + 4 * half, push.force[at + 4 * half :])):
-        other = _drop(part, push.rate_hz)
-        if other is None or not part[other] - loading.rest_n > 0.3 * loading.load_n:
-            continue
-        if push.speed[start + other] > 0:
-            early, late = sorted((at, start + other))
-            raise FitError(
-                f"{push.name}: ruptures at {early / push.rate_hz:.4g} s and at {late / push.rate_hz:.4g} s: give each "
-                "puncture its own file"
-            )
-
-
 # ---- The fit: what the punctures have in common, and its verdict -----------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PunctureFit(Judged):
+class PunctureFit(Fit):
     """What punctures of one membrane say. All intervals are of 95 %."""
 
     stiffness_n_per_m: Estimate
@@ -346,8 +285,7 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
     ruptures = _ruptures(recordings, excluded, doubts)
     by_name = {recording.name: recording for recording in recordings}
     used = [each for each in recordings if each.name in {rupture.recording for rupture in ruptures}]
-    for line in gravity_of(used):
-        doubts.doubt(line)
+    preparation.report_gravity(used, doubts)
 
     def lines(rupture: Rupture, needed: int) -> list[SpectralLine]:
         """Of the acceleration before the rupture."""
@@ -362,47 +300,43 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
     report_lines(ruptures, lines, doubts)
     doubts.check("punctures", len(ruptures))
 
-    def mean(name: str) -> Estimate:
-        return common(np.array([getattr(each, name) for each in ruptures]))
-
     usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
-    check_range(usual, *AMPLITUDES_M_PER_S2, f"a rupture of {usual:.3g} m/s^2 is", "membrane's")
-    stiffness, depth, amplitude = mean("stiffness_n_per_m"), mean("depth_m"), mean("amplitude_m_per_s2")
-    frequency, decay = mean("frequency_hz"), mean("decay_rate_per_s")
-    report_sampling(used, frequency.value, doubts)
-    by_speed = _amplitude_over_speed(ruptures, amplitude, doubts)
-    for what, figure in (("stiffness", stiffness), ("amplitude", amplitude), ("decay rate", decay)):
+    preparation.check_range(usual, *AMPLITUDES_M_PER_S2, f"a rupture of {usual:.3g} m/s^2 is", "membrane's")
+    named = {
+        "depth_m": "rupture depth",
+        "stiffness_n_per_m": "stiffness",
+        "amplitude_m_per_s2": "amplitude",
+        "frequency_hz": "frequency",
+        "decay_rate_per_s": "decay rate",
+        "force_n": "force",
+    }
+    figures = {name: common(np.array([getattr(each, name) for each in ruptures])) for name in named}
+    depth, frequency = figures["depth_m"], figures["frequency_hz"]
+    preparation.report_sampling(used, frequency.value, doubts)
+    by_speed = _amplitude_over_speed(ruptures, figures["amplitude_m_per_s2"], doubts)
+    for name in ("stiffness_n_per_m", "amplitude_m_per_s2", "decay_rate_per_s"):
+        figure = figures[name]
         if figure.low <= 0:
-            raise FitError(
-                f"the punctures do not agree on the {what}: {figure.value:.3g} ({figure.low:.3g} to {figure.high:.3g})"
-            )
+            within = f"{figure.value:.3g} ({figure.low:.3g} to {figure.high:.3g})"
+            raise FitError(f"the punctures do not agree on the {named[name]}: {within}")
     if depth.low <= 0 or depth.high - depth.low > depth.value:
         doubts.warn(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
-    for what, figure in (
-        ("rupture depth", depth),
-        ("stiffness", stiffness),
-        ("amplitude", amplitude),
-        ("frequency", frequency),
-        ("decay rate", decay),
-    ):
-        doubts.check_interval(what, figure)
+    for name, figure in figures.items():
+        # The force is that of stiffness and depth.
+        if name != "force_n":
+            doubts.check_interval(named[name], figure)
     scatter = float(np.std([math.log(each.frequency_hz) for each in ruptures]))
     doubts.check("scatter of the frequency", scatter, events="punctures", one="membrane")
     explained = float(np.median([each.variance_accounted_for for each in ruptures]))
     doubts.check("variance that a rupture's mode explains", explained)
     return PunctureFit(
-        stiffness_n_per_m=stiffness,
-        depth_m=depth,
-        force_n=mean("force_n"),
-        amplitude_m_per_s2=amplitude,
-        frequency_hz=frequency,
-        decay_rate_per_s=decay,
+        **figures,
         amplitude_per_speed_per_s=by_speed,
         ruptures=tuple(ruptures),
         warnings=tuple(doubts.warnings),
         judged=doubts.judged(
-            f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, {stiffness.value:.4g} N/m, ringing at "
-            f"{frequency.value:.4g} Hz"
+            f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, "
+            f"{figures['stiffness_n_per_m'].value:.4g} N/m, ringing at {frequency.value:.4g} Hz"
         ),
         left_out=tuple(excluded.items),
     )
@@ -410,17 +344,17 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
 
 def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, doubts: Doubts) -> list[Rupture]:
     """Two or more, each fitted alone; doubts are of those that are used. FitError where there are fewer."""
-    refuse_duplicates(recordings)
-    found = excluded.each(recordings, _rupture)
+    preparation.refuse_duplicates(recordings)
+    found = excluded.each(recordings, _Puncture)
     if not found:
         raise excluded.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
-    ruptures = _without_outliers([rupture for rupture, _ in found], excluded)
+    ruptures = _without_outliers([each.rupture for each in found], excluded)
     if len(ruptures) < 2:
         raise excluded.refused("one puncture has no interval: needs two recordings of a puncture at least")
     used = {each.recording for each in ruptures}
-    for rupture, own in found:
-        if rupture.recording in used:
-            doubts.merge(own)
+    for each in found:
+        if each.rupture.recording in used:
+            doubts.merge(each.doubts)
     excluded.report(recordings, doubts)
     return ruptures
 

@@ -17,11 +17,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from hapticd._version import __version__
 from hapticd.analysis.drawing import literal, plain_decades, require_matplotlib
-from hapticd.analysis.statistics import Estimate
+from hapticd.analysis.statistics import Estimate, Floats
 from hapticd.base import html_page
 from hapticd.base.errors import HapticdError
 from hapticd.config.schema import unit_of
@@ -29,8 +28,6 @@ from hapticd.config.schema import unit_of
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Floats = npt.NDArray[np.float64]
 
 _CELL: Final = (5.2, 3.6)
 """Inches of a picture with what is written about it, and below the share of that."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 
@@ -15,29 +16,9 @@ from hapticd.base.yaml_source import Json
 from hapticd.fit.verdict import Exclusion, Verdict
 
 
-class Fit(Protocol):
-    """A frozen dataclass whose figures are Estimates."""
-
-    @property
-    def warnings(self) -> tuple[str, ...]: ...
-
-    @property
-    def verdict(self) -> str: ...
-
-    @property
-    def judged(self) -> Verdict: ...
-
-    @property
-    def left_out(self) -> tuple[Exclusion, ...]: ...
-
-    def material(self) -> Mapping[str, object]: ...
-
-    def to_dict(self) -> Mapping[str, object]: ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
-    """What all fits end with."""
+class Fit(ABC):
+    """What all fits end with; their figures are Estimates. What is for drawing alone has no `repr`."""
 
     warnings: tuple[str, ...]
     judged: Verdict
@@ -47,7 +28,11 @@ class Judged:
     def verdict(self) -> str:
         return str(self.judged)
 
-    def to_dict(self) -> Mapping[str, object]:
+    @abstractmethod
+    def material(self) -> Mapping[str, object]:
+        """Keys of a YAML material."""
+
+    def to_dict(self) -> dict[str, Json]:
         """Plain data for JSON."""
         return {**fields_of(self), "verdict": self.verdict}
 
@@ -71,17 +56,25 @@ def plain_figures(fit: Fit) -> dict[str, float]:
 
 def _fields(made: object) -> dict[str, object]:
     assert dataclasses.is_dataclass(made)
-    return {field.name: getattr(made, field.name) for field in dataclasses.fields(made)}
+    return {field.name: getattr(made, field.name) for field in dataclasses.fields(made) if field.repr}
+
+
+def fields_of(made: object, *names: str) -> dict[str, Json]:
+    """The fields of a dataclass with these names, without any of all that have a `repr`, as plain data."""
+    return {name: cast(Json, plain(value)) for name, value in _fields(made).items() if not names or name in names}
 
 
 def plain(value: object) -> object:
     """Dataclasses, tuples and arrays as plain data for JSON."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {name: plain(inner) for name, inner in _fields(value).items()}
+        as_dict = getattr(value, "to_dict", None)
+        return fields_of(value) if as_dict is None else as_dict()
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, tuple | list):
         return [plain(each) for each in value]
+    if isinstance(value, Mapping):
+        return {name: plain(each) for name, each in value.items()}
     return value
 
 
@@ -94,14 +87,3 @@ def finite(value: object) -> object:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def fields_of(made: object, *names: str) -> dict[str, Json]:
-    """The fields of a dataclass with these names, without any of all, as plain data."""
-    return {name: cast(Json, plain(value)) for name, value in _fields(made).items() if not names or name in names}
-
-
-def end_of(fit: Judged) -> dict[str, Json]:
-    """What fits of taps end with: what was left out, warnings and verdict."""
-    judged = {"quality": fit.judged.quality, "reasons": list(fit.judged.reasons)}
-    return {**fields_of(fit, "left_out", "warnings"), "verdict": fit.verdict, "judged": cast(Json, judged)}

@@ -64,6 +64,15 @@ class Ringing:
             covariance=self.covariance[np.ix_(places, places)],
         )
 
+    def turned(self) -> Ringing:
+        """Of the acceleration with its sign turned."""
+        modes = len(self.coefficients)
+        signs = np.where(np.arange(3 * modes + 1) < modes, -1.0, 1.0)
+        covariance = self.covariance * np.outer(signs, signs)
+        return dataclasses.replace(
+            self, coefficients=-self.coefficients, residual=-self.residual, covariance=covariance
+        )
+
 
 def fit_ringing(
     acceleration: Floats,

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal, Protocol, TypeAlias
 
 import numpy as np
 
@@ -48,18 +48,18 @@ BETTER_BY_AICC: Final = 2.0
 """Of AICc."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tap:
-    """One tap, whatever was fitted to it, and the stretch of the recording that it was fitted to."""
+class Tap(Protocol):
+    """One tap, whatever was fitted to it."""
 
-    recording: str
-    onset_s: float
-    """On the recording's clock."""
-    speed_m_per_s: float
-    variance_accounted_for: float
-    rate_hz: float
-    measured: Floats
-    modelled: Floats
+    @property
+    def recording(self) -> str: ...
+
+    @property
+    def onset_s(self) -> float:
+        """On the recording's clock."""
+
+    @property
+    def speed_m_per_s(self) -> float: ...
 
 
 def check_speeds(taps: Sequence[Tap]) -> None:
@@ -198,7 +198,9 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
     if power is not None:
         curve = power.coefficient_m_per_s2.value * speeds**power.exponent.value
         laid["power"] = (curve, criterion(curve, 2))
-    tables = _tables(speeds, amplitudes, variances)
+    # Of few taps, and of speeds that are hardly apart, some tables have fewer speeds than were asked for.
+    tried = (table(speeds, amplitudes, variances, count) for count in range(2, MOST_TABLE_SPEEDS + 1))
+    tables = list({len(points): points for points in tried}.values())
     chosen_table, least = tables[-1], math.inf
     for points in tables:
         found = _along(points, speeds)
@@ -283,15 +285,8 @@ def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = MOS
     return tuple(points.items())
 
 
-def json_table(amplitudes: Amplitudes) -> Json:
-    return [{"speed_m_per_s": speed, "coefficient_m_per_s2": amplitude.to_dict()} for speed, amplitude in amplitudes]
-
-
-def _tables(speeds: Floats, amplitudes: Floats, variances: Floats) -> list[Amplitudes]:
-    """Of 2 to TABLE speeds."""
-    counts = range(2, min(MOST_TABLE_SPEEDS, max(2, len(speeds) - 2)) + 1)
-    tables = [table(speeds, amplitudes, variances, count) for count in counts]
-    return list({len(points): points for points in tables}.values())
+def json_table(amplitudes: Amplitudes, what: str = "coefficient_m_per_s2") -> Json:
+    return [{"speed_m_per_s": speed, what: amplitude.to_dict()} for speed, amplitude in amplitudes]
 
 
 def _along(points: Amplitudes, speeds: Floats) -> Floats:

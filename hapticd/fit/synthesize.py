@@ -21,7 +21,7 @@ from hapticd.analysis.statistics import Floats
 from hapticd.base.lattice import reflection_of
 from hapticd.config.materials import Material, Tap
 from hapticd.config.modes import Mode
-from hapticd.config.texture import Autoregressive, Grooves, Stochastic
+from hapticd.config.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 from hapticd.fit.recording import Recording, Source
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
@@ -156,16 +156,12 @@ class Hand:
     position_noise_m: float = 2e-6
 
 
-PLAIN_STYLUS: Final = Stylus()
-STEADY_HAND: Final = Hand()
-
-
 def grooves(
     material: Material,
     speed_m_per_s: float,
     force_n: float,
-    stylus: Stylus = PLAIN_STYLUS,
-    hand: Hand = STEADY_HAND,
+    stylus: Stylus = Stylus(),
+    hand: Hand = Hand(),
     scatter: float = 0.0,
 ) -> Recording:
     """One stroke over a material with grooves displayed as vibration; `scatter` is the standard deviation of what
@@ -193,48 +189,63 @@ def texture(
     material: Material,
     speed_m_per_s: float,
     force_n: float,
-    stylus: Stylus = PLAIN_STYLUS,
-    hand: Hand = STEADY_HAND,
+    stylus: Stylus = Stylus(),
+    hand: Hand = Hand(),
 ) -> Recording:
     """One stroke over a material with a stochastic or an autoregressive texture (then: its model nearest in speed and
     force, with the level that it has there). Noise of exactly this spectrum: white in frequency, shaped by its root.
     ValueError for another material."""
     coarse = material.texture
+    if not isinstance(coarse, Stochastic | Autoregressive):
+        raise ValueError("needs a material with a stochastic or an autoregressive texture")
     random = np.random.default_rng(stylus.seed)
     time, place, speed, force = _stroke(speed_m_per_s, force_n, stylus, hand, random)
     count = len(time)
-    frequency = np.fft.rfftfreq(count, 1 / stylus.rate_hz)
-    if isinstance(coarse, Stochastic):
-        shape = stochastic_filter(coarse.peak_hz, coarse.mean_hz, stylus.rate_hz)
-        density = power_spectrum(shape, frequency, stylus.rate_hz)
-        level = coarse.velocity_gain_per_s * np.abs(speed) + coarse.force_gain_m_per_s2_per_n * force
-        level = np.maximum(level, 0.0) * np.minimum(1.0, np.abs(speed) / coarse.threshold_m_per_s)
-    elif isinstance(coarse, Autoregressive):
-        model = min(
-            coarse.models,
-            key=lambda each: (
-                abs(each.speed_m_per_s - abs(speed_m_per_s)) / abs(speed_m_per_s)
-                + abs(each.force_n - force_n) / force_n
-            ),
-        )
-        reflection = reflection_of(model.coefficients)
-        density = np.zeros_like(frequency)
-        below = frequency <= coarse.rate_hz / 2
-        density[below] = power_spectrum((reflection, None), frequency[below], coarse.rate_hz)
-        level = np.full(count, model.level(reflection))
-    else:
-        raise ValueError("needs a material with a stochastic or an autoregressive texture")
+    frequency = np.asarray(np.fft.rfftfreq(count, 1 / stylus.rate_hz), dtype=np.float64)
+    density = unit_density(coarse, speed_m_per_s, force_n, frequency, stylus.rate_hz)
     white = np.fft.rfft(random.standard_normal(count))
-    clean = np.fft.irfft(white * np.sqrt(density * stylus.rate_hz / 2), count) * level
+    clean = np.fft.irfft(white * np.sqrt(density * stylus.rate_hz / 2), count) * level_of(coarse, speed, force)
     name = f"texture at {abs(speed_m_per_s):g} m/s and {force_n:g} N"
     return _recorded(name, time, clean, force, None, place, hand, stylus, random)
+
+
+def unit_density(
+    texture: Stochastic | Autoregressive, speed_m_per_s: float, force_n: float, frequency: Floats, rate_hz: float
+) -> Floats:
+    """Power spectral density (n,) of noise of this kind with an RMS of 1, one-sided, per Hz. Of autoregressive models
+    it is that of the one nearest in speed and force, and 0 beyond half of their rate."""
+    if isinstance(texture, Stochastic):
+        return power_spectrum(stochastic_filter(texture.peak_hz, texture.mean_hz, rate_hz), frequency, rate_hz)
+    reflection = reflection_of(_nearest(texture, speed_m_per_s, force_n).coefficients)
+    below = frequency <= texture.rate_hz / 2
+    density = np.zeros_like(frequency)
+    density[below] = power_spectrum((reflection, None), frequency[below], texture.rate_hz)
+    return density
+
+
+def level_of(texture: Stochastic | Autoregressive, speed: Floats, force: Floats) -> Floats:
+    """RMS (n,) at speeds in m/s and forces in N, in m/s^2; of autoregressive models that of the one nearest to the
+    means of both."""
+    if isinstance(texture, Autoregressive):
+        model = _nearest(texture, float(np.mean(speed)), float(np.mean(force)))
+        return np.full(len(speed), model.level(reflection_of(model.coefficients)))
+    level = texture.velocity_gain_per_s * np.abs(speed) + texture.force_gain_m_per_s2_per_n * force
+    return np.maximum(level, 0.0) * np.minimum(1.0, np.abs(speed) / texture.threshold_m_per_s)
+
+
+def _nearest(texture: Autoregressive, speed_m_per_s: float, force_n: float) -> AutoregressiveModel:
+    def apart(model: AutoregressiveModel) -> float:
+        by_speed = abs(model.speed_m_per_s - abs(speed_m_per_s)) / max(abs(speed_m_per_s), 1e-9)
+        return by_speed + abs(model.force_n - force_n) / max(abs(force_n), 1e-9)
+
+    return min(texture.models, key=apart)
 
 
 def puncture(
     material: Material,
     speed_m_per_s: float,
-    stylus: Stylus = PLAIN_STYLUS,
-    hand: Hand = STEADY_HAND,
+    stylus: Stylus = Stylus(),
+    hand: Hand = Hand(),
     ruptures: bool = True,
 ) -> Recording:
     """A membrane approached, drawn in and ruptured (or let go again where it does not) at this speed; position is

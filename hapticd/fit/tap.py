@@ -12,63 +12,22 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
+from hapticd.analysis import statistics
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.recordings.sensor import Sensor
-from hapticd.analysis.recordings.spans import Bools
-from hapticd.analysis.statistics import (
-    Estimate,
-    FitError,
-    Floats,
-    Regression,
-    UnitError,
-    aicc,
-    common,
-    improbable,
-    least_squares,
-    require_scipy,
-    through_origin,
-    with_offset,
-)
+from hapticd.analysis.statistics import Estimate, FitError, Floats, Regression, UnitError, common, through_origin
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Attack, Mode
-from hapticd.fit.preparation import (
-    TAP_ACCELERATION_M_PER_S2,
-    between_gaps,
-    force_of,
-    gravity_of,
-    refuse_duplicates,
-    report_sampling,
-    undersampled,
-    without_invalid_samples,
-)
-from hapticd.fit.recording import Recording, Source
-from hapticd.fit.result import Judged, end_of, fields_of
+from hapticd.fit import preparation, speed_law
+from hapticd.fit.recording import Recording
+from hapticd.fit.result import Fit, fields_of
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.speed_law import (
-    BENT_BY_CHANCE,
-    LEAST_TAPS,
-    SPEEDS_M_PER_S,
-    Amplitudes,
-    Law,
-    LawKind,
-    Power,
-    Tap,
-    check_hardness,
-    check_slope,
-    check_speeds,
-    doubt_the_law,
-    json_table,
-    knots_of,
-    law_of,
-    moves,
-    single_outlier,
-    table,
-)
+from hapticd.fit.speed_law import BENT_BY_CHANCE, LEAST_TAPS, Amplitudes, Law, LawKind, Power
 from hapticd.fit.verdict import Doubts, Exclusions
 
 LEAST_PEAK_TO_NOISE: Final = 8.0
@@ -76,9 +35,6 @@ LEAST_PEAK_TO_NOISE: Final = 8.0
 SHORT_S: Final = 0.5
 REST_PART: Final = 0.1
 """Of its largest change: what a recording changes less before is its rest."""
-BLOCK_S: Final = 0.002
-LEAST_BLOCK_SAMPLES: Final = 16
-"""Samples at least of a block whose noise is taken."""
 APPROACH_S: Final = 0.01
 """Speed is a position's over so long before the onset."""
 LEAST_WAY: Final = 4
@@ -100,8 +56,6 @@ WELL_EXPLAINED: Final = 0.95
 """Of the variance of the median tap: what explains less is reported."""
 SAME_FREQUENCY: Final = 0.1
 """Frequencies within so much of one another are the same."""
-AGREEING_PART: Final = 0.7
-"""So large a part of the pairs has the same two frequencies."""
 MOST_RESIDUAL_TO_NOISE: Final = 1.3
 """A residual so many times the noise before the onset has more in it than noise."""
 REPORTED_SHAPE: Final = 0.02
@@ -111,6 +65,15 @@ LEAST_HZ: Final = 15.0
 
 
 # ---- Onsets: what is loud in a recording -----------------------------------------------------------------------------
+
+
+class Unusable(FitError):
+    """Why a tap cannot be used, without its place. `fault` is what a recording is refused for if most of its taps have
+    it: a rate that is too low, a position that tells no speed, the shape of no tap."""
+
+    def __init__(self, reason: str, fault: Literal["rate", "approach", "shape"] | None = None) -> None:
+        super().__init__(reason)
+        self.fault = fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,21 +89,39 @@ class Event:
     """The largest that it is, above gravity and drift, m/s^2."""
 
 
-@dataclass(frozen=True, slots=True)
 class Events:
     """What is loud in a recording, without what bounced."""
 
-    recording: Recording
-    """Without samples that cannot be."""
-    acceleration: Floats
-    """(n,) of the recording, m/s^2."""
-    events: list[Event]
-    speeds: Floats | None
-    """(events,), where they are given."""
-    clipped: Bools
-    """(n,) samples."""
-    replaced: Bools
-    """(n,) samples that were not measured as they are."""
+    def __init__(self, recording: Recording, warnings: list[str]) -> None:
+        """FitError for a recording that is none of taps."""
+        whole = preparation.without_invalid_samples(recording, "tap")
+        warnings += whole.warnings
+        self.recording = recording = whole.recording
+        """Without samples that cannot be."""
+        self.acceleration = _checked(recording)
+        """(n,) m/s^2."""
+        warnings += preparation.gravity_of([recording])
+        above = self.acceleration - _base(self.acceleration, recording.rate_hz)
+        self.events = _loud_events(recording, above)
+        self.speeds = _given_speeds(recording, self.events, above)
+        """(events,), where they are given."""
+        if self.speeds is not None and len(self.speeds) != len(self.events):
+            # One of many thousand samples of noise may be loud by itself.
+            self.events = [each for each in self.events if each.first < each.last] or self.events
+        if self.speeds is None or len(self.speeds) != len(self.events):
+            kept = _without_bounces(recording, self.events)
+            bounces = len(self.events) - len(kept)
+            if self.speeds is not None and len(self.speeds) != len(kept):
+                raise FitError(
+                    f"{recording.name}: has {len(self.speeds)} speeds for {len(kept)} taps"
+                    f"{f' and {bounces} bounces' if bounces else ''}: needs one a tap"
+                )
+            if bounces:
+                warnings.append(f"{recording.name}: {bounces} bounces after taps are left out")
+            self.events = kept
+        noise = min((event.noise for event in self.events), default=0.0)
+        self.clipped, self.replaced = clipped(self.acceleration, noise), whole.replaced
+        """(n,) samples, and those that were not measured as they are."""
 
     def room(self, index: int) -> tuple[int, int]:
         """First sample, and the one after the last, between the taps and the gaps about this one. Raises Unusable where
@@ -148,7 +129,7 @@ class Events:
         first, samples = self.events[index].first, len(self.clipped)
         begin = self.events[index - 1].last + 1 if index else 0
         end = self.events[index + 1].first if index + 1 < len(self.events) else samples
-        for low, high in between_gaps(self.recording, samples):
+        for low, high in preparation.between_gaps(self.recording, samples):
             if low <= first < high:
                 begin, end = max(begin, low), min(end, high)
                 break
@@ -165,58 +146,32 @@ class Events:
             raise Unusable(f"{np.count_nonzero(replaced)} of its samples cannot be, and none may")
 
     def speed(self, index: int, onset_s: float) -> float:
-        """Of the approach, m/s. Raises Unusable."""
+        """Of the approach, m/s; of the position before the onset where there is no other. Raises Unusable."""
         if self.speeds is not None:
             return float(self.speeds[index])
-        return _speed_of(self.recording, onset_s, self.room(index)[0])
-
-
-class Unusable(FitError):
-    """Why a tap cannot be used, without its place."""
-
-
-class _Undersampled(Unusable):
-    """It rings too fast for the sampling rate."""
-
-    hint = "record faster."
-
-
-class _NoApproach(Unusable):
-    """The position does not tell its speed."""
-
-    hint = "is the position the right column?"
-
-
-class _NoTap(Unusable):
-    """It has the shape of no tap."""
-
-
-def events_of(recording: Recording, warnings: list[str]) -> Events:
-    """Raises FitError for a recording that is none of taps."""
-    whole = without_invalid_samples(recording, "tap")
-    recording = whole.recording
-    warnings += whole.warnings
-    acceleration = _checked(recording)
-    warnings += gravity_of([recording])
-    above = acceleration - _base(acceleration, recording.rate_hz)
-    events = _loud_events(recording, above)
-    speeds = _given_speeds(recording, events, above)
-    if speeds is not None and len(speeds) != len(events):
-        # One of many thousand samples of noise may be loud by itself.
-        events = [each for each in events if each.first < each.last] or events
-    if speeds is None or len(speeds) != len(events):
-        kept = _without_bounces(recording, events)
-        bounces = len(events) - len(kept)
-        if speeds is not None and len(speeds) != len(kept):
-            raise FitError(
-                f"{recording.name}: has {len(speeds)} speeds for {len(kept)} taps"
-                f"{f' and {bounces} bounces' if bounces else ''}: needs one a tap"
+        given, position, rate_hz = self.recording.speed_m_per_s, self.recording.position_m, self.recording.rate_hz
+        if given is not None:
+            assert not isinstance(given, np.ndarray)
+            return abs(given)
+        assert position is not None
+        end = max(0, math.floor(onset_s * rate_hz))
+        begin = max(self.room(index)[0], end - _samples(APPROACH_S, rate_hz, LEAST_WAY))
+        if end - begin < LEAST_WAY:
+            raise Unusable(
+                f"its speed is not seen: {end - begin} samples of the position before it, {LEAST_WAY} are wanted"
             )
-        if bounces:
-            warnings.append(f"{recording.name}: {bounces} bounces after taps are left out")
-        events = kept
-    noise = min((event.noise for event in events), default=0.0)
-    return Events(recording, acceleration, events, speeds, clipped(acceleration, noise), whole.replaced)
+        way = position[begin:end]
+        time_s = np.arange(len(way)) / rate_hz
+        line = np.polyfit(time_s, way - way[0], 1)
+        off = way - way[0] - np.polyval(line, time_s)
+        left, whole, uneven = float(off @ off), float(np.sum((way - way.mean()) ** 2)), 0.5
+        if left > uneven * whole:
+            raise Unusable(
+                f"it has no even way before it to tell its speed: a straight line leaves {100 * left / whole:.0f} % of "
+                f"the position's variance, {100 * uneven:.0f} % is the most",
+                "approach",
+            )
+        return abs(float(line[0]))
 
 
 def _checked(recording: Recording) -> Floats:
@@ -228,18 +183,19 @@ def _checked(recording: Recording) -> Floats:
     if 0 < largest < least:
         raise FitError(
             f"{name}: an acceleration of {largest:.3g} m/s^2 is none of a stylus ({least:g} to "
-            f"{TAP_ACCELERATION_M_PER_S2:g}): is it in another unit, or another column?"
+            f"{preparation.TAP_ACCELERATION_M_PER_S2:g}): is it in another unit, or another column?"
         )
     if recording.force_n is not None:
-        force = force_of(recording)
+        force = preparation.force_of(recording)
         if not np.ptp(force) > 0:
             raise FitError(f"{name}: the force is {force[0]:g} N throughout: was the sensor connected?")
         if not force.max() > 0:
             raise UnitError(f"{name}: the force is never positive: pressing must be (scale -1?)")
-    if recording.speed_m_per_s is None and position is None:
-        raise FitError(f"{name}: has neither speed nor position: say speed_m_per_s in the YAML beside it")
-    if recording.speed_m_per_s is None and position is not None and not np.ptp(position) > 0:
-        raise FitError(f"{name}: the position never moves: is it the right column?")
+    if recording.speed_m_per_s is None:
+        if position is None:
+            raise FitError(f"{name}: has neither speed nor position: say speed_m_per_s in the YAML beside it")
+        if not np.ptp(position) > 0:
+            raise FitError(f"{name}: the position never moves: is it the right column?")
     return acceleration
 
 
@@ -251,60 +207,50 @@ def _base(acceleration: Floats, rate_hz: float) -> Floats:
         rest = int(np.argmax(off > REST_PART * off.max()))
         if rest >= LEAST_REST:
             return np.full(len(acceleration), np.median(acceleration[:rest]))
-    length = _samples(0.05, rate_hz, 32)
-    blocks = np.array_split(acceleration, max(1, len(acceleration) // length))
+    blocks = np.array_split(acceleration, max(1, len(acceleration) // _samples(0.05, rate_hz, 32)))
     lengths = np.array([len(block) for block in blocks])
     middles = np.cumsum(lengths) - lengths / 2
     return np.asarray(np.interp(np.arange(len(acceleration)), middles, [np.median(block) for block in blocks]))
 
 
 def _loud_events(recording: Recording, above: Floats) -> list[Event]:
-    """What is loud, by stretches without gaps. Raises FitError where nothing stands out."""
-    found: list[Event] = []
-    refused: list[FitError] = []
-    stretches = between_gaps(recording, len(above))
+    """What is loud, by stretches without gaps: beyond what noise reaches once in a hundred recordings, and beyond 5 %
+    of the largest. Raises FitError where nothing stands out."""
+    rate_hz = recording.rate_hz
+    length = _samples(0.002, rate_hz, 16)
+    stretches = preparation.between_gaps(recording, len(above))
     longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+    found: list[Event] = []
+    quiet = []
     for begin, end in stretches:
-        if (begin, end) != longest and end - begin < 2 * _samples(BLOCK_S, recording.rate_hz, LEAST_BLOCK_SAMPLES):
+        if (begin, end) != longest and end - begin < 2 * length:
             continue
-        try:
-            found += [
-                dataclasses.replace(event, first=begin + event.first, last=begin + event.last)
-                for event in _events_in(recording, above[begin:end])
-            ]
-        except FitError as error:
-            refused.append(error)
+        size = np.abs(above[begin:end])
+        blocks = above[begin : begin + len(size) // length * length].reshape(-1, length)
+        # Where it is calm: the 20th percentile of the blocks lies 0.842 of their deviations below the middle.
+        noise = float(np.percentile(blocks.std(axis=1), 20.0)) if len(blocks) else 0.0
+        noise /= 1 - 0.842 / math.sqrt(2 * length)
+        highest = float(size.max())
+        rest = int(np.argmax(size > REST_PART * highest))
+        if len(size) < SHORT_S * rate_hz and rest >= 5:
+            # A short recording may ring to its end. So few samples may be quieter than noise is, by chance.
+            noise = min(noise, 2.0 * float(np.std(above[begin : begin + rest], ddof=1)))
+        if not highest > LEAST_PEAK_TO_NOISE * noise:
+            quiet.append("nothing" if highest == 0 else f"{highest / noise:.1f} times its noise")
+            continue
+        # A bound of the normal distribution's tail.
+        loud_noise = math.sqrt(2 * math.log(len(size) / 0.01))
+        loud = np.flatnonzero(size > max(loud_noise * noise, 0.05 * highest))
+        # Taps are apart by 20 ms without a loud sample.
+        for part in np.split(loud, np.flatnonzero(np.diff(loud) > 0.02 * rate_hz) + 1):
+            first, last = int(part[0]), int(part[-1])
+            found.append(Event(begin + first, begin + last, noise, float(size[first : last + 1].max())))
     if not found:
-        raise refused[0]
-    return found
-
-
-def _events_in(recording: Recording, above: Floats) -> list[Event]:
-    """What is loud in a stretch: beyond what noise reaches once in a hundred recordings, and beyond 5 % of the
-    largest."""
-    length = _samples(BLOCK_S, recording.rate_hz, LEAST_BLOCK_SAMPLES)
-    blocks = above[: len(above) // length * length].reshape(-1, length)
-    # Where it is calm: the 20th percentile of the blocks lies 0.842 of their deviations below the middle.
-    noise = float(np.percentile(blocks.std(axis=1), 20.0)) if len(blocks) else 0.0
-    noise /= 1 - 0.842 / math.sqrt(2 * length)
-    highest = float(np.abs(above).max())
-    rest = int(np.argmax(np.abs(above) > REST_PART * highest))
-    if len(above) < SHORT_S * recording.rate_hz and rest >= 5:
-        # A short recording may ring to its end. So few samples may be quieter than noise is, by chance.
-        noise = min(noise, 2.0 * float(np.std(above[:rest], ddof=1)))
-    if not highest > LEAST_PEAK_TO_NOISE * noise:
-        times = "nothing" if highest == 0 else f"{highest / noise:.1f} times its noise"
         raise FitError(
-            f"{recording.name}: no onset: its largest acceleration is {times}, "
+            f"{recording.name}: no onset: its largest acceleration is {quiet[0]}, "
             f"a tap has {LEAST_PEAK_TO_NOISE:g} times at least"
         )
-    # A bound of the normal distribution's tail.
-    loud_noise = math.sqrt(2 * math.log(len(above) / 0.01))
-    loud = np.flatnonzero(np.abs(above) > max(loud_noise * noise, 0.05 * highest))
-    # Taps are apart by 20 ms without a loud sample.
-    parts = np.split(loud, np.flatnonzero(np.diff(loud) > 0.02 * recording.rate_hz) + 1)
-    spans = [(int(part[0]), int(part[-1])) for part in parts]
-    return [Event(first, last, noise, float(np.abs(above[first : last + 1]).max())) for first, last in spans]
+    return found
 
 
 def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) -> Floats | None:
@@ -349,33 +295,7 @@ def _comes_by_itself(recording: Recording, touched: int, before: int, first: int
     passed = half / recording.rate_hz
     ahead = (float(recording.position_m[touched]) - float(way.mean())) * math.copysign(1.0, speed)
     steady = abs(late - early) * (first - before) / recording.rate_hz < abs(speed) * passed
-    return abs(speed) >= SPEEDS_M_PER_S[0] and ahead > 0.5 * abs(speed) * passed and steady
-
-
-def _speed_of(recording: Recording, onset_s: float, least: int) -> float:
-    """The speed, from the position's samples from `least` on where there is no other. Raises Unusable."""
-    if recording.speed_m_per_s is not None:
-        assert not isinstance(recording.speed_m_per_s, np.ndarray)
-        return abs(recording.speed_m_per_s)
-    assert recording.position_m is not None
-    end = max(0, math.floor(onset_s * recording.rate_hz))
-    begin = max(least, end - _samples(APPROACH_S, recording.rate_hz, LEAST_WAY))
-    if end - begin < LEAST_WAY:
-        raise Unusable(
-            f"its speed is not seen: {end - begin} samples of the position before it, {LEAST_WAY} are wanted"
-        )
-    way = recording.position_m[begin:end]
-    time_s = np.arange(len(way)) / recording.rate_hz
-    line = np.polyfit(time_s, way - way[0], 1)
-    off = way - way[0] - np.polyval(line, time_s)
-    whole, uneven = float(np.sum((way - way.mean()) ** 2)), 0.5
-    if float(off @ off) > uneven * whole:
-        share = 100 * float(off @ off) / whole
-        raise _NoApproach(
-            f"it has no even way before it to tell its speed: a straight line leaves {share:.0f} % of the position's "
-            f"variance, {100 * uneven:.0f} % is the most"
-        )
-    return abs(float(line[0]))
+    return abs(speed) >= speed_law.SPEEDS_M_PER_S[0] and ahead > 0.5 * abs(speed) * passed and steady
 
 
 def _samples(time_s: float, rate_hz: float, least: int) -> int:
@@ -386,69 +306,108 @@ def _samples(time_s: float, rate_hz: float, least: int) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TapHit(Tap):
+class TapHit:
     """One tap by its mode."""
 
-    coefficient_m_per_s2: float
-    first_peak_m_per_s2: float
-    decay_rate_per_s: float
-    angular_frequency_rad_per_s: float
-    noise_m_per_s2: float
+    recording: str
+    speed_m_per_s: float
+    rate_hz: float
     begin_s: float
-    """Of the stretch, on the recording's clock."""
+    """Of the stretch that was fitted, on the recording's clock."""
+    measured: Floats
+    """(n,) of the stretch, m/s^2."""
+    ringing: Ringing
     sensor: Sensor | None = None
     pair: Ringing | None = None
     """Two modes, where one explains too little and two explain more."""
     alone: bool = True
     """Whether one mode does for it."""
 
+    @property
+    def onset_s(self) -> float:
+        """On the recording's clock."""
+        return self.begin_s + self.ringing.onset_s
+
+    @property
+    def coefficient_m_per_s2(self) -> float:
+        return float(self.ringing.coefficients[0])
+
+    @property
+    def decay_rate_per_s(self) -> float:
+        return float(self.ringing.decay_rate_per_s[0])
+
+    @property
+    def angular_frequency_rad_per_s(self) -> float:
+        return float(self.ringing.angular_frequency_rad_per_s[0])
+
+    @property
+    def first_peak_m_per_s2(self) -> float:
+        return self.coefficient_m_per_s2 * Mode(self.decay_rate_per_s, self.angular_frequency_rad_per_s).peak
+
+    @property
+    def variance_accounted_for(self) -> float:
+        return self.ringing.variance_accounted_for
+
+    @property
+    def noise_m_per_s2(self) -> float:
+        """Of a rendered tap, which may have none, a billionth of the coefficient: taps are weighted by it."""
+        return max(self.ringing.noise_m_per_s2, 1e-9 * abs(self.coefficient_m_per_s2))
+
+    @property
+    def modelled(self) -> Floats:
+        """(n,) of the stretch, m/s^2."""
+        return self.measured - self.ringing.residual
+
+    @property
+    def colour(self) -> float:
+        """What is left over while it rings, over what was there before."""
+        left = self.ringing.residual
+        onset = max(2, math.floor(self.ringing.onset_s * self.rate_hz))
+        end = math.ceil((self.ringing.onset_s + 5 / self.decay_rate_per_s) * self.rate_hz)
+        before = float(np.std(left[:onset]))
+        return float(np.std(left[onset:end])) / before if before > 0 else math.inf
+
     def turned(self) -> TapHit:
         """With the sign of the acceleration turned."""
-        pair = self.pair
-        if pair is not None:
-            pair = dataclasses.replace(pair, coefficients=-pair.coefficients, residual=-pair.residual)
-        return dataclasses.replace(
-            self,
-            coefficient_m_per_s2=-self.coefficient_m_per_s2,
-            first_peak_m_per_s2=-self.first_peak_m_per_s2,
-            measured=-self.measured,
-            modelled=-self.modelled,
-            pair=pair,
-        )
+        pair = None if self.pair is None else self.pair.turned()
+        return dataclasses.replace(self, measured=-self.measured, ringing=self.ringing.turned(), pair=pair)
 
     def to_dict(self) -> dict[str, Json]:
-        names = ("recording", "onset_s", "speed_m_per_s", "coefficient_m_per_s2", "first_peak_m_per_s2")
         return {
-            **fields_of(self, *names, "variance_accounted_for"),
+            "recording": self.recording,
+            "onset_s": self.onset_s,
+            "speed_m_per_s": self.speed_m_per_s,
+            "coefficient_m_per_s2": self.coefficient_m_per_s2,
+            "first_peak_m_per_s2": self.first_peak_m_per_s2,
+            "variance_accounted_for": self.variance_accounted_for,
             "frequency_hz": self.angular_frequency_rad_per_s / (2 * math.pi),
             "decay_time_s": 1 / self.decay_rate_per_s,
         }
 
 
-Hit: TypeAlias = tuple[TapHit, Ringing]
-"""A tap, and the mode that was fitted to it."""
-
-
-def hits_of(recording: Recording, warnings: list[str], excluded: Exclusions) -> list[Hit]:
+def hits_of(recording: Recording, warnings: list[str], excluded: Exclusions) -> list[TapHit]:
     """The taps of a recording; those that cannot be used are reported in `excluded`. FitError where it has none."""
-    loud = events_of(recording, warnings)
+    loud = Events(recording, warnings)
     name, events = recording.name, loud.events
-    found: list[Hit] = []
+    found: list[TapHit] = []
     refused: list[tuple[Event, Unusable]] = []
     for index, event in enumerate(events):
         try:
             found.append(_hit_of(loud, index))
         except Unusable as no:
             refused.append((event, no))
-        shapeless = sum(isinstance(no, _NoTap) for _, no in refused)
+        shapeless = sum(no.fault == "shape" for _, no in refused)
         if shapeless >= 5 and shapeless > len(found):
             first = f"{shapeless} of the first {index + 1}; of one: {refused[0][1]}"
             raise FitError(f"{name}: most of what stands out is no tap, {first}")
-    for kind, least in ((_Undersampled, 1), (_NoApproach, LEAST_TAPS)):
-        alike = [no for _, no in refused if isinstance(no, kind)]
+    for fault, least, hint in (
+        ("rate", 1, "record faster."),
+        ("approach", LEAST_TAPS, "is the position the right column?"),
+    ):
+        alike = [no for _, no in refused if no.fault == fault]
         if len(alike) >= least and len(alike) > len(found):
             count = f"{len(alike)} of {len(events)} taps cannot be used"
-            raise FitError(f"{name}: {count}: {kind.hint} Of the first: {alike[0]}")
+            raise FitError(f"{name}: {count}: {hint} Of the first: {alike[0]}")
     for event, reason in refused:
         excluded.add(name, str(reason), "tap", event.first / recording.rate_hz)
     if not found:
@@ -456,10 +415,10 @@ def hits_of(recording: Recording, warnings: list[str], excluded: Exclusions) -> 
     return found
 
 
-def _hit_of(loud: Events, index: int) -> Hit:
+def _hit_of(loud: Events, index: int) -> TapHit:
     """A tap fitted within its room. Raises Unusable, with what was measured and what is wanted."""
     recording, event, room = loud.recording, loud.events[index], loud.room(index)
-    rate_hz = recording.rate_hz
+    rate_hz, sensor = recording.rate_hz, recording.sensor
     ringing, begin = _fitted(loud, event, *room)
     end = begin + len(ringing.residual)
     loud.check(begin, end)
@@ -467,16 +426,13 @@ def _hit_of(loud: Events, index: int) -> Hit:
     share = ringing.variance_accounted_for
     fault: Unusable | None
     if share < LEAST_EXPLAINED:
-        fault = _NoTap(
-            f"a decaying sinusoid explains {100 * share:.0f} % of it, {100 * LEAST_EXPLAINED:.0f} % are wanted"
-        )
+        wanted = f"{100 * LEAST_EXPLAINED:.0f} % are wanted"
+        fault = Unusable(f"a decaying sinusoid explains {100 * share:.0f} % of it, {wanted}", "shape")
     else:
         fault = _fault_of(rate_hz, event, ringing)
-    pair = None
-    if share < WELL_EXPLAINED:
-        pair = pair_of(measured, rate_hz, ringing, recording.sensor)
-        if pair and (pair.variance_accounted_for < LEAST_EXPLAINED or _fault_of(rate_hz, event, pair) is not None):
-            pair = None
+    pair = pair_of(measured, rate_hz, ringing, sensor) if share < WELL_EXPLAINED else None
+    if pair and (pair.variance_accounted_for < LEAST_EXPLAINED or _fault_of(rate_hz, event, pair) is not None):
+        pair = None
     if fault is not None and pair is None:
         raise fault
     rest = event.first - room[0]
@@ -489,37 +445,17 @@ def _hit_of(loud: Events, index: int) -> Hit:
                 f"give or take {off:.2g}: {LEAST_REST_SAMPLES} samples are wanted, "
                 f"or an onset that is uncertain by {CLEAR_ONSET_SAMPLES:g} at most"
             )
-    begin_s = begin / rate_hz
-    tap = TapHit(
+    return TapHit(
         recording=recording.name,
-        speed_m_per_s=loud.speed(index, begin_s + ringing.onset_s),
+        speed_m_per_s=loud.speed(index, begin / rate_hz + ringing.onset_s),
         rate_hz=rate_hz,
-        begin_s=begin_s,
-        sensor=recording.sensor,
+        begin_s=begin / rate_hz,
+        measured=measured,
+        ringing=ringing,
+        sensor=sensor,
         pair=pair,
         alone=fault is None,
-        **_figures(ringing, begin_s, measured),
     )
-    return tap, ringing
-
-
-def _figures(ringing: Ringing, begin_s: float, measured: Floats) -> dict[str, Any]:
-    """Of a tap, as the first of these modes has it, in a stretch that begins with this one."""
-    mode = Mode(float(ringing.decay_rate_per_s[0]), float(ringing.angular_frequency_rad_per_s[0]))
-    coefficient = float(ringing.coefficients[0])
-    measured = measured[: len(ringing.residual)]
-    return {
-        "onset_s": begin_s + ringing.onset_s,
-        "coefficient_m_per_s2": coefficient,
-        "first_peak_m_per_s2": coefficient * mode.peak,
-        "decay_rate_per_s": mode.decay_rate_per_s,
-        "angular_frequency_rad_per_s": mode.angular_frequency_rad_per_s,
-        "variance_accounted_for": ringing.variance_accounted_for,
-        # A rendered tap may have no noise, and yet is weighted by it.
-        "noise_m_per_s2": max(ringing.noise_m_per_s2, 1e-9 * abs(coefficient)),
-        "measured": measured,
-        "modelled": measured - ringing.residual,
-    }
 
 
 def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing, int]:
@@ -546,8 +482,8 @@ def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing,
 def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None:
     """Why the modes are none that a tap could have."""
     for angular in ringing.angular_frequency_rad_per_s:
-        if slow := undersampled(rate_hz, float(angular) / (2 * math.pi), LEAST_RATE):
-            return _Undersampled(f"it {slow}")
+        if slow := preparation.undersampled(rate_hz, float(angular) / (2 * math.pi), LEAST_RATE):
+            return Unusable(f"it {slow}", "rate")
     uncertain, figure = _uncertainty(ringing)
     if not uncertain < MOST_RELATIVE_ERROR:
         times = event.peak / event.noise if event.noise > 0 else math.inf
@@ -555,7 +491,9 @@ def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None
         # What stands out more, and still cannot be fitted, has another shape.
         strong = 2.0 * LEAST_PEAK_TO_NOISE
         if times > strong:
-            return _NoTap(f"its shape is no ringing: it stands {times:.0f} times out of the noise, but {known}")
+            return Unusable(
+                f"its shape is no ringing: it stands {times:.0f} times out of the noise, but {known}", "shape"
+            )
         return Unusable(
             f"it is too weak for its noise: it stands {times:.1f} times out of it, {strong:g} are wanted, and {known}"
         )
@@ -576,14 +514,6 @@ def _uncertainty(ringing: Ringing) -> tuple[float, str]:
     errors = np.sqrt(variances) / np.abs(values)
     worst = int(np.argmax(errors))
     return float(errors[worst]), ("amplitude", "decay", "frequency")[worst // modes]
-
-
-def _colour(tap: TapHit, ringing: Ringing) -> float:
-    """What is left over while it rings, over what was there before."""
-    onset = max(2, math.floor(ringing.onset_s * tap.rate_hz))
-    end = math.ceil((ringing.onset_s + 5 / tap.decay_rate_per_s) * tap.rate_hz)
-    before = float(np.std(ringing.residual[:onset]))
-    return float(np.std(ringing.residual[onset:end])) / before if before > 0 else math.inf
 
 
 # ---- A second mode that is struck together with the first ------------------------------------------------------------
@@ -613,7 +543,7 @@ class SecondMode:
     def to_dict(self) -> dict[str, Json]:
         figures = fields_of(self)
         alone = figures.pop("alone")
-        return {**figures, "amplitudes": json_table(self.amplitudes), "variance_by_one_mode": alone}
+        return {**figures, "amplitudes": speed_law.json_table(self.amplitudes), "variance_by_one_mode": alone}
 
 
 def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor | None) -> Ringing | None:
@@ -627,69 +557,85 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
     freedom = len(head) - 6
     one, two = float(left @ left), float(pair.residual @ pair.residual)
     turns = float(pair.angular_frequency_rad_per_s.min()) * len(head) / rate_hz
-    return pair if improbable(one, freedom, two, freedom - 3) < BENT_BY_CHANCE and turns > math.pi else None
+    return pair if statistics.improbable(one, freedom, two, freedom - 3) < BENT_BY_CHANCE and turns > math.pi else None
 
 
-def as_pairs(hits: list[Hit], excluded: Exclusions) -> tuple[list[Hit], SecondMode | None]:
+def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], SecondMode | None]:
     """Where one mode explains too little of the median tap and most have the same two: the taps as these two have
     them, the louder one first, and what they have in common. Elsewhere those taps that one mode does for."""
-    alone = float(np.median([ringing.variance_accounted_for for _, ringing in hits])) if hits else 1.0
-    usual = None if alone >= WELL_EXPLAINED else _usual_pair(hits)
-    paired: list[Hit] = []
-    pairs: list[Hit] = []
-    others: list[TapHit] = []
-    for tap, ringing in hits if usual is not None else ():
-        assert usual is not None
-        pair = None if tap.pair is None else _in_order(tap.pair, usual)
-        off = abs(math.log(tap.angular_frequency_rad_per_s) - usual[0])
-        if pair is not None:
-            first = dataclasses.replace(tap, pair=pair, **_figures(pair, tap.begin_s, tap.measured))
-            # The first mode as if it were fitted alone.
-            paired.append((first, pair.of_modes([0])))
-            pairs.append((first, pair))
-        elif ringing.variance_accounted_for >= WELL_EXPLAINED and off < SAME_FREQUENCY:
-            paired.append((tap, ringing))
-        else:
-            others.append(tap)
-    usual_sign = 1.0 if sum(np.sign([tap.coefficient_m_per_s2 for tap, _ in pairs])) >= 0 else -1.0
-    upright = [
-        (tap, pair) if usual_sign > 0 else (tap.turned(), dataclasses.replace(pair, coefficients=-pair.coefficients))
-        for tap, pair in pairs
-        if np.sign(tap.coefficient_m_per_s2) == usual_sign
-    ]
-    second = _common_pair(upright, _median_explained(upright), alone, True) if len(upright) >= LEAST_TAPS else None
-    if second is not None:
-        for tap in others:
-            excluded.add(tap.recording, "it has not the two modes of the others", "tap", tap.onset_s)
-        return paired, second
-    for tap, ringing in hits:
+    alone = float(np.median([tap.variance_accounted_for for tap in taps])) if taps else 1.0
+    pairs = [tap.pair for tap in taps if tap.pair is not None]
+    usual = None if alone >= WELL_EXPLAINED or len(pairs) < len(taps) / 2 else _usual_pair(pairs)
+    if usual is not None:
+        used: list[TapHit] = []
+        struck: list[tuple[TapHit, Ringing]] = []
+        others: list[TapHit] = []
+        for tap in taps:
+            pair = None if tap.pair is None else _in_order(tap.pair, usual)
+            off = abs(math.log(tap.angular_frequency_rad_per_s) - usual[0])
+            if pair is not None:
+                # The first mode as if it were fitted alone.
+                first = pair.of_modes([0])
+                used.append(dataclasses.replace(tap, ringing=first, measured=tap.measured[: len(first.residual)]))
+                struck.append((used[-1], pair))
+            elif tap.variance_accounted_for >= WELL_EXPLAINED and off < SAME_FREQUENCY:
+                used.append(tap)
+            else:
+                others.append(tap)
+        usual_sign = 1.0 if sum(np.sign([tap.coefficient_m_per_s2 for tap, _ in struck])) >= 0 else -1.0
+        upright = [
+            (tap, pair) if usual_sign > 0 else (tap.turned(), pair.turned())
+            for tap, pair in struck
+            if np.sign(tap.coefficient_m_per_s2) == usual_sign
+        ]
+        second = _common_pair(upright, _explained_by(upright), alone, True) if len(upright) >= LEAST_TAPS else None
+        if second is not None:
+            for tap in others:
+                excluded.add(tap.recording, "it has not the two modes of the others", "tap", tap.onset_s)
+            return used, second
+    for tap in taps:
         if not tap.alone:
-            share = 100 * ringing.variance_accounted_for
+            share = 100 * tap.variance_accounted_for
             reason = f"a decaying sinusoid explains {share:.0f} % of it, and the others do not have the two that it has"
             excluded.add(tap.recording, reason, "tap", tap.onset_s)
-    return [hit for hit in hits if hit[0].alone], None
+    return [tap for tap in taps if tap.alone], None
 
 
-def _usual_pair(hits: Sequence[Hit]) -> Floats | None:
-    """Logarithms of the two angular frequencies that most taps have, of the louder one first; None where one mode is
-    enough, or where they do not agree."""
-    pairs = [tap.pair for tap, _ in hits if tap.pair is not None]
-    if len(pairs) < max(LEAST_TAPS, len(hits) / 2):
+def second_mode(taps: list[TapHit], explained: float) -> SecondMode | None:
+    """A mode that most of the 12 loudest taps have besides, at one frequency, where one explains so much."""
+    loudest = sorted(taps, key=lambda tap: tap.noise_m_per_s2 / tap.coefficient_m_per_s2)[:12]
+    coloured = [tap for tap in loudest if tap.colour > MOST_RESIDUAL_TO_NOISE]
+    enough = max(LEAST_TAPS, len(loudest) / 2)
+    if len(coloured) < enough:
+        return None
+    tried = ((tap, pair_of(tap.measured, tap.rate_hz, tap.ringing, tap.sensor)) for tap in coloured)
+    both = [(tap, pair) for tap, pair in tried if pair is not None]
+    usual = _usual_pair([pair for _, pair in both]) if len(both) >= enough else None
+    # A second mode explains a hundredth of the variance besides, at least.
+    if usual is None or _explained_by(both) < explained + 0.01:
+        return None
+    ordered = [(tap, same) for tap, pair in both if (same := _in_order(pair, usual)) is not None]
+    return _common_pair(ordered, _explained_by(both), explained, False)
+
+
+def _explained_by(both: Sequence[tuple[TapHit, Ringing]]) -> float:
+    return float(np.median([pair.variance_accounted_for for _, pair in both]))
+
+
+def _usual_pair(pairs: Sequence[Ringing]) -> Floats | None:
+    """Logarithms of the two angular frequencies that most pairs have, of the louder one first; None where they do not
+    agree."""
+    if len(pairs) < LEAST_TAPS:
         return None
     # By frequency: which of them is louder may change from tap to tap.
     rising = [pair.of_modes(np.argsort(pair.angular_frequency_rad_per_s).tolist()) for pair in pairs]
-    usual, alike = _usual_logs(rising)
-    if np.sum(alike) < max(LEAST_TAPS, AGREEING_PART * len(pairs)):
+    logs = np.log([pair.angular_frequency_rad_per_s for pair in rising])
+    usual = np.median(logs, axis=0)
+    alike = np.all(np.abs(logs - usual) < SAME_FREQUENCY, axis=1)
+    if np.sum(alike) < max(LEAST_TAPS, 0.7 * len(pairs)):
         return None
     sizes = np.array([np.abs(pair.coefficients) / np.sqrt(pair.decay_rate_per_s) for pair in rising])[alike]
     return np.asarray(usual if np.median(sizes[:, 0] / sizes[:, 1]) >= 1 else usual[::-1])
-
-
-def _usual_logs(pairs: Sequence[Ringing]) -> tuple[Floats, Bools]:
-    """Medians of the logarithms of their two angular frequencies, and which of the pairs have both near them."""
-    logs = np.log([pair.angular_frequency_rad_per_s for pair in pairs])
-    usual = np.median(logs, axis=0)
-    return usual, np.all(np.abs(logs - usual) < SAME_FREQUENCY, axis=1)
 
 
 def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
@@ -700,51 +646,28 @@ def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
     return None
 
 
-def _median_explained(both: Sequence[Hit]) -> float:
-    return float(np.median([pair.variance_accounted_for for _, pair in both]))
-
-
-def second_mode(hits: list[Hit], explained: float) -> SecondMode | None:
-    """A mode that most of the 12 loudest taps have besides, at one frequency, where one explains so much."""
-    loudest = sorted(hits, key=lambda hit: hit[0].noise_m_per_s2 / hit[0].coefficient_m_per_s2)[:12]
-    coloured = [(tap, ringing) for tap, ringing in loudest if _colour(tap, ringing) > MOST_RESIDUAL_TO_NOISE]
-    enough = max(LEAST_TAPS, len(loudest) / 2)
-    if len(coloured) < enough:
-        return None
-    tried = ((tap, pair_of(tap.measured, tap.rate_hz, ringing, tap.sensor)) for tap, ringing in coloured)
-    both = [(tap, pair) for tap, pair in tried if pair is not None]
-    if len(both) < enough:
-        return None
-    _, alike = _usual_logs([pair for _, pair in both])
-    together = _median_explained(both)
-    # A second mode explains a hundredth of the variance besides, at least.
-    if np.sum(alike) < max(LEAST_TAPS, AGREEING_PART * len(both)) or together < explained + 0.01:
-        return None
-    return _common_pair([one for one, same in zip(both, alike, strict=True) if same], together, explained, False)
-
-
-def _common_pair(both: list[Hit], together: float, alone: float, kept: bool) -> SecondMode | None:
+def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: float, kept: bool) -> SecondMode | None:
     """What pairs have in common; None where that is no pair, but one mode of another shape."""
     speeds = np.array([tap.speed_m_per_s for tap, _ in both])
     noise = _noise_of([tap for tap, _ in both])
     relative = noise / np.array([tap.first_peak_m_per_s2 for tap, _ in both]) ** 2
     coefficients = np.array([pair.coefficients for _, pair in both])
-    decays = np.array([pair.decay_rate_per_s for _, pair in both])
-    angulars = np.array([pair.angular_frequency_rad_per_s for _, pair in both])
     own = np.array([np.diag(pair.covariance) for _, pair in both])
     between = np.array([pair.covariance[0, 1] for _, pair in both])
     ratios = coefficients[:, 1] / coefficients[:, 0]
     parts = own[:, :2] / coefficients**2
     of_ratio = ratios**2 * (parts.sum(axis=1) - 2 * between / coefficients.prod(axis=1))
 
-    def shared(values: Floats, variances: Floats) -> Estimate:
-        return common(np.log(values), _levelled(variances / values**2, relative))
+    def shared(name: str, first_column: int) -> list[Estimate]:
+        """Of the logarithms of each mode's."""
+        values = np.array([getattr(pair, name) for _, pair in both])
+        variances = own[:, first_column : first_column + 2] / values**2
+        return [common(np.log(values[:, k]), _levelled(variances[:, k], relative)) for k in range(2)]
 
     of_first = _levelled(own[:, 0], noise)
     slope = through_origin(speeds, coefficients[:, 0], of_first, speeds**2).coefficients[0]
     ratio = common(ratios, _levelled(of_ratio, relative))
-    decay = [shared(decays[:, mode], own[:, 2 + mode]) for mode in range(2)]
-    angular = [shared(angulars[:, mode], own[:, 4 + mode]) for mode in range(2)]
+    decay, angular = shared("decay_rate_per_s", 2), shared("angular_frequency_rad_per_s", 4)
     same = abs(angular[1].value - angular[0].value) < SAME_FREQUENCY
     # In periods of its own; what falls to 1/e sooner is a pulse.
     lasts = math.exp(angular[1].value - decay[1].value) / (2 * math.pi)
@@ -757,7 +680,7 @@ def _common_pair(both: list[Hit], together: float, alone: float, kept: bool) -> 
         first_slope_per_s=slope,
         first_frequency_hz=angular[0].mapped(_hertz),
         first_decay_time_s=decay[0].mapped(_time),
-        amplitudes=table(speeds, coefficients[:, 0], of_first),
+        amplitudes=speed_law.table(speeds, coefficients[:, 0], of_first),
         variance_accounted_for=together,
         alone=alone,
         kept=kept,
@@ -765,6 +688,9 @@ def _common_pair(both: list[Hit], together: float, alone: float, kept: bool) -> 
 
 
 # ---- Intervals: what all taps have in common -------------------------------------------------------------------------
+
+Known: TypeAlias = tuple[Floats, Floats]
+"""(n,) values and the variances of the noise alone, without the luck of each tap."""
 
 
 def _noise_of(taps: Sequence[TapHit]) -> Floats:
@@ -789,9 +715,7 @@ def _time(log_decay: float) -> float:
 
 def _peak_variance(ringing: Ringing) -> float:
     """Of A p(B, w), to first order."""
-    values = np.array(
-        [ringing.coefficients[0], ringing.decay_rate_per_s[0], ringing.angular_frequency_rad_per_s[0]], dtype=np.float64
-    )
+    values = np.array([ringing.coefficients[0], ringing.decay_rate_per_s[0], ringing.angular_frequency_rad_per_s[0]])
 
     def peak(at: Floats) -> float:
         return float(at[0]) * Mode(float(at[1]), float(at[2])).peak
@@ -803,44 +727,38 @@ def _peak_variance(ringing: Ringing) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Those of all taps, (n,) each; variances are of the noise alone, without the luck of each tap."""
+    """Those of all taps."""
 
     speeds: Floats
-    amplitudes: Floats
-    """A, in m/s^2."""
-    peaks: Floats
-    """The largest accelerations of the first cycles."""
-    decays: Floats
-    """Logarithms of B."""
-    angulars: Floats
-    """Logarithms of w."""
     noise: Floats
-    of_amplitude: Floats
-    of_peak: Floats
-    of_decay: Floats
-    of_angular: Floats
+    """(n,) variances."""
+    amplitude: Known
+    """A, in m/s^2."""
+    peak: Known
+    """The largest acceleration of the first cycle."""
+    decay: Known
+    """Logarithm of B."""
+    angular: Known
+    """Logarithm of w."""
 
     @classmethod
-    def of(cls, hits: Sequence[Hit]) -> Figures:
-        taps = [tap for tap, _ in hits]
-        noise = _noise_of(taps)
-        decays = np.log([tap.decay_rate_per_s for tap in taps])
-        angulars = np.log([tap.angular_frequency_rad_per_s for tap in taps])
-        peaks = np.array([tap.first_peak_m_per_s2 for tap in taps])
+    def of(cls, taps: Sequence[TapHit]) -> Figures:
+        def each(name: str) -> Floats:
+            return np.array([getattr(tap, name) for tap in taps])
+
+        noise, peaks = _noise_of(taps), each("first_peak_m_per_s2")
+        decays, angulars = each("decay_rate_per_s"), each("angular_frequency_rad_per_s")
         # By the peak, whose error has little to do with those of decay and frequency.
         relative = noise / peaks**2
-        spreads = np.array([np.diag(ringing.covariance)[:3] for _, ringing in hits])
+        spreads = np.array([np.diag(tap.ringing.covariance)[:3] for tap in taps])
+        of_peaks = np.array([_peak_variance(tap.ringing) for tap in taps])
         return cls(
-            speeds=np.array([tap.speed_m_per_s for tap in taps]),
-            amplitudes=np.array([tap.coefficient_m_per_s2 for tap in taps]),
-            peaks=peaks,
-            decays=decays,
-            angulars=angulars,
-            noise=noise,
-            of_amplitude=_levelled(spreads[:, 0], noise),
-            of_peak=_levelled(np.array([_peak_variance(ringing) for _, ringing in hits]), noise),
-            of_decay=_levelled(spreads[:, 1] / np.exp(2 * decays), relative),
-            of_angular=_levelled(spreads[:, 2] / np.exp(2 * angulars), relative),
+            each("speed_m_per_s"),
+            noise,
+            amplitude=(each("coefficient_m_per_s2"), _levelled(spreads[:, 0], noise)),
+            peak=(peaks, _levelled(of_peaks, noise)),
+            decay=(np.log(decays), _levelled(spreads[:, 1] / decays**2, relative)),
+            angular=(np.log(angulars), _levelled(spreads[:, 2] / angulars**2, relative)),
         )
 
 
@@ -871,50 +789,47 @@ class Modes:
 def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -> Modes | None:
     """The table, where one of the two changes from the slowest tap to the fastest by more than chance and enough to
     matter (2 % and 10 %); the other stays the common one. Else None."""
+    speeds, (angulars, of_angular), (decays, of_decay) = figures.speeds, figures.angular, figures.decay
     moved = (
-        moves(figures.speeds, figures.angulars, figures.of_angular, "frequency", 0.02),
-        moves(figures.speeds, -figures.decays, figures.of_decay, "decay time", 0.1),
+        speed_law.moves(speeds, angulars, of_angular, "frequency", 0.02),
+        speed_law.moves(speeds, -decays, of_decay, "decay time", 0.1),
     )
     if not any(moved):
         return None
-    hertz, times = np.exp(figures.angulars) / (2 * math.pi), np.exp(-figures.decays)
-    pairs = [(hertz, figures.of_angular * hertz**2), (times, figures.of_decay * times**2)]
-    knots, least = knots_of(figures.speeds, 2), math.inf
+    hertz, times = np.exp(angulars) / (2 * math.pi), np.exp(-decays)
+    pairs = ((hertz, of_angular * hertz**2), (times, of_decay * times**2))
+
+    def laid(which: int, knots: Floats) -> Regression:
+        hats = np.column_stack([np.interp(speeds, knots, row) for row in np.eye(len(knots))])
+        return statistics.least_squares(hats, *pairs[which])
+
+    def criterion(which: int, knots: Floats) -> float:
+        """AICc with the weights of two points."""
+        try:
+            scatter, left = laid(which, speed_law.knots_of(speeds, 2)).scatter, laid(which, knots).residual
+        except FitError:
+            return math.inf
+        squares = max(float(np.sum(left**2 / (pairs[which][1] + scatter**2))), 1e-24)
+        return statistics.aicc(squares, len(speeds), len(knots))
+
+    knots, least = speed_law.knots_of(speeds, 2), math.inf
     for count in range(2, 6):
-        tried = knots_of(figures.speeds, count)
-        if len(tried) < count:
-            continue
-        criteria = [_aicc(figures.speeds, *pair, tried) for pair, reason in zip(pairs, moved, strict=True) if reason]
-        if sum(criteria) < least:
-            knots, least = tried, sum(criteria)
-    laid = [
-        _laid(figures.speeds, *pair, knots).coefficients if reason else (common,) * len(knots)
-        for pair, reason, common in zip(pairs, moved, (frequency_hz, decay_time_s), strict=True)
+        tried = speed_law.knots_of(speeds, count)
+        reached = sum(criterion(which, tried) for which, reason in enumerate(moved) if reason)
+        if len(tried) == count and reached < least:
+            knots, least = tried, reached
+    found = [
+        laid(which, knots).coefficients if reason else (steady,) * len(knots)
+        for which, (reason, steady) in enumerate(zip(moved, (frequency_hz, decay_time_s), strict=True))
     ]
-    return Modes(tuple(map(float, knots)), tuple(laid[0]), tuple(laid[1]), " and ".join(filter(None, moved)))
-
-
-def _laid(speeds: Floats, values: Floats, variances: Floats, knots: Floats) -> Regression:
-    hats = np.column_stack([np.interp(speeds, knots, row) for row in np.eye(len(knots))])
-    return least_squares(hats, values, variances)
-
-
-def _aicc(speeds: Floats, values: Floats, variances: Floats, knots: Floats) -> float:
-    """With the weights of two points."""
-    try:
-        scatter = _laid(speeds, values, variances, knots_of(speeds, 2)).scatter
-        left = _laid(speeds, values, variances, knots).residual
-    except FitError:
-        return math.inf
-    squares = max(float(np.sum(left**2 / (variances + scatter**2))), 1e-24)
-    return aicc(squares, len(values), len(knots))
+    return Modes(tuple(map(float, knots)), found[0], found[1], " and ".join(filter(None, moved)))
 
 
 # ---- The fit ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TapFit(Judged):
+class TapFit(Fit):
     """What the taps have in common. Slopes are of lines through the origin."""
 
     taps: tuple[TapHit, ...]
@@ -940,7 +855,6 @@ class TapFit(Judged):
     """The power law, where A(v) is one."""
     second: SecondMode | None
     """Offered where one mode is not enough."""
-    sources: tuple[Source, ...]
 
     @property
     def choices(self) -> dict[str, str]:
@@ -975,16 +889,15 @@ class TapFit(Judged):
             raise FitError("no second mode was found: one is enough, or the taps differ")
         if mode_table and self.modes is None:
             raise FitError("frequency and decay do not change with the speed: there is no table of modes")
-        alone = second is None or second.kept
-        modes = self.modes if alone and mode_table is not False else None
+        modes = self.modes if (second is None or second.kept) and mode_table is not False else None
         tap = self._amplitude(attack, law or self.law.kind, second, modes)
         if modes is not None:
             tap["mode_table"] = modes.material()
+        elif second is not None:
+            tap["frequency_hz"] = second.first_frequency_hz.value
+            tap["decay_time_s"] = second.first_decay_time_s.value
         else:
-            first = (self.frequency_hz, self.decay_time_s)
-            if second is not None:
-                first = (second.first_frequency_hz, second.first_decay_time_s)
-            tap |= {"frequency_hz": first[0].value, "decay_time_s": first[1].value}
+            tap |= {"frequency_hz": self.frequency_hz.value, "decay_time_s": self.decay_time_s.value}
         if second is not None:
             figures = ("frequency_hz", "decay_time_s", "ratio")
             tap["second"] = {name: getattr(second, name).value for name in figures}
@@ -1017,17 +930,8 @@ class TapFit(Judged):
 
     def to_dict(self) -> dict[str, Json]:
         """As JSON has it, without the stretches."""
-        figures = ("slope_per_s", "first_peak_slope_per_s", "frequency_hz", "decay_time_s", "offset_slope_per_s")
-        shares = ("r_squared", "r_squared_offset", "variance_accounted_for")
-        return {
-            **fields_of(self, *figures, "offset_m_per_s2", *shares, "modes"),
-            "linear": self.linear,
-            "law": self.law.to_dict(),
-            "amplitudes": json_table(self.amplitudes),
-            "second": None if self.second is None else self.second.to_dict(),
-            "taps": [tap.to_dict() for tap in self.taps],
-            **end_of(self),
-        }
+        amplitudes = speed_law.json_table(self.amplitudes)
+        return {**Fit.to_dict(self), "linear": self.linear, "amplitudes": amplitudes}
 
 
 def fit_tap(
@@ -1041,12 +945,12 @@ def fit_tap(
     Raises FitError (one line) for what they do not support: no onset, too few taps, all at one speed, clipped, sampled
     too slowly, units that cannot be.
     """
-    require_scipy()
-    refuse_duplicates(recordings)
+    statistics.require_scipy()
+    preparation.refuse_duplicates(recordings)
     excluded = Exclusions() if excluded is None else excluded
     warnings: list[str] = []
 
-    def hits_in(recording: Recording) -> list[Hit]:
+    def hits_in(recording: Recording) -> list[TapHit]:
         found = hits_of(recording, warnings, excluded)
         if progress is not None:
             progress(recording)
@@ -1055,41 +959,42 @@ def fit_tap(
     hits, second = as_pairs([hit for found in excluded.each(recordings, hits_in) for hit in found], excluded)
     if len(hits) < LEAST_TAPS:
         raise excluded.refused(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds")
-    hits = _of_one_sign(hits, warnings, excluded)
+    taps = _of_one_sign(hits, warnings, excluded)
     warnings = excluded.lines() + warnings
-    taps = tuple(tap for tap, _ in hits)
-    check_speeds(taps)
-    figures = Figures.of(hits)
+    speed_law.check_speeds(taps)
+    figures = Figures.of(taps)
+    speeds, squares = figures.speeds, figures.speeds**2
     # Taps differ by parts of their amplitudes.
-    over = (figures.speeds, figures.amplitudes, figures.of_amplitude, figures.speeds**2)
-    line, offset = through_origin(*over), with_offset(*over)
-    peaks = through_origin(figures.speeds, figures.peaks, figures.of_peak, figures.speeds**2)
+    line, offset = (
+        through_origin(speeds, *figures.amplitude, squares),
+        statistics.with_offset(speeds, *figures.amplitude, squares),
+    )
     slope = line.coefficients[0]
-    check_slope(slope)
-    angular, decay = common(figures.angulars, figures.of_angular), common(figures.decays, figures.of_decay)
-    check_hardness(slope.value, math.exp(angular.value), "the angular frequency")
+    speed_law.check_slope(slope)
+    angular, decay = common(*figures.angular), common(*figures.decay)
+    speed_law.check_hardness(slope.value, math.exp(angular.value), "the angular frequency")
     frequency, decay_time = angular.mapped(_hertz), decay.mapped(_time)
     _check_ringing(frequency.value, decay_time.value, taps)
     explained = float(np.median([tap.variance_accounted_for for tap in taps]))
     if second is None:
-        second = second_mode(hits, explained)
-    outlier = single_outlier(taps, figures.speeds, figures.amplitudes, figures.noise)
-    law = law_of(figures.speeds, figures.amplitudes, figures.of_amplitude, "line" if outlier else None)
+        second = second_mode(taps, explained)
+    outlier = speed_law.single_outlier(taps, speeds, figures.amplitude[0], figures.noise)
+    law = speed_law.law_of(speeds, *figures.amplitude, "line" if outlier else None)
     doubts = Doubts()
     _doubt_the_recordings(doubts, recordings, taps, frequency)
-    _doubt_the_mode(doubts, hits, second, explained, warnings)
+    _doubt_the_mode(doubts, taps, second, explained, warnings)
     modes = _modes_over_speed(doubts, figures, frequency, decay_time)
     if outlier:
         doubts.add(False, outlier, "is its speed right?")
     else:
-        doubt_the_law(doubts, law, line.r_squared)
+        speed_law.doubt_the_law(doubts, law, line.r_squared)
     excluded.report_taps(len(taps), doubts)
     explains = "two modes explain" if second is not None and second.kept else "one mode explains"
     r_squared = law.r_squared if law.kind != "line" else line.r_squared
     return TapFit(
-        taps=taps,
+        taps=tuple(taps),
         slope_per_s=slope,
-        first_peak_slope_per_s=peaks.coefficients[0],
+        first_peak_slope_per_s=through_origin(speeds, *figures.peak, squares).coefficients[0],
         frequency_hz=frequency,
         decay_time_s=decay_time,
         modes=modes,
@@ -1101,7 +1006,6 @@ def fit_tap(
         law=law,
         power=law.power if law.kind == "power" else None,
         second=second,
-        sources=tuple(recording.source for recording in recordings),
         warnings=tuple(warnings + doubts.warnings),
         judged=doubts.judged(
             f"{explains} {100 * explained:.1f} % of {len(taps)} taps", f"A(v) is {law.named} (r^2 {r_squared:.3f})"
@@ -1110,18 +1014,18 @@ def fit_tap(
     )
 
 
-def _of_one_sign(hits: list[Hit], warnings: list[str], excluded: Exclusions) -> list[Hit]:
+def _of_one_sign(hits: list[TapHit], warnings: list[str], excluded: Exclusions) -> list[TapHit]:
     """With positive coefficients."""
-    signs = [math.copysign(1.0, tap.coefficient_m_per_s2) for tap, _ in hits]
+    signs = [math.copysign(1.0, tap.coefficient_m_per_s2) for tap in hits]
     usual = 1.0 if sum(signs) >= 0 else -1.0
     if usual < 0:
         warnings.append("the taps begin downwards: the acceleration is taken with its sign turned")
     found = []
-    for sign, (tap, ringing) in zip(signs, hits, strict=True):
+    for sign, tap in zip(signs, hits, strict=True):
         if sign != usual:
             excluded.add(tap.recording, "it begins the other way than most", "tap", tap.onset_s)
             continue
-        found.append((tap if usual > 0 else tap.turned(), ringing))
+        found.append(tap if usual > 0 else tap.turned())
     other = len(hits) - len(found)
     # One, or a quarter of them, is left out.
     if len(found) < LEAST_TAPS or (other > 1 and other > 0.25 * len(hits)):
@@ -1167,15 +1071,11 @@ def _doubt_the_recordings(
         return lines_in_residual(seen, model, recording.rate_hz, needed)
 
     report_lines(of_taps, lines, doubts)
-    report_sampling(of_taps, frequency.value, doubts)
+    preparation.report_sampling(of_taps, frequency.value, doubts)
 
 
 def _doubt_the_mode(
-    doubts: Doubts,
-    hits: Sequence[Hit],
-    second: SecondMode | None,
-    explained: float,
-    warnings: list[str],
+    doubts: Doubts, taps: Sequence[TapHit], second: SecondMode | None, explained: float, warnings: list[str]
 ) -> None:
     """What one mode, or two, leave over."""
     if second is not None:
@@ -1191,26 +1091,26 @@ def _doubt_the_mode(
     elif explained < WELL_EXPLAINED:
         doubts.add(True, "the rest is of another kind")
     else:
-        doubts.add(False, _lack_of_fit(hits), "the figures may be farther off than their intervals say")
+        doubts.add(False, _lack_of_fit(taps), "the figures may be farther off than their intervals say")
 
 
-def _lack_of_fit(hits: Sequence[Hit]) -> str:
+def _lack_of_fit(taps: Sequence[TapHit]) -> str:
     """Whether what is left over has a shape that all taps have, and is no noise: the score test of the shapes that
     ringing.py tries beside the mode. Empty where it has none."""
-    coloured = float(np.median([_colour(tap, ringing) for tap, ringing in hits]))
-    size = len(hits[0][1].lack_of_fit[0])
+    coloured = float(np.median([tap.colour for tap in taps]))
+    size = len(taps[0].ringing.lack_of_fit[0])
     score, squares, heard, left, samples = np.zeros(size), np.zeros((size, size)), 0.0, 0.0, 0
-    for tap, ringing in hits:
-        noise = tap.noise_m_per_s2**2
-        score += ringing.lack_of_fit[0] / noise
-        squares += ringing.lack_of_fit[1] / noise
+    for tap in taps:
+        noise, residual = tap.noise_m_per_s2**2, tap.ringing.residual
+        score += tap.ringing.lack_of_fit[0] / noise
+        squares += tap.ringing.lack_of_fit[1] / noise
         modelled = tap.modelled - np.median(tap.modelled)
         heard += float(modelled @ modelled) / noise
-        left += float(ringing.residual @ ringing.residual) / noise
-        samples += len(tap.measured) - 6
+        left += float(residual @ residual) / noise
+        samples += len(residual) - 6
     taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
     share = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
-    chance = improbable(float(samples), samples, max(0.0, samples - taken), samples - size)
+    chance = statistics.improbable(float(samples), samples, max(0.0, samples - taken), samples - size)
     if share > REPORTED_SHAPE and (chance < BENT_BY_CHANCE or coloured > MOST_RESIDUAL_TO_NOISE):
         return f"what is left over has a shape, {100 * share:.0f} % of the ringing"
     if coloured > MOST_RESIDUAL_TO_NOISE and math.sqrt(left / heard) > REPORTED_SHAPE:
@@ -1224,7 +1124,7 @@ def _modes_over_speed(doubts: Doubts, figures: Figures, frequency: Estimate, dec
     if modes is None:
         doubts.check_interval("decay time", decay_time)
     expected = 0.0 if modes is None else np.log(modes.frequency_at(figures.speeds))
-    scatter = float(np.std(figures.angulars - expected))
+    scatter = float(np.std(figures.angular[0] - expected))
     doubts.check("scatter of the frequency", scatter, events="taps", one="material, held alike")
     if modes is not None:
         doubts.warn(f"{modes.why}; the material has a table of modes over the speed")

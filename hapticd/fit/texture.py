@@ -24,41 +24,19 @@ least corrected information criterion of Akaike (Hurvich and Tsai, 1989).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
-from hapticd.analysis.statistics import (
-    Estimate,
-    FitError,
-    Floats,
-    Ints,
-    jackknife_error,
-    least_squares,
-)
+from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, jackknife_error, least_squares
 from hapticd.base.lattice import coefficients_of
-from hapticd.fit.preparation import (
-    LEAST_RATE,
-    Cleaned,
-    acceleration_of,
-    check_apart,
-    check_force_varies,
-    check_range,
-    gravity_of,
-    motion_of,
-    moved_with,
-    pressed,
-    refuse_duplicates,
-    report_cleaning,
-    stretches_of,
-    vary_apart,
-    without_invalid_samples,
-)
+from hapticd.fit import preparation
+from hapticd.fit.preparation import Stroke, stroke_of
 from hapticd.fit.recording import Recording
-from hapticd.fit.result import Judged, fields_of
+from hapticd.fit.result import Fit, fields_of
 from hapticd.fit.spectral_lines import report_lines, spectral_lines
 from hapticd.fit.verdict import Doubts, Exclusions
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
@@ -86,87 +64,66 @@ MAX_ORDER: Final = 32
 
 @dataclass(frozen=True, slots=True)
 class StrokeBlocks:
-    """A recording in blocks: density (blocks, frequencies) in (m/s^2)^2/Hz, one-sided, without the sensor's."""
+    """A recording in blocks."""
 
-    name: str
-    frequency_hz: Floats
+    stroke: Stroke
     density: Floats
-    speed: Floats
-    force: Floats
-    moments: Floats
-    """(blocks, 3) means of the squares of speed and of force, and between them of their product."""
+    """(blocks, frequencies) in (m/s^2)^2/Hz, one-sided, without the sensor's."""
+    means: Floats
+    """(blocks, 5) of speed, of force, of the square of speed, of their product and of the square of force."""
     floor: float
+    """The sensor's density."""
     lost: int
     """Blocks that do not count, as of `_spoilt`."""
-    kept: Cleaned
 
 
-def _slices_of(cut: Sequence[StrokeBlocks]) -> Iterator[tuple[StrokeBlocks, slice]]:
-    """Each with its blocks among all."""
-    start = 0
-    for each in cut:
-        yield each, slice(start, start + len(each.density))
-        start += len(each.density)
+def _frequencies(rate_hz: float) -> Floats:
+    return np.asarray(np.fft.rfftfreq(round(BLOCK_S * rate_hz / 2), 1 / rate_hz), dtype=np.float64)
 
 
-def _blocks_of(kept: Cleaned, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
+def _blocks_of(stroke: Stroke, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
     """A recording in blocks. FitError where its rate is another one, and where it is no texture."""
-    recording = kept.recording
-    if recording.rate_hz != usual_hz:
+    from scipy.signal import periodogram
+
+    name, rate_hz = stroke.recording.name, stroke.recording.rate_hz
+    if rate_hz != usual_hz:
         raise FitError(
-            f"{recording.name}: sampled at {recording.rate_hz:g} Hz, most others at {usual_hz:g} Hz: strokes of one "
-            "texture need one rate"
+            f"{name}: sampled at {rate_hz:g} Hz, most others at {usual_hz:g} Hz: strokes of one texture need one rate"
         )
-    rate_hz = recording.rate_hz
-    seen, force = acceleration_of(recording), pressed(recording)
-    speed = motion_of(recording, len(seen)).speed_m_per_s
-    usual = float(np.median(np.abs(speed)))
-    windows = _Windows(rate_hz)
-    spoilt = _spoilt(kept, seen, windows.block, doubts)
+    # Three windows of Hann's in each block: at both ends, and half-way over the first.
+    block, length = round(BLOCK_S * rate_hz), round(BLOCK_S * rate_hz / 2)
+    window = np.hanning(length + 1)[:-1]
+    weights = np.zeros(block)
+    firsts = (0, length // 2, block - length)
+    for first in firsts:
+        weights[first : first + length] += window**2
+    weights /= weights.sum()
+    speed, force = np.abs(stroke.speed), np.maximum(stroke.force, 0.0)
+    slowest = 0.2 * float(np.median(speed))
+    spoilt = _spoilt(stroke, block, doubts)
     found, means = [], []
-    for start in range(0, len(seen) - windows.block + 1, windows.block):
-        here = slice(start, start + windows.block)
-        if start in spoilt or np.abs(speed[here]).min() < 0.2 * usual or force[here].mean() <= 0:
+    for start in range(0, len(speed) - block + 1, block):
+        here = slice(start, start + block)
+        if start in spoilt or speed[here].min() < slowest or stroke.force[here].mean() <= 0:
             continue
-        found.append(windows.periodogram(seen[here]))
-        moved, press = np.abs(speed[here]), np.maximum(force[here], 0.0)
-        means.append([windows.mean(each) for each in (moved, press, moved**2, moved * press, press**2)])
+        moved, press = speed[here], force[here]
+        pieces = [stroke.acceleration[start + first : start + first + length] for first in firsts]
+        found.append(periodogram(pieces, rate_hz, window)[1].mean(axis=0))
+        means.append([float(weights @ each) for each in (moved, press, moved**2, moved * press, press**2)])
     if not found:
-        raise FitError(f"{recording.name}: holds no half second of one stroke")
-    frequency: Floats = np.asarray(np.fft.rfftfreq(windows.length, 1 / rate_hz), dtype=np.float64)
-    density, floor = _without_hiss(recording.name, frequency, np.array(found, dtype=np.float64), rate_hz)
-    _refuse_motion(recording.name, frequency, density.mean(axis=0))
+        raise FitError(f"{name}: holds no half second of one stroke")
+    density = np.array(found, dtype=np.float64)
+    if length % 2 == 0:
+        # scipy has the power of the bin at half the rate once, that of all others twice.
+        density[:, -1] *= 2
+    frequency = _frequencies(rate_hz)
+    density, floor = _without_hiss(name, frequency, density, rate_hz)
+    _refuse_motion(name, frequency, density.mean(axis=0))
     just = (frequency >= LOW_HZ) & (frequency < 2 * LOW_HZ)
     density[:, frequency < LOW_HZ] = density[:, just].mean(axis=1)[:, None]
     # A sum over the bins is then the integral from 0 on.
     density[:, 0] /= 2
-    by = np.array(means)
-    return StrokeBlocks(recording.name, frequency, density, by[:, 0], by[:, 1], by[:, 2:], floor, len(spoilt), kept)
-
-
-class _Windows:
-    """Three windows of Hann's in each block: at both ends, and half-way over the first."""
-
-    def __init__(self, rate_hz: float) -> None:
-        self.block, self.length = round(BLOCK_S * rate_hz), round(BLOCK_S * rate_hz / 2)
-        """Samples of a block, and of a window."""
-        self._window = np.hanning(self.length + 1)[:-1]
-        self._scale = 2 / (rate_hz * float(self._window @ self._window))
-        self._firsts = (0, self.length // 2, self.block - self.length)
-        weights = np.zeros(self.block)
-        for first in self._firsts:
-            weights[first : first + self.length] += self._window**2
-        self._weights = weights / weights.sum()
-
-    def periodogram(self, part: Floats) -> Floats:
-        """(frequencies,) of a block, per Hz, one-sided."""
-        pieces = np.array([part[first : first + self.length] for first in self._firsts])
-        pieces -= pieces.mean(axis=1, keepdims=True)
-        return np.asarray(np.mean(np.abs(np.fft.rfft(self._window * pieces)) ** 2, axis=0) * self._scale)
-
-    def mean(self, values: Floats) -> float:
-        """Of a block, as the power's is taken."""
-        return float(self._weights @ values)
+    return StrokeBlocks(stroke, density, np.array(means), floor, len(spoilt))
 
 
 def _without_hiss(name: str, frequency: Floats, density: Floats, rate_hz: float) -> tuple[Floats, float]:
@@ -185,11 +142,12 @@ def _without_hiss(name: str, frequency: Floats, density: Floats, rate_hz: float)
     return density - floor, floor
 
 
-def _spoilt(kept: Cleaned, seen: Floats, block: int, doubts: Doubts) -> set[int]:
+def _spoilt(stroke: Stroke, block: int, doubts: Doubts) -> set[int]:
     """First samples of the blocks that do not count: more than 2 % was not measured so, or something knocked: 15
     standard deviations of a block, which noise does not reach."""
+    seen = stroke.acceleration
     starts = range(0, len(seen) - block + 1, block)
-    lost = {start for start in starts if np.mean(kept.replaced[start : start + block]) > 0.02}
+    lost = {start for start in starts if np.mean(stroke.replaced[start : start + block]) > 0.02}
     knocks = []
     for start in starts:
         part = np.abs(seen[start : start + block] - np.median(seen[start : start + block]))
@@ -198,10 +156,9 @@ def _spoilt(kept: Cleaned, seen: Floats, block: int, doubts: Doubts) -> set[int]
     # Where more than a tenth of the blocks have them, it is a texture of knocks.
     if 0 < len(knocks) <= max(1, 0.1 * len(starts)):
         at = knocks[0] + int(np.argmax(np.abs(seen[knocks[0] : knocks[0] + block])))
-        value = f"{seen[at]:.4g} m/s^2 at {at / kept.recording.rate_hz:.6g} s"
         doubts.warn(
-            f"{kept.recording.name}: the acceleration of {value} is a knock: {len(knocks) * BLOCK_S:g} s about such "
-            "are left out"
+            f"{stroke.recording.name}: the acceleration of {seen[at]:.4g} m/s^2 at "
+            f"{at / stroke.recording.rate_hz:.6g} s is a knock: {len(knocks) * BLOCK_S:g} s about such are left out"
         )
         lost |= set(knocks)
     return lost
@@ -259,53 +216,53 @@ class Tail:
 
 @dataclass(frozen=True, slots=True)
 class _Blocks:
-    """The blocks of all strokes together: names, stroke's number, speed, force and RMS of each (blocks,)."""
+    """The blocks of all strokes together."""
 
-    names: list[str]
+    strokes: tuple[Stroke, ...]
     stroke: Ints
+    """(blocks,) the place of each block's stroke among these."""
     frequency: Floats
     """(frequencies,) up to where the spectra sink into the sensor's hiss; how they go on from there is `tail`."""
     density: Floats
     """(blocks, frequencies)."""
     tail: Tail | None
-    speed: Floats
-    force: Floats
-    moments: Floats
-    """(blocks, 3), as of StrokeBlocks."""
+    means: Floats
+    """(blocks, 5), as of StrokeBlocks."""
     rms: Floats
+    """(blocks,)."""
 
     @classmethod
-    def of(cls, strokes: Sequence[StrokeBlocks], excluded: Exclusions) -> _Blocks:
+    def of(cls, cut: Sequence[StrokeBlocks], excluded: Exclusions) -> _Blocks:
         """FitError for too few of them, and for an RMS that is no texture's."""
-        density = np.concatenate([each.density for each in strokes])
+        density = np.concatenate([each.density for each in cut])
         if len(density) < LEAST_BLOCKS:
             raise excluded.refused(
                 f"{len(density) * BLOCK_S:g} s of strokes are too few: at least {LEAST_BLOCKS * BLOCK_S:g} s are needed"
             )
-        names = [each.name for each in strokes for _ in each.density]
-        frequency = strokes[0].frequency_hz
+        strokes = tuple(each.stroke for each in cut)
+        stroke = np.repeat(np.arange(len(cut)), [len(each.density) for each in cut])
+        frequency = _frequencies(strokes[0].recording.rate_hz)
         power = density.sum(axis=1) * frequency[1]
         rough = (density / power[:, None]).mean(axis=0)
-        top, tail = _top_of(frequency, rough, float(np.mean([each.floor for each in strokes]) / np.median(power)))
+        top, tail = _top_of(frequency, rough, float(np.mean([each.floor for each in cut]) / np.median(power)))
         heard = frequency <= top
         frequency, density = frequency[heard], density[:, heard]
         power = density.sum(axis=1) * frequency[1]
         if power.min() <= 0:
-            raise FitError(f"{names[int(np.argmin(power))]}: what is there is no more than the sensor's hiss")
+            name = strokes[stroke[int(np.argmin(power))]].recording.name
+            raise FitError(f"{name}: what is there is no more than the sensor's hiss")
         rms = np.sqrt(power)
         usual = float(np.median(rms))
-        check_range(usual, *RMS_M_PER_S2, f"an RMS of {usual:.3g} m/s^2 is", "texture's")
-        return cls(
-            names=names,
-            stroke=np.repeat(np.arange(len(strokes)), [len(each.density) for each in strokes]),
-            frequency=frequency,
-            density=density,
-            tail=tail,
-            speed=np.concatenate([each.speed for each in strokes]),
-            force=np.concatenate([each.force for each in strokes]),
-            moments=np.concatenate([each.moments for each in strokes]),
-            rms=rms,
-        )
+        preparation.check_range(usual, *RMS_M_PER_S2, f"an RMS of {usual:.3g} m/s^2 is", "texture's")
+        return cls(strokes, stroke, frequency, density, tail, np.concatenate([each.means for each in cut]), rms)
+
+    @property
+    def speed(self) -> Floats:
+        return np.asarray(self.means[:, 0])
+
+    @property
+    def force(self) -> Floats:
+        return np.asarray(self.means[:, 1])
 
     def centroid(self, density: Floats) -> float:
         """Mean frequency of a density (frequencies,), in Hz."""
@@ -467,30 +424,24 @@ def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> flo
 
 # ---- Loudness over speed and force -----------------------------------------------------------------------------------
 
-
-@dataclass(frozen=True, slots=True)
-class _Loudness:
-    """RMS of each block as its law has it (blocks,), and the gains of the law."""
-
-    rms: Floats
-    gains: tuple[Estimate, Estimate] | tuple[None, None]
-    correlation: float
+Gains: TypeAlias = tuple[Estimate, Estimate] | tuple[None, None]
 
 
-def _loudness(blocks: _Blocks, autoregressive: bool, doubts: Doubts) -> _Loudness:
-    """The law over speed and force; where these do not vary apart, the mean of each stroke, if models need no law."""
+def _loudness(blocks: _Blocks, autoregressive: bool, doubts: Doubts) -> tuple[Floats, Gains, float]:
+    """RMS of each block as its law has it (blocks,), the gains of the law over speed and force, and its correlation;
+    where these do not vary apart, the mean of each stroke, if models need no law."""
     if not autoregressive:
-        check_apart(blocks.speed, blocks.force)
-    if vary_apart(blocks.speed, blocks.force):
-        return _law(blocks.moments, blocks.rms, doubts)
+        preparation.check_apart(blocks.speed, blocks.force)
+    if preparation.vary_apart(blocks.speed, blocks.force):
+        return _law(blocks.means[:, 2:], blocks.rms, doubts)
     doubts.warn("speed and force vary too little, or together: no gains")
-    means = np.array([np.mean(blocks.rms[blocks.stroke == each]) for each in np.unique(blocks.stroke)])
-    return _Loudness(means[blocks.stroke], (None, None), math.nan)
+    means = np.array([np.mean(blocks.rms[blocks.stroke == each]) for each in range(len(blocks.strokes))])
+    return means[blocks.stroke], (None, None), math.nan
 
 
-def _law(moments: Floats, rms: Floats, doubts: Doubts) -> _Loudness:
-    """RMS as the law has it, gains, and their correlation. The mean power of a block is g' M g, with the gains g and
-    the block's moments M; its derivative 2 M g, relative to the power, gives the columns."""
+def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, Gains, float]:
+    """As of `_loudness`. The mean power of a block is g' M g, with the gains g and the block's moments M; its
+    derivative 2 M g, relative to the power, gives the columns."""
     squares = moments[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     gains = np.linalg.lstsq(np.sqrt(moments[:, [0, 2]]) / rms[:, None], np.ones(len(rms)), rcond=None)[0]
     for _ in range(30):
@@ -517,7 +468,7 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> _Loudness:
     correlation = float(np.corrcoef(law, rms)[0, 1]) if np.ptp(law) > 0 and np.ptp(rms) > 0 else math.nan
     doubts.check("distance from the law", float(np.std(np.log(rms / law))))
     doubts.check("correlation of the law", correlation, what="loudness")
-    return _Loudness(law, (velocity_gain, force_gain), correlation)
+    return law, (velocity_gain, force_gain), correlation
 
 
 # ---- Autoregressive models -------------------------------------------------------------------------------------------
@@ -542,15 +493,15 @@ def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
     return min(rate_hz, 2 * float(frequency[-1]), float(math.ceil(max(top / 0.4, 100.0))))
 
 
-def _models_of(blocks: _Blocks, strokes: Sequence[StrokeBlocks], rate_hz: float) -> tuple[ArModel, ...]:
+def _models_of(blocks: _Blocks, rate_hz: float) -> tuple[ArModel, ...]:
     """Of the blocks whose speeds and forces differ by less than a tenth. FitError where there are none of 2 s."""
     columns = (blocks.speed, blocks.force)
     places: list[list[int]] = []
-    for _, here in _slices_of(strokes):
+    for stroke in range(len(blocks.strokes)):
         # A recording whole where speed and force keep near their means, otherwise block by block.
-        members = list(range(here.start, here.stop))
+        here = np.flatnonzero(blocks.stroke == stroke)
         steady = max(float(np.ptp(values[here]) / np.mean(values[here])) for values in columns) < 0.5
-        for part in [members] if steady else [[member] for member in members]:
+        for part in [here.tolist()] if steady else [[member] for member in here.tolist()]:
             for place in places:
                 if all(abs(np.mean(values[part]) / np.mean(values[place]) - 1) < 0.1 for values in columns):
                     place += part
@@ -604,7 +555,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TextureFit(Judged):
+class TextureFit(Fit):
     """What strokes over one texture say. All intervals are of 95 %."""
 
     peak_hz: Estimate
@@ -649,12 +600,12 @@ def fit_texture(
     Recordings, and stretches of them, that cannot be used are reported in `excluded`.
     """
     excluded = Exclusions() if excluded is None else excluded
-    refuse_duplicates(recordings)
+    preparation.refuse_duplicates(recordings)
     rates = [recording.rate_hz for recording in recordings]
     if not rates:
         raise FitError("no recordings")
     usual_hz = max(rates, key=rates.count)
-    stretches = stretches_of(recordings, BLOCK_S, excluded)
+    stretches = preparation.stretches_of(recordings, BLOCK_S, excluded)
     while True:
         try:
             return _fitted(stretches, usual_hz, autoregressive, excluded)
@@ -667,30 +618,31 @@ def fit_texture(
 def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
     """Of stretches of strokes. _TwoTextures where one of them is of more than one."""
     doubts = Doubts()
-    strokes = _cut(stretches, rate_hz, excluded, doubts)
-    recordings = [each.kept.recording for each in strokes]
-    blocks = _Blocks.of(strokes, excluded)
-    for line in gravity_of(recordings):
-        doubts.doubt(line)
-    report_lines(recordings, lambda each, needed: spectral_lines(acceleration_of(each), rate_hz, needed), doubts)
-    check_force_varies(recordings, blocks.force, doubts)
-    loudness = _loudness(blocks, autoregressive, doubts)
+    blocks = _Blocks.of(_cut(stretches, rate_hz, excluded, doubts), excluded)
+    recordings = [each.recording for each in blocks.strokes]
+    preparation.report_gravity(recordings, doubts)
+    report_lines(blocks.strokes, lambda each, needed: spectral_lines(each.acceleration, rate_hz, needed), doubts)
+    preparation.check_force_varies(recordings, blocks.force, doubts)
+    law, (velocity_gain, force_gain), correlation = _loudness(blocks, autoregressive, doubts)
     # Not by each block's own power, which goes with its peak.
-    shape = blocks.density / (loudness.rms**2)[:, None]
+    shape = blocks.density / (law**2)[:, None]
     centroid = np.array([blocks.centroid(each) for each in shape])
     peak = peak_of(blocks.frequency, shape, blocks.stroke)
     mean = jackknifed(blocks.centroid, shape, blocks.stroke)
-    if rate_hz < LEAST_RATE * mean.value:
+    if rate_hz < preparation.LEAST_RATE * mean.value:
         raise FitError(f"the mean frequency is {mean.value:.4g} Hz, sampled at {rate_hz:g} Hz: the rate is too low")
-    for each, here in _slices_of(strokes):
-        _refuse_two(each.name, np.log(np.maximum(centroid[here], 1.0)), np.log(blocks.rms[here] / loudness.rms[here]))
+    for place, recording in enumerate(recordings):
+        here = blocks.stroke == place
+        _refuse_two(recording.name, np.log(np.maximum(centroid[here], 1.0)), np.log(blocks.rms[here] / law[here]))
     # So seldom by chance that a good fit is not called fair for it.
-    by_speed, by_force = moved_with(blocks.speed, blocks.force, centroid, "mean frequency", 0.05, 0.99, doubts)
+    by_speed, by_force = preparation.moved_with(
+        blocks.speed, blocks.force, centroid, "mean frequency", 0.05, 0.99, doubts
+    )
     ar_rate: float | None = None
     models: tuple[ArModel, ...] = ()
     if autoregressive:
         ar_rate = _model_rate(blocks.frequency, shape.mean(axis=0), rate_hz)
-        models = _models_of(blocks, strokes, ar_rate)
+        models = _models_of(blocks, ar_rate)
     _doubt_the_peak(peak, autoregressive, doubts)
     doubts.check_interval("mean frequency", mean)
     if peak.resolved and not autoregressive:
@@ -699,23 +651,24 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
         model = power_spectrum(stochastic_filter(peak.hz.value, mean.value, rate_hz), blocks.frequency, rate_hz)
         apart = spectral_distance_db(blocks.frequency, model, np.maximum(power, 1e-6 * power.max()))
         doubts.check("decibels between the spectra", apart)
-    place = f"peak at {peak.hz.value:.4g} Hz" if peak.resolved else f"peak below {peak.hz.high:.3g} Hz"
+    found = f"peak at {peak.hz.value:.4g} Hz" if peak.resolved else f"peak below {peak.hz.high:.3g} Hz"
+    names = [recordings[place].name for place in blocks.stroke]
     figures = zip(blocks.speed, blocks.force, blocks.rms, centroid, strict=True)
     return TextureFit(
         peak_hz=peak.hz,
         peak_resolved=peak.resolved,
         mean_hz=mean,
-        velocity_gain_per_s=loudness.gains[0],
-        force_gain_m_per_s2_per_n=loudness.gains[1],
-        correlation=loudness.correlation,
+        velocity_gain_per_s=velocity_gain,
+        force_gain_m_per_s2_per_n=force_gain,
+        correlation=correlation,
         mean_per_speed_hz_s_per_m=by_speed,
         mean_per_force_hz_per_n=by_force,
         ar_rate_hz=ar_rate,
         ar_models=models,
-        blocks=tuple(Block(name, *map(float, each)) for name, each in zip(blocks.names, figures, strict=True)),
+        blocks=tuple(Block(name, *map(float, each)) for name, each in zip(names, figures, strict=True)),
         warnings=tuple(doubts.warnings),
         judged=doubts.judged(
-            f"{len(centroid) * BLOCK_S:g} s of noise with its {place} and its mean at {mean.value:.4g} Hz"
+            f"{len(centroid) * BLOCK_S:g} s of noise with its {found} and its mean at {mean.value:.4g} Hz"
             + (f", {len(models)} autoregressive models" if models else "")
         ),
         left_out=tuple(excluded.items),
@@ -724,17 +677,15 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
 
 def _cut(stretches: Sequence[Recording], rate_hz: float, excluded: Exclusions, doubts: Doubts) -> list[StrokeBlocks]:
     """Every stretch in blocks. FitError where none can be used."""
-    strokes = excluded.each(
-        stretches, lambda each: _blocks_of(without_invalid_samples(each, "texture"), rate_hz, doubts)
-    )
-    if not strokes:
+    found = excluded.each(stretches, lambda each: _blocks_of(stroke_of(each, "texture"), rate_hz, doubts))
+    if not found:
         raise excluded.refused("none of the recordings can be used")
-    report_cleaning([each.kept for each in strokes], doubts)
-    excluded.report([each.kept.recording for each in strokes], doubts)
-    dropped = sum(each.lost for each in strokes)
-    lost = dropped / (dropped + sum(len(each.density) for each in strokes))
+    preparation.report_cleaning([each.stroke for each in found], doubts)
+    excluded.report([each.stroke.recording for each in found], doubts)
+    dropped = sum(each.lost for each in found)
+    lost = dropped / (dropped + sum(len(each.density) for each in found))
     doubts.check("part left out", lost, left=f"{100 * lost:.0f} % of the strokes are left out")
-    return strokes
+    return found
 
 
 class _TwoTextures(FitError):

@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -24,10 +24,11 @@ import numpy as np
 from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
 from hapticd.base.yaml_source import Json
 from hapticd.config.waveform import LONGEST_S, MOST_SAMPLES, Curve
-from hapticd.fit.recording import Recording, Source
-from hapticd.fit.result import Judged, end_of, fields_of
-from hapticd.fit.speed_law import Amplitudes, Tap, check_hardness, check_slope, check_speeds, doubt_the_law, law_of
-from hapticd.fit.tap import LEAST_REST, Events, Unusable, events_of
+from hapticd.fit import speed_law
+from hapticd.fit.recording import Recording
+from hapticd.fit.result import Fit
+from hapticd.fit.speed_law import Amplitudes
+from hapticd.fit.tap import LEAST_REST, Events, Unusable
 from hapticd.fit.verdict import Doubts, Exclusions
 
 LEAST_PULSES: Final = 3
@@ -99,7 +100,7 @@ def pulses_of(recordings: Sequence[Recording], warnings: list[str], excluded: Ex
     """The taps of recordings, each with the rest before it; what cannot be used is reported in `excluded`."""
 
     def pulses_in(recording: Recording) -> list[Pulse]:
-        loud = events_of(recording, warnings)
+        loud = Events(recording, warnings)
         found = []
         for index, event in enumerate(loud.events):
             try:
@@ -241,77 +242,114 @@ def _upright(samples: Floats, rate_hz: float) -> tuple[Floats, Curve]:
     return scaled, Curve(scaled, rate_hz)
 
 
-def common_shape(
-    pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int, turns: int = 6
-) -> tuple[Floats, list[Placed]]:
-    """Samples (count,) of the shape at this rate, and the pulses by it; begun from where the pulses are `placed`."""
-    found = list(placed)
-    reach_s = 2.0 / rate_hz
-    for turn in range(turns + 1):
-        samples, shape = _upright(Equations(pulses, found, rate_hz, count).solved(), rate_hz)
-        found = [_place(shape, pulse, where.onset_s, reach_s) for pulse, where in zip(pulses, found, strict=True)]
-        if turn < turns:
-            # The shape may slide along its samples together with all onsets.
-            slid = float(np.median([new.onset_s for new in found]) - np.median([old.onset_s for old in placed]))
-            found = [dataclasses.replace(each, onset_s=each.onset_s - slid) for each in found]
-            reach_s = max(reach_s / 2, 0.25 / rate_hz)
-    return samples, found
-
-
 @dataclass(frozen=True, slots=True)
 class Shape:
     """The waveform of some pulses, and these by it."""
 
-    samples: Floats
-    rate_hz: float
+    pulses: tuple[Pulse, ...]
     placed: tuple[Placed, ...]
-    explained: Floats
-    """(n,) of each pulse, by the shape of the others."""
-    beside_noise: Floats
-    """(n,) the same with the noise taken off."""
-    uncertain: Uncertain
-    faded: bool
+    rate_hz: float
+    """Of the samples."""
+    samples: Floats
+    """(count,)."""
+
+    @classmethod
+    def of(cls, pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int, turns: int = 6) -> Shape:
+        """With so many samples at this rate; begun from where the pulses are `placed`."""
+        found = list(placed)
+        reach_s = 2.0 / rate_hz
+        for turn in range(turns + 1):
+            samples, curve = _upright(Equations(pulses, found, rate_hz, count).solved(), rate_hz)
+            found = [_place(curve, pulse, where.onset_s, reach_s) for pulse, where in zip(pulses, found, strict=True)]
+            if turn < turns:
+                # The shape may slide along its samples together with all onsets.
+                slid = float(np.median([new.onset_s for new in found]) - np.median([old.onset_s for old in placed]))
+                found = [dataclasses.replace(each, onset_s=each.onset_s - slid) for each in found]
+                reach_s = max(reach_s / 2, 0.25 / rate_hz)
+        return cls(tuple(pulses), tuple(found), rate_hz, samples)
 
     @property
     def curve(self) -> Curve:
         return Curve(self.samples, self.rate_hz)
 
+    @property
+    def equations(self) -> Equations:
+        return Equations(self.pulses, self.placed, self.rate_hz, len(self.samples))
 
-def shape_of(pulses: Sequence[Pulse]) -> Shape:
-    """The waveform of pulses, 3 or more. Raises FitError where they have nothing in common."""
-    rate_hz, before_s, rest_s, count = _window(pulses)
-    placed = []
-    for pulse in pulses:
-        above = pulse.measured - pulse.rest
-        peak = float(above[np.argmax(np.abs(above))])
-        placed.append(Placed(peak, pulse.rest, pulse.crossing_s() - before_s, 0.0))
-    samples, found = common_shape(pulses, placed, rate_hz, count)
-    pulses, samples, found, rate_hz, faded = _trimmed(pulses, samples, found, rate_hz, math.floor(rest_s * rate_hz))
-    samples, found, rate_hz = _coarser(pulses, samples, found, rate_hz)
-    explained, beside_noise = _by_others(pulses, found, rate_hz, len(samples))
-    uncertain = _uncertain(pulses, samples, found, rate_hz, faded)
-    return Shape(samples, rate_hz, tuple(found), explained, beside_noise, uncertain, faded)
+    def explained(self) -> tuple[Floats, Floats]:
+        """(n,) and (n,): what the shape of the others explains of each pulse; and with the noise taken off."""
+        equations = self.equations
+        shares = []
+        for index, (pulse, where) in enumerate(zip(self.pulses, self.placed, strict=True)):
+            _, other = _upright(equations.solved(without=index), self.rate_hz)
+            alone = _place(other, pulse, where.onset_s, 2.0 / self.rate_hz)
+            shares.append([alone.explained(other, pulse, noise) for noise in (0.0, pulse.noise_m_per_s2)])
+        explains = np.array(shares)
+        return explains[:, 0], explains[:, 1]
+
+    def trimmed(self, rest: int) -> tuple[Shape, bool]:
+        """From where the shape begins to where it is over, at the rate of the recordings where that leaves room; and
+        whether it is faded out. Its first `rest` samples are before the contact.
+
+        It begins at the last sample before its rise that is within three standard errors of the rest, and ends where no
+        more stands out of twice the standard errors than FAINT_ENERGY.
+        """
+        samples, rate_hz, equations = self.samples, self.rate_hz, self.equations
+        quiet = samples[1 : 1 + rest]
+        level, scatter = (float(np.median(quiet)), float(np.std(quiet, ddof=1))) if len(quiet) >= 3 else (0.0, 0.0)
+        # Hum and noise are in the rest, too, and their squares add up to energy.
+        noise = np.hypot(equations.deviations(equations.solved()), scatter)
+        energy = samples**2 - noise**2
+        total = float(energy.sum())
+        if not total > 0:
+            raise FitError("the taps have no shape in common that stands out of what differs between them")
+        ahead = np.flatnonzero(np.cumsum(energy) <= FAINT_ENERGY * total)
+        rise = int(np.argmax(np.abs(samples) >= LARGE_PART * np.abs(samples).max()))
+        at_rest = np.flatnonzero(np.abs(samples - level)[:rise] <= 3.0 * noise[:rise])
+        begin = max(int(steps[-1]) if len(steps) else 0 for steps in (ahead, at_rest))
+        left, end = 0.0, len(samples) - 1
+        while end > rise:
+            left = max(0.0, left + samples[end] ** 2 - (2.0 * noise[end]) ** 2)
+            if left > FAINT_ENERGY * total:
+                break
+            end -= 1
+        end = min(len(samples) - 1, end + 1)
+        faded = end == len(samples) - 1 and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > 0.05
+        length_s = (end - begin) / rate_hz
+        finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MOST_SAMPLES - 1) / max(length_s, 1e-9))
+        count = max(LEAST_SAMPLES, math.floor(length_s * finer_hz + 1e-9) + 1)
+        moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in self.placed]
+        # A pulse is evaluated for 1.3 times its length.
+        pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(self.pulses, moved, strict=True)]
+        found = Shape.of(pulses, moved, finer_hz, count, turns=4)
+        if faded:
+            over = max(2, round(FADED * count))
+            found.samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
+            found.samples[-1] = 0.0
+        return found, faded
+
+    def coarser(self) -> Shape:
+        """The same with as few samples as do: the rate is halved as long as the shape explains a ten-thousandth less at
+        most."""
+        least, shape = float(np.median(self.explained()[1])) - 1e-4, self
+        while True:
+            count = math.ceil((len(shape.samples) - 1) / 2) + 1
+            if count < LEAST_SAMPLES or shape.rate_hz < 200:
+                return shape
+            tried = Shape.of(self.pulses, shape.placed, shape.rate_hz / 2, count, turns=2)
+            if float(np.median(tried.explained()[1])) < least:
+                return shape
+            shape = tried
 
 
-def _by_others(pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int) -> tuple[Floats, Floats]:
-    """(n,) and (n,): what the shape would explain of each pulse without it; and with the noise taken off."""
-    equations = Equations(pulses, placed, rate_hz, count)
-    shares = []
-    for index, (pulse, where) in enumerate(zip(pulses, placed, strict=True)):
-        _, other = _upright(equations.solved(without=index), rate_hz)
-        alone = _place(other, pulse, where.onset_s, 2.0 / rate_hz)
-        shares.append([alone.explained(other, pulse, noise) for noise in (0.0, pulse.noise_m_per_s2)])
-    explains = np.array(shares)
-    return explains[:, 0], explains[:, 1]
-
-
-def _window(pulses: Sequence[Pulse]) -> tuple[float, float, float, int]:
-    """The rate of the samples, how long before the crossing the shape may begin, how much of that is rest, and how many
-    samples it may have."""
+def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
+    """The waveform of pulses, 3 or more, and whether it is faded out. Raises FitError where they have nothing in
+    common."""
     rate_hz = min(pulse.rate_hz for pulse in pulses)
     crossings = [pulse.crossing_s() for pulse in pulses]
     peaks = [np.argmax(np.abs(pulse.measured - pulse.rest)) / pulse.rate_hz for pulse in pulses]
     rise_s = float(np.median(np.subtract(peaks, crossings)))
+    # How long before the crossing the shape may begin, and how long it may be.
     before_s = min(2.0 * max(rise_s, 0.0) + 3.0 / rate_hz, max(1.0 / rate_hz, float(np.median(crossings))))
     ends = [len(pulse.measured) / pulse.rate_hz for pulse in pulses]
     length_s = min(LONGEST_S, before_s + float(np.median(np.subtract(ends, crossings))))
@@ -320,129 +358,58 @@ def _window(pulses: Sequence[Pulse]) -> tuple[float, float, float, int]:
     # before the first loud one of any pulse there is rest.
     loud_s = min(before_s + pulse.onset_s - crossing for pulse, crossing in zip(pulses, crossings, strict=True))
     rest_s = max(0.0, before_s - max(rise_s, 1.0 / rate_hz), min(loud_s, before_s) - 1.0 / rate_hz)
-    return rate_hz, before_s, rest_s, max(LEAST_SAMPLES, math.floor(length_s * rate_hz) + 1)
-
-
-def _trimmed(
-    pulses: Sequence[Pulse], samples: Floats, placed: list[Placed], rate_hz: float, rest: int
-) -> tuple[list[Pulse], Floats, list[Placed], float, bool]:
-    """The shape from where it begins to where it is over, at the rate of the recordings where that leaves room; and the
-    pulses until then. Its first `rest` samples are before the contact.
-
-    It begins at the last sample before its rise that is within three standard errors of the rest, and ends where no
-    more stands out of twice the standard errors than FAINT.
-    """
-    equations = Equations(pulses, placed, rate_hz, len(samples))
-    quiet = samples[1 : 1 + rest]
-    level, scatter = (float(np.median(quiet)), float(np.std(quiet, ddof=1))) if len(quiet) >= 3 else (0.0, 0.0)
-    # Hum and noise are in the rest, too, and their squares add up to energy.
-    noise = np.hypot(equations.deviations(equations.solved()), scatter)
-    energy = samples**2 - noise**2
-    total = float(energy.sum())
-    if not total > 0:
-        raise FitError("the taps have no shape in common that stands out of what differs between them")
-    ahead = np.flatnonzero(np.cumsum(energy) <= FAINT_ENERGY * total)
-    rise = int(np.argmax(np.abs(samples) >= LARGE_PART * np.abs(samples).max()))
-    at_rest = np.flatnonzero(np.abs(samples - level)[:rise] <= 3.0 * noise[:rise])
-    begin = max(int(steps[-1]) if len(steps) else 0 for steps in (ahead, at_rest))
-    left = 0.0
-    end = len(samples) - 1
-    while end > rise and (left := max(0.0, left + samples[end] ** 2 - (2.0 * noise[end]) ** 2)) <= FAINT_ENERGY * total:
-        end -= 1
-    end = min(len(samples) - 1, end + 1)
-    faded = end == len(samples) - 1 and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > 0.05
-    length_s = (end - begin) / rate_hz
-    finer_hz = min(min(pulse.rate_hz for pulse in pulses), (MOST_SAMPLES - 1) / max(length_s, 1e-9))
-    count = max(LEAST_SAMPLES, math.floor(length_s * finer_hz + 1e-9) + 1)
-    moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in placed]
-    # A pulse is evaluated for 1.3 times its length.
-    pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(pulses, moved, strict=True)]
-    samples, found = common_shape(pulses, moved, finer_hz, count, turns=4)
-    if faded:
-        over = max(2, round(FADED * count))
-        samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
-        samples[-1] = 0.0
-    return pulses, samples, found, finer_hz, faded
-
-
-def _coarser(
-    pulses: Sequence[Pulse], samples: Floats, placed: list[Placed], rate_hz: float
-) -> tuple[Floats, list[Placed], float]:
-    """The same with as few samples as do: the rate is halved as long as the shape explains a ten-thousandth less at
-    most."""
-    least = float(np.median(_by_others(pulses, placed, rate_hz, len(samples))[1])) - 1e-4
-    while True:
-        half_hz = rate_hz / 2
-        count = math.ceil((len(samples) - 1) / 2) + 1
-        if count < LEAST_SAMPLES or half_hz < 100:
-            return samples, placed, rate_hz
-        tried, found = common_shape(pulses, placed, half_hz, count, turns=2)
-        if float(np.median(_by_others(pulses, found, half_hz, count)[1])) < least:
-            return samples, placed, rate_hz
-        samples, placed, rate_hz = tried, found, half_hz
+    placed = []
+    for pulse, crossing in zip(pulses, crossings, strict=True):
+        above = pulse.measured - pulse.rest
+        peak = float(above[np.argmax(np.abs(above))])
+        placed.append(Placed(peak, pulse.rest, crossing - before_s, 0.0))
+    shape = Shape.of(pulses, placed, rate_hz, max(LEAST_SAMPLES, math.floor(length_s * rate_hz) + 1))
+    found, faded = shape.trimmed(math.floor(rest_s * rate_hz))
+    return found.coarser(), faded
 
 
 # ---- Intervals -------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Uncertain:
-    """How far a shape may be from the one that was recorded."""
+def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
+    """Halves of the 95 % intervals of the samples (count,), and of what all amplitudes have in common, as a part of
+    them.
 
-    deviations: Floats
-    """(count,) standard errors of the samples, of what differs between the pulses."""
-    of_amplitudes: float
-    """The same of what all amplitudes have in common, as a part of them."""
-    freedom: int
-    """Of both."""
-    unresolved: Floats
-    """(count,) how far the curve is off for want of samples, from half a sample before each to half a sample behind
-    (RMS)."""
-    of_amplitudes_unresolved: float
-    """The same of the amplitudes and of the whole curve (RMS), as a part of them: a peak between samples is missed by
-    no less than the curve is."""
-
-    @property
-    def halves(self) -> Floats:
-        """(count,) of the 95 % intervals of the samples."""
-        return np.asarray(np.hypot(student_t(self.freedom) * self.deviations, self.unresolved))
-
-    def widened(self, estimate: Estimate) -> Estimate:
-        """With the error besides that all amplitudes have in common."""
-        half = math.hypot(student_t(self.freedom) * self.of_amplitudes, self.of_amplitudes_unresolved)
-        value, further = estimate.value, half * estimate.value
-        low, high = math.hypot(value - estimate.low, further), math.hypot(estimate.high - value, further)
-        return Estimate(value, value - low, value + high)
-
-
-def _uncertain(
-    pulses: Sequence[Pulse], samples: Floats, placed: Sequence[Placed], rate_hz: float, faded: bool
-) -> Uncertain:
-    """Found again, with all onsets, without each of the pulses (of more, without each of 16 groups), and with twice as
-    many samples."""
-    count, groups = len(samples), min(len(pulses), 16)
-    shapes, sizes = [], []
+    Of what differs between the pulses: found again, with all onsets, without each of them (of more, without each of 16
+    groups). And for want of samples, by what changes with twice as many: of a sample from half a sample before it to
+    half a sample behind (RMS); of the amplitudes theirs and that of the whole curve, as a peak between samples is
+    missed by no less than the curve is.
+    """
+    count, groups = len(shape.samples), min(len(shape.pulses), 16)
+    samples, sizes = [], []
     for group in range(groups):
-        kept = [index for index in range(len(pulses)) if index % groups != group]
-        some = [placed[index] for index in kept]
-        shape, found = common_shape([pulses[index] for index in kept], some, rate_hz, count, turns=1)
-        shapes.append(shape)
-        sizes.append(_ratio(found, some))
-    finer, found = common_shape(pulses, placed, 2 * rate_hz, 2 * count - 1, turns=2)
-    between_s = np.arange(2 * count - 1) / (2 * rate_hz)
-    changes = (FINER * (finer - Curve(samples, rate_hz).at(between_s))) ** 2
+        kept = [index for index in range(len(shape.pulses)) if index % groups != group]
+        some = [shape.placed[index] for index in kept]
+        found = Shape.of([shape.pulses[index] for index in kept], some, shape.rate_hz, count, turns=1)
+        samples.append(found.samples)
+        sizes.append(_ratio(found.placed, some))
+    finer = Shape.of(shape.pulses, shape.placed, 2 * shape.rate_hz, 2 * count - 1, turns=2)
+    between_s = np.arange(2 * count - 1) / (2 * shape.rate_hz)
+    changes = (FINER * (finer.samples - shape.curve.at(between_s))) ** 2
     # That a shape is faded out says nothing of the amplitudes.
     whole = changes[: math.floor((1 - FADED) * len(changes))] if faded else changes
+    off = FINER * (_ratio(finer.placed, shape.placed) - 1.0)
     # Squares in the mean over five neighbours, fewer near the ends: with few taps some are small by luck.
-    squares = jackknife_error(np.array(shapes))[1:-1] ** 2
+    squares = jackknife_error(np.array(samples))[1:-1] ** 2
     mean = np.convolve(squares, np.ones(5))[2:-2] / np.convolve(np.ones(count - 2), np.ones(5))[2:-2]
-    return Uncertain(
-        deviations=np.pad(np.sqrt(mean), 1),
-        of_amplitudes=float(jackknife_error(np.array(sizes))),
-        freedom=groups - 1,
-        unresolved=np.pad(np.sqrt((changes[1:-3:2] + changes[2:-2:2] + changes[3:-1:2]) / 3), 1),
-        of_amplitudes_unresolved=math.hypot(FINER * (_ratio(found, placed) - 1.0), math.sqrt(float(np.mean(whole)))),
-    )
+    deviations = np.pad(np.sqrt(mean), 1)
+    unresolved = np.pad(np.sqrt((changes[1:-3:2] + changes[2:-2:2] + changes[3:-1:2]) / 3), 1)
+    wide = student_t(groups - 1)
+    of_amplitudes = wide * float(jackknife_error(np.array(sizes)))
+    together = math.hypot(of_amplitudes, math.hypot(off, math.sqrt(float(np.mean(whole)))))
+    return np.asarray(np.hypot(wide * deviations, unresolved)), together
+
+
+def _widened(estimate: Estimate, part: float) -> Estimate:
+    """With an error besides that is this part of it."""
+    value, further = estimate.value, part * estimate.value
+    low, high = math.hypot(value - estimate.low, further), math.hypot(estimate.high - value, further)
+    return Estimate(value, value - low, value + high)
 
 
 def _ratio(found: Sequence[Placed], before: Sequence[Placed]) -> float:
@@ -455,18 +422,24 @@ def _ratio(found: Sequence[Placed], before: Sequence[Placed]) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PulseHit(Tap):
-    """One tap by the waveform; the variance is accounted for by a waveform that was found without this tap."""
+class PulseHit:
+    """One tap by the waveform, in the stretch of the recording that it was fitted to."""
 
+    recording: str
+    onset_s: float
+    """On the recording's clock."""
+    speed_m_per_s: float
     peak_m_per_s2: float
     """Its largest acceleration, by the waveform."""
-
-    def to_dict(self) -> dict[str, Json]:
-        return fields_of(self, "recording", "onset_s", "speed_m_per_s", "peak_m_per_s2", "variance_accounted_for")
+    variance_accounted_for: float
+    """By a waveform that was found without this tap."""
+    rate_hz: float = field(repr=False)
+    measured: Floats = field(repr=False)
+    modelled: Floats = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WaveformFit(Judged):
+class WaveformFit(Fit):
     """What the taps have in common."""
 
     taps: tuple[PulseHit, ...]
@@ -487,7 +460,6 @@ class WaveformFit(Judged):
     """Of A(v) through the origin."""
     variance_accounted_for: float
     """Median over the taps, each by a waveform that was found without it."""
-    sources: tuple[Source, ...]
 
     @property
     def curve(self) -> Curve:
@@ -506,35 +478,29 @@ class WaveformFit(Judged):
 
     def to_dict(self) -> dict[str, Json]:
         """As JSON has it, without the stretches."""
+        figures = Fit.to_dict(self)
+        names = {"rate_hz": "rate_hz", "samples": "samples", "deviations": "half_of_the_interval"}
         return {
-            "first_peak_slope_per_s": self.first_peak_slope_per_s.to_dict(),
-            "amplitudes": [
-                {"speed_m_per_s": speed, "first_peak_m_per_s2": amplitude.to_dict()}
-                for speed, amplitude in self.amplitudes
-            ],
-            "waveform": {**fields_of(self, "rate_hz", "samples"), "half_of_the_interval": list(self.deviations)},
-            **fields_of(self, "length_s", "samples_a_period", "r_squared", "variance_accounted_for"),
-            "taps": [tap.to_dict() for tap in self.taps],
-            **end_of(self),
+            **{name: value for name, value in figures.items() if name not in names},
+            "amplitudes": speed_law.json_table(self.amplitudes, "first_peak_m_per_s2"),
+            "waveform": {name: figures[own] for own, name in names.items()},
         }
 
 
-def fit_waveform(
-    pulses: Sequence[Pulse], sources: Sequence[Source], earlier: Sequence[str], excluded: Exclusions
-) -> WaveformFit:
+def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Exclusions) -> WaveformFit:
     """The waveform of taps that are pulses; `earlier` are warnings of how the pulses were found. Taps that cannot be
     used are reported in `excluded`.
 
     Raises FitError (one line) for too few, for pulses that have nothing in common, and for amplitudes that do not grow
     with the speed.
     """
-    pulses, shape = _alike(list(pulses), earlier, excluded)
+    pulses, shape, faded, explained = _alike(pulses, earlier, excluded)
     warnings = [*excluded.lines(), *earlier]
     peaks = np.array([each.amplitude for each in shape.placed])
     if float(np.median(peaks)) < 0:
         warnings.append("the taps push downwards: the acceleration is taken with its sign turned")
         peaks = -peaks
-    curve, uncertain = shape.curve, shape.uncertain
+    curve, (halves, of_amplitudes) = shape.curve, _uncertain(shape, faded)
     hits = tuple(
         PulseHit(
             recording=pulse.recording,
@@ -546,40 +512,39 @@ def fit_waveform(
             measured=pulse.measured,
             modelled=placed.modelled(curve, pulse),
         )
-        for pulse, placed, share in zip(pulses, shape.placed, shape.explained, strict=True)
+        for pulse, placed, share in zip(pulses, shape.placed, explained, strict=True)
     )
-    check_speeds(hits)
+    speed_law.check_speeds(hits)
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
     variances = _variances(pulses, shape)
     line = through_origin(speeds, peaks, variances, speeds**2)
-    slope = uncertain.widened(line.coefficients[0])
-    check_slope(slope)
-    share = float(np.median(shape.explained))
+    slope = _widened(line.coefficients[0], of_amplitudes)
+    speed_law.check_slope(slope)
+    share = float(np.median(explained))
     resolved = min(pulse.rate_hz for pulse in pulses) / curve.middle_hz
-    law = law_of(speeds, peaks, variances)
+    law = speed_law.law_of(speeds, peaks, variances)
     doubts = Doubts()
     doubts.check("variance that a waveform explains", share)
-    if shape.faded:
+    if faded:
         reason = f"the pulses are not over after {1e3 * curve.length_s:.3g} ms"
         doubts.add(False, reason, f"the waveform is faded out over its last {100 * FADED:.0f} %")
     doubts.check("samples in a period of a waveform", resolved)
-    doubt_the_law(doubts, law, line.r_squared)
+    speed_law.doubt_the_law(doubts, law, line.r_squared)
     excluded.report_taps(len(hits), doubts)
-    check_hardness(slope.value, 2.0 * math.pi * curve.middle_hz, "the angular frequency of the pulses")
+    speed_law.check_hardness(slope.value, 2.0 * math.pi * curve.middle_hz, "the angular frequency of the pulses")
     r_squared = line.r_squared if law.kind == "line" else law.r_squared
     points = () if law.kind == "line" else law.points
     return WaveformFit(
         taps=hits,
         first_peak_slope_per_s=slope,
-        amplitudes=tuple((speed, uncertain.widened(amplitude)) for speed, amplitude in points),
+        amplitudes=tuple((speed, _widened(amplitude, of_amplitudes)) for speed, amplitude in points),
         rate_hz=shape.rate_hz,
         samples=tuple(map(float, shape.samples)),
-        deviations=tuple(map(float, uncertain.halves)),
+        deviations=tuple(map(float, halves)),
         length_s=curve.length_s,
         samples_a_period=resolved,
         r_squared=line.r_squared,
         variance_accounted_for=share,
-        sources=tuple(sources),
         warnings=tuple(warnings + doubts.warnings),
         judged=doubts.judged(
             f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
@@ -589,16 +554,20 @@ def fit_waveform(
     )
 
 
-def _alike(pulses: list[Pulse], earlier: Sequence[str], excluded: Exclusions) -> tuple[list[Pulse], Shape]:
-    """The pulses that have a shape in common; the others are reported in `excluded`."""
+def _alike(
+    pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Exclusions
+) -> tuple[Sequence[Pulse], Shape, bool, Floats]:
+    """The pulses that have a shape in common, their shape, whether it is faded out, and what it explains of each of
+    them without it; the other pulses are reported in `excluded`."""
     if len(pulses) < LEAST_PULSES:
         reasons = [*excluded.lines(), *earlier]
         why = f" ({'; '.join(reasons[:3])})" if reasons else ""
         raise FitError(f"{len(pulses)} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{why}")
-    shape = shape_of(pulses)
+    shape, faded = shape_of(pulses)
+    explained, beside_noise = shape.explained()
     usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
     kept = []
-    for pulse, placed, share in zip(pulses, shape.placed, shape.beside_noise, strict=True):
+    for pulse, placed, share in zip(pulses, shape.placed, beside_noise, strict=True):
         if share < 0.5:
             reason = f"the waveform of the others explains {100 * share:.0f} % of it"
         elif placed.amplitude * usual <= 0:
@@ -608,13 +577,14 @@ def _alike(pulses: list[Pulse], earlier: Sequence[str], excluded: Exclusions) ->
             continue
         excluded.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
     if len(kept) == len(pulses):
-        return pulses, shape
+        return pulses, shape, faded, explained
     if len(kept) < max(LEAST_PULSES, len(pulses) / 2):
         raise FitError(
             f"{len(pulses) - len(kept)} of {len(pulses)} taps have no waveform in common with the others: is it one "
             "material, tapped alike?"
         )
-    return kept, shape_of(kept)
+    shape, faded = shape_of(kept)
+    return kept, shape, faded, shape.explained()[0]
 
 
 def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:

@@ -141,16 +141,19 @@ def hits_of(*speeds: float) -> list[Any]:
     ]
 
 
+STRAIGHT = {
+    "linear": True,
+    "second": None,
+    "frequency_hz": Estimate(200.0, 199.0, 201.0),
+    "slope_per_s": Estimate(300.0, 299.0, 301.0),
+    "offset_slope_per_s": Estimate(290.0, 280.0, 300.0),
+    "offset_m_per_s2": Estimate(2.0, 0.0, 4.0),
+}
+"""Figures of taps whose amplitudes lie on a line."""
+
+
 def test_taps() -> None:
-    parts = {
-        "taps": hits_of(0.1, 0.4, 0.2, 0.3),
-        "linear": True,
-        "second": None,
-        "frequency_hz": Estimate(200.0, 199.0, 201.0),
-        "slope_per_s": Estimate(300.0, 299.0, 301.0),
-        "offset_slope_per_s": Estimate(290.0, 280.0, 300.0),
-        "offset_m_per_s2": Estimate(2.0, 0.0, 4.0),
-    }
+    parts = {**STRAIGHT, "taps": hits_of(0.1, 0.4, 0.2, 0.3)}
     page = page_of("tap", "pine: tap", Fitted({}, parts), [recording("a", None), recording("a", None)])
     assert (page.title, page.verdict, page.warnings) == ("pine: tap", "good: all of it", ("careful",))
     assert page.sources == (("a.csv", "ab" * 32),)
@@ -178,14 +181,11 @@ def test_taps_that_bend_and_have_two_modes() -> None:
     hit.measured = both + 1e-3 * np.random.default_rng(7).standard_normal(1000)
     hit.modelled = 0 * both
     parts = {
+        **STRAIGHT,
         "taps": [hit],
         "linear": False,
         "amplitudes": ((0.1, Estimate(20.0, 19.0, 21.0)), (0.2, Estimate(61.0, 60.0, 62.0))),
         "second": object(),
-        "frequency_hz": Estimate(200.0, 199.0, 201.0),
-        "slope_per_s": Estimate(300.0, 299.0, 301.0),
-        "offset_slope_per_s": Estimate(290.0, 280.0, 300.0),
-        "offset_m_per_s2": Estimate(2.0, 0.0, 4.0),
     }
     page = page_of("tap", "pine: tap", Fitted({}, parts), [])
     (lines, less, _), one, two = page.rows
@@ -200,15 +200,7 @@ def test_what_is_left_out_is_drawn_with_its_reason() -> None:
     seen = np.random.default_rng(1).standard_normal(25_000)
     (hit,) = hits_of(0.2)
     hit.recording, hit.onset_s = "folder/a", 0.25
-    parts = {
-        "taps": [hit],
-        "linear": True,
-        "second": None,
-        "frequency_hz": Estimate(200.0, 199.0, 201.0),
-        "slope_per_s": Estimate(300.0, 299.0, 301.0),
-        "offset_slope_per_s": Estimate(290.0, 280.0, 300.0),
-        "offset_m_per_s2": Estimate(2.0, 0.0, 4.0),
-    }
+    parts = {**STRAIGHT, "taps": [hit]}
     left = (
         Exclusion("folder/a", "it is clipped", "tap", 0.5),
         Exclusion("b", "no onset"),

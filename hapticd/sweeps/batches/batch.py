@@ -89,8 +89,7 @@ def fitted_row(root: str, asked: RecordingSet) -> Row:
         if fingerprint(os.path.join(root, file.name), file.name) != file:
             raise HapticdError(f"{file.name}: was changed since the batch began, or is another file at the worker")
     names = [file.name for file in asked.files]
-    fitting = asked.options.fitting(asked.kind)
-    used, _, fitted = fitted_files(names, fitting, lambda _: None, asked.strict, root)
+    used, _, fitted = fitted_files(names, asked.kind, asked.options, lambda _: None, asked.strict, root)
     part = contribution_of(asked.kind, fitted, used)
     # What no material may have is refused here, where it is a fault of this fit.
     added(part, asked.material, datetime.date.min, onto=None, stiffness_n_per_m=asked.stiffness_n_per_m)

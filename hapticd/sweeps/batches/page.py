@@ -14,14 +14,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from hapticd.analysis.statistics import Estimate
+from hapticd.analysis.statistics import Estimate, Floats
 from hapticd.base import html_page, wording
 from hapticd.base.files import check_regular, write_whole
 from hapticd.config.schema import unit_of
 from hapticd.fit.recording import Kind
 from hapticd.fit.report import (
     Curve,
-    Floats,
     Panel,
     fit_page,
     html_figures,
