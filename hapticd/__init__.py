@@ -11,7 +11,7 @@ Names are loaded when they are first used, so that a client pays for no more tha
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from hapticd._version import __version__
 
@@ -137,76 +137,33 @@ __all__ = [
     "sweep",
 ]
 
-_HOMES = {
-    "ConfigResult": "protocol.results",
-    "DaemonNotRunning": "protocol.calls",
-    "Event": "protocol.results",
-    "FlightResult": "protocol.results",
-    "ForcesResult": "protocol.results",
-    "GestureEnd": "protocol.results",
-    "LeaseResult": "protocol.results",
-    "MaterialsResult": "protocol.results",
-    "OperatorResult": "protocol.results",
-    "OperatorStatus": "protocol.results",
-    "PlayResult": "protocol.results",
-    "RemoteError": "protocol.calls",
-    "RevisionResult": "protocol.results",
-    "SceneResult": "protocol.results",
-    "State": "protocol.results",
-    "Status": "protocol.results",
-    "StreamStatus": "protocol.results",
-    "ForcesOff": "protocol.calls",
-    "MissedPeriods": "protocol.calls",
-    "TelemetryLoss": "protocol.calls",
-    "TickResult": "protocol.results",
-    "TimedOut": "protocol.calls",
-    "Topic": "protocol.calls",
-    "Warned": "protocol.results",
-    "Client": "client.blocking",
-    "Stream": "client.blocking",
-    "Subscription": "client.blocking",
-    "connect": "client.blocking",
-    "Config": "config.configuration",
-    "load_config": "config.configuration",
-    "SAMPLE_DTYPE": "base.core",
-    "Flag": "base.core",
-    "HapticdError": "base.errors",
-    "InvalidError": "base.errors",
-    "Problem": "base.errors",
-    "Friction": "config.materials",
-    "Material": "config.materials",
-    "Rupture": "config.materials",
-    "Tap": "config.materials",
-    "Mode": "config.modes",
-    "render": "rendering.offline",
-    "simulate": "rendering.offline",
-    "Recording": "recording.recording",
-    "load": "recording.recording",
-    "replay": "recording.replay",
-    "sweep": "sweeps.sweep",
-    "SampleBatch": "client.samples",
-    "Box": "config.scene",
-    "Constant": "config.scene",
-    "Disc": "config.scene",
-    "Membrane": "config.scene",
-    "Scene": "config.scene",
-    "SceneObject": "config.scene",
-    "Spring": "config.scene",
-    "Viscous": "config.scene",
-    "Wall": "config.scene",
-    "load_scene": "config.scene",
-    "Autoregressive": "config.texture",
-    "Grooves": "config.texture",
-    "Stochastic": "config.texture",
-    "Json": "base.yaml_source",
+_HOMES: Final = {
+    "base.core": "SAMPLE_DTYPE Flag",
+    "base.errors": "HapticdError InvalidError Problem",
+    "base.yaml_source": "Json",
+    "client.blocking": "Client Stream Subscription connect",
+    "client.samples": "SampleBatch",
+    "config.configuration": "Config load_config",
+    "config.materials": "Friction Material Rupture Tap",
+    "config.modes": "Mode",
+    "config.scene": "Box Constant Disc Membrane Scene SceneObject Spring Viscous Wall load_scene",
+    "config.texture": "Autoregressive Grooves Stochastic",
+    "protocol.calls": "DaemonNotRunning ForcesOff MissedPeriods RemoteError TelemetryLoss TimedOut Topic",
+    "protocol.results": "ConfigResult Event FlightResult ForcesResult GestureEnd LeaseResult MaterialsResult "
+    "OperatorResult OperatorStatus PlayResult RevisionResult SceneResult State Status StreamStatus TickResult Warned",
+    "recording.recording": "Recording load",
+    "recording.replay": "replay",
+    "rendering.offline": "render simulate",
+    "sweeps.sweep": "sweep",
 }
-"""The public names, and the module that each stands in."""
+"""The public names by the modules that they stand in, which TYPE_CHECKING imports for type checkers."""
+_MODULES: Final = {name: module for module, names in _HOMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> object:
     if name == "aio":
         return importlib.import_module("hapticd.aio")
-    home = _HOMES.get(name)
+    home = _MODULES.get(name)
     if home is None:
         raise AttributeError(f"module 'hapticd' has no attribute {name!r}")
     return getattr(importlib.import_module(f"hapticd.{home}"), name)

@@ -7,15 +7,12 @@ The core and the process:
     memory             how a process that runs for months takes its memory
     threads            whether threads can be started under the user's limit of processes
     steps              work that pauses between its parts
-    tasks              the end of a task of an event loop
-    token_bucket       how much somebody may ask: so much at once, and so much a second
 
 What people and programs write, and what they read:
 
     errors             errors that a user can cause, and the words that report them
     wording            numbers, counts and times as text: 12,340 ticks, 2.5 ms, 19 %
     model              what every validated model shares: strict numbers, limits, faults in the user's words
-    plain_values       values of YAML that a model takes as they are
     arguments          arguments that a program passes to a client, checked before anything is sent
     yaml_source        YAML in: plain data and line numbers
     yaml_text          YAML out, as the loader reads it

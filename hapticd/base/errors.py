@@ -108,6 +108,12 @@ def path_text(path: Sequence[str | int]) -> str:
     return text
 
 
+def path_of_text(text: str) -> Path:
+    """The path that path_text wrote."""
+    parts = re.findall(r'"(?:[^"\\]|\\.)*"|\[\d+\]|[^.\[\]"]+', text)
+    return tuple(json.loads(part) if part[0] == '"' else int(part[1:-1]) if part[0] == "[" else part for part in parts)
+
+
 def known_names(name: str, known: Iterable[str]) -> str:
     """What would be right instead of an unknown name: 'did you mean wood?', or where nothing is near it 'known: wood,
     steel'."""

@@ -7,68 +7,15 @@ stable if and only if all k_m lie in (-1, 1).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from decimal import Context, Decimal, localcontext
 from functools import lru_cache
 from typing import Final, TypeAlias
 
-import numpy as np
-
 Reflection: TypeAlias = tuple[float, ...]
 
 _EXACT: Final = Context(prec=100)
 """Digits for steps between coefficients and reflection, which lose up to the reciprocal of E_p in precision."""
-
-
-def pole_radius(coefficients: Sequence[float]) -> float:
-    """The largest magnitude of a pole of 1/(1 + sum a_i z^-i), from a_1 .. a_p; 0 without poles.
-
-    Poles are within a radius r if and only if the coefficients a_i r^-i are those of a stable filter. This is bisected
-    with 100 digits to 1e-12 of the radius: numerical roots of 32 crowded poles may be off by more than their distance
-    from the circle. The bracket is that of Fujiwara (1916) and of the elementary symmetric polynomials, at most 2 p
-    wide. ValueError where a coefficient is not finite.
-    """
-    with localcontext(_EXACT):
-        given = [Decimal(float(a)) for a in coefficients]
-        if not all(a.is_finite() for a in given):
-            raise ValueError("coefficients must be finite")
-        order = len(given)
-        sizes = [(float(abs(a)) ** (1 / i), math.comb(order, i) ** (1 / i)) for i, a in enumerate(given, 1) if a]
-        if not sizes:
-            return 0.0
-        low, high = max(size / count for size, count in sizes), 2 * max(size for size, _ in sizes)
-
-        def halve(middle: float) -> None:
-            nonlocal low, high
-            scale = 1 / Decimal(middle)
-            try:
-                _step_down([Decimal(1), *(a * scale**i for i, a in enumerate(given, 1))])
-            except ValueError:
-                low = middle
-            else:
-                high = middle
-
-        # Mostly the numerical roots are right, and on either side of them little is left to halve.
-        guess = _rough_radius(coefficients)
-        for trial in (guess * (1 - 1e-10), guess * (1 + 1e-10)):
-            if low < trial < high:
-                halve(trial)
-        for _ in range(44):
-            if high <= low * (1 + 1e-12):
-                break
-            halve(math.sqrt(low) * math.sqrt(high))
-        return math.sqrt(low) * math.sqrt(high)
-
-
-def _rough_radius(coefficients: Sequence[float]) -> float:
-    """The largest pole's by numerical roots; 0 where those fail."""
-    try:
-        with np.errstate(all="ignore"):
-            radius = float(np.abs(np.roots([1.0, *coefficients])).max(initial=0.0))
-    except np.linalg.LinAlgError:
-        return 0.0
-    return radius if math.isfinite(radius) else 0.0
 
 
 def coefficients_of(reflection: Sequence[float]) -> tuple[float, ...]:

@@ -6,9 +6,10 @@ nonsense; they are far outside what a hand can feel.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
+from collections.abc import Callable, Iterator, Mapping, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, TypeVar, Union, cast, get_args, get_origin
 
@@ -27,7 +28,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails
 
-from hapticd.base.errors import InvalidError, Path, Problem, known_names, near_names, path_text, shown
+from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text, shown
 from hapticd.base.steps import Steps
 from hapticd.base.yaml_source import MAX_DEPTH, Json
 
@@ -84,27 +85,9 @@ class Model(BaseModel):
             return super().model_validate(obj, **options)
 
     @classmethod
-    def model_validate_json(cls, json_data: str | bytes | bytearray, **options: Any) -> Self:
-        """As pydantic's, but raises InvalidError."""
-        with _invalid():
-            return super().model_validate_json(json_data, **options)
-
-    @classmethod
-    def model_validate_strings(cls, obj: Any, **options: Any) -> Self:
-        """As pydantic's, but raises InvalidError."""
-        with _invalid():
-            return super().model_validate_strings(obj, **options)
-
-    @classmethod
     def parsed(cls, data: object) -> Self:
         """For readers of documents, which report faults where they stand: raises ValidationError."""
         return super().model_validate(data)
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise _fixed(name)
-
-    def __delattr__(self, name: str) -> None:
-        raise _fixed(name)
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: object) -> None:
@@ -150,10 +133,6 @@ def _invalid() -> Iterator[None]:
         raise InvalidError(problems_of(error)) from None
 
 
-def _fixed(name: str) -> InvalidError:
-    return InvalidError([Problem(path_text((name,)), "cannot be changed: model_copy(update=...) makes another one")])
-
-
 def problems_of(error: ValidationError, root: Path = ()) -> list[Problem]:
     """Every fault of a pydantic error, in plain words; `root` is where the validated data stands."""
     return [Problem(path_text(root + path), text) for path, text in faults_of(error)]
@@ -172,21 +151,22 @@ def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
     return found
 
 
-def one_by_one(
-    given: Mapping[str, object], parse: Callable[[str, object], T], root: Path, name: str
+def in_parts(
+    given: Mapping[str, object], size: int, parse: Callable[[dict[str, object]], Mapping[str, T]], where: Path
 ) -> Steps[dict[str, T]]:
-    """What `parse` makes of each entry of a mapping, which stands below `root` as `name`; a pause after each.
+    """What `parse` makes of a mapping, which stands at `where`: of `size` entries at a time, with a pause after each.
 
     Raises InvalidError with the faults of all; after MAX_FAULTS the rest is not read.
     """
     found: dict[str, T] = {}
     problems: list[Problem] = []
-    for key, value in given.items():
+    rest = iter(given.items())
+    while part := dict(islice(rest, size)):
         if len(problems) >= MAX_FAULTS:
-            problems.append(Problem(path_text((*root, name)), "the rest was not looked at"))
+            problems.append(Problem(path_text(where), "the rest was not looked at"))
             break
         try:
-            found[key] = parse(key, value)
+            found |= parse(part)
         except InvalidError as error:
             problems += error.problems
         yield
@@ -235,15 +215,75 @@ def _too_many(given: Sized, most: int) -> str:
     return f"must hold at most {most} entries, holds {len(given)}"
 
 
-_PLAIN: Final = frozenset({NoneType, bool, int, float, str})
+def plain(data: object) -> Json:
+    """Mappings, sequences, and numpy's scalars and arrays as dicts, lists, numbers and strings; models stay.
+
+    Raises InvalidError for keys that are no strings, for nesting deeper than MAX_DEPTH and for other objects.
+    """
+    return cast(Json, _plain(data, ()))
 
 
-class _NotPlainError(Exception):
-    """What is wrong, and where: the path is built from its end, as the search withdraws."""
+_SCALARS: Final = frozenset({NoneType, bool, int, float, str})
 
-    def __init__(self, problem: str) -> None:
-        self.problem = problem
-        self.path: list[str | int] = []
+
+def _plain(data: object, path: Path) -> object:
+    if type(data) in _SCALARS or isinstance(data, bool | int | float | str):
+        return data
+    if isinstance(data, list | tuple | Mapping) and len(path) == MAX_DEPTH:
+        raise _not_plain(path[:3], f"nested deeper than {MAX_DEPTH} levels")
+    if isinstance(data, list | tuple):
+        return [_plain(value, (*path, index)) for index, value in enumerate(data)]
+    if isinstance(data, Mapping):
+        for key in data:
+            if not isinstance(key, str):
+                raise _not_plain(path, f"keys are strings, this one is {shown(key)}")
+        return {str(key): _plain(value, (*path, str(key))) for key, value in data.items()}
+    if isinstance(data, Model):
+        return data
+    if hasattr(data, "tolist"):
+        return _plain(data.tolist(), path)
+    raise _not_plain(path, f"is not plain data: {shown(data)}")
+
+
+def _not_plain(path: Path, problem: str) -> InvalidError:
+    return InvalidError([Problem(path_text(path), problem)])
+
+
+_PLAINER: Final = {
+    "dict_type": "should be a mapping",
+    "model_attributes_type": "should be a mapping",
+    "model_type": "should be a mapping",
+    "tuple_type": "should be a list",
+    "union_tag_not_found": "Field required",
+}
+"""Where pydantic's message has words of Python."""
+_WITHOUT_VALUE: Final = frozenset({"missing", "too_long", "too_short", "union_tag_invalid", "union_tag_not_found"})
+"""Kinds of faults whose message says the value already, or that have none."""
+
+
+def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]:
+    """Where the user sees a fault, and pydantic's message with the value that was found."""
+    kind, value, context = details["type"], details["input"], details.get("ctx", {})
+    path, known = _user_path(model, details)
+    if kind == "extra_forbidden":
+        return path, f"{UNKNOWN_KEY}; {known_names(str(path[-1]), known)}"
+    if kind == "value_error":
+        return path, str(context["error"])
+    if kind == "string_pattern_mismatch" and context["pattern"] == NAME_PATTERN:
+        return path, f"must not hold a dot or a control character: {shown(value)}"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        path = (*path, "kind")
+    text = _PLAINER.get(kind, details["msg"].removeprefix("Input ").replace("Tuple", "List"))
+    return path, text if kind in _WITHOUT_VALUE else f"{text}, is {shown(value)}{_meant(value)}"
+
+
+def _meant(value: object) -> str:
+    """What an editor or a country makes of a number or of quotes."""
+    if isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
+        return "; decimals have a point, not a comma"
+    if isinstance(value, str) and value[:1] in tuple("\u201c\u201d\u2018\u2019"):
+        return "; quotes are straight: \" or '"
+    return ""
 
 
 def _follows_from_another(details: ErrorDetails) -> bool:
@@ -253,168 +293,8 @@ def _follows_from_another(details: ErrorDetails) -> bool:
     return too_short or kind == "default_factory_not_called"
 
 
-def plain(data: object) -> Json:
-    """Mappings, sequences, and numpy's scalars and arrays as dicts, lists, numbers and strings; models stay.
-
-    Raises InvalidError for keys that are no strings, for nesting deeper than MAX_DEPTH and for other objects.
-    """
-    try:
-        return cast(Json, _plain(data, MAX_DEPTH))
-    except _NotPlainError as error:
-        path = error.path[::-1]
-        too_deep = len(path) == MAX_DEPTH
-        raise InvalidError([Problem(path_text(path[:3] if too_deep else path), error.problem)]) from None
-
-
-def _plain(data: object, depth_left: int) -> object:
-    # What is asked of every value is asked by its very type; isinstance of Mapping and Model is slow.
-    kind = type(data)
-    is_mapping, is_list = kind is dict, kind is list
-    if not (is_mapping or is_list):
-        if kind in _PLAIN or isinstance(data, bool | int | float | str | Model):
-            return data
-        is_mapping, is_list = isinstance(data, Mapping), isinstance(data, list | tuple)
-    if depth_left == 0:
-        raise _NotPlainError(f"nested deeper than {MAX_DEPTH} levels")
-    if is_mapping:
-        given = cast(Mapping[object, object], data)
-        for key in given:
-            if not isinstance(key, str):
-                raise _NotPlainError(f"keys are strings, this one is {shown(key)}")
-        return {
-            str(key): value if type(value) in _PLAIN else _plain_inside(str(key), value, depth_left)
-            for key, value in given.items()
-        }
-    if is_list:
-        return [
-            value if type(value) in _PLAIN else _plain_inside(index, value, depth_left)
-            for index, value in enumerate(cast(Sequence[object], data))
-        ]
-    if hasattr(data, "tolist"):
-        return _plain(data.tolist(), depth_left)
-    raise _NotPlainError(f"is not plain data: {shown(data)}")
-
-
-def _plain_inside(element: str | int, data: object, depth_left: int) -> object:
-    try:
-        return _plain(data, depth_left - 1)
-    except _NotPlainError as error:
-        error.path.append(element)
-        raise
-
-
-def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]:
-    kind, value, context = details["type"], details["input"], details.get("ctx", {})
-    path, known, expected = _user_path(model, details)
-    match kind:
-        case "missing" if path and isinstance(path[-1], int):
-            return path[:-1], f"must be {_pair(path[:-1])}, has {len(value)}"
-        case "missing":
-            return path, "is missing"
-        case "too_long" if context["field_type"] == "Tuple" and not _is_list(expected):
-            return path, f"must be {_pair(path)}, has {len(value)}"
-        case "tuple_type" if not _is_list(expected):
-            return path, f"must be {_pair(path)}, is {_shown_with_hint(value)}"
-        case "tuple_type":
-            return path, f"must be a list, is {_shown_with_hint(value)}"
-        case "too_long":
-            return path, f"must hold at most {context['max_length']} entries, holds {len(value)}"
-        case "too_short":
-            entries = "entry" if context["min_length"] == 1 else "entries"
-            return path, f"must hold at least {context['min_length']} {entries}, holds {len(value)}"
-        case "extra_forbidden":
-            return path, f"{UNKNOWN_KEY}; {known_names(str(path[-1]), known)}"
-        case "union_tag_invalid":
-            kinds = context["expected_tags"].replace("'", "").split(", ")
-            tag = context["tag"]
-            return (*path, "kind"), f"unknown kind {shown(tag)}; {known_names(tag, kinds)}"
-        case "union_tag_not_found":
-            return (*path, "kind"), "is missing"
-        case "finite_number":
-            return path, f"must be finite, is {shown(value)}"
-        case "float_type" if isinstance(value, int) and not isinstance(value, bool):
-            return path, f"is too large: {shown(value)}"
-        case "greater_than_equal":
-            return path, f"must be at least {_number(context['ge'])}, is {shown(value)}"
-        case "greater_than":
-            return path, f"must be more than {_number(context['gt'])}, is {shown(value)}"
-        case "less_than_equal":
-            return path, f"must be at most {_number(context['le'])}, is {shown(value)}"
-        case "less_than":
-            return path, f"must be less than {_number(context['lt'])}, is {shown(value)}"
-        case "literal_error":
-            return (
-                path,
-                f"must be {context['expected'].replace(chr(39), '')}, is {shown(value)}{_choice(value, context)}",
-            )
-        case "string_pattern_mismatch" if context["pattern"] == NAME_PATTERN:
-            return path, f"must not hold a dot or a control character: {shown(value)}"
-        case "string_too_short":
-            return path, f"must have at least {context['min_length']} character"
-        case "string_too_long":
-            return path, f"must have at most {context['max_length']} characters, has {len(value)}"
-        case "value_error":
-            return path, str(context["error"])
-        case "string_type" if path and path[-1] == "material":
-            return path, f"must be the name of a material, is {_shown_with_hint(value)}"
-        case "string_type" if type(value) in (int, float):
-            return path, f'must be a string, is {shown(value)}; write it in quotes: "{value}"'
-        case _ if kind in _EXPECTED:
-            return path, f"must be {_EXPECTED[kind]}, is {_shown_with_hint(value)}"
-        case _:
-            return path, f"{details['msg']}: {shown(value)}"
-
-
-_EXPECTED = {
-    "float_type": "a number",
-    "int_type": "a whole number",
-    "bool_type": "true or false",
-    "string_type": "a string",
-    "string_unicode": "valid Unicode",
-    "list_type": "a list",
-    "dict_type": "a mapping",
-    "model_type": "a mapping",
-    "model_attributes_type": "a mapping",
-}
-
-
-def _shown_with_hint(value: object) -> str:
-    """A value of the wrong type, and what was probably meant by it."""
-    if isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
-        return f"{shown(value)}; decimals have a point, not a comma"
-    if isinstance(value, str) and value[:1] in tuple("\u201c\u201d\u2018\u2019"):
-        return f"{shown(value)}; quotes are straight: \" or '"
-    return shown(value)
-
-
-def _choice(value: object, context: Mapping[str, Any]) -> str:
-    names = re.findall("'([^']*)'", context["expected"])
-    close = near_names(value, names, 1) if isinstance(value, str) else []
-    return f"; did you mean {close[0]}?" if close else ""
-
-
-def _number(limit: float) -> str:
-    return str(limit) if isinstance(limit, int) else format(limit, ".15g")
-
-
-def _pair(path: Path) -> str:
-    if path[-1:] == ("size_m",):
-        return "two numbers [width, height]"
-    match path[-2:]:
-        case ("amplitudes", int()):
-            return "two numbers [speed, amplitude]"
-        case ("intervals", _):
-            return "two numbers [low, high]"
-    return "two numbers [x, y]"
-
-
-def _is_list(kind: object) -> bool:
-    """Whether a type takes a list of any length."""
-    return get_args(kind)[-1:] == (Ellipsis,)
-
-
-def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, tuple[str, ...], object]:
-    """Where the user sees the fault, the keys that are known there, and the type that is expected there.
+def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, tuple[str, ...]]:
+    """Where the user sees the fault, and the keys that are known there.
 
     pydantic's locations also name the chosen member of a union, and `[key]` for the key of a mapping; walking
     the types along the location tells these from a user's keys of the same name.
@@ -438,8 +318,9 @@ def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, 
             here = None if field is None else _bare(field.annotation)
         else:
             arguments = get_args(here)
-            here = _bare(arguments[0 if _is_list(here) else -1]) if arguments else None
-    return tuple(path), known, here
+            is_list = arguments[-1:] == (Ellipsis,)
+            here = _bare(arguments[0 if is_list else -1]) if arguments else None
+    return tuple(path), known
 
 
 def _bare(annotation: object) -> object:

@@ -75,8 +75,6 @@ class Document:
 
     def problem(self, path: Sequence[str | int], text: str) -> Problem:
         """A fault of the part at `path`."""
-        if self.name is not None and text.endswith("must be a mapping, is null"):
-            text += ": what belongs to it is indented below it"
         return Problem(self.where(path), text)
 
     def place(self, path: Sequence[str | int]) -> str:

@@ -70,7 +70,7 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
     data: object = document.data
     for key in path:
         if isinstance(data, dict) and key in data:
-            refuse_other_keys(document, found, (other for other in data if other != key), f"{path[-1]}, which are all")
+            refuse_other_keys(document, found, data, key)
             data = data[key]
             found += (key,)
     if not isinstance(data, dict):

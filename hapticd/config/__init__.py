@@ -6,12 +6,9 @@ Documents, each validated by a model:
     scene                the objects in the workspace, and what of them is displayed
     patches              patches of a wall: stretches of other materials
     materials            what a surface is made of, and the shipped library
-    modes                the ringing mode, Q(t) = A exp(-B t) sin(w t), and its keys
-    mode_table           a tap's mode over the approach speed
+    modes                the ringing mode, Q(t) = A exp(-B t) sin(w t): its keys, where it acts, tables over the speed
     waveform             a tap as a short curve of samples
     texture              what a surface does while the probe strokes along it: grooves, noise
-    vibration_direction  where a vibration acts: along the normal, the tangent, or at an angle between
-    rising_points        tables over speed or force: points that rise, and values between them
     operator             what the hand on the simulated joystick does: waypoints or a gesture
     hid                  `device.hid` and `device.replay`
     actuator             the actuator as a lag between command and force
@@ -21,7 +18,6 @@ Files:
 
     locations            which files the configuration is taken from
     shipped_files        shipped scenes, operators and materials, by name
-    key_paths            changes of a configuration by the paths of its keys
     document_kinds       tells a scene, materials, a configuration and an operator apart by their keys
     change_files         materials and a scene from files, for one change of a running daemon
     file_faults          places a daemon's complaint about what was sent at file, line and column

@@ -16,7 +16,7 @@ from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.model import Model, Name, faults_of
 from hapticd.base.yaml_source import Document
 from hapticd.config.configuration import Merged, load_all
-from hapticd.config.document_kinds import kind_of, refuse_other_keys, refuse_other_kinds
+from hapticd.config.document_kinds import kind_of, refuse_other_kinds
 from hapticd.config.file_faults import FromFile
 from hapticd.config.materials import MAX_MATERIALS, Material
 from hapticd.config.scene import Scene
@@ -64,17 +64,10 @@ def change_of(documents: Sequence[Document]) -> ChangeFiles:
 
 
 def _whole(document: Document) -> Document:
-    """A document with the keys `materials` and `scene` alone. Raises InvalidError for another."""
+    """A document of `materials` and `scene`. Raises InvalidError for one of another kind."""
     refuse_other_kinds(document, "change", "scene", "bare scene", "materials", "bare materials")
-    match kind_of(document.data):
-        case "bare scene":
-            return document.below("scene")
-        case "bare materials":
-            return document.below("materials")
-        case "change" | "scene" | "materials" if isinstance(document.data, dict):
-            others = [key for key in document.data if key not in _ChangeParts.model_fields]
-            refuse_other_keys(document, (), others, "materials and a scene, which are all")
-            return document
-    raise InvalidError(
-        [Problem(document.where(()), "holds neither materials nor a scene; known keys: materials, scene")]
-    )
+    kind = kind_of(document.data)
+    if kind is None:
+        text = "holds neither materials nor a scene; known keys: materials, scene"
+        raise InvalidError([Problem(document.where(()), text)])
+    return document.below(kind.removeprefix("bare ")) if kind.startswith("bare ") else document

@@ -12,12 +12,12 @@ from hapticd.base.errors import InvalidError, Path, Problem, shown
 from hapticd.base.model import Damping, Model, Name, Position, Stiffness, faults_of, plain
 from hapticd.base.yaml_source import Document, Json, load_path
 from hapticd.config.actuator import Actuator
-from hapticd.config.document_kinds import likely_kind_of, refuse_other_kinds
+from hapticd.config.document_kinds import kind_of, refuse_other_kinds
 from hapticd.config.dynamics import Dynamics, Grip, Handle
 from hapticd.config.hid import Hid, Replay
 from hapticd.config.locations import Chosen, check_named, choose
 from hapticd.config.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
-from hapticd.config.scene import Scene, faults_of_names, reference_faults
+from hapticd.config.scene import Scene, reference_faults
 from hapticd.config.shipped_files import file_of
 
 DEFAULT = "default.yaml"
@@ -294,7 +294,7 @@ def load_config(source: ConfigSource) -> Config:
     merged in order: a later file overrides key by key, but materials and scene objects whole. Everything left
     out has its default. A Config is returned as it is.
 
-    Raises InvalidError, which names every fault of a key with file, line and limit, and every material that is not
+    Raises InvalidError, which names every fault of a key with file, line and limit, or else every material that is not
     known; HapticdError for a file that cannot be read.
     """
     if isinstance(source, Config):
@@ -355,7 +355,7 @@ def config_of_documents(documents: Sequence[Document]) -> Config:
     try:
         config = Config.parsed(merged.data)
     except ValidationError as error:
-        raise merged.invalid([*faults_of(error), *_unknown_materials(merged.data)]) from None
+        raise merged.invalid(faults_of(error)) from None
     materials = {**shipped_materials(), **config.materials}
     unknown = reference_faults(config.scene.objects, materials)
     if unknown:
@@ -363,18 +363,10 @@ def config_of_documents(documents: Sequence[Document]) -> Config:
     return config.model_copy(update={"materials": materials})
 
 
-def _unknown_materials(data: Mapping[str, Json]) -> list[tuple[Path, str]]:
-    """Materials of the scene that nobody defines, in a configuration that is faulty elsewhere."""
-    scene, defined = data.get("scene"), data.get("materials")
-    known = {**shipped_materials(), **(defined if isinstance(defined, dict) else {})}
-    found = faults_of_names(scene.get("objects"), known) if isinstance(scene, dict) else []
-    return [(("scene", *path), text) for path, text in found]
-
-
 def _whole(document: Document) -> Document:
     """A document as a configuration: a scene alone is one, too. Raises InvalidError for what is neither."""
     refuse_other_kinds(document, "configuration", "change", "scene", "bare scene", "materials")
-    return document.below("scene") if likely_kind_of(document.data) == "bare scene" else document
+    return document.below("scene") if kind_of(document.data) == "bare scene" else document
 
 
 class Merged:
@@ -404,13 +396,9 @@ class Merged:
     def invalid(self, faults: Sequence[tuple[Path, str]]) -> InvalidError:
         return InvalidError(self._owner(path).problem(path, text) for path, text in faults)
 
-    def place(self, path: Sequence[str | int]) -> str:
-        """`FILE:LINE:COLUMN` of the part at `path`, in the file that it is from."""
-        return self._owner(path).place(path)
-
-    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
-        """A path as it is in the file that the part is from."""
-        return self._owner(path).own(path)
+    def where(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN: KEY` of the part at `path`, in the file that it is from."""
+        return self._owner(path).where(path)
 
     def _owner(self, path: Sequence[str | int]) -> Document:
         here = tuple(path)

@@ -5,10 +5,11 @@ another command is answered with that command, not with a list of unknown keys.
 """
 
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import Final, Literal, TypeAlias
 
-from hapticd.base.errors import InvalidError, Problem, near_names
+from hapticd.base.errors import InvalidError, Problem
+from hapticd.base.model import UNKNOWN_KEY
 from hapticd.base.yaml_source import Document, Json, load_path, one_line
 
 Kind: TypeAlias = Literal[
@@ -33,51 +34,29 @@ MATERIAL: Final = (
     "stiffness_n_per_m", "damping_n_s_per_m", "tap", "rupture", "friction", "texture", "provenance",
 )  # fmt: skip
 OPERATOR: Final = ("waypoints", "interpolation", "gesture")
-GESTURE_KINDS: Final = ("tap", "stroke", "puncture")
-STUDY: Final = ("experiment", "factors", "trial", "questions")
-SWEEP: Final = ("vary", "measure", "refine")
 
-_HOLDS: Final[dict[Kind, str]] = {
-    "configuration": "a configuration",
-    "change": "materials and a scene",
-    "scene": "a scene",
-    "bare scene": "a scene",
-    "objects": "objects",
-    "materials": "materials",
-    "bare materials": "materials",
-    "waypoints": "waypoints",
-    "gesture": "a gesture",
-    "study": "a study",
-    "sweep": "a sweep",
+_TAKERS: Final[dict[Kind, tuple[str, str]]] = {
+    "configuration": ("a configuration", "run -c"),
+    "change": ("materials and a scene", "apply"),
+    "scene": ("a scene", "scene set"),
+    "bare scene": ("a scene", "scene set"),
+    "objects": ("objects", "scene update"),
+    "materials": ("materials", "material set"),
+    "bare materials": ("materials", "material set"),
+    "waypoints": ("waypoints", "operator"),
+    "gesture": ("a gesture", "operator"),
+    "study": ("a study", "experiment check"),
+    "sweep": ("a sweep", "sweep run"),
 }
-_TAKER: Final[dict[Kind, str]] = {
-    "configuration": "run -c",
-    "change": "apply",
-    "scene": "scene set",
-    "bare scene": "scene set",
-    "objects": "scene update",
-    "materials": "material set",
-    "bare materials": "material set",
-    "waypoints": "operator",
-    "gesture": "operator",
-    "study": "experiment check",
-    "sweep": "sweep run",
-}
+"""What a person calls a kind, and the command that takes it."""
 _KEYS: Final[dict[Kind, tuple[str, ...]]] = {
-    "configuration": (*CONFIGURATION, "materials", "scene"),
     "bare scene": SCENE,
-    "waypoints": ("waypoints", "interpolation"),
-    "gesture": ("gesture",),
-    "study": STUDY,
-    "sweep": SWEEP,
+    "gesture": OPERATOR[2:],
+    "waypoints": OPERATOR[:2],
+    "study": ("experiment", "factors", "trial", "questions"),
+    "sweep": ("vary", "measure", "refine"),
 }
-
-_KEY_ABOVE: Final[dict[Kind, tuple[str, Kind]]] = {
-    "objects": ("objects", "bare scene"),
-    "bare materials": ("materials", "materials"),
-}
-"""The key that these lack, and what they are below it."""
-_SECTIONS: Final = frozenset(key for keys in _KEYS.values() for key in keys)
+"""One of these keys says which kind it is."""
 PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
     "objects": ("scene", "bare scene", "objects"),
     "materials": ("materials", "bare materials"),
@@ -89,47 +68,33 @@ def kind_of(data: Json) -> Kind | None:
     """What plain data is; None where its keys do not say."""
     if not isinstance(data, dict) or not data:
         return None
-    inner = [value for key, value in data.items() if value is not None or key in _SECTIONS]
-    if inner and all(isinstance(value, dict) and _is_word(value.get("kind"), OBJECT_KINDS) for value in inner):
+    inner = [value for key, value in data.items() if value is not None or key in SCENE]
+    if inner and all(isinstance(value, dict) and value.get("kind") in OBJECT_KINDS for value in inner):
         return "objects"
-    if any(key in data for key in CONFIGURATION):
+    if not data.keys().isdisjoint(CONFIGURATION):
         return "configuration"
     if "scene" in data:
         return "change" if "materials" in data else "scene"
     if "materials" in data:
         return "materials"
     for kind, keys in _KEYS.items():
-        if any(key in data for key in keys):
+        if not data.keys().isdisjoint(keys):
             return kind
-    if _is_word(data.get("kind"), GESTURE_KINDS) and "object" in data:
+    if {"kind", "object"} <= data.keys():
         return "gesture"
     if inner and all(isinstance(value, dict) and value and value.keys() <= {*MATERIAL} for value in inner):
         return "bare materials"
     return None
 
 
-def likely_kind_of(data: Json) -> Kind | None:
-    """As kind_of; where no key is known, by the keys that are nearly one: `objcts` is a scene's."""
-    found = kind_of(data)
-    if found is not None or not isinstance(data, dict):
-        return found
-    owner = {key: kind for kind, keys in _KEYS.items() for key in keys}
-    near = [owner[key] for name in data for key in near_names(name, list(owner), 1)]
-    return near[0] if near else None
-
-
-def refuse_other_kinds(document: Document, *taken: Kind, takers: Mapping[Kind, str] = {}) -> None:
-    """Raises InvalidError for a document that is none of these and that another command takes, or another option:
-    `takers` are those that a command has itself.
+def refuse_other_kinds(document: Document, *taken: Kind) -> None:
+    """Raises InvalidError for a document that is none of these and that another command takes.
 
     What is not known is left to the reader, which knows its own keys.
     """
     kind = kind_of(document.data)
     if kind is not None and kind not in taken:
-        text = _other(kind, document.name, takers)
-        key, whole = _KEY_ABOVE.get(kind, ("", kind))
-        text += f"; or put them below `{key}:`" if whole in taken else ""
-        raise InvalidError([Problem(_name(document), text)])
+        raise _for_another_command(document, kind)
 
 
 def refuse_documents(path: str | os.PathLike[str]) -> None:
@@ -137,40 +102,22 @@ def refuse_documents(path: str | os.PathLike[str]) -> None:
 
     HapticdError for one that cannot be read. Other files are not read.
     """
-    if os.path.splitext(os.fspath(path))[1].lower() not in (".yaml", ".yml", ".json"):
-        return
-    document = load_path(path)
-    kind = kind_of(document.data)
-    if kind is not None:
-        raise InvalidError([Problem(_name(document), f"is no recording: it {_other(kind, document.name)}")])
+    if os.path.splitext(os.fspath(path))[1].lower() in (".yaml", ".yml", ".json"):
+        document = load_path(path)
+        kind = kind_of(document.data)
+        if kind is not None:
+            raise _for_another_command(document, kind, "is no recording: it ")
 
 
-def refuse_other_keys(document: Document, path: Sequence[str], others: Iterable[str], what: str) -> None:
-    """Refuses keys of the mapping at `path`; `what` says what alone is taken there: "a scene, which is all"."""
-    problems = []
-    for key in others:
-        taker = _taker_of(key)
-        text = f"does not belong to {what} that is taken here{f'; that is for hapticd {taker}' if taker else ''}"
-        problems.append(Problem(document.where((*path, key)), text))
-    if problems:
-        raise InvalidError(problems)
+def refuse_other_keys(document: Document, path: Sequence[str], given: Collection[str], known: str) -> None:
+    """Refuses all keys but one of the mapping at `path`."""
+    text = f"{UNKNOWN_KEY}; known: {known}"
+    others = [Problem(document.where((*path, key)), text) for key in given if key != known]
+    if others:
+        raise InvalidError(others)
 
 
-def _taker_of(key: str) -> str | None:
-    if key in ("materials", "scene"):
-        return _TAKER["scene" if key == "scene" else "materials"]
-    kinds = [kind for kind, keys in _KEYS.items() if key in keys and key != "objects"]
-    return _TAKER[kinds[0]] if kinds else None
-
-
-def _other(kind: Kind, name: str | None, takers: Mapping[Kind, str] = {}) -> str:
-    taker = takers.get(kind, _TAKER[kind])
-    return f"holds {_HOLDS[kind]}; use: hapticd {taker}{f' {one_line(name)}' if name is not None else ''}"
-
-
-def _name(document: Document) -> str:
-    return "" if document.name is None else one_line(document.name)
-
-
-def _is_word(value: object, words: Collection[str]) -> bool:
-    return isinstance(value, str) and value in words
+def _for_another_command(document: Document, kind: Kind, it: str = "") -> InvalidError:
+    holds, taker = _TAKERS[kind]
+    name = one_line(document.name or "")
+    return InvalidError([Problem(name, f"{it}holds {holds}; use: hapticd {taker} {name}".rstrip())])

@@ -32,20 +32,18 @@ from hapticd.base.model import (
     Stiffness,
     check_count,
     faults_of,
-    one_by_one,
+    in_parts,
     one_of_two,
     problems_of,
     refuse_many_keys,
 )
 from hapticd.base.steps import Steps, finish
 from hapticd.base.yaml_source import Document, load_bytes
-from hapticd.config.mode_table import ModeTable
+from hapticd.config.modes import ONE_DIRECTION, AimedKeys, ModeTable, absent, given, one_of
 from hapticd.config.modes import Attack as Attack
 from hapticd.config.modes import Mode as Mode
 from hapticd.config.modes import ModeKeys as ModeKeys
-from hapticd.config.modes import absent, given, one_of
 from hapticd.config.texture import WITHOUT_MODE, Grooves, Texture
-from hapticd.config.vibration_direction import ONE_DIRECTION, AimedKeys
 from hapticd.config.waveform import Waveform
 
 MAX_MATERIALS: Final = 1000
@@ -383,7 +381,7 @@ def material_steps(data: object, root: Path = ()) -> Steps[dict[str, Material]]:
     if not isinstance(data, dict):
         return _parsed(data, root)
     check_count(data, MAX_MATERIALS, (*root, "materials"))
-    return (yield from one_by_one(data, lambda name, each: _parsed({name: each}, root)[name], root, "materials"))
+    return (yield from in_parts(data, 1, lambda part: _parsed(part, root), (*root, "materials")))
 
 
 def _parsed(data: object, root: Path) -> dict[str, Material]:

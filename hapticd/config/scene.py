@@ -6,7 +6,6 @@ The workspace is a plane, x to the right and y up, in m. A normal points out of 
 import math
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from functools import partial
 from typing import Annotated, Final, Literal, Self, TypeAlias, get_args
 
 from pydantic import AfterValidator, Field, Strict, ValidationError, model_validator
@@ -15,6 +14,7 @@ from hapticd.base import arguments
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.base.model import (
     MAX_FAULTS,
+    MOST_KEYS,
     Damping,
     Model,
     Name,
@@ -22,13 +22,13 @@ from hapticd.base.model import (
     Stiffness,
     check_count,
     faults_of,
-    one_by_one,
+    in_parts,
     plain,
     problems_of,
     refuse_many_keys,
 )
 from hapticd.base.steps import Steps, finish
-from hapticd.base.yaml_source import Document, Json, load_path
+from hapticd.base.yaml_source import Document, load_path
 from hapticd.config.document_kinds import refuse_other_keys, refuse_other_kinds
 from hapticd.config.patches import MAX_SCENE_PATCHES, TOUCHING_M, Patches, in_order
 
@@ -292,7 +292,7 @@ def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[S
     data = document.data
     root: Path = ()
     if isinstance(data, dict) and "scene" in data:
-        refuse_other_keys(document, (), (key for key in data if key != "scene"), "a scene, which is all")
+        refuse_other_keys(document, (), data, "scene")
         data, root = data["scene"], ("scene",)
     try:
         return Scene.parsed(data), document, root
@@ -307,7 +307,7 @@ def validate_scene(data: object, root: Path = ()) -> Scene:
 
 
 def scene_steps(data: object, root: Path = ()) -> Steps[Scene]:
-    """As validate_scene, with a pause after each object."""
+    """As validate_scene, with a pause after each MOST_KEYS objects."""
     given = data.get("objects", {}) if isinstance(data, dict) else None
     if not isinstance(data, dict) or not isinstance(given, dict):
         return _parsed(data, root)
@@ -319,7 +319,9 @@ def scene_steps(data: object, root: Path = ()) -> Steps[Scene]:
     except InvalidError as error:
         problems += error.problems
     try:
-        objects = yield from one_by_one(given, partial(validate_object, root=root), root, "objects")
+        objects = yield from in_parts(
+            given, MOST_KEYS, lambda part: _parsed({"objects": part}, root).objects, (*root, "objects")
+        )
     except InvalidError as error:
         problems += error.problems
     if problems:
@@ -342,45 +344,19 @@ def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
 
 def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:
     """Materials that objects name and nobody defines, with paths relative to the scene; at most MAX_FAULTS."""
-    named = (
-        (("objects", id, *(("patches", index - 1) if index else ()), "material"), name)
-        for id, item in objects.items()
-        if not all(name in materials for name in material_names(item))
-        for index, name in enumerate(materials_of(item))
-    )
-    return _unknown(named, materials)
-
-
-def faults_of_names(objects: Json, materials: Collection[str]) -> list[tuple[Path, str]]:
-    """As reference_faults, of plain data that is faulty elsewhere; what is no name in it is passed over."""
-    return _unknown(_named(objects), materials)
-
-
-def _named(objects: Json) -> Iterator[tuple[Path, str]]:
-    for id, item in objects.items() if isinstance(objects, dict) else ():
-        if not isinstance(item, dict) or item.get("kind") not in SURFACE_KINDS:
-            continue
-        patches = item.get("patches")
-        parts: list[tuple[Path, Json]] = [((), item)]
-        parts += [
-            (("patches", index), patch) for index, patch in enumerate(patches if isinstance(patches, list) else ())
-        ]
-        for path, part in parts:
-            name = part.get("material") if isinstance(part, dict) else None
-            if isinstance(name, str):
-                yield ("objects", id, *path, "material"), name
-
-
-def _unknown(named: Iterable[tuple[Path, str]], materials: Collection[str]) -> list[tuple[Path, str]]:
     faults: list[tuple[Path, str]] = []
     more = 0
-    for path, wanted in named:
-        if wanted in materials:
+    for id, item in objects.items():
+        if all(name in materials for name in material_names(item)):
             continue
-        if len(faults) == MAX_FAULTS:
-            more += 1
-            continue
-        faults.append((path, f"unknown material {quoted(wanted)}; {known_names(wanted, materials)}"))
+        for index, name in enumerate(materials_of(item)):
+            if name in materials:
+                continue
+            if len(faults) == MAX_FAULTS:
+                more += 1
+                continue
+            path: Path = ("objects", id, *(("patches", index - 1) if index else ()), "material")
+            faults.append((path, f"unknown material {quoted(name)}; {known_names(name, materials)}"))
     if more:
         faults.append((("objects",), f"name unknown materials {more} times more"))
     return faults

@@ -20,21 +20,23 @@ from pydantic import (
 )
 from pydantic.config import JsonDict, JsonValue
 
-from hapticd.base.lattice import pole_radius, reflection_of
+from hapticd.base.lattice import reflection_of
 from hapticd.base.model import CheckedTogether, Damping, Model, at_most, one_of_two
 from hapticd.config.modes import (
+    MAX_POINTS,
     AngularFrequency,
     DecayRate,
     DecayTime,
+    Direction,
     Frequency,
     Mode,
     ModeKeys,
     absent,
+    around,
     given,
     one_of,
+    rising_faults,
 )
-from hapticd.config.rising_points import MAX_POINTS, around, rising_faults
-from hapticd.config.vibration_direction import Direction
 
 MAX_ORDER: Final = 32
 MAX_MODELS: Final = 64
@@ -279,9 +281,7 @@ class AutoregressiveModel(CheckedTogether):
         try:
             reflection = reflection_of(self.coefficients)
         except ValueError:
-            radius = pole_radius(self.coefficients)
-            faults.append(f"is unstable: its largest pole has a radius of {radius:.6g}, which must be less than 1")
-            return faults
+            return [*faults, "is unstable: all poles must lie inside the unit circle"]
         if one_level and not self.level(reflection) <= MAX_RMS_M_PER_S2:
             rms = self.level(reflection)
             faults.append(f"has an RMS of {rms:.6g} m/s^2 with these coefficients, at most {MAX_RMS_M_PER_S2:g}")

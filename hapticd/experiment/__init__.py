@@ -3,6 +3,8 @@
 What is asked:
 
     keys              the keys of a study's YAML file, each with its range
+    plain_values      values of YAML that a model takes as they are
+    key_paths         changes of a configuration by the paths of its keys
     study             reads a study, with every fault at its line
     faults            what is wrong between the keys of a study
     display_faults    what the configuration refuses of a study's stimuli

@@ -6,7 +6,6 @@ from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement, product
 
-from hapticd.base.plain_values import Scalar
 from hapticd.experiment.keys import (
     POSITIONS,
     ChoiceQuestion,
@@ -14,6 +13,7 @@ from hapticd.experiment.keys import (
     RankingQuestion,
     Study,
 )
+from hapticd.experiment.plain_values import Scalar
 from hapticd.experiment.stimuli import REFERENCE, TARGET, level_text, levels_text
 
 Levels = Mapping[str, Scalar]

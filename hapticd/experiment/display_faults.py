@@ -8,12 +8,12 @@ from typing import Final
 
 from hapticd.base.errors import InvalidError, Path, path_text
 from hapticd.base.model import UNKNOWN_KEY
-from hapticd.base.plain_values import Scalar
 from hapticd.base.yaml_source import Json
-from hapticd.config.key_paths import path_of, with_patch
 from hapticd.experiment.cells import Cell, cells_of, typed
 from hapticd.experiment.faults import Fault
+from hapticd.experiment.key_paths import path_of, with_patch
 from hapticd.experiment.keys import Adaptive, Study, Variable
+from hapticd.experiment.plain_values import Scalar
 from hapticd.experiment.stimuli import (
     config_faults,
     document_of,

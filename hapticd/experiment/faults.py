@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, TypeAlias
 
 from hapticd.base.errors import Path, known_names, quoted
-from hapticd.base.plain_values import Scalar
-from hapticd.config.key_paths import path_of
 from hapticd.experiment.cells import Cell, cells_of, combined, correct_answer
+from hapticd.experiment.key_paths import path_of
 from hapticd.experiment.keys import (
     MOST_TRIALS,
     NAMED_KEYS,
@@ -22,6 +21,7 @@ from hapticd.experiment.keys import (
     Study,
     TrialType,
 )
+from hapticd.experiment.plain_values import Scalar
 from hapticd.experiment.published import published_faults
 from hapticd.experiment.stimuli import PLACE, level_text
 

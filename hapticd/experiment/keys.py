@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal, TypeAlias
 from pydantic import BeforeValidator, Field, Strict, StringConstraints
 
 from hapticd.base.model import CheckedTogether, Model, Name, one_of_two
-from hapticd.base.plain_values import PlainMapping, PlainScalar, Scalar
+from hapticd.experiment.plain_values import PlainMapping, PlainScalar, Scalar
 from hapticd.experiment.procedures.constant_stimuli import ConstantStimuliParameters
 from hapticd.experiment.procedures.quest_plus import QuestPlusParameters
 from hapticd.experiment.procedures.staircase import StaircaseParameters

@@ -17,13 +17,13 @@ from pydantic import ValidationError
 from hapticd.base.errors import InvalidError, Path, Problem, path_text
 from hapticd.base.merge_patch import merge_patch
 from hapticd.base.model import faults_of
-from hapticd.base.plain_values import Scalar
 from hapticd.base.yaml_source import Json
 from hapticd.config.configuration import Config
-from hapticd.config.key_paths import difference, path_of, with_patch, with_value
 from hapticd.config.materials import shipped_materials
 from hapticd.config.scene import reference_faults
+from hapticd.experiment.key_paths import difference, path_of, with_patch, with_value
 from hapticd.experiment.keys import Study, Variable
+from hapticd.experiment.plain_values import Scalar
 
 PLACE: Final = "{place}"
 TARGET: Final = "target"

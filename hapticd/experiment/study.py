@@ -13,10 +13,10 @@ from hapticd.base.errors import InvalidError, Path, Problem, shown
 from hapticd.base.model import faults_of, plain
 from hapticd.base.yaml_source import Document, Json, load_path
 from hapticd.config.document_kinds import kind_of, refuse_other_kinds
-from hapticd.config.key_paths import expanded
 from hapticd.config.shipped_files import file_of
 from hapticd.experiment.display_faults import display_faults
 from hapticd.experiment.faults import Fault, faults_between
+from hapticd.experiment.key_paths import expanded
 from hapticd.experiment.keys import Study
 
 __all__ = ["Study", "load_study", "study_of"]

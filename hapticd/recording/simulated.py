@@ -6,20 +6,18 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import asdict
-from typing import Final, TypedDict
+from typing import TypedDict
 
 import numpy as np
 
 from hapticd.base.core import EventKind
 from hapticd.base.yaml_source import load_path
 from hapticd.config.configuration import Config, load_config
-from hapticd.config.document_kinds import Kind, refuse_other_kinds
+from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.protocol.events import event_map
 from hapticd.recording.output import recording_into
 from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.offline import Run, simulate_run
-
-_TAKERS: Final[dict[Kind, str]] = dict.fromkeys(("waypoints", "gesture"), "simulate SCENE --operator")
 
 
 class SimulationResult(TypedDict):
@@ -94,5 +92,5 @@ def _write(writer: RecordingWriter, config: Config, run: Run, notes: Mapping[str
 
 def configuration(path: str) -> Config:
     """That of a file which holds a scene or a whole one. Raises HapticdError or InvalidError."""
-    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene", takers=_TAKERS)
+    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene")
     return load_config(path)

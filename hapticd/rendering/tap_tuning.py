@@ -17,8 +17,7 @@ import numpy.typing as npt
 
 from hapticd.base.core import TUNE_NODE, CData
 from hapticd.config.materials import Material
-from hapticd.config.mode_table import ModeTable
-from hapticd.config.modes import Mode
+from hapticd.config.modes import Mode, ModeTable
 from hapticd.rendering.compensation import Ringing, tuned_shapes
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import DISPLAYABLE, Touched, touched_by

@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal, TypeAlias
 from pydantic import BeforeValidator, Field, Strict, StringConstraints
 
 from hapticd.base.model import CheckedTogether
-from hapticd.base.plain_values import PlainScalar
+from hapticd.experiment.plain_values import PlainScalar
 
 FigureKind: TypeAlias = Literal["map", "line", "table"]
 ColumnName: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=512)]

@@ -12,8 +12,8 @@ from pydantic import BeforeValidator, Field, PlainValidator, Strict, StringConst
 
 from hapticd.base.errors import shown
 from hapticd.base.model import CheckedTogether, Model, Name
-from hapticd.base.plain_values import PlainMapping, PlainScalar, mapping_of
 from hapticd.base.yaml_source import Json
+from hapticd.experiment.plain_values import PlainMapping, PlainScalar, mapping_of
 from hapticd.sweeps.figure_keys import SweepFigure, Words
 
 Combine: TypeAlias = Literal["crossed", "zipped", "latin_hypercube", "random"]

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from hapticd.base.errors import HapticdError, Path, on_one_line
 from hapticd.base.yaml_source import Json
-from hapticd.config.key_paths import path_of, with_value
 from hapticd.config.schema import unit_of
+from hapticd.experiment.key_paths import path_of, with_value
 from hapticd.sweeps.axes import Axis, axes_of, settings, shown_value
 from hapticd.sweeps.columns import ERROR, POINT, Column, Kind, Row, Value
 from hapticd.sweeps.identity import sum_of, sums_at

@@ -14,10 +14,10 @@ from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known
 from hapticd.base.model import faults_of, plain
 from hapticd.base.yaml_source import MAX_BYTES, Document, Json, load_bytes, load_path, read_file
 from hapticd.config.configuration import Config, load_config
-from hapticd.config.document_kinds import likely_kind_of, refuse_other_kinds
-from hapticd.config.key_paths import expanded, path_of, with_value
+from hapticd.config.document_kinds import kind_of, refuse_other_kinds
 from hapticd.config.operator import Operator, load_operator, parse_operator
 from hapticd.config.shipped_files import file_of
+from hapticd.experiment.key_paths import expanded, path_of, with_value
 from hapticd.sweeps.axes import Axis
 from hapticd.sweeps.columns import Value
 from hapticd.sweeps.figure_faults import figure_faults
@@ -102,7 +102,7 @@ def _with_base(document: Document, data: dict[str, Json], folder: str) -> Docume
     if isinstance(given, str):
         source = _file(given, folder, "scenes")
         refuse_other_kinds(source, "configuration", "change", "scene", "bare scene", "materials")
-        if likely_kind_of(source.data) == "bare scene":
+        if kind_of(source.data) == "bare scene":
             source = source.below("scene")
         given = source.data
     if not isinstance(given, dict):

@@ -8,6 +8,7 @@ One thread, one event loop, in this order:
     listening       where it listens: this machine alone, or with TLS and a password others, too
     http_server     aiohttp's server at that port
     connections     the connections of browsers: how many, and how long each may take
+    tasks           the end of a task of the event loop
     application     the HTTP routes: the static page, the WebSocket
     security        who is let in: the one-time token, the password, the cookie; headers of every answer
     hosts           under which names it is asked: Host and Origin of every request
@@ -19,6 +20,7 @@ One thread, one event loop, in this order:
     page            one page: its WebSocket, what it may ask and what it is answered
     outbox          what waits to be sent to a page
     page_limits     how much a page may ask
+    token_bucket    how much somebody may ask: so much at once, and so much a second
     page_calls      what a page may call of the daemon
     page_lease      forces only under a lease of the page
     daemon_relay    a page's own connection to the daemon

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from hapticd.base.token_bucket import Bucket
+from hapticd.web.token_bucket import Bucket
 
 STREAMS_PER_S: Final = 2000.0
 CALLS_PER_S: Final = 200.0

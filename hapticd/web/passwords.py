@@ -17,9 +17,9 @@ from typing import Final, Literal
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import check_regular, write_whole
-from hapticd.base.token_bucket import Bucket
 from hapticd.base.yaml_source import one_line
 from hapticd.system.trusted_files import read_trusted
+from hapticd.web.token_bucket import Bucket
 
 LEAST_CHARACTERS: Final = 8
 LONGEST_BYTES: Final = 1024

@@ -14,7 +14,6 @@ import click
 
 from hapticd.base import memory
 from hapticd.base.errors import HapticdError
-from hapticd.base.tasks import ended
 from hapticd.client import blocking
 from hapticd.client.asynchronous import Client
 from hapticd.protocol import places
@@ -30,6 +29,7 @@ from hapticd.web.listening import Listening, listen
 from hapticd.web.recording_folder import default_folder
 from hapticd.web.recording_methods import Recordings
 from hapticd.web.sessions import Sessions
+from hapticd.web.tasks import ended
 from hapticd.web.telemetry_hub import TelemetryHub
 
 if TYPE_CHECKING:

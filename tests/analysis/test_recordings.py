@@ -495,14 +495,14 @@ def test_a_yaml_that_cannot_be_read_is_not_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("beside", "told"),
     [
-        ("rate_hz: .nan", "rate_hz: must be finite"),
-        ("rate_hz: -5", "rate_hz: must be at least 100"),
+        ("rate_hz: .nan", "rate_hz: should be a finite number"),
+        ("rate_hz: -5", "rate_hz: should be greater than or equal to 100"),
         ("rate: 5000", "rate: unknown key; did you mean rate_hz"),
         ("columns: {force: {column: force_n, scale: 0}}", "columns.force.scale: is 0, which leaves nothing"),
         ("columns: {force: {column: 0}}", "has no column '0', known: time_s, force_n"),
         ("columns: {force: {column: 99999999999999999999}}", "has no column '99999999999999999999'"),
         ("columns: {time: {column: time_s}}", "names neither acceleration nor force nor position"),
-        ("columns: {weight: {column: time_s}}", "must be time, acceleration, force, position"),
+        ("columns: {weight: {column: time_s}}", "should be 'time', 'acceleration', 'force', 'position'"),
     ],
 )
 def test_a_yaml_that_is_wrong_is_told(tmp_path: Path, beside: str, told: str) -> None:

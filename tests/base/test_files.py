@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import stat
 from pathlib import Path
@@ -14,13 +13,7 @@ from hapticd.base.files import check_new, whole_file, write_whole
 from tests.support.special_files import KINDS, refused, special, untouched
 
 
-@pytest.mark.parametrize("links", [True, False])
-def test_a_name_that_is_taken_is_not_taken_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(errno.EPERM, "no hard links here")
-
-    if not links:
-        monkeypatch.setattr(os, "link", refuse)
+def test_a_name_that_is_taken_is_not_taken_over(tmp_path: Path) -> None:
     target = tmp_path / "a.yaml"
     write_whole(target, "1", overwrite=False)
     for number in (2, 3):
@@ -62,18 +55,9 @@ def test_what_is_no_regular_file_is_refused_and_left(tmp_path: Path, kind: str, 
             assert str(caught.value) == refused(place, kind)
 
 
-@pytest.mark.parametrize("links", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, links: bool
-) -> None:
+def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(tmp_path: Path, kind: str) -> None:
     """Also with `overwrite`, which is about that name alone."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(errno.EPERM, "no hard links here")
-
-    if not links:
-        monkeypatch.setattr(os, "link", refuse)
     for name in "ab":
         target, told = tmp_path / f"{name}.yaml", f"what was written is in {tmp_path}/{name}-3.yaml"
         with pytest.raises(HapticdError, match=told), whole_file(target, overwrite=True) as file:

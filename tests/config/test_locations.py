@@ -149,7 +149,7 @@ def test_paths_with_a_configuration_that_cannot_be_read(home: Path, capsys: pyte
     assert main(["paths", "--json"]) == 1
     captured = capsys.readouterr()
     found = json.loads(captured.out)
-    fault = f"{user}:1:9: servo.rate_hz: must be at least 1000, is 1"
+    fault = f"{user}:1:9: servo.rate_hz: should be greater than or equal to 1000, is 1"
     assert (found["configuration"]["files"], found["flight_files"]) == ([user], None)
     assert (found["configuration"]["fault"], captured.err) == (fault, "")
     assert main(["paths"]) == 1

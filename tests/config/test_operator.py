@@ -52,50 +52,56 @@ def test_waypoints_are_taken_as_they_are() -> None:
     [
         ({}, [("", "needs exactly one of waypoints and gesture")]),
         ({"waypoints": None}, [("", "needs exactly one of waypoints and gesture")]),
-        ({"waypoints": 3}, [("waypoints", "must be a list, is 3")]),
-        ({"waypoints": []}, [("waypoints", f"must hold 1 to {MAX_WAYPOINTS} entries, holds 0")]),
+        ({"waypoints": 3}, [("waypoints", "should be a list, is 3")]),
+        ({"waypoints": []}, [("waypoints", "List should have at least 1 item after validation, not 0")]),
         (
             {"waypoint": []},
             [("waypoint", "unknown key; did you mean waypoints?")],
         ),
         (
             {"waypoints": [[0, 0, 0]], "interpolation": "cubic"},
-            [("interpolation", 'must be linear or minimum_jerk, is "cubic"')],
+            [("interpolation", "should be 'linear' or 'minimum_jerk', is \"cubic\"")],
+        ),
+        ({"waypoints": [[0, 0, 0], [1, 0], 7]}, [("waypoints[1][2]", "Field required")]),
+        ({"waypoints": [7, 8]}, [("waypoints[0]", "should be a list, is 7")]),
+        (
+            {"waypoints": [[0, "1", True], 7]},
+            [
+                ("waypoints[0][1]", 'should be a valid number, is "1"'),
+                ("waypoints[0][2]", "should be a valid number, is true"),
+            ],
         ),
         (
-            {"waypoints": [[0, 0], 7, [0, "1", True], [0, math.nan, math.inf], [-1, 11, 0]]},
+            {"waypoints": [[-1, 11, math.nan]]},
             [
-                ("waypoints[0]", "must be three numbers [t_s, x_m, y_m], has 2"),
-                ("waypoints[1]", "must be three numbers [t_s, x_m, y_m], is 7"),
-                ("waypoints[2][1]", 'x_m must be a number, is "1"'),
-                ("waypoints[2][2]", "y_m must be a number, is true"),
-                ("waypoints[3][1]", "x_m must be between -10 and 10, is nan"),
-                ("waypoints[3][2]", "y_m must be between -10 and 10, is inf"),
-                ("waypoints[4][0]", "t_s must be between 0 and 86400, is -1"),
-                ("waypoints[4][1]", "x_m must be between -10 and 10, is 11"),
+                ("waypoints[0][0]", "should be greater than or equal to 0, is -1"),
+                ("waypoints[0][1]", "should be less than or equal to 10, is 11"),
+                ("waypoints[0][2]", "should be a finite number, is nan"),
             ],
         ),
         (
             {"waypoints": [[0, 0, 0], [1.0, 0, 0], [1.0, 0, 0], [0.5, 0, 0], [2, 0, 0]]},
-            [
-                ("waypoints[2][0]", "t_s must be at least 1e-05 later than 1.0 before it, is 1.0"),
-                ("waypoints[3][0]", "t_s must be at least 1e-05 later than 1.0 before it, is 0.5"),
-            ],
+            [("waypoints[2][0]", "must be at least 1e-05 later than 1.0 before it, is 1.0")],
         ),
-        ({"gesture": {}}, [("gesture.kind", "is missing")]),
+        ({"gesture": {}}, [("gesture.kind", "Field required")]),
         (
             {"gesture": {"kind": "tab"}},
-            [("gesture.kind", 'unknown kind "tab"; did you mean tap?')],
+            [
+                (
+                    "gesture.kind",
+                    "tag 'tab' found using 'kind' does not match any of the expected tags: 'tap', 'stroke', 'puncture'",
+                )
+            ],
         ),
         (
             {"gesture": {"kind": "tap"}},
-            [("gesture.object", "is missing"), ("gesture.speed_m_per_s", "is missing")],
+            [("gesture.object", "Field required"), ("gesture.speed_m_per_s", "Field required")],
         ),
         (
             {"gesture": {"kind": "tap", "object": "a", "speed_m_per_s": 0, "count": 1.5}},
             [
-                ("gesture.speed_m_per_s", "must be at least 0.001, is 0"),
-                ("gesture.count", "must be a whole number, is 1.5"),
+                ("gesture.speed_m_per_s", "should be greater than or equal to 0.001, is 0"),
+                ("gesture.count", "should be a valid integer, is 1.5"),
             ],
         ),
         (
@@ -130,9 +136,9 @@ def test_every_fault_is_named(params: Mapping[str, object], expected: list[tuple
 def test_a_hopeless_list_is_not_answered_at_length() -> None:
     with pytest.raises(InvalidError) as error:
         parse_operator({"waypoints": [["x", "y", "z"]] * MAX_WAYPOINTS})
-    assert len(error.value.problems) < 110
-    with pytest.raises(InvalidError, match="100000 entries"):
-        parse_operator({"waypoints": [0] * (MAX_WAYPOINTS + 1)})
+    assert len(error.value.problems) == 3
+    with pytest.raises(InvalidError, match="at most 100000 items"):
+        parse_operator({"waypoints": [[time_s, 0, 0] for time_s in [0] * (MAX_WAYPOINTS + 1)]})
 
 
 # ---- files ------------------------------------------------------------------------------------------------
@@ -176,37 +182,46 @@ def test_a_file_with_a_gesture(tmp_path: Path) -> None:
         (
             "a.yaml",
             "waypoints:\n  - [0, 0, 0]\n  - [0.5, zero, 0]\n  - [1, 0]\n",
-            [
-                (":3:11: waypoints[1][1]", 'x_m must be a number, is "zero"'),
-                (":4:5: waypoints[2]", "must be three numbers [t_s, x_m, y_m], has 2"),
-            ],
+            [(":3:11: waypoints[1][1]", 'should be a valid number, is "zero"')],
         ),
         ("a.yaml", "- [0, 0, 0]\n", [(":1:1", "must be a mapping with waypoints or gesture")]),
         ("a.yaml", "", [(":1:1", "must be a mapping with waypoints or gesture")]),
         (
             "a.json",
             '{\n"gesture": {"kind": "tap",\n"object": "a", "speed_m_per_s": "1"}}',
-            [(":3:16: gesture.speed_m_per_s", 'must be a number, is "1"')],
+            [(":3:16: gesture.speed_m_per_s", 'should be a valid number, is "1"')],
         ),
         (
             "a.csv",
             "t_s,x_m,y_m\n0,0,0\n\n0.5,x,0\n1,0\n0.9,0,0,\n",
-            [
-                (":4", 'x_m must be a number, is "x"'),
-                (":5", "must be three numbers [t_s, x_m, y_m], has 2"),
-                (":6", "must be three numbers [t_s, x_m, y_m], has 4"),
-            ],
+            [(":4: waypoints[1][1]", 'should be a valid number, is "x"')],
+        ),
+        (
+            "a.csv",
+            "0,0,0\n1,0,0,\n",
+            [(":2: waypoints[1]", "List should have at most 3 items after validation, not 4")],
         ),
         ("a.csv", "t,x,y\n0,0,0\n", [(":1", 'the header must be t_s,x_m,y_m, is "t,x,y"')]),
-        ("a.csv", "0,0,0\n0,0,0\n", [(":2", "t_s must be at least 1e-05 later than 0.0 before it, is 0.0")]),
+        (
+            "a.csv",
+            "0,0,0\n0,0,0\n",
+            [(":2: waypoints[1][0]", "must be at least 1e-05 later than 0.0 before it, is 0.0")],
+        ),
         (
             "a.csv",
             "0,1_0,nan\n",
-            [(":1", 'x_m must be a number, is "1_0"'), (":1", "y_m must be between -10 and 10, is nan")],
+            [
+                (":1: waypoints[0][1]", 'should be a valid number, is "1_0"'),
+                (":1: waypoints[0][2]", "should be a finite number, is nan"),
+            ],
         ),
-        ("a.csv", "t_s,x_m,y_m\nt_s,x_m,y_m\n", [(":2", 't_s must be a number, is "t_s"')]),
-        ("a.csv", "", [(":1", f"must hold 1 to {MAX_WAYPOINTS} entries, holds 0")]),
-        ("a.csv", "t_s,x_m,y_m\n", [(":1", f"must hold 1 to {MAX_WAYPOINTS} entries, holds 0")]),
+        (
+            "a.csv",
+            "t_s,x_m,y_m\nt_s,0,0\n",
+            [(":2: waypoints[0][0]", 'should be a valid number, is "t_s"')],
+        ),
+        ("a.csv", "", [(":1: waypoints", "List should have at least 1 item after validation, not 0")]),
+        ("a.csv", "t_s,x_m,y_m\n", [(":1: waypoints", "List should have at least 1 item after validation, not 0")]),
     ],
 )
 def test_a_fault_in_a_file_has_its_line(tmp_path: Path, name: str, text: str, expected: list[tuple[str, str]]) -> None:

@@ -100,8 +100,8 @@ def test_the_kind_is_no_part_of_a_path() -> None:
     bad: dict[str, Json] = {**WALL, "normal": [1, "x"], "wall": 1, "material": ""}
     for name in ("table", "wall", "spring", "objects"):
         assert faults(name, bad) == {
-            f"objects.{name}.normal[1]": 'must be a number, is "x"',
-            f"objects.{name}.material": "must have at least 1 character",
+            f"objects.{name}.normal[1]": 'should be a valid number, is "x"',
+            f"objects.{name}.material": 'String should have at least 1 character, is ""',
             f"objects.{name}.wall": "unknown key; known: kind, point_m, normal, material, patches, patch_ramp_m",
         }
 
@@ -109,50 +109,52 @@ def test_the_kind_is_no_part_of_a_path() -> None:
 @pytest.mark.parametrize(
     ("data", "where", "problem"),
     [
-        ({}, "objects.o.kind", "is missing"),
+        ({}, "objects.o.kind", "Field required"),
         (
             {"kind": "wal"},
             "objects.o.kind",
-            'unknown kind "wal"; did you mean wall?',
+            "tag 'wal' found using 'kind' does not match any of the expected tags: 'wall', 'membrane', 'box', ",
         ),
+        ({"kind": 3}, "objects.o.kind", "does not match any of the expected tags"),
+        ({"kind": ["wall"]}, "objects.o.kind", "does not match any of the expected tags"),
+        ({"kind": None}, "objects.o.kind", "does not match any of the expected tags"),
+        (None, "objects.o", "should be a mapping, is null"),
+        ([], "objects.o", "should be a mapping, is a list"),
+        ("wall", "objects.o", 'should be a mapping, is "wall"'),
+        ({**WALL, "point_m": [0]}, "objects.o.point_m[1]", "Field required"),
         (
-            {"kind": "cube"},
-            "objects.o.kind",
-            'unknown kind "cube"; known: wall, membrane, box, disc, spring, viscous, constant',
+            {**WALL, "point_m": [0, 0, 0]},
+            "objects.o.point_m",
+            "List should have at most 2 items after validation, not 3",
         ),
-        ({"kind": 3}, "objects.o.kind", "unknown kind"),
-        ({"kind": ["wall"]}, "objects.o.kind", "unknown kind"),
-        ({"kind": None}, "objects.o.kind", "unknown kind"),
-        (None, "objects.o", "must be a mapping, is null"),
-        ([], "objects.o", "must be a mapping, is a list"),
-        ("wall", "objects.o", 'must be a mapping, is "wall"'),
-        ({**WALL, "point_m": [0]}, "objects.o.point_m", "must be two numbers [x, y], has 1"),
-        ({**WALL, "point_m": []}, "objects.o.point_m", "must be two numbers [x, y], has 0"),
-        ({**WALL, "point_m": [0, 0, 0]}, "objects.o.point_m", "must be two numbers [x, y], has 3"),
-        ({**WALL, "point_m": 0}, "objects.o.point_m", "must be two numbers [x, y], is 0"),
-        ({**WALL, "point_m": "00"}, "objects.o.point_m", 'must be two numbers [x, y], is "00"'),
-        ({**WALL, "point_m": {"x": 0}}, "objects.o.point_m", "must be two numbers [x, y], is a mapping"),
-        ({**WALL, "point_m": [11, 0]}, "objects.o.point_m[0]", "must be at most 10, is 11"),
-        ({**WALL, "point_m": [0, math.nan]}, "objects.o.point_m[1]", "must be finite, is nan"),
-        ({**WALL, "point_m": [0, -math.inf]}, "objects.o.point_m[1]", "must be finite, is -inf"),
-        ({**WALL, "point_m": [0, True]}, "objects.o.point_m[1]", "must be a number, is true"),
-        ({**BOX, "size_m": [1]}, "objects.o.size_m", "must be two numbers [width, height], has 1"),
-        ({**BOX, "size_m": [1, 0]}, "objects.o.size_m[1]", "must be at least 0.0001, is 0"),
-        ({**BOX, "size_m": [-1, 1]}, "objects.o.size_m[0]", "must be at least 0.0001, is -1"),
-        ({**BOX, "angle_rad": math.inf}, "objects.o.angle_rad", "must be finite, is inf"),
-        ({**DISC, "radius_m": 0}, "objects.o.radius_m", "must be at least 0.0001, is 0"),
+        ({**WALL, "point_m": 0}, "objects.o.point_m", "should be a list, is 0"),
+        ({**WALL, "point_m": "00"}, "objects.o.point_m", 'should be a list, is "00"'),
+        ({**WALL, "point_m": {"x": 0}}, "objects.o.point_m", "should be a list, is a mapping"),
+        ({**WALL, "point_m": [11, 0]}, "objects.o.point_m[0]", "should be less than or equal to 10, is 11"),
+        ({**WALL, "point_m": [0, math.nan]}, "objects.o.point_m[1]", "should be a finite number, is nan"),
+        ({**WALL, "point_m": [0, -math.inf]}, "objects.o.point_m[1]", "should be a finite number, is -inf"),
+        ({**WALL, "point_m": [0, True]}, "objects.o.point_m[1]", "should be a valid number, is true"),
+        ({**BOX, "size_m": [1]}, "objects.o.size_m[1]", "Field required"),
+        ({**BOX, "size_m": [1, 0]}, "objects.o.size_m[1]", "should be greater than or equal to 0.0001, is 0"),
+        ({**BOX, "size_m": [-1, 1]}, "objects.o.size_m[0]", "should be greater than or equal to 0.0001, is -1"),
+        ({**BOX, "angle_rad": math.inf}, "objects.o.angle_rad", "should be a finite number, is inf"),
+        ({**DISC, "radius_m": 0}, "objects.o.radius_m", "should be greater than or equal to 0.0001, is 0"),
         ({**DISC, "normal": [0, 1]}, "objects.o.normal", "unknown key; known: kind, center_m, radius_m, material"),
-        ({**WALL, "patches": None}, "objects.o.patches", "must be a list, is null"),
-        ({**WALL, "patches": {}}, "objects.o.patches", "must be a list, is a mapping"),
-        ({**WALL, "patches": [3]}, "objects.o.patches[0]", "must be a mapping, is 3"),
-        ({**WALL, "patch_ramp_m": 0}, "objects.o.patch_ramp_m", "must be at least 1e-05, is 0"),
-        ({**SPRING, "stiffness_n_per_m": -1}, "objects.o.stiffness_n_per_m", "must be at least 0, is -1"),
+        ({**WALL, "patches": None}, "objects.o.patches", "should be a list, is null"),
+        ({**WALL, "patches": {}}, "objects.o.patches", "should be a list, is a mapping"),
+        ({**WALL, "patches": [3]}, "objects.o.patches[0]", "should be a mapping, is 3"),
+        ({**WALL, "patch_ramp_m": 0}, "objects.o.patch_ramp_m", "should be greater than or equal to 0.00001, is 0"),
+        (
+            {**SPRING, "stiffness_n_per_m": -1},
+            "objects.o.stiffness_n_per_m",
+            "should be greater than or equal to 0, is -1",
+        ),
         ({**SPRING, "stifness_n_per_m": 1}, "objects.o.stifness_n_per_m", "did you mean stiffness_n_per_m?"),
-        ({**VISCOUS, "damping_n_s_per_m": None}, "objects.o.damping_n_s_per_m", "must be a number, is null"),
+        ({**VISCOUS, "damping_n_s_per_m": None}, "objects.o.damping_n_s_per_m", "should be a valid number, is null"),
         (
             {**CONSTANT, "force_n": [0, 10**400]},
             "objects.o.force_n[1]",
-            "is too large: a whole number of 1329 bits",
+            "should be a valid number, is a whole number of 1329 bits",
         ),
     ],
 )
@@ -163,17 +165,17 @@ def test_faults_of_an_object(data: Json, where: str, problem: str) -> None:
 
 
 def test_faults_begin_with_the_root() -> None:
-    with pytest.raises(InvalidError, match=r"^params\.objects\.table\.kind: is missing$"):
+    with pytest.raises(InvalidError, match=r"^params\.objects\.table\.kind: Field required$"):
         validate_object("table", {}, ("params",))
-    with pytest.raises(InvalidError, match=r"^scene\.ramp_s: must be at most 1, is 2$"):
+    with pytest.raises(InvalidError, match=r"^scene\.ramp_s: should be less than or equal to 1, is 2$"):
         validate_scene({"ramp_s": 2}, ("scene",))
-    with pytest.raises(InvalidError, match=r"^scene: must be a mapping, is null$"):
+    with pytest.raises(InvalidError, match=r"^scene: should be a mapping, is null$"):
         validate_scene(None, ("scene",))
 
 
 def test_bad_ids() -> None:
     assert faults("a.b", WALL) == {'objects."a.b"': 'must not hold a dot or a control character: "a.b"'}
-    assert faults("", WALL) == {'objects.""': "must have at least 1 character"}
+    assert faults("", WALL) == {'objects.""': 'String should have at least 1 character, is ""'}
 
 
 @pytest.mark.slow
@@ -263,8 +265,8 @@ def patch(from_m: float, to_m: float, material: str = "glass") -> dict[str, Json
         ([patch(0, 0)], "[0]", "to_m must be more than from_m by at least 1e-05, is 0 and 0"),
         ([patch(0, 1), patch(3, 2)], "[1]", "to_m must be more than from_m by at least 1e-05, is 2 and 3"),
         ([patch(0, 1e-6)], "[0]", "to_m must be more than from_m by at least 1e-05, is 1e-06 and 0"),
-        ([patch(0, 21)], "[0].to_m", "must be at most 20, is 21"),
-        ([{"from_m": 0}], "[0].to_m", "is missing"),
+        ([patch(0, 21)], "[0].to_m", "should be less than or equal to 20, is 21"),
+        ([{"from_m": 0}], "[0].to_m", "Field required"),
         ([patch(0, 2), patch(1, 3)], "", "[0] and [1] overlap"),
         ([patch(5, 6), patch(1, 3), patch(0, 2)], "", "[1] and [2] overlap"),
         ([patch(0, 9), patch(1, 2)], "", "[0] and [1] overlap"),
@@ -409,20 +411,19 @@ def test_sources(tmp_path: pathlib.Path) -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("objects:\n  a:\n    kind: wal\n", r"bad.yaml:3:\d+: objects\.a\.kind: unknown kind"),
-        ("scene:\n  ramp_s: 0\n", r"bad.yaml:2:\d+: scene\.ramp_s: must be at least 0.001, is 0"),
+        ("objects:\n  a:\n    kind: wal\n", r"bad.yaml:3:\d+: objects\.a\.kind: tag 'wal' found"),
+        ("scene:\n  ramp_s: 0\n", r"bad.yaml:2:\d+: scene\.ramp_s: should be greater than or equal to 0.001, is 0"),
         (
             "scene: {}\nservo: {}\n",
             r"^\S*bad.yaml: holds a configuration; use: hapticd run -c \S*bad.yaml$",
         ),
         (
             "scene: {}\ngesture: {}\nobjects: {}\n",
-            r"^\S*bad.yaml:2:\d+: gesture: does not belong to a scene, which is all that is taken here; "
-            r"that is for hapticd operator; "
-            r"\S*bad.yaml:3:\d+: objects: does not belong to a scene, which is all that is taken here$",
+            r"^\S*bad.yaml:2:\d+: gesture: unknown key; known: scene; "
+            r"\S*bad.yaml:3:\d+: objects: unknown key; known: scene$",
         ),
-        ("scene:\n", r"bad.yaml:1:\d+: scene: must be a mapping, is null"),
-        ("- 1\n", r"bad.yaml:1:\d+: must be a mapping, is a list"),
+        ("scene:\n", r"bad.yaml:1:\d+: scene: should be a mapping, is null"),
+        ("- 1\n", r"bad.yaml:1:\d+: should be a mapping, is a list"),
     ],
 )
 def test_faults_in_a_file_name_the_line(tmp_path: pathlib.Path, text: str, problem: str) -> None:
@@ -432,12 +433,12 @@ def test_faults_in_a_file_name_the_line(tmp_path: pathlib.Path, text: str, probl
         load_scene(path)
 
 
-def test_scenes_are_validated_object_by_object_and_come_out_the_same() -> None:
+def test_scenes_are_validated_in_parts_and_come_out_the_same() -> None:
     wall = {"kind": "wall", "point_m": [0, 0], "normal": [0, 3], "material": "wood"}
     patches = [{"from_m": 0.001 * at, "to_m": 0.001 * at + 0.0004, "material": "steel"} for at in range(500)]
     data = {"ramp_s": 0.1, "objects": {f"wall {at}": wall for at in range(600)} | {"one": wall | {"patches": patches}}}
     found = validate_scene(data)
-    assert sum(1 for _ in scene_steps(data)) == 601
+    assert sum(1 for _ in scene_steps(data)) == 3
     assert found.ramp_s == 0.1 and found == Scene.parsed(data)
     assert list(found.objects) == list(data["objects"])  # type: ignore[call-overload]
 
@@ -446,7 +447,7 @@ def test_of_thousands_of_faults_the_first_are_told() -> None:
     wall = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
     with pytest.raises(InvalidError) as refused:
         validate_scene({"objects": {f"w{at}": 1 for at in range(5000)}}, ("scene",))
-    assert len(refused.value.problems) == 201
+    assert len(refused.value.problems) == 202
     assert [problem.where for problem in refused.value.problems[:2]] == ["scene.objects.w0", "scene.objects.w1"]
     assert str(refused.value.problems[-1]) == "scene.objects: the rest was not looked at"
     with pytest.raises(InvalidError, match="patches: must hold at most 512 entries, holds 60000"):

@@ -61,9 +61,7 @@ def test_a_scene_of_ones_own_needs_an_operator(capsys: pytest.CaptureFixture[str
         capsys, 2, "simulate", "s.yaml", "-o", "x.npz"
     )
     Path("s.yaml").write_text("gesture: {}\n")
-    assert "s.yaml: holds a gesture; use: hapticd simulate SCENE --operator s.yaml" in said(
-        capsys, 1, "simulate", "s.yaml"
-    )
+    assert "s.yaml: holds a gesture; use: hapticd operator s.yaml" in said(capsys, 1, "simulate", "s.yaml")
 
 
 def test_check_takes_a_shipped_scene(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ from hapticd.base.core import EventKind, lib
 from hapticd.base.errors import InvalidError
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
-from hapticd.config.rising_points import MAX_POINTS
+from hapticd.config.modes import MAX_POINTS
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import undisplayable
 from tests.support.rig import FLOOR, Rig

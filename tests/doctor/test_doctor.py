@@ -500,7 +500,7 @@ def test_a_fault_of_the_machine_is_exit_code_1(
     assert main(["doctor", "-c", str(config)]) == 1
     captured = capsys.readouterr()
     assert captured.out.startswith(
-        f"fail  config       {config}:1:9: servo.cpu: must be at least 0, is -1; the lines below"
+        f"fail  config       {config}:1:9: servo.cpu: should be greater than or equal to 0, is -1; the lines below"
     )
     assert "\nok    clock " in captured.out or "\nwarn  clock " in captured.out
     assert captured.err.startswith("hapticd: not ready: config")

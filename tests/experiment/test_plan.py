@@ -13,8 +13,8 @@ import yaml
 from hapticd.base.errors import InvalidError
 from hapticd.base.merge_patch import merge_patch
 from hapticd.config.configuration import load_config
-from hapticd.config.key_paths import difference
 from hapticd.experiment.cells import cells_of
+from hapticd.experiment.key_paths import difference
 from hapticd.experiment.plan import Plan, PlannedTrial, plan
 from hapticd.experiment.stimuli import at_level, config_with
 from hapticd.experiment.study import study_of

@@ -18,8 +18,8 @@ STAIRCASE = "start: 50, least: 1, most: 200, steps: [10, 5], trials: 20}"
 
 # What is mistaken: the study, a text in it, what stands there instead, the text on the line that is named, the message.
 MISTAKES = {
-    "unknown version": (PAIRS, "experiment: 1", "experiment: 2", "experiment: 2", "must be 1"),
-    "no title": (PAIRS, "title: Which is stiffer?\n", "", "experiment: 1", "title: is missing"),
+    "unknown version": (PAIRS, "experiment: 1", "experiment: 2", "experiment: 2", "should be 1, is 2"),
+    "no title": (PAIRS, "title: Which is stiffer?\n", "", "experiment: 1", "title: Field required"),
     "unknown key": (PAIRS, "places: [", "place: [", "place: [", "did you mean places?"),
     "unknown base": (PAIRS, "base:\n", "base: nowhere\nbase_:\n", "base: nowhere", "no shipped scene"),
     "device in the base": (
@@ -36,7 +36,13 @@ MISTAKES = {
         "left: wod",
         "did you mean wood?",
     ),
-    "unknown kind of object": (PAIRS, "left: {kind: box", "left: {kind: bx", "left: {kind: bx", "did you mean box?"),
+    "unknown kind of object": (
+        PAIRS,
+        "left: {kind: box",
+        "left: {kind: bx",
+        "left: {kind: bx",
+        "tag 'bx' found",
+    ),
     "unknown material among the levels": (
         PAIRS,
         "glass, steel]",
@@ -84,7 +90,7 @@ MISTAKES = {
         "no trial",
     ),
     "a condition that the scene refuses": (PAIRS, "{force: false}", "{forc: false}", "forc", "did you mean force?"),
-    "unknown type": (PAIRS, "type: paired_comparison", "type: paired", "type: paired", "must be paired_comparison"),
+    "unknown type": (PAIRS, "type: paired_comparison", "type: paired", "type: paired", "should be 'paired_comparison'"),
     "neither cross nor list": (PAIRS, "  cross: [material]\n", "", "  material:", "no trial varies it"),
     "cross and list": (
         LISTED,
@@ -125,7 +131,7 @@ MISTAKES = {
         "name: same",
         "its number, 2, is the key of first",
     ),
-    "a key that is a number": (PAIRS, 'key: "2"', "key: 2", "key: 2", 'write it in quotes: "2"'),
+    "a key that is a number": (PAIRS, 'key: "2"', "key: 2", "key: 2", "should be a valid string, is 2"),
     "a target like its reference": (
         CONSTANT,
         "reference: {stiffness: 800}",
@@ -167,7 +173,7 @@ MISTAKES = {
         "known: material",
     ),
     "a slider that falls": (RATING, "low: 0, high: 10", "low: 10, high: 0", "  real:", "low must be less than high"),
-    "unknown order": (PAIRS, "kind: blocked", "kind: block", "kind: block", "must be random"),
+    "unknown order": (PAIRS, "kind: blocked", "kind: block", "kind: block", "should be 'random'"),
     "blocks of what has none": (PAIRS, "kind: blocked", "kind: random", "by: condition", "has no blocks"),
     "a square of one block": (
         CONSTANT,
@@ -184,8 +190,20 @@ MISTAKES = {
         "feedback:",
         "no answer is correct",
     ),
-    "a time limit of nothing": (RATING, "time_limit_s: 30", "time_limit_s: 0", "time_limit_s", "must be more than 0"),
-    "no repetitions": (RATING, "repetitions: 3", "repetitions: 0", "repetitions: 0", "must be at least 1"),
+    "a time limit of nothing": (
+        RATING,
+        "time_limit_s: 30",
+        "time_limit_s: 0",
+        "time_limit_s",
+        "should be greater than 0",
+    ),
+    "no repetitions": (
+        RATING,
+        "repetitions: 3",
+        "repetitions: 0",
+        "repetitions: 0",
+        "should be greater than or equal to 1",
+    ),
     "unknown published results": (
         PAIRS,
         "okamura1998.tapping",
@@ -198,7 +216,7 @@ MISTAKES = {
         "      variable: {name: frequency_hz, at: materials.surface.tap.frequency_hz, reference: 200, level: added}\n",
         "",
         "    one:",
-        "variable: is missing",
+        "variable: Field required",
     ),
     "a staircase of no number": (
         ADAPTIVE,
@@ -267,7 +285,13 @@ MISTAKES = {
         "reference:",
         "did you mean stiffness?",
     ),
-    "a level that the material refuses": (CONSTANT, "[600, 700", "[-600, 700", "[-600", "must be at least 0, is -600"),
+    "a level that the material refuses": (
+        CONSTANT,
+        "[600, 700",
+        "[-600, 700",
+        "[-600",
+        "should be greater than or equal to 0, is -600",
+    ),
     "alternatives of a rating": (
         RATING,
         "  type: rating",
@@ -356,7 +380,7 @@ def test_a_base_file_stands_beside_the_study_and_its_faults_are_placed_there(tmp
     assert load_study(file) == load_study(inline)
     boxes = (tmp_path / "boxes.yaml").read_text()
     (tmp_path / "boxes.yaml").write_text(boxes.replace("size_m: [0.05, 0.04], material: left", "material: left"))
-    with pytest.raises(InvalidError, match=r"boxes\.yaml:4:5: scene\.objects\.left\.size_m: is missing"):
+    with pytest.raises(InvalidError, match=r"boxes\.yaml:4:5: scene\.objects\.left\.size_m: Field required"):
         load_study(file)
 
 

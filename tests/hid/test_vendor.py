@@ -166,8 +166,8 @@ def test_a_single_axis_stays_where_it_is_along_the_other() -> None:
             "x (bits 0 to 15) and y (bits 8 to 19) overlap",
         ),
         ({"input__y": {"bit_offset": 15}}, "input", "x (bits 0 to 15) and y (bits 15 to 30) overlap"),
-        ({"output__x": {"bit_size": 33}}, "output.x.bit_size", "must be at most 32, is 33"),
-        ({"output__x": {"bit_size": 0}}, "output.x.bit_size", "must be at least 1, is 0"),
+        ({"output__x": {"bit_size": 33}}, "output.x.bit_size", "should be less than or equal to 32, is 33"),
+        ({"output__x": {"bit_size": 0}}, "output.x.bit_size", "should be greater than or equal to 1, is 0"),
         (
             {"output__x": {"bit_size": 12}},
             "output.x",
@@ -180,8 +180,8 @@ def test_a_single_axis_stays_where_it_is_along_the_other() -> None:
             "output.y",
             "zero_counts 5000 does not fit into 12 bits: 0 to 4095",
         ),
-        ({"output": {"report_id": 256}}, "output.report_id", "must be at most 255, is 256"),
-        ({"output": {"length": 0}}, "output.length", "must be at least 1, is 0"),
+        ({"output": {"report_id": 256}}, "output.report_id", "should be less than or equal to 255, is 256"),
+        ({"output": {"length": 0}}, "output.length", "should be greater than or equal to 1, is 0"),
     ],
 )
 def test_wrong_descriptions(parts: dict[str, Any], where: str, problem: str) -> None:

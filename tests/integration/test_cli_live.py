@@ -194,7 +194,7 @@ def test_apply(shell: Shell) -> None:
     shell("apply", "comb", "more.yaml", "--json")
     assert {"floor", "rag"} <= json.loads(shell("scene", "get", "--json"))["scene"]["objects"].keys()
     shell("scene", "set", "scene.yaml")
-    told = "bare.yaml:1:1: ramp_s: must be at most 1, is 2"
+    told = "bare.yaml:1:1: ramp_s: should be less than or equal to 1, is 2"
     Path("bare.yaml").write_text("ramp_s: 2\n")
     assert shell.fails("apply", "fur.yaml", "bare.yaml") == f"hapticd: {told}\n"
     Path("unknown.yaml").write_text(
@@ -203,9 +203,7 @@ def test_apply(shell: Shell) -> None:
     told = shell.fails("apply", "fur.yaml", "unknown.yaml")
     assert told.startswith('hapticd: unknown.yaml:3:54: scene.objects.a.material: unknown material "fr"; ')
     Path("bare.yaml").write_text("materials: {}\ngesture: {}\n")
-    assert "bare.yaml:2:1: gesture: does not belong to materials and a scene, which " in shell.fails(
-        "apply", "bare.yaml"
-    )
+    assert "bare.yaml:2:1: gesture: unknown key; known: materials, scene" in shell.fails("apply", "bare.yaml")
     assert shell.fails("apply", "operator.yaml") == (
         "hapticd: operator.yaml: holds waypoints; use: hapticd operator operator.yaml\n"
     )
@@ -242,9 +240,7 @@ def test_files_for_another_command(shell: Shell) -> None:
         ):
             if taker.split()[0] == command[0] and (command[1] == "update" or taker == " ".join(command)):
                 continue
-            more = "; or put them below `objects:`" if (what, command) == ("objects", ["scene", "set"]) else ""
-            told = f"hapticd: {name}: holds {what}; use: hapticd {taker} {name}{more}\n"
-            assert shell.fails(*command, name) == told
+            assert shell.fails(*command, name) == f"hapticd: {name}: holds {what}; use: hapticd {taker} {name}\n"
     np.savez("r.npz", samples=np.zeros(3))
     assert shell.fails("operator", "r.npz") == "hapticd: r.npz: holds a recording; use: hapticd replay r.npz\n"
     assert shell.fails("operator", "wool.yaml").endswith(": holds materials; use: hapticd material set wool.yaml\n")

@@ -101,7 +101,6 @@ def test_scenes_from_files_and_models(daemon: Daemon, tmp_path: Path) -> None:
         update.write_text("- 1\n")
         with pytest.raises(HapticdError, match=r"update\.yaml:1:\d+: must be a mapping, the objects by their names"):
             client.update_scene(update)
-        other = r"does not belong to {}, which are all that is taken here; that is for hapticd {}$"
         materials.write_text("materials:\n  felt: null\nscene: {}\n")
         with pytest.raises(InvalidError, match=r"materials\.yaml: holds materials and a scene; use: hapticd apply "):
             client.update_materials(materials)
@@ -112,9 +111,7 @@ def test_scenes_from_files_and_models(daemon: Daemon, tmp_path: Path) -> None:
         with pytest.raises(InvalidError, match=r"update\.yaml: holds materials and a scene; use: hapticd apply "):
             client.update_scene(update)
         update.write_text("scene:\n  objects: {b: null}\n  display: {force: false}\n")
-        with pytest.raises(
-            InvalidError, match=r"update\.yaml:3:\d+: scene.display: " + other.format("objects", "scene set")
-        ):
+        with pytest.raises(InvalidError, match=r"update\.yaml:3:\d+: scene.display: unknown key; known: objects$"):
             client.update_scene(update)
         assert client.get_scene() == before
         assert "felt" in client.get_materials()["materials"]

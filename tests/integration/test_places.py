@@ -53,7 +53,7 @@ def test_a_fault_of_a_patch_is_told_where_the_file_has_it(client: Client, tmp_pa
     file.write_text("wood:\n  tap:\n    frequency_hz: high\n")
     with pytest.raises(Exception) as caught:
         client.update_materials(file)
-    assert str(caught.value) == f'{file}:3:5: wood.tap.frequency_hz: must be a number, is "high"'
+    assert str(caught.value) == f'{file}:3:5: wood.tap.frequency_hz: should be a valid number, is "high"'
 
 
 def test_a_fault_of_what_came_from_no_file_is_told_by_its_path(client: Client) -> None:
@@ -68,7 +68,9 @@ def test_both_parts_of_apply_are_found_in_their_files(client: Client, tmp_path: 
     materials.write_text("materials:\n  soft:\n    stiffness_n_per_m: -1\n")
     with pytest.raises(Exception) as caught:
         client.apply(materials=materials, scene=scene)
-    assert str(caught.value).startswith(f"{materials}:3:5: materials.soft.stiffness_n_per_m: must be at least 0")
+    assert str(caught.value).startswith(
+        f"{materials}:3:5: materials.soft.stiffness_n_per_m: should be greater than or equal to 0"
+    )
 
 
 PLACES = [
@@ -88,7 +90,6 @@ PLACES = [
 def test_a_place_is_found_by_its_path(where: str, told: str) -> None:
     document = load_text("a:\n  b: [1, {c: 2}]\n  odd.key: {x: 1}\nab: 2\n", "f.yaml")
     value = FromFile({}, document)
-    assert value.place(where) == told
     assert placed(where, value) == told
     inner = FromFile({}, document, ("a",))
     assert placed("value.b[0]", {"value": inner}) == "f.yaml:2:7: a.b[0]"

@@ -11,7 +11,7 @@ from hapticd.daemon.refusal import MethodError
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 SCENE = {"objects": {"floor": {**FLOOR, "point_m": [0]}, "ball": {"kind": "disk"}}}
-SCENE_FAULTS = ["scene.objects.floor.point_m", "scene.objects.ball.kind"]
+SCENE_FAULTS = ["scene.objects.floor.point_m[1]", "scene.objects.ball.kind"]
 MATERIALS = {"pine": {"stiffness_n_per_m": -1}}
 
 
@@ -28,7 +28,7 @@ def methods() -> Methods:
         (
             "update_scene",
             {"objects": SCENE["objects"], "expect_revision": -1},
-            ["expect_revision", "objects.floor.point_m", "objects.ball.kind"],
+            ["expect_revision", "objects.floor.point_m[1]", "objects.ball.kind"],
         ),
         ("set_materials", {"materials": MATERIALS, "wait": 1}, ["wait", "materials.pine.stiffness_n_per_m"]),
         (

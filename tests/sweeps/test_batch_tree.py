@@ -75,7 +75,7 @@ TAP = {"pine/tap/1.npz": "a"}
         ({"pine/1.npz": "a"}, "pine: holds recordings of no kind: put them into a folder tap, grooves"),
         ({"1.npz": "a", **TAP}, "1.npz: stands beside the folders of the materials"),
         ({"a.b/tap/1.npz": "a"}, "a.b: is no name of a material: must not hold a dot or a control character"),
-        ({"x" * 65 + "/tap/1.npz": "a"}, "is no name of a material: must have at most 64 characters, has 65"),
+        ({"x" * 65 + "/tap/1.npz": "a"}, "is no name of a material: String should have at most 64 characters"),
         ({"pine/tap/more/1.npz": "a", **TAP}, "pine/tap/more: is too deep: recordings stand in pine/tap itself"),
         ({"pine/grooves/1.npz": "b", "pine/texture/1.npz": "a"}, "pine: has grooves and a texture, and a material has"),
         (
@@ -100,8 +100,11 @@ TAP = {"pine/tap/1.npz": "a"}
         ),
         ({"pine/fit.yaml": "objects: {}", **TAP}, "holds a scene; use: hapticd scene set {root}/pine/fit.yaml"),
         ({"fit.yaml": "\nlaws: line", **TAP}, "fit.yaml:2:1: laws: unknown key; did you mean law?"),
-        ({"fit.yaml": "as: pulse", **TAP}, "fit.yaml:1:1: as: must be auto, mode or waveform, is "),
-        ({"fit.yaml": "stiffness_n_per_m: -1", **TAP}, "fit.yaml:1:1: stiffness_n_per_m: must be at least 0, is -1"),
+        ({"fit.yaml": "as: pulse", **TAP}, "fit.yaml:1:1: as: should be 'auto', 'mode' or 'waveform', is "),
+        (
+            {"fit.yaml": "stiffness_n_per_m: -1", **TAP},
+            "fit.yaml:1:1: stiffness_n_per_m: should be greater than or equal to 0, is -1",
+        ),
         ({"pine/fit.yaml": "kind: tap", **TAP}, "pine/fit.yaml:1:1: kind: is of recordings that stand in the folder"),
         (
             {"pine/tap/fit.yaml": "kind: texture", **TAP},

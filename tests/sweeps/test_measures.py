@@ -147,8 +147,8 @@ def test_every_measure_says_what_its_columns_are() -> None:
     ("given", "told"),
     [
         ("peak", "nothing that can be measured is called peak; known: "),
-        ({"quantile": {"field": "forces", "q": 0.5}}, "quantile.field: must be position_m, velocity_m_per_s, "),
-        ({"end": {"longest_s": 0}}, "end.longest_s: must be at least 0.5, is 0"),
+        ({"quantile": {"field": "forces", "q": 0.5}}, "quantile.field: should be 'position_m', 'velocity_m_per_s', "),
+        ({"end": {"longest_s": 0}}, "end.longest_s: should be greater than or equal to 0.5, is 0"),
         ({"end": 3}, "end: must be a mapping of options"),
         ({"end": {}, "quantile": {}}, "must be a name, or one name with its options, has 2 keys"),
         ({"peak_force_n": {"axis": "x"}}, "peak_force_n.axis: unknown key"),

@@ -68,7 +68,7 @@ def test_conditions() -> None:
     [
         ({"start": 5.0, "end": 5.0}, "start and end must differ"),
         ({"start": -5.0}, "logarithmic steps need start and end above 0"),
-        ({"within": 0.0}, "within: must be more than 0"),
+        ({"within": 0.0}, "within: should be greater than 0"),
     ],
 )
 def test_what_cannot_be_searched_is_told(keys: dict[str, Any], told: str) -> None:

@@ -295,7 +295,7 @@ def test_a_function_ends_with_the_process_that_asked_even_where_that_is_killed(t
         ("call: mine.peak, columns: {x: ''}", "call", "call: "),
         ("columns: {x: ''}", "", "call"),
         ("call: 'mine:peak', columns: {}", "columns", "columns"),
-        ("call: 'mine:peak', columns: {x: ''}, timeout_s: 0", "timeout_s", "must be more than 0"),
+        ("call: 'mine:peak', columns: {x: ''}, timeout_s: 0", "timeout_s", "should be greater than 0"),
         ("call: 'mine:peak', columns: {x: ''}, time: 1", "time", "unknown key"),
     ],
 )  # fmt: skip

@@ -198,8 +198,8 @@ def test_at_the_limit_the_direction_stays() -> None:
 def test_faults_are_one_line_each() -> None:
     for use, keys in (("tap", TAP), ("rupture", RUPTURE)):
         for more, told in (
-            ({"direction": "up"}, f'm.{use}.direction: must be tangent or normal, is "up"'),
-            ({"angle_rad": 11}, f"m.{use}.angle_rad: must be at most 10"),
+            ({"direction": "up"}, f"m.{use}.direction: should be 'tangent' or 'normal'"),
+            ({"angle_rad": 11}, f"m.{use}.angle_rad: should be less than or equal to 10"),
             ({"angle_rad": "1"}, f"m.{use}.angle_rad"),
             ({"direction": "normal", "angle_rad": 1}, f"m.{use}: needs at most one of direction and angle_rad"),
         ):

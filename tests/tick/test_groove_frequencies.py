@@ -240,17 +240,21 @@ def validated(**texture: object) -> Material:
         ),
         ({"table": {**TABLE, "speeds_m_per_s": [0.1, 0.1, 0.2]}}, ".frequency_table", "speeds_m_per_s[1] must be"),
         ({"table": {**TABLE, "forces_n": [1, 0.5]}}, ".frequency_table", "forces_n[1] must be at least 1e-06 above"),
-        ({"table": {**TABLE, "forces_n": []}}, ".frequency_table.forces_n", "at least 1 entry"),
-        ({"table": {**TABLE, "forces_n": [-1, 1]}}, ".frequency_table.forces_n[0]", "must be at least 0"),
+        ({"table": {**TABLE, "forces_n": []}}, ".frequency_table.forces_n", "at least 1 item"),
+        (
+            {"table": {**TABLE, "forces_n": [-1, 1]}},
+            ".frequency_table.forces_n[0]",
+            "should be greater than or equal to 0",
+        ),
         (
             {"table": {**TABLE, "frequencies_hz": [[1, 2], [1, 0], [1, 2]]}},
             ".frequency_table.frequencies_hz[1][1]",
-            "must be at least 0.01",
+            "should be greater than or equal to 0.01",
         ),
         (
             {"table": {"speeds_m_per_s": [0.01 * i for i in range(17)], "forces_n": [1], "frequencies_hz": [[1]] * 17}},
             ".frequency_table.speeds_m_per_s",
-            "at most 16 entries",
+            "at most 16 items",
         ),
     ],
 )

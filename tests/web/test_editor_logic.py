@@ -211,7 +211,7 @@ def test_a_refused_value_does_not_take_others_with_it(run: _Run) -> None:
         changes.send("materials", { wood: { stiffness_n_per_m: -1 } }).then(...told("wood"));
         changes.send("materials", { steel: { damping_n_s_per_m: 1 } }).then(...told("steel"));
         await turn();
-        const problem = { where: "materials.wood.stiffness_n_per_m", problem: "must be at least 0" };
+        const problem = { where: "materials.wood.stiffness_n_per_m", problem: "should be greater than or equal to 0" };
         link.calls[0].reject(Object.assign(new Error("no"), { code: -32602, data: [problem] }));
         await turn();
         link.calls[1].resolve({ revision: 2 });
@@ -220,7 +220,7 @@ def test_a_refused_value_does_not_take_others_with_it(run: _Run) -> None:
     )
     assert sent[1] == {"steel": {"damping_n_s_per_m": 1}}
     assert outcome == [
-        ["wood", [{"path": ["wood", "stiffness_n_per_m"], "problem": "must be at least 0"}]],
+        ["wood", [{"path": ["wood", "stiffness_n_per_m"], "problem": "should be greater than or equal to 0"}]],
         ["steel", "taken"],
     ]
 

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hapticd.base.token_bucket import Bucket
 from hapticd.daemon.methods import _METHODS
 from hapticd.protocol import messages, streams
 from hapticd.protocol.messages import Code, WireError
 from hapticd.web import outbox, page_calls, page_limits
 from hapticd.web.application import MOST_PAGES
 from hapticd.web.page import MAX_MESSAGE, TOO_MUCH
+from hapticd.web.token_bucket import Bucket
 from tests.support.fake_daemon import result
 from tests.web.served import WebSite, echo, served, tab, until
 

@@ -40,10 +40,20 @@ def test_a_configuration_gives_materials_and_scene_and_leaves_out_the_rest() -> 
 @pytest.mark.parametrize(
     ("text", "line", "where", "problem"),
     [
-        ("scene:\n  objects:\n    a: {kind: wal}\n", 3, "scene.objects.a.kind", "did you mean wall?"),
-        ("materials:\n  a: {stiffness_n_per_m: -1}\n", 2, "materials.a.stiffness_n_per_m", "must be at least 0"),
+        (
+            "scene:\n  objects:\n    a: {kind: wal}\n",
+            3,
+            "scene.objects.a.kind",
+            "tag 'wal' found using 'kind'",
+        ),
+        (
+            "materials:\n  a: {stiffness_n_per_m: -1}\n",
+            2,
+            "materials.a.stiffness_n_per_m",
+            "should be greater than or equal to 0",
+        ),
         ("scene:\n  objects: {\n", 3, "", "while parsing a flow "),
-        ("servo: {rate_hz: 1}\nscene: {}\n", 1, "servo.rate_hz", "must be at least 1000"),
+        ("servo: {rate_hz: 1}\nscene: {}\n", 1, "servo.rate_hz", "should be greater than or equal to 1000"),
         ("servo: {rate_hz: 1000}\n", 1, "", "holds neither materials nor a scene"),
         ("gesture: {kind: tap, object: a}\n", None, "", "holds a gesture"),
         ("a: &x [1]\nb: *x\n", 2, "", "aliases are not allowed"),

@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import click
 
-from hapticd.base.tasks import ended
 from hapticd.client.asynchronous import Client
 from hapticd.experiment.front import Command
 from hapticd.experiment.pages import experimenter_page, participant_page
@@ -28,6 +27,7 @@ from hapticd.web.connections import Connections
 from hapticd.web.http_server import serving
 from hapticd.web.listening import Listening, listen
 from hapticd.web.sessions import Sessions
+from hapticd.web.tasks import ended
 from hapticd.web.telemetry_hub import TelemetryHub
 
 STATIC: Final = Path(__file__).parent / "static"
