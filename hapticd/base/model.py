@@ -177,21 +177,12 @@ def in_parts(
 
 def refuse_many_keys(data: object, path: Path) -> None:
     """Refuses mappings, at any depth, with more keys than any has: telling each of thousands takes seconds."""
-    level: list[tuple[Path, object]] = [(path, data)]
-    for _ in range(MAX_DEPTH):
-        below: list[tuple[Path, object]] = []
-        for where, value in level:
-            if isinstance(value, dict):
-                if len(value) > MOST_KEYS:
-                    raise InvalidError(
-                        [Problem(path_text(where), f"has {len(value)} keys; nothing has more than {MOST_KEYS}")]
-                    )
-                below += [((*where, key), inner) for key, inner in value.items() if isinstance(inner, dict | list)]
-            elif isinstance(value, list):
-                below += [((*where, index), inner) for index, inner in enumerate(value) if isinstance(inner, dict)]
-        if not below:
-            return
-        level = below
+    if isinstance(data, dict) and len(data) > MOST_KEYS:
+        raise InvalidError([Problem(path_text(path), f"has {len(data)} keys; nothing has more than {MOST_KEYS}")])
+    inner = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in inner:
+        if isinstance(value, dict | list):
+            refuse_many_keys(value, (*path, key))
 
 
 def at_most(count: int) -> BeforeValidator:

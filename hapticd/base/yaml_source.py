@@ -11,7 +11,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import islice
 from typing import TypeAlias
 
 import yaml
@@ -39,24 +38,21 @@ _BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _LONGEST_NUMBER = 400
-_TAG_DIRECTIVE = re.compile("(?:^|[\n\r\x85\u2028\u2029])%TAG")
-_MOST_TAG_DIRECTIVES = 16
-"""Looking for one more takes libyaml as long as there are many."""
-_ZIP_MARK = b"PK\x03\x04"
+"""Characters; what is longer is a text."""
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 @dataclass(slots=True)
-class _Marks:
-    """Line and column of a value (of its key, in a mapping), from 1, and the marks of what it holds."""
+class Marks:
+    """Line and column of a value (of its key, in a mapping), from 1, and those of what it holds."""
 
     line: int
     column: int
-    children: dict[str | int, "_Marks"]
+    children: dict[str | int, "Marks"]
 
 
-_NO_CHILDREN: dict[str | int, _Marks] = {}
+_NO_CHILDREN: dict[str | int, Marks] = {}
 """Of every scalar: nothing is ever put into it."""
 
 
@@ -66,7 +62,7 @@ class Document:
 
     data: Json
     name: str | None = None
-    _marks: _Marks | None = None
+    _marks: Marks | None = None
     _above: tuple[str, ...] = ()
 
     def below(self, key: str) -> "Document":
@@ -103,7 +99,7 @@ class _Open:
     """A collection that is being filled; `key` waits for its value, in a mapping."""
 
     data: "list[Json] | dict[str, Json]"
-    marks: _Marks
+    marks: Marks
     key: str | None = None
     key_at: tuple[int, int] = (0, 0)
 
@@ -131,7 +127,8 @@ def read_file(name: str, most: int) -> bytes:
 
 def load_bytes(content: bytes, name: str) -> Document:
     """Parses one YAML document, as UTF-8. Raises InvalidError as load_path does."""
-    refuse_recording(content, name)
+    if content.startswith(b"PK\x03\x04"):
+        raise InvalidError([Problem(one_line(name), "is an archive, no YAML; a recording is for: hapticd replay")])
     if len(content) > MAX_BYTES:
         raise _refusal(name, 0, 0, f"larger than {MAX_BYTES} bytes")
     try:
@@ -143,14 +140,6 @@ def load_bytes(content: bytes, name: str) -> Document:
     return _parse(text, name, _LOADER)
 
 
-def refuse_recording(content: bytes, name: str) -> None:
-    """Raises InvalidError for a recording where somebody's text is to be read."""
-    if content.startswith(_ZIP_MARK):
-        ours = b"samples.npy" in content
-        text = f"holds a recording; use: hapticd replay {one_line(name)}" if ours else "is an archive, no YAML"
-        raise InvalidError([Problem(one_line(name), text)])
-
-
 def load_text(text: str, name: str) -> Document:
     """Parses one YAML document; `name` stands for the file. Raises InvalidError as load_path does."""
     return load_bytes(text.encode("utf-8", "surrogatepass"), name)
@@ -160,10 +149,6 @@ def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.Bas
     bad = _UNPRINTABLE.search(text)
     if bad:
         raise _refusal(name, *_line_column(text[: bad.start()]), f"control character {quoted(bad.group())}")
-    tag = next(islice(_TAG_DIRECTIVE.finditer(text), _MOST_TAG_DIRECTIVES, None), None)
-    if tag:
-        where = _line_column(text[: tag.end() - len("%TAG")])
-        raise _refusal(name, *where, f"more than {_MOST_TAG_DIRECTIVES} %TAG directives; none is needed here")
     try:
         return _build(loader(text), name)
     except yaml.MarkedYAMLError as error:
@@ -190,15 +175,11 @@ def _complaint(text: str, error: yaml.MarkedYAMLError) -> tuple[int, int, str]:
 def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
     root: Document | None = None
     stack: list[_Open] = []
-    end: tuple[int, int] | None = None
     while parser.check_event():
         event = parser.get_event()
         assert event is not None
         assert event.start_mark is not None
         line, column = event.start_mark.line, event.start_mark.column
-        near = end == (line, column - 1)
-        assert event.end_mark is not None
-        end = event.end_mark.line, event.end_mark.column
 
         def refuse(problem: str, line: int = line, column: int = column) -> InvalidError:
             return _refusal(name, line, column, problem)
@@ -209,9 +190,9 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
                 value = _value(event, refuse)
                 top = stack[-1] if stack else None
                 if top is not None and isinstance(top.data, dict) and top.key is None:
-                    top.key, top.key_at = _key(value, top.data, refuse, near), (line + 1, column + 1)
+                    top.key, top.key_at = _key(value, top.data, refuse), (line + 1, column + 1)
                     continue
-                marks = _Marks(line + 1, column + 1, {} if isinstance(value, dict | list) else _NO_CHILDREN)
+                marks = Marks(line + 1, column + 1, {} if isinstance(value, dict | list) else _NO_CHILDREN)
                 if top is None:
                     root = Document(value, name, marks)
                 elif isinstance(top.data, dict):
@@ -233,16 +214,15 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
                 raise refuse(f"aliases are not allowed: {quoted(f'*{event.anchor}')}")
             case yaml.DocumentStartEvent() if root is not None:
                 raise refuse("a second document; a file holds one")
-    return root or Document(None, name, _Marks(1, 1, {}))
+    return root or Document(None, name, Marks(1, 1, {}))
 
 
-def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError], near: bool) -> str:
-    """The key; `near` says that one character alone, a comma, stands between it and the value before it."""
+def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError]) -> str:
     if not isinstance(value, str):
         hint = "" if isinstance(value, dict | list) else "; in quotes it is one"
         before = next(reversed(mapping.values()), None)
-        if near and type(before) is int and type(value) is int:
-            hint = f"; if the number {before}.{value} is meant: it is written with a point"
+        if type(before) is int and type(value) is int:  # 0,5 in braces
+            hint += f"; if the number {before}.{value} is meant: it is written with a point"
         raise refuse(f"keys are strings, this one is {shown(value)}{hint}")
     if value in mapping:
         raise refuse(f"duplicate key {quoted(value)}")
@@ -265,12 +245,9 @@ def _scalar(event: yaml.ScalarEvent, refuse: Callable[[str], InvalidError]) -> J
         return text
     if tag in ("!", _CORE + "str"):
         return text
-    if len(text) <= _LONGEST_NUMBER:
-        known, value = _core(text, tag)
-        if known:
-            return value
-    elif _INT.fullmatch(text) or _FLOAT.fullmatch(text):
-        raise refuse(f"a number of more than {_LONGEST_NUMBER} characters")
+    known, value = _core(text, tag) if len(text) <= _LONGEST_NUMBER else (False, None)
+    if known:
+        return value
     if tag is None:
         return text
     raise refuse(f"tag {quoted(tag)} is not allowed here")

@@ -26,9 +26,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ConfigDict, Field, Strict, ValidationError, model_validator
 
-from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text, quoted
+from hapticd.base.errors import InvalidError, Problem, known_names, quoted
 from hapticd.base.model import Coordinate, Model, Name, faults_of, plain
-from hapticd.base.yaml_source import MAX_BYTES, Document, Json, load_bytes, one_line, read_file
+from hapticd.base.yaml_source import MAX_BYTES, Document, Json, Marks, load_bytes, one_line, read_file
 from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.config.modes import given, one_of
 
@@ -220,10 +220,7 @@ def parse_operator(data: Mapping[str, object]) -> Operator:
 
     Raises InvalidError with every fault.
     """
-    faults, operator = _parse(plain(data))
-    if operator is None:
-        raise InvalidError(Problem(path_text(path), text) for path, text in faults)
-    return operator
+    return _parse(Document(plain(data)))
 
 
 def load_operator(path: str | os.PathLike[str]) -> Operator:
@@ -236,17 +233,14 @@ def load_operator(path: str | os.PathLike[str]) -> Operator:
     name = os.fspath(path)
     ending = os.path.splitext(name)[1].lower()
     if ending == ".csv":
-        return _load_csv(name)
+        return _parse(_csv_document(name))
     # JSON is YAML, but for tabs, which in JSON can only be white space.
     content = read_file(name, MAX_BYTES)
     document = load_bytes(content.replace(b"\t", b" ") if ending == ".json" else content, name)
     refuse_other_kinds(document, "waypoints", "gesture")
     if isinstance(document.data, dict) and "kind" in document.data:
         document = document.below("gesture")
-    faults, operator = _parse(document.data)
-    if operator is None:
-        raise InvalidError(document.problem(path, text) for path, text in faults)
-    return replace(operator, document=document)
+    return replace(_parse(document), document=document)
 
 
 def gesture_waypoints(
@@ -306,6 +300,14 @@ class _Path:
             self.go(self._at, height, TRAVEL_M_PER_S)
         self.go(at, height, TRAVEL_M_PER_S)
 
+    def press(self, at: float, height: float, depth: float, speed: float, settling_s: float) -> None:
+        """From a height to a depth at a speed, stay, and out again."""
+        self.begin(at, height)
+        self.stay(settling_s)
+        self.go(at, -depth, speed)
+        self.stay(HOLD_S)
+        self.go(at, height, TRAVEL_M_PER_S)
+
     def _add(self, duration_s: float) -> None:
         self._time_s += duration_s
         (x, y), (n_x, n_y) = self._target.point_m, self._target.normal
@@ -329,11 +331,7 @@ def _tap(gesture: TapGesture, target: Target, grip: Grip, path: _Path) -> None:
         swing = speed * math.sqrt(grip.moving_mass_kg / stiffness)
         depth = 0.002 + swing * stiffness / grip.stiffness_n_per_m
     for _ in range(gesture.count):
-        path.begin(at, height)
-        path.stay(grip.settling_s)
-        path.go(at, -depth, speed)
-        path.stay(HOLD_S)
-        path.go(at, height, TRAVEL_M_PER_S)
+        path.press(at, height, depth, speed, grip.settling_s)
 
 
 def _stroke(gesture: StrokeGesture, target: Target, grip: Grip, path: _Path) -> None:
@@ -361,58 +359,51 @@ def _puncture(gesture: PunctureGesture, target: Target, grip: Grip, path: _Path)
     height = gesture.height_m or _approach_height(speed, grip)
     # At the rupture the hand is ahead of the handle by K d/k; friction takes less than the rest.
     depth = target.rupture_depth_m * (1 + target.stiffness_n_per_m / grip.stiffness_n_per_m)
-    path.begin(at, height)
-    path.stay(grip.settling_s)
-    path.go(at, -(1.1 * depth + CLEARANCE_M), speed)
-    path.stay(HOLD_S)
-    path.go(at, height, TRAVEL_M_PER_S)
+    path.press(at, height, 1.1 * depth + CLEARANCE_M, speed, grip.settling_s)
 
 
 # ---- Reading ----------------------------------------------------------------------------------------------
 
 
-def _parse(data: object) -> tuple[list[tuple[Path, str]], Operator | None]:
-    """The operator, or every fault with its path."""
-    if not isinstance(data, dict):
-        return [((), "must be a mapping with waypoints or gesture")], None
+def _parse(document: Document) -> Operator:
+    """Raises InvalidError with every fault."""
+    if not isinstance(document.data, dict):
+        raise InvalidError([document.problem((), "must be a mapping with waypoints or gesture")])
     try:
-        params = OperatorParams.parsed(data)
+        params = OperatorParams.parsed(document.data)
     except ValidationError as error:
-        return faults_of(error), None
+        raise InvalidError(document.problem(path, text) for path, text in faults_of(error)) from None
     if params.waypoints is None:
-        return [], Operator(None, params.gesture)
+        return Operator(None, params.gesture)
     times_s = np.array([time_s for time_s, _, _ in params.waypoints])
     too_early = np.flatnonzero(np.diff(times_s) < MIN_STEP_S * (1 - 1e-6)) + 1
     if too_early.size:
         index = int(too_early[0])
         problem = f"must be at least {MIN_STEP_S:g} later than {times_s[index - 1]} before it, is {times_s[index]}"
-        return [(("waypoints", index, 0), problem)], None
-    return [], Operator(params.waypoints, None, params.interpolation or "linear")
+        raise InvalidError([document.problem(("waypoints", index, 0), problem)])
+    return Operator(params.waypoints, None, params.interpolation or "linear")
 
 
-def _load_csv(name: str) -> Operator:
+def _csv_document(name: str) -> Document:
+    """The rows as waypoints, each at its line."""
     reader = csv.reader(io.StringIO(_csv_text(name)), skipinitialspace=True)
     rows: list[Json] = []
     lines: list[int] = []
     try:
         for cells in reader:
-            if any(cell.strip() for cell in cells):
-                rows.append([_number(cell.strip()) for cell in cells])
+            stripped = [cell.strip() for cell in cells]
+            # A header has no number.
+            if not rows and any(stripped) and not any(isinstance(_number(cell), float) for cell in stripped):
+                if stripped != [*_COLUMNS]:
+                    text = f"the header must be {','.join(_COLUMNS)}, is {quoted(','.join(stripped))}"
+                    raise InvalidError([Problem(_line(name, reader.line_num), text)])
+            elif any(stripped):
+                rows.append([_number(cell) for cell in stripped])
                 lines.append(reader.line_num)
     except csv.Error as error:
         raise InvalidError([Problem(_line(name, reader.line_num), f"not CSV: {error}")]) from None
-    first = rows[0] if rows else []
-    assert isinstance(first, list)
-    if first and not any(isinstance(cell, float) for cell in first):
-        if first != [*_COLUMNS]:
-            problem = f"the header must be {','.join(_COLUMNS)}, is {quoted(','.join(map(str, first)))}"
-            raise InvalidError([Problem(_line(name, lines[0]), problem)])
-        del rows[0], lines[0]
-    faults, operator = _parse({"waypoints": rows})
-    if operator is None:
-        places = ((lines[path[1]] if path[1:] and isinstance(path[1], int) else 1, path, text) for path, text in faults)
-        raise InvalidError(Problem(f"{_line(name, line)}: {path_text(path)}", text) for line, path, text in places)
-    return operator
+    marks = Marks(1, 1, {index: Marks(line, 1, {}) for index, line in enumerate(lines)})
+    return Document({"waypoints": rows}, name, Marks(1, 1, {"waypoints": marks}))
 
 
 def _number(cell: str) -> float | str:

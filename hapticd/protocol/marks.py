@@ -11,7 +11,7 @@ from typing import Annotated, Final, NamedTuple
 from pydantic import Field
 
 from hapticd.base.core import MARKS
-from hapticd.base.errors import InvalidError, Path, Problem, path_text
+from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.model import DescribedAs, Model
 from hapticd.base.yaml_source import Json
 
@@ -41,22 +41,13 @@ class MarksFullError(Exception):
 
 def checked_data(data: object) -> Json:
     """Data of a mark, which a recording can keep as JSON. Raises InvalidError."""
-    problem = _problem_of(data, ("data",))
-    if problem is not None:
-        raise InvalidError([problem])
-    size = len(json.dumps(data, ensure_ascii=False).encode("utf-8", "surrogatepass"))
+    try:
+        size = len(json.dumps(data, ensure_ascii=False, allow_nan=False).encode("utf-8", "surrogatepass"))
+    except (TypeError, ValueError) as error:
+        raise InvalidError([Problem("data", f"must be what JSON can hold: {error}")]) from None
     if size > MOST_DATA_BYTES:
         raise InvalidError([Problem("data", f"must have at most {MOST_DATA_BYTES} bytes as JSON, has {size}")])
     return data  # type: ignore[return-value]
-
-
-def _problem_of(data: object, path: Path) -> Problem | None:
-    if isinstance(data, bytes):
-        return Problem(path_text(path), "must be what JSON can hold, is a byte string")
-    if isinstance(data, float) and not abs(data) < float("inf"):
-        return Problem(path_text(path), f"must be finite, is {data}")
-    inner = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    return next((found for key, value in inner if (found := _problem_of(value, (*path, key))) is not None), None)
 
 
 class Marks:

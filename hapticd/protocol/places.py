@@ -9,11 +9,10 @@ import pwd
 import socket
 import stat
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
-
-import zmq
+from typing import Final
 
 from hapticd.base import arguments, threads
 from hapticd.base.errors import HapticdError
@@ -22,8 +21,7 @@ from hapticd.system.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
 
 ALIVE: Final = b"status"
 """A topic that comes every second from every daemon."""
-_TRY_EVERY_MS: Final = 20
-_LOOK_EVERY_S: Final = 0.1
+_TRY_EVERY_S: Final = 0.02
 
 
 def place_of(directory: str | os.PathLike[str] | None) -> RuntimePaths:
@@ -41,7 +39,7 @@ def probe(paths: RuntimePaths) -> None:
             _try_connect(paths.command)
         except ConnectionRefusedError:
             # Nobody listens any more, or not yet: a daemon binds its socket first.
-            time.sleep(_TRY_EVERY_MS * 1e-3)
+            time.sleep(_TRY_EVERY_S)
             _try_connect(paths.command)
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR):
@@ -84,34 +82,13 @@ def _name_of(look_up: Callable[[int], Sequence[object]], number: int) -> str:
 
 
 def await_ready(place: RuntimePaths, wait_s: float, given_up: Callable[[], bool] = lambda: False) -> None:
-    """Returns once a daemon listens at `place`, or `wait_s` are over, or nobody waits any more.
-
-    ZeroMQ tries to connect, again and again, and tells when it has.
-    """
-    trial: zmq.Socket[bytes]
-    with zmq.Context.instance().socket(zmq.DEALER) as trial:
-        trial.setsockopt(zmq.LINGER, 0)
-        trial.setsockopt(zmq.RECONNECT_IVL, _TRY_EVERY_MS)
-        monitor: zmq.Socket[bytes] = trial.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED)
-        try:
-            trial.connect(place.command_endpoint)
-            next(_monitored(monitor, wait_s, given_up), None)
-        finally:
-            trial.disable_monitor()
-            monitor.close()
-
-
-def _monitored(
-    monitor: zmq.Socket[Any], timeout_s: float, given_up: Callable[[], bool] = lambda: False
-) -> Iterator[tuple[int, int]]:
-    """What happens to a socket, events and their values, as it does, for so long or until nobody waits any more."""
-    from zmq.utils.monitor import recv_monitor_message  # and asyncio, which no command needs at its start
-
-    deadline = time.monotonic() + timeout_s
-    while (left_s := deadline - time.monotonic()) > 0 and not given_up():
-        if monitor.poll(int(min(left_s, _LOOK_EVERY_S) * 1e3 + 0.999)):
-            message = recv_monitor_message(monitor)
-            yield int(message["event"]), int(message["value"])
+    """Returns once a daemon listens at `place`, or `wait_s` are over, or nobody waits any more."""
+    deadline = time.monotonic() + wait_s
+    while time.monotonic() < deadline and not given_up():
+        with suppress(OSError):
+            _try_connect(place.command)
+            return
+        time.sleep(_TRY_EVERY_S)
 
 
 def no_answer(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:

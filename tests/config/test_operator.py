@@ -194,34 +194,34 @@ def test_a_file_with_a_gesture(tmp_path: Path) -> None:
         (
             "a.csv",
             "t_s,x_m,y_m\n0,0,0\n\n0.5,x,0\n1,0\n0.9,0,0,\n",
-            [(":4: waypoints[1][1]", 'should be a valid number, is "x"')],
+            [(":4:1: waypoints[1][1]", 'should be a valid number, is "x"')],
         ),
         (
             "a.csv",
             "0,0,0\n1,0,0,\n",
-            [(":2: waypoints[1]", "List should have at most 3 items after validation, not 4")],
+            [(":2:1: waypoints[1]", "List should have at most 3 items after validation, not 4")],
         ),
         ("a.csv", "t,x,y\n0,0,0\n", [(":1", 'the header must be t_s,x_m,y_m, is "t,x,y"')]),
         (
             "a.csv",
             "0,0,0\n0,0,0\n",
-            [(":2: waypoints[1][0]", "must be at least 1e-05 later than 0.0 before it, is 0.0")],
+            [(":2:1: waypoints[1][0]", "must be at least 1e-05 later than 0.0 before it, is 0.0")],
         ),
         (
             "a.csv",
             "0,1_0,nan\n",
             [
-                (":1: waypoints[0][1]", 'should be a valid number, is "1_0"'),
-                (":1: waypoints[0][2]", "should be a finite number, is nan"),
+                (":1:1: waypoints[0][1]", 'should be a valid number, is "1_0"'),
+                (":1:1: waypoints[0][2]", "should be a finite number, is nan"),
             ],
         ),
         (
             "a.csv",
             "t_s,x_m,y_m\nt_s,0,0\n",
-            [(":2: waypoints[0][0]", 'should be a valid number, is "t_s"')],
+            [(":2:1: waypoints[0][0]", 'should be a valid number, is "t_s"')],
         ),
-        ("a.csv", "", [(":1: waypoints", "List should have at least 1 item after validation, not 0")]),
-        ("a.csv", "t_s,x_m,y_m\n", [(":1: waypoints", "List should have at least 1 item after validation, not 0")]),
+        ("a.csv", "", [(":1:1: waypoints", "List should have at least 1 item after validation, not 0")]),
+        ("a.csv", "t_s,x_m,y_m\n", [(":1:1: waypoints", "List should have at least 1 item after validation, not 0")]),
     ],
 )
 def test_a_fault_in_a_file_has_its_line(tmp_path: Path, name: str, text: str, expected: list[tuple[str, str]]) -> None:

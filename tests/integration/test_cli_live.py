@@ -242,7 +242,10 @@ def test_files_for_another_command(shell: Shell) -> None:
                 continue
             assert shell.fails(*command, name) == f"hapticd: {name}: holds {what}; use: hapticd {taker} {name}\n"
     np.savez("r.npz", samples=np.zeros(3))
-    assert shell.fails("operator", "r.npz") == "hapticd: r.npz: holds a recording; use: hapticd replay r.npz\n"
+    assert (
+        shell.fails("operator", "r.npz")
+        == "hapticd: r.npz: is an archive, no YAML; a recording is for: hapticd replay\n"
+    )
     assert shell.fails("operator", "wool.yaml").endswith(": holds materials; use: hapticd material set wool.yaml\n")
 
 

@@ -109,8 +109,8 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "an empty text": ({"text": ""}, "text"),
     "a text that is none": ({"text": 3}, "text"),
     "a long text": ({"text": "x" * 1001}, "text"),
-    "bytes": ({"text": "x", "data": {"a": [b"x"]}}, "data.a[0]"),
-    "NaN": ({"text": "x", "data": [float("nan")]}, "data[0]"),
+    "bytes": ({"text": "x", "data": {"a": [b"x"]}}, "data"),
+    "NaN": ({"text": "x", "data": [float("nan")]}, "data"),
     "infinite": ({"text": "x", "data": float("-inf")}, "data"),
     "much data": ({"text": "x", "data": ["x" * 8200]}, "data"),
 }
