@@ -12,7 +12,7 @@ What people and programs write, and what they read:
 
     errors             errors that a user can cause, and the words that report them
     wording            numbers, counts and times as text: 12,340 ticks, 2.5 ms, 19 %
-    model              what every validated model shares: strict numbers, limits, faults in the user's words
+    model              what every validated model shares: strict numbers, limits, places of faults
     arguments          arguments that a program passes to a client, checked before anything is sent
     yaml_source        YAML in: plain data and line numbers
     yaml_text          YAML out, as the loader reads it
@@ -30,7 +30,7 @@ Questions, and where to begin:
     Where does Python call C?
         core; the functions and structs themselves are in csrc/api/.
     Where does a validation error get its words and its line?
-        model (faults_of) makes the words; yaml_source (Document) knows the lines.
+        model (faults_of) has pydantic's words and the place; yaml_source (Document) knows the lines.
     How does a file appear whole or not at all?
         files (write_whole, whole_file).
 """

@@ -11,24 +11,16 @@ T = TypeVar("T")
 def merge_patch(target: Json, patch: Json) -> Json:
     """`target` with `patch` applied: mappings merge key by key, null removes a key, anything else replaces.
 
-    Neither argument is changed; the result may share unchanged parts with both. Works at any depth.
+    Neither argument is changed; the result may share unchanged parts with both.
     """
     if not isinstance(patch, dict):
         return patch
     result = dict(target) if isinstance(target, dict) else {}
-    pending = [(result, patch)]
-    while pending:
-        into, changes = pending.pop()
-        for key, change in changes.items():
-            if change is None:
-                into.pop(key, None)
-            elif isinstance(change, dict):
-                old = into.get(key)
-                inner = dict(old) if isinstance(old, dict) else {}
-                into[key] = inner
-                pending.append((inner, change))
-            else:
-                into[key] = change
+    for key, change in patch.items():
+        if change is None:
+            result.pop(key, None)
+        else:
+            result[key] = merge_patch(result.get(key), change)
     return result
 
 

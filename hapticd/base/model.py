@@ -1,4 +1,4 @@
-"""What every validated model shares: strict numbers, limits, and faults in the user's words.
+"""What every validated model shares: strict numbers, limits, and faults at their place in pydantic's words.
 
 Models are immutable and strict: a number is a number (neither "1" nor true), finite and inside its limits; an
 unknown key is an error. The limits are there so that no product of them overflows or makes the tick work on
@@ -134,7 +134,7 @@ def _invalid() -> Iterator[None]:
 
 
 def problems_of(error: ValidationError, root: Path = ()) -> list[Problem]:
-    """Every fault of a pydantic error, in plain words; `root` is where the validated data stands."""
+    """Every fault of a pydantic error; `root` is where the validated data stands."""
     return [Problem(path_text(root + path), text) for path, text in faults_of(error)]
 
 

@@ -129,15 +129,19 @@ def load_bytes(content: bytes, name: str) -> Document:
     """Parses one YAML document, as UTF-8. Raises InvalidError as load_path does."""
     if content.startswith(b"PK\x03\x04"):
         raise InvalidError([Problem(one_line(name), "is an archive, no YAML; a recording is for: hapticd replay")])
-    if len(content) > MAX_BYTES:
-        raise _refusal(name, 0, 0, f"larger than {MAX_BYTES} bytes")
+    return _parse(text_of(content, name, MAX_BYTES), name, _LOADER)
+
+
+def text_of(content: bytes, name: str, most: int) -> str:
+    """The text of a file of at most so many bytes, as UTF-8. Raises InvalidError as load_path does."""
+    if len(content) > most:
+        raise _refusal(name, 0, 0, f"larger than {most} bytes")
     try:
-        text = content.decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         before = error.object[: error.start].decode("utf-8-sig")
         reason = "not UTF-8, but UTF-16: save it as UTF-8" if content.startswith(_UTF_16) else "not UTF-8"
         raise _refusal(name, *_line_column(before), reason) from None
-    return _parse(text, name, _LOADER)
 
 
 def load_text(text: str, name: str) -> Document:

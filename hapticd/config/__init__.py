@@ -3,8 +3,7 @@
 Documents, each validated by a model:
 
     configuration        the whole of it: servo, device, materials and scene, from YAML files or a mapping
-    scene                the objects in the workspace, and what of them is displayed
-    patches              patches of a wall: stretches of other materials
+    scene                the objects in the workspace, patches of walls, and what of all is displayed
     materials            what a surface is made of, and the shipped library
     modes                the ringing mode, Q(t) = A exp(-B t) sin(w t): its keys, where it acts, tables over the speed
     waveform             a tap as a short curve of samples

@@ -28,7 +28,7 @@ from pydantic import ConfigDict, Field, Strict, ValidationError, model_validator
 
 from hapticd.base.errors import InvalidError, Problem, known_names, quoted
 from hapticd.base.model import Coordinate, Model, Name, faults_of, plain
-from hapticd.base.yaml_source import MAX_BYTES, Document, Json, Marks, load_bytes, one_line, read_file
+from hapticd.base.yaml_source import MAX_BYTES, Document, Json, Marks, load_bytes, one_line, read_file, text_of
 from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.config.modes import given, one_of
 
@@ -386,7 +386,8 @@ def _parse(document: Document) -> Operator:
 
 def _csv_document(name: str) -> Document:
     """The rows as waypoints, each at its line."""
-    reader = csv.reader(io.StringIO(_csv_text(name)), skipinitialspace=True)
+    text = text_of(read_file(name, MAX_CSV_BYTES), name, MAX_CSV_BYTES)
+    reader = csv.reader(io.StringIO(text), skipinitialspace=True)
     rows: list[Json] = []
     lines: list[int] = []
     try:
@@ -395,8 +396,8 @@ def _csv_document(name: str) -> Document:
             # A header has no number.
             if not rows and any(stripped) and not any(isinstance(_number(cell), float) for cell in stripped):
                 if stripped != [*_COLUMNS]:
-                    text = f"the header must be {','.join(_COLUMNS)}, is {quoted(','.join(stripped))}"
-                    raise InvalidError([Problem(_line(name, reader.line_num), text)])
+                    problem = f"the header must be {','.join(_COLUMNS)}, is {quoted(','.join(stripped))}"
+                    raise InvalidError([Problem(_line(name, reader.line_num), problem)])
             elif any(stripped):
                 rows.append([_number(cell) for cell in stripped])
                 lines.append(reader.line_num)
@@ -416,14 +417,3 @@ def _number(cell: str) -> float | str:
 
 def _line(name: str, line: int) -> str:
     return f"{one_line(name)}:{line}"
-
-
-def _csv_text(name: str) -> str:
-    content = read_file(name, MAX_CSV_BYTES)
-    if len(content) > MAX_CSV_BYTES:
-        raise InvalidError([Problem(_line(name, 1), f"larger than {MAX_CSV_BYTES} bytes")])
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise InvalidError([Problem(_line(name, line), "not UTF-8")]) from None

@@ -5,7 +5,7 @@ The workspace is a plane, x to the right and y up, in m. A normal points out of 
 
 import math
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, Final, Literal, Self, TypeAlias, get_args
 
 from pydantic import AfterValidator, Field, Strict, ValidationError, model_validator
@@ -20,6 +20,7 @@ from hapticd.base.model import (
     Name,
     Position,
     Stiffness,
+    at_most,
     check_count,
     faults_of,
     in_parts,
@@ -30,10 +31,19 @@ from hapticd.base.model import (
 from hapticd.base.steps import Steps, finish
 from hapticd.base.yaml_source import Document, load_path
 from hapticd.config.document_kinds import refuse_other_keys, refuse_other_kinds
-from hapticd.config.patches import MAX_SCENE_PATCHES, TOUCHING_M, Patches, in_order
 
 MAX_OBJECTS: Final = 10_000
 """The last step of a change keeps the command thread for some 100 ms then (docs/adr/0058)."""
+MAX_PATCHES: Final = 512
+"""Of a wall."""
+MAX_SCENE_PATCHES: Final = 5000
+"""Of all walls of a scene: the last step of a change keeps the command thread for some 50 ms then (docs/adr/0058)."""
+MIN_PATCH_M: Final = 1e-5
+"""Patches, and the gaps between them, are at least this wide."""
+TOUCHING_M: Final = 1e-9
+"""Patches whose edges are as near as this touch: 0.1 + 0.2 is not 0.3."""
+_ROUNDING_OF_WIDTHS: Final = 1e-6
+_SHOWN_OVERLAPS: Final = 5
 MIN_NORMAL_LENGTH = 1e-9
 MAX_NORMAL_COMPONENT = 1e9
 _ROUNDING: Final = 4 * 2.0**-52
@@ -56,6 +66,60 @@ ForceComponent: TypeAlias = Annotated[float, Field(ge=-100, le=100)]
 ForceVector: TypeAlias = Annotated[tuple[ForceComponent, ForceComponent], Strict(False)]
 
 
+PatchEdge: TypeAlias = Annotated[float, Field(ge=-20, le=20)]
+
+
+class Patch(Model):
+    """A stretch of a wall that is of another material."""
+
+    from_m: PatchEdge = Field(
+        description="Where it begins, from the wall's point in the direction (n_y, -n_x): to the right on a floor."
+    )
+    to_m: PatchEdge = Field(description="Where it ends, in the same direction; more than where it begins.")
+    material: Name = Field(description="Name of a material.")
+
+    @model_validator(mode="after")
+    def _is_wide_enough(self) -> Self:
+        if self.to_m - self.from_m < MIN_PATCH_M * (1 - _ROUNDING_OF_WIDTHS):
+            raise ValueError(
+                f"to_m must be more than from_m by at least {MIN_PATCH_M:g}, is {self.to_m:.15g} and {self.from_m:.15g}"
+            )
+        return self
+
+
+def patches_in_order(patches: Sequence[Patch]) -> list[int]:
+    """Their indices, in rising order along the wall."""
+    return sorted(range(len(patches)), key=lambda index: patches[index].from_m)
+
+
+def _disjoint(patches: tuple[Patch, ...]) -> tuple[Patch, ...]:
+    """Refuses patches that overlap, or leave gaps that nobody means."""
+    faults = []
+    farthest, end_m = -1, -math.inf
+    for index in patches_in_order(patches):
+        gap = patches[index].from_m - end_m
+        names = f"[{min(farthest, index)}] and [{max(farthest, index)}]"
+        if gap < -TOUCHING_M:
+            faults.append(f"{names} overlap")
+        elif TOUCHING_M < gap < MIN_PATCH_M * (1 - _ROUNDING_OF_WIDTHS):
+            faults.append(f"{names} leave a gap of {gap:.3g} m: they touch, or are at least {MIN_PATCH_M:g} m apart")
+        if patches[index].to_m > end_m:
+            farthest, end_m = index, patches[index].to_m
+    if faults:
+        more = len(faults) - _SHOWN_OVERLAPS
+        raise ValueError("; ".join(faults[:_SHOWN_OVERLAPS]) + (f"; and {more} more" if more > 0 else ""))
+    return patches
+
+
+Patches: TypeAlias = Annotated[
+    tuple[Patch, ...],
+    Strict(False),
+    Field(max_length=MAX_PATCHES),
+    AfterValidator(_disjoint),
+    at_most(MAX_PATCHES),
+]
+
+
 class Wall(Model):
     """A half-plane of material: everything behind the line through `point_m`."""
 
@@ -72,7 +136,7 @@ class Wall(Model):
         """The whole wall in rising order, patches and the base material between them: where each stretch begins, -inf
         for the first, and its material. The last one has no end."""
         begins, materials = [-math.inf], [self.material]
-        for index in in_order(self.patches):
+        for index in patches_in_order(self.patches):
             patch = self.patches[index]
             if patch.from_m - begins[-1] <= TOUCHING_M:  # the base material has no room between two patches
                 begins.pop()

@@ -18,8 +18,7 @@ from hapticd.base.lattice import reflection_of
 from hapticd.base.model import MAX_FAULTS
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
-from hapticd.config.patches import TOUCHING_M, in_order
-from hapticd.config.scene import SceneObject, Wall, used_materials
+from hapticd.config.scene import TOUCHING_M, SceneObject, Wall, patches_in_order, used_materials
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
 from hapticd.rendering.compensation import LARGEST, Load, Shape, shapes_of
@@ -371,7 +370,7 @@ def _narrow(wall: Wall) -> Iterator[tuple[int, str]]:
     patches, ramp_m = wall.patches, wall.patch_ramp_m
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None
-    for index in in_order(patches):
+    for index in patches_in_order(patches):
         from_m, to_m = patches[index].from_m, patches[index].to_m
         if before is not None:
             gap = from_m - patches[before].to_m

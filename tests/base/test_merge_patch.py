@@ -71,16 +71,3 @@ def test_equals_the_pseudocode_and_changes_neither_argument(target: Json, patch:
     assert merge_patch(target, patch) == rfc_pseudocode(copy.deepcopy(target), patch)
     assert target == target_before
     assert patch == patch_before
-
-
-def test_depth_does_not_overflow() -> None:
-    depth = 100_000
-    target: dict[str, Json] = {"keep": 1}
-    patch: dict[str, Json] = {"new": 2}
-    for _ in range(depth):
-        target, patch = {"a": target}, {"a": patch}
-    result = merge_patch(target, patch)
-    for _ in range(depth):
-        assert isinstance(result, dict)
-        result = result["a"]
-    assert result == {"keep": 1, "new": 2}

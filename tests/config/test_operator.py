@@ -239,7 +239,7 @@ def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
             load_operator(tmp_path / name)
     file = tmp_path / "a.csv"
     file.write_bytes(b"0,0,0\n1,\xff,0\n")
-    with pytest.raises(InvalidError, match=r"a\.csv:2: not UTF-8"):
+    with pytest.raises(InvalidError, match=r"a\.csv:2:3: not UTF-8"):
         load_operator(file)
 
 

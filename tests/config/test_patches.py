@@ -13,8 +13,7 @@ import pytest
 from hapticd.base.errors import InvalidError
 from hapticd.config.configuration import Config
 from hapticd.config.materials import Material
-from hapticd.config.patches import MAX_PATCHES, MAX_SCENE_PATCHES, Patch, in_order
-from hapticd.config.scene import Scene, Wall, validate_object
+from hapticd.config.scene import MAX_PATCHES, MAX_SCENE_PATCHES, Patch, Scene, Wall, patches_in_order, validate_object
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import output_of
 
@@ -36,7 +35,7 @@ def wall(patches: list[Any]) -> Wall:
 
 def test_they_are_ordered_along_the_wall() -> None:
     patches = wall(GIVEN).patches
-    assert patches == tuple(Patch(**each) for each in GIVEN) and in_order(patches) == [1, 0, 2]  # type: ignore[arg-type]
+    assert patches == tuple(Patch(**each) for each in GIVEN) and patches_in_order(patches) == [1, 0, 2]  # type: ignore[arg-type]
     assert wall([]).patches == ()
 
 

@@ -6,8 +6,7 @@ import pytest
 
 from hapticd.config.configuration import default_config
 from hapticd.config.modes import Mode
-from hapticd.config.patches import MAX_PATCHES
-from hapticd.config.scene import Scene, SceneObject, validate_object, validate_scene
+from hapticd.config.scene import MAX_PATCHES, Scene, SceneObject, validate_object, validate_scene
 from hapticd.daemon.flight_scene import MOST_CHANGED, FlightScene
 from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES, Change, Played, Reset, Revised, revised
 from hapticd.protocol.changes import MOST_CHANGED as MOST_TOLD

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.core import PIECE_DTYPE, CData, pointer, records
-from hapticd.config.patches import Patch
-from hapticd.config.scene import Wall
+from hapticd.config.scene import Patch, Wall
 from hapticd.rendering.compiler.materials import Materials
 
 
