@@ -168,7 +168,7 @@ def test_an_answer_to_another_level_is_refused() -> None:
         ({"start": 300.0}, "start .300. must lie between"),
         ({"axis": "logarithmic", "steps": [0.5]}, "each must be more than 1"),
         ({"reversals": 4}, "discard .4. must leave 2 of the 4 reversals"),
-        ({"steps": []}, "at least 1 entry"),
+        ({"steps": []}, "at least 1 item"),
         ({"shape": "weibull"}, "needs axis: logarithmic"),
     ],
 )

@@ -125,7 +125,7 @@ WRONG: list[tuple[str, dict[str, Any], str]] = [
     ("stream_force", {"seq": 1, "force_n": [math.nan, 0.0]}, "force_n[0]"),
     ("stream_force", {"seq": 1, "force_n": [0.0, math.inf]}, "force_n[1]"),
     ("stream_force", {"seq": 1, "force_n": [0.0, 100.5]}, "force_n[1]"),
-    ("stream_force", {"seq": 1, "force_n": [0.0]}, "force_n"),
+    ("stream_force", {"seq": 1, "force_n": [0.0]}, "force_n[1]"),
     ("stream_force", {"seq": 1, "force_n": [0.0, 0.0, 0.0]}, "force_n"),
     ("stream_force", {"seq": 1, "force_n": ["1", 0.0]}, "force_n[0]"),
     ("stream_force", {"seq": 1, "force_n": [True, 0.0]}, "force_n[0]"),

@@ -278,7 +278,7 @@ def test_without_a_number_that_is_varied_nothing_is_drawn() -> None:
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
-        ({"kind": "pie"}, "figures[0].kind: must be map, line or table"),
+        ({"kind": "pie"}, "figures[0].kind: should be 'map', 'line' or 'table'"),
         ({"kind": "map", "x": RATE, "y": STIFFNESS}, "figures[0]: kind: map needs color"),
         ({"kind": "line", "x": RATE, "y": "stability_factor", "color": "x"}, "color does not belong to kind: line"),
         ({**MAP, "x": "servo.rate"}, "figures[0].x: no key servo.rate is varied; did you mean servo.rate_hz?"),
