@@ -31,7 +31,6 @@ Questions, and where to begin:
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import os
 import sys
@@ -45,43 +44,24 @@ from hapticd.base.errors import HapticdError
 from hapticd.cli.failure import asks_for_json, tell
 from hapticd.cli.streams import guarded
 
-_HOMES: Final = {
-    "run": "daemon",
-    "status": "daemon",
-    "reload": "daemon",
-    "scene": "scene",
-    "material": "material",
-    "apply": "apply",
-    "play": "command",
-    "force": "command",
-    "reset": "command",
-    "operator": "command",
-    "mark": "mark",
-    "watch": "telemetry",
-    "record": "telemetry",
-    "recover": "recover",
-    "export": "export",
-    "flight": "telemetry",
-    "replay": "offline",
-    "simulate": "offline",
-    "check": "check",
-    "paths": "paths",
-    "schema": "offline",
-    "devices": "devices",
-    "bench": "bench",
-    "calibrate": "calibrate",
-    "verify": "verify",
-    "fit": "fit",
-    "experiment": "experiment",
-    "sweep": "sweep",
-    "lsl": "lsl",
-    "web": "web",
-    "doctor": "doctor",
-    "install-service": "service",
-    "stop-device": "service",
-    "completion": "completion",
-}
-"""The commands in the order in which a person meets them, and the modules that they stand in."""
+_ORDER: Final = (
+    ("daemon", "run status reload scene material apply play force reset operator mark"),
+    ("recordings", "watch record recover export flight replay simulate"),
+    ("check", "check"),
+    ("machine", "paths schema"),
+    ("devices", "devices"),
+    ("bench", "bench"),
+    ("calibrate", "calibrate verify"),
+    ("fit", "fit"),
+    ("experiment", "experiment"),
+    ("sweep", "sweep"),
+    ("recordings", "lsl"),
+    ("web", "web"),
+    ("machine", "doctor install-service stop-device"),
+    ("completion", "completion"),
+)
+"""The modules and the commands in them, in the order in which a person meets these."""
+_HOMES: Final = {name: module for module, names in _ORDER for name in names.split()}
 
 
 class _LazyGroup(click.Group):
@@ -96,23 +76,12 @@ class _LazyGroup(click.Group):
             raise HapticdError(str(error.strerror)) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_HOMES)
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        try:
-            return super().resolve_command(ctx, args)
-        except click.NoSuchCommand as error:
-            # Click compares with the commands that are loaded, of which there are none.
-            close = difflib.get_close_matches(error.command_name, self.list_commands(ctx), n=1)
-            raise click.NoSuchCommand(error.command_name, possibilities=close, ctx=ctx) from None
+        return list(self.commands)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        home = _HOMES.get(cmd_name)
-        if home is None:
+        if cmd_name not in self.commands:
             return None
-        module = importlib.import_module(f"hapticd.cli.{home}")
+        module = importlib.import_module(f"hapticd.cli.{_HOMES[cmd_name]}")
         command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
         assert isinstance(command, click.Command)
         return command
@@ -127,6 +96,7 @@ Environment:
 
 @click.group(
     cls=_LazyGroup,
+    commands=[click.Command(name) for name in _HOMES],  # names to compare a mistyped one with
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog=_ENVIRONMENT,
@@ -151,9 +121,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
     # Before numpy is loaded: its BLAS would start a thread for each processor, and no command needs that.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with guarded() as told:
+    with guarded() as line_lost:
         code = _run(arguments)
-    return code or int(told.lost)
+    return code or int(line_lost())
 
 
 def _run(arguments: Sequence[str] | None) -> int:
@@ -166,20 +136,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         if sys.stdout is not None:  # closed by whoever started us
             sys.stdout.flush()
         return result if isinstance(result, int) else 0
-    except HapticdError as error:
-        return tell(error, 1, as_json)
-    except click.ClickException as error:
-        return tell(error, error.exit_code, as_json)
     except (KeyboardInterrupt, click.Abort):
         return 130
-    except MemoryError:
-        return tell("there is not enough memory for this; a shorter run or a lower rate needs less", 1, as_json)
-    except RuntimeError as error:
-        from hapticd.base import threads
-
-        if str(error) != threads.REFUSED:
-            raise
-        return tell(threads.refused(), 1, as_json)
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        return tell(f"{where}{error.strerror or error}", 1, as_json)
+    except (HapticdError, click.ClickException, MemoryError, OSError, RuntimeError) as error:
+        return tell(error, as_json)

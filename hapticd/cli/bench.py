@@ -15,19 +15,19 @@ TREE = Path(__file__).resolve().parent.parent.parent
 """The source tree, where this is one."""
 
 
-def _bench(tree: Path) -> ModuleType:
+def _bench() -> ModuleType:
     """The benchmarks' main module. Raises HapticdError where they are not, or what they need is not."""
-    if not (tree / "bench" / "peers.py").is_file() or not (tree / "csrc" / "api" / "hd_api.h").is_file():
+    if not (TREE / "bench" / "peers.py").is_file():
         raise HapticdError(
             "the benchmarks are not installed with hapticd: run this in a source tree, after pip install -e '.[dev]'"
         )
-    if str(tree) not in sys.path:
-        sys.path.insert(0, str(tree))
+    if str(TREE) not in sys.path:
+        sys.path.insert(0, str(TREE))
     try:
         return importlib.import_module("bench.__main__")
     except ModuleNotFoundError as error:
         raise HapticdError(
-            f"the benchmarks need {error.name}, which is not installed: pip install -e '.[dev]' in {tree}"
+            f"the benchmarks need {error.name}, which is not installed: pip install -e '.[dev]' in {TREE}"
         ) from None
 
 
@@ -44,19 +44,15 @@ def _bench(tree: Path) -> ModuleType:
 @click.option(
     "--overwrite", is_flag=True, help="Replace the pages and figures that are there; of a part, its sections of them."
 )
-@click.pass_context
-def bench_command(
-    ctx: click.Context, names: tuple[str, ...], list_names: bool, quick: bool, out: Path | None, overwrite: bool
-) -> None:
+def bench_command(names: tuple[str, ...], list_names: bool, quick: bool, out: Path | None, overwrite: bool) -> int:
     """Measure NAMES, or everything: what each part costs, and how wrong it is, beside other ways to do the same.
 
     A whole run says at its end how long it took. Works in a source tree, where the benchmarks are.
     """
-    bench = _bench(TREE)
+    bench = _bench()
     if list_names:
         click.echo(bench.listed())
-        return
-    wrong = bench.unknown(names)
-    if wrong is not None:
-        raise click.UsageError(wrong, ctx)
-    ctx.exit(bench.perform(names, bench.Options(quick=quick), out, overwrite))
+        return 0
+    if (wrong := bench.unknown(names)) is not None:
+        raise click.UsageError(wrong)
+    return int(bench.perform(names, bench.Options(quick=quick), out, overwrite))

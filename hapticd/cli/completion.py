@@ -8,8 +8,6 @@ from typing import Final
 import click
 from click.shell_completion import ShellComplete, get_completion_class
 
-from hapticd.cli.common import Choice
-
 SHELLS: Final = {
     "bash": "share/bash-completion/completions/hapticd",
     "zsh": "share/zsh/site-functions/_hapticd",
@@ -37,7 +35,7 @@ def script(shell: str) -> str:
 
 
 @click.command("completion", short_help="Print the completion script of a shell.")
-@click.argument("shell", type=Choice(list(SHELLS)))
+@click.argument("shell", type=click.Choice(list(SHELLS)))
 def completion_command(shell: str) -> None:
     """Print the script by which SHELL completes commands, options, files, scenes, materials and objects.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -17,21 +17,20 @@ from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Finite,
     config_option,
-    duration,
+    for_option,
     json_option,
     note,
+    output_option,
     overwrite_option,
     print_json,
+    print_result,
 )
 from hapticd.hid.device_texts import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
     from hapticd.hid.claim import Claims
-    from hapticd.hid.descriptor.fields import Field
-    from hapticd.hid.descriptor.layout import SetEffect
     from hapticd.hid.discovery import Found
-    from hapticd.hid.plan import Plan
     from hapticd.hid.verdict import Verdict
 
 _MAX_FILE_BYTES: Final = 1 << 20
@@ -57,9 +56,10 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
     claimed = Claims().names()
     if as_json:
         print_json([{**item.to_dict(), "claimed": item.hid_name in claimed} for item in found])
-    elif not found:
+        return
+    if not found:
         note("no HID device is connected, or the kernel has no hidraw")
-    for item in () if as_json else found:
+    for item in found:
         click.echo(f"{item}, {item.bus}")
         click.echo(f"    {_verdict(item)}")
         mine = item.hid_name in claimed
@@ -102,12 +102,23 @@ def _verdict(item: Found) -> str:
     return said + (f"; but no permission: {RULE}" if item.permission == "denied" else "")
 
 
+def _one(device: str | None, found: Sequence[Found], what: str) -> Found:
+    """The device that is named, or the only one of those that are, or can be, `what`."""
+    meant = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
+    if len(meant) == 1:
+        return meant[0]
+    listed = ", ".join(map(str, meant or found)) or "none"
+    if meant:
+        raise HapticdError(f"{len(meant)} devices {what}, name one by its path: {listed}")
+    if device is None:
+        raise HapticdError(f"no device {what}; name one")
+    raise HapticdError(f"no HID device {quoted(device)}; there are: {listed}")
+
+
 @devices_command.command("dump", short_help="Record what a device reports.")
 @click.argument("device", metavar="DEVICE")
-@click.option("-o", "--output", required=True, type=click.Path(), metavar="FILE", help="Where the recording goes.")
-@click.option(
-    "--for", "duration_s", callback=duration, default="5s", show_default=True, metavar="TIME", help="How long."
-)
+@output_option("Where the recording goes.", required=True)
+@for_option("5s", "5s")
 @overwrite_option
 @json_option
 def dump_command(device: str, output: str, duration_s: float, overwrite: bool, as_json: bool) -> None:
@@ -124,23 +135,8 @@ def dump_command(device: str, output: str, duration_s: float, overwrite: bool, a
     finally:
         os.close(fd)
     write_whole(output, text_of(Recording(item.name, item.vendor, item.product, item.descriptor, reports)), overwrite)
-    if as_json:
-        print_json({"file": output, "device": item.to_dict(), "reports": len(reports)})
-    else:
-        click.echo(f"{wording.count(len(reports), 'report')} of {item} in {output}")
-
-
-def _one(device: str | None, found: Sequence[Found], what: str) -> Found:
-    """The device that is named, or the only one of those that are, or can be, `what`."""
-    meant = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
-    if len(meant) == 1:
-        return meant[0]
-    listed = ", ".join(map(str, meant or found)) or "none"
-    if meant:
-        raise HapticdError(f"{len(meant)} devices {what}, name one by its path: {listed}")
-    if device is None:
-        raise HapticdError(f"no device {what}; name one")
-    raise HapticdError(f"no HID device {quoted(device)}; there are: {listed}")
+    found = {"file": output, "device": item.to_dict(), "reports": len(reports)}
+    print_result(found, as_json, f"{wording.count(len(reports), 'report')} of {item} in {output}")
 
 
 @devices_command.command("claim", short_help="Keep other programs off a device.")
@@ -158,8 +154,8 @@ def claim_command(device: str | None, as_json: bool) -> None:
 
     claims, found = Claims(), find()
     item = _one(device, found if device else [one for one in found if one.usable], "can be driven")
-    driver = claims.claim(item)
-    _print_driver(claims, item, driver, as_json, "claimed: other programs have no access to its event nodes")
+    what = "claimed: other programs have no access to its event nodes"
+    _print_driver(claims, item, claims.claim(item), as_json, what)
 
 
 @devices_command.command("release", short_help="Let other programs at a device again.")
@@ -174,28 +170,20 @@ def release_command(device: str | None, as_json: bool) -> None:
     claims, found = Claims(), find()
     names = claims.names()
     item = _one(device, found if device else [one for one in found if one.hid_name in names], "is claimed")
-    driver = claims.release(item)
-    _print_driver(claims, item, driver, as_json, "released: other programs may use it")
+    _print_driver(claims, item, claims.release(item), as_json, "released: other programs may use it")
 
 
 def _print_driver(claims: Claims, item: Found, driver: str, as_json: bool, what: str) -> None:
-    path = claims.path(item.hid_name)
-    if as_json:
-        print_json({"device": item.hid_name, "path": path, "driver": driver})
-    else:
-        click.echo(f"{path} ({item.name or 'no name'}) is {what}; its driver is {driver}")
+    found = {"device": item.hid_name, "path": claims.path(item.hid_name), "driver": driver}
+    print_result(found, as_json, f"{found['path']} ({item.name or 'no name'}) is {what}; its driver is {driver}")
 
 
 @devices_command.command("calibrate", short_help="Find out which way a device pushes.")
 @config_option
 @click.option(
-    "--force",
-    "force_n",
-    type=Finite(min=0, min_open=True),
-    metavar="N",
-    help="Force to push with [default: 5 % of full].",
+    "--force", "force_n", type=Finite(0, min_open=True), metavar="N", help="Force to push with [default: 5 % of full]."
 )
-@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the section there, too.")
+@output_option("Write the section there, too.")
 @overwrite_option
 @click.option("--yes", is_flag=True, help="Nobody holds the handle; do not ask.")
 @json_option
@@ -233,11 +221,7 @@ def calibrate_command(
     measured = {**hid.to_dict(), "force_axes": found.force_axes.to_dict(), "signs": "trust"}
     section = {"device": {"kind": "hid", "hid": measured}}
     text = yaml_text(section)
-    # Whatever becomes of the file, what was found is printed.
-    if as_json:
-        print_json(section)
-    else:
-        click.echo(text)
+    print_result(section, as_json, text)  # whatever becomes of the file
     if output is not None:
         write_whole(output, text + "\n", overwrite)
 
@@ -249,7 +233,7 @@ def calibrate_command(
 def parse_command(file: str, configs: tuple[str, ...], as_json: bool) -> None:
     """Say what would be driven of a device with the report descriptor in FILE, binary or hex text; - is the input.
 
-    It is judged as `hapticd run` would judge it with the same configuration.
+    It is judged as `hapticd run` would judge it with the same configuration. --json shows all reports and fields.
     """
     from hapticd.hid.verdict import verdict_of
 
@@ -259,10 +243,7 @@ def parse_command(file: str, configs: tuple[str, ...], as_json: bool) -> None:
     verdict = verdict_of(_hid_of(configs), descriptor)
     if verdict.layout is None and not verdict.drivable:
         raise HapticdError(str(verdict.problem))
-    if as_json:
-        print_json(verdict.to_dict())
-    else:
-        click.echo("\n".join(_lines(verdict)))
+    print_result(verdict.to_dict(), as_json, "\n".join(_lines(verdict)))
 
 
 def descriptor_bytes(data: bytes, name: str) -> bytes:
@@ -285,47 +266,25 @@ def descriptor_bytes(data: bytes, name: str) -> bytes:
     return found
 
 
-def _forces(plan: Plan) -> str:
-    """Along which axes the device is pushed, and by how many effects."""
-    pushed = [name for name, step_n in zip("xy", plan.force_steps_n, strict=True) if step_n > 0.0]
-    along = f"along {' and '.join(pushed)}{' only' if len(pushed) == 1 else ''}"
-    # A device with reports of its own has no effects.
-    return along if plan.foreign_s is None else f"{along}, by {wording.count(len(plan.renew), 'effect')}"
-
-
-def _direction(effect: SetEffect) -> str:
-    """How an effect says where its force comes from."""
-    if not effect.direction:
-        return "none"
-    field = effect.direction[0]
-    kind = f"a vector of {len(effect.direction)} parts" if effect.is_direction_cartesian else "an angle"
-    return f"{kind}, {field.logical_min} to {field.logical_max}"
-
-
-def _lines(verdict: Verdict) -> list[str]:
-    """What a person wants to know of a layout."""
-    layout = verdict.layout
-    if verdict.plan is not None:
-        lines = ["can be driven", f"forces: {_forces(verdict.plan)}", *filter(None, [verdict.plan.leak_text])]
+def _lines(verdict: Verdict) -> Iterator[str]:
+    """Whether it can be driven, along which axes and by what, and what of it is not used."""
+    if verdict.plan is None:
+        yield f"cannot be driven: {verdict.why_not}"
     else:
-        lines = [f"cannot be driven: {verdict.why_not}"]
-    if layout is None:
-        return [*lines, f"the report descriptor is not valid: {verdict.problem}"]
-    lines += [f"axis {name}: input report {_where(axis.field)}" for name, axis in layout.input.items()]
-    if layout.constant_force is not None:
-        lines.append(f"constant force: magnitude in output report {_where(layout.constant_force.magnitude)}")
-    if layout.set_effect is not None:
-        effect = layout.set_effect
-        lines.append(f"effects: {', '.join(effect.effect_type.entries)}")
-        lines.append(f"direction: {_direction(effect)}; Axes Enable: {', '.join(effect.axes_enable) or 'none'}")
-    if layout.device_control is not None:
-        command = layout.device_control.command
-        lines.append(f"device control ({command.kind}): {', '.join(command.entries)}")
-    optional = ("block_free", "device_gain", "pid_state", "pool", "set_periodic", "set_envelope")
-    there = [name.replace("_", " ") for name in optional if getattr(layout, name) is not None]
-    return [*lines, f"also: {', '.join(there) or 'nothing'}", *(f"not used: {one}" for one in layout.problems)]
-
-
-def _where(field: Field) -> str:
-    at = f"{field.report_id}, {field.bit_size} bits at {field.bit_offset}"
-    return f"{at}, {field.logical_min} to {field.logical_max}"
+        yield "can be driven"
+        plan = verdict.plan
+        pushed = [name for name, step_n in zip("xy", plan.force_steps_n, strict=True) if step_n > 0.0]
+        along = f"forces: along {' and '.join(pushed)}{' only' if len(pushed) == 1 else ''}"
+        # A device with reports of its own has no effects.
+        yield along if plan.foreign_s is None else f"{along}, by {wording.count(len(plan.renew), 'effect')}"
+        yield from filter(None, [plan.leak_text])
+    if verdict.layout is None:
+        yield f"the report descriptor is not valid: {verdict.problem}"
+        return
+    fields = {f"axis {name}: input": axis.field for name, axis in verdict.layout.input.items()}
+    if verdict.layout.constant_force is not None:
+        fields["constant force: magnitude in output"] = verdict.layout.constant_force.magnitude
+    for what, field in fields.items():
+        at = f"{field.report_id}, {field.bit_size} bits at {field.bit_offset}"
+        yield f"{what} report {at}, {field.logical_min} to {field.logical_max}"
+    yield from (f"not used: {problem}" for problem in verdict.layout.problems)

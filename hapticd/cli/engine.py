@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import click
 
 from hapticd.base import wording
-from hapticd.cli.common import note
+from hapticd.cli.common import doing, note, options
 
 if TYPE_CHECKING:
     from hapticd.sweeps.engine import Outcome, Progress
@@ -37,24 +37,18 @@ class Where:
 
 def engine_options(what: str) -> Callable[[_F], _F]:
     """`--workers`, `--threads`, `--scheduler` and `--again`; `what` is computed: points."""
-
-    def decorated(command: _F) -> _F:
-        for option in (
-            click.option("--again", is_flag=True, help=f"Compute {what} anew whose row has an error."),
-            click.option(
-                "--scheduler", metavar="ADDRESS", help="A dask scheduler that runs: tcp://HOST:PORT, tls://HOST:PORT."
-            ),
-            click.option(
-                "--threads", is_flag=True, help="Threads of this process instead of processes; no port is opened."
-            ),
-            click.option(
-                "--workers", type=click.IntRange(1, 1024), help="How many processes [default: as many as processors]."
-            ),
-        ):
-            command = option(command)
-        return command
-
-    return decorated
+    return options(
+        click.option(
+            "--workers", type=click.IntRange(1, 1024), help="How many processes [default: as many as processors]."
+        ),
+        click.option(
+            "--threads", is_flag=True, help="Threads of this process instead of processes; no port is opened."
+        ),
+        click.option(
+            "--scheduler", metavar="ADDRESS", help="A dask scheduler that runs: tcp://HOST:PORT, tls://HOST:PORT."
+        ),
+        click.option("--again", is_flag=True, help=f"Compute {what} anew whose row has an error."),
+    )
 
 
 def require_engine(where: Where) -> None:
@@ -94,16 +88,10 @@ def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome
 
 def outcome_dict(outcome: Outcome, folder: Path, digest: str, what: str) -> dict[str, object]:
     """What --json says of it; `what` is computed: points."""
-    return {
-        "folder": str(folder),
-        what: outcome.points,
-        "reused": outcome.reused,
-        "computed": outcome.computed,
-        "failed": outcome.failed,
-        "seconds": round(outcome.seconds, 3),
-        "worker_seconds": round(outcome.worker_seconds, 3),
-        "sha256": digest,
-    }
+    told = asdict(outcome)
+    for name in ("seconds", "worker_seconds"):
+        told[name] = round(told[name], 3)
+    return {"folder": str(folder), what: told.pop("points"), **told, "sha256": digest}
 
 
 def outcome_text(outcome: Outcome, what: str) -> str:
@@ -116,28 +104,18 @@ def outcome_text(outcome: Outcome, what: str) -> str:
 
 @contextmanager
 def _progress(what: str) -> Iterator[Callable[[Progress], None]]:
-    """A bar on a terminal, a line every ten seconds elsewhere."""
-    if sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-        from rich.progress import Progress as Bar
-
-        columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
-        with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task("", total=None)
-            yield lambda at: bar.update(task, total=at.total, completed=at.done, description=_left(at))
-        return
+    """How far it is, in one line on a terminal, else in a line every ten seconds."""
     last = monotonic()
 
     def report(at: Progress) -> None:
         nonlocal last
-        if monotonic() - last >= _EVERY_S:
+        left = "" if at.left_s is None else f", {wording.duration(at.left_s)} left"
+        failed = f", {at.failed} failed" if at.failed else ""
+        line = f"{at.done} of {wording.count(at.total, what)}{left}{failed}"
+        show(line)
+        if not sys.stderr.isatty() and monotonic() - last >= _EVERY_S:
             last = monotonic()
-            note(f"{at.done} of {wording.count(at.total, what)}, {_left(at)}")
+            note(line)
 
-    yield report
-
-
-def _left(at: Progress) -> str:
-    failed = f", {at.failed} failed" if at.failed else ""
-    return ("" if at.left_s is None else f"{wording.duration(at.left_s)} left") + failed
+    with doing() as show:
+        yield report

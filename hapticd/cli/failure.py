@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import click
 
-from hapticd.base.errors import HapticdError, InvalidError, Problem, lines_of, on_one_line
+from hapticd.base.errors import HapticdError, InvalidError, lines_of, on_one_line
 
 
 def asks_for_json(arguments: Sequence[str]) -> bool:
@@ -23,37 +23,45 @@ def asks_for_json(arguments: Sequence[str]) -> bool:
     return "--json" in before
 
 
-def tell(error: BaseException | str, exit_code: int, as_json: bool) -> int:
-    """Says on stderr what went wrong; returns the exit code."""
-    message = on_one_line(_message(error, as_json))
-    found = _problems(error)
+def tell(error: Exception, as_json: bool) -> int:
+    """Says on stderr what went wrong; returns the exit code. Raises the error again where it is none of a user's."""
+    message = _message(error, as_json)
+    exit_code = error.exit_code if isinstance(error, click.ClickException) else 1
+    problems = getattr(error, "problems", ())
     if as_json:
-        problems = [{"where": each.where, "problem": each.problem} for each in found]
-        told = {"message": message, "code": _code(error), "exit_code": exit_code, "problems": problems}
+        listed = [{"where": each.where, "problem": each.problem} for each in problems]
+        told = {"message": message, "code": _code(error), "exit_code": exit_code, "problems": listed}
         print(json.dumps({"error": told}, ensure_ascii=False), file=sys.stderr)
         return exit_code
     on_terminal = sys.stderr is not None and sys.stderr.isatty()
-    several = [on_one_line(line) for line in lines_of(found)] if len(found) > 1 and on_terminal else []
-    for line in several or [message]:
-        print("hapticd:", line, file=sys.stderr)
+    for line in lines_of(problems) if len(problems) > 1 and on_terminal else [message]:
+        print("hapticd:", on_one_line(line), file=sys.stderr)
     return exit_code
 
 
-def _message(error: BaseException | str, as_json: bool) -> str:
-    if isinstance(error, click.ClickException):
-        hint = ""
-        if isinstance(error, click.UsageError) and error.ctx is not None and not as_json:
-            hint = f" (see {error.ctx.command_path} --help)"
-        return error.format_message() + hint
-    return str(error)
+def _message(error: Exception, as_json: bool) -> str:
+    match error:
+        case HapticdError():
+            said = str(error)
+        case click.ClickException():
+            said = error.format_message()
+            if isinstance(error, click.UsageError) and error.ctx is not None and not as_json:
+                said += f" (see {error.ctx.command_path} --help)"
+        case MemoryError():
+            said = "there is not enough memory for this; a shorter run or a lower rate needs less"
+        case OSError():
+            said = f"{error.filename}: " if error.filename else ""
+            said += str(error.strerror or error)
+        case _:
+            from hapticd.base import threads
+
+            if str(error) != threads.REFUSED:
+                raise error
+            said = threads.refused()
+    return on_one_line(said)
 
 
-def _problems(error: BaseException | str) -> tuple[Problem, ...]:
-    found = getattr(error, "problems", ())
-    return found if isinstance(found, tuple) else ()
-
-
-def _code(error: BaseException | str) -> int | None:
+def _code(error: Exception) -> int | None:
     if not isinstance(error, HapticdError):
         return None
     # Whoever only asks for --help waits for no client.

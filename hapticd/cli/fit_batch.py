@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import datetime
-import io
 import os
 import sys
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from hapticd.base import wording
-from hapticd.cli.common import json_option, note, print_json, results_option
+from hapticd.cli.common import json_option, note, print_json, print_table, results_option
 from hapticd.cli.engine import Where, computed, engine_options, outcome_dict, outcome_text, require_engine
 
 if TYPE_CHECKING:
@@ -64,13 +63,8 @@ def batch_command(tree: str, output: Path | None, as_json: bool, **where: Any) -
     write_page(batch.title, results, files, folder, drawn, note)
     if as_json:
         told = [result_dict(rank, each, files.get(each.name)) for rank, each in enumerate(results, 1)]
-        print_json(
-            {
-                **outcome_dict(outcome, folder, store.digest(), "fits"),
-                "qualities": counts(results),
-                "materials": told,
-            }
-        )
+        about = outcome_dict(outcome, folder, store.digest(), "fits")
+        print_json({**about, "qualities": counts(results), "materials": told})
     else:
         _tell(results)
         click.echo(summary(results))
@@ -94,25 +88,14 @@ def _can_draw() -> bool:
 
 
 def _tell(results: Sequence[MaterialResult]) -> None:
-    """The ranking; of a long one its end, where there is something to do."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for head in ("rank", "material", "verdict", "fits", "recordings", "reasons"):
-        justify: Literal["left", "right"] = "right" if head in ("rank", "recordings") else "left"
-        table.add_column(head, justify=justify, no_wrap=head != "reasons")
+    """The ranking; of a long one its end, where there is something to do. For a program that reads it, a line each."""
     hidden = max(0, len(results) - _MOST_ROWS)
+    if hidden:
+        click.echo(f"the best {hidden} are left out here, and stand in ranking.csv")
+    rows = []
     for rank, each in list(enumerate(results, 1))[hidden:]:
         kinds = ", ".join(fit.kind for fit in each.fits)
         count = sum(len(fit.asked.files) for fit in each.fits)
-        table.add_row(str(rank), Text(each.name), each.quality, kinds, str(count), Text(each.shown_reasons))
-    if hidden:
-        click.echo(f"the best {hidden} are left out here, and stand in ranking.csv")
-    if not sys.stdout.isatty():  # one line each, for whatever reads it
-        text = io.StringIO()
-        Console(width=_WIDEST, file=text).print(table)
-        click.echo("\n".join(line.rstrip() for line in text.getvalue().splitlines()))
-        return
-    Console().print(table)
+        rows.append((str(rank), each.name, each.quality, kinds, str(count), each.shown_reasons))
+    columns = (">rank", "material", "verdict", "fits", ">recordings", "reasons")
+    print_table(columns, rows, broken="reasons", width=None if sys.stdout.isatty() else _WIDEST)

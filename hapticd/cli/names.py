@@ -20,48 +20,32 @@ if TYPE_CHECKING:
     from hapticd.client.blocking import Client
     from hapticd.config.shipped_files import Folder
 
-Items: TypeAlias = "list[CompletionItem[str]]"
+Complete: TypeAlias = "Callable[[click.Context, click.Parameter, str], list[CompletionItem[str]]]"
 
 _PATIENCE_S: Final = 0.3
 # Names that no shell has to quote.
 _PLAIN: Final = re.compile(r"[\w.+-]+")
 
 
-def _files(folder: Folder) -> Callable[[click.Context, click.Parameter, str], Items]:
-    """What ships in a folder and YAML files of this one; where neither begins so, any file."""
+def _offered(known: Callable[[click.Context], Iterable[str]], otherwise: str | None = None) -> Complete:
+    """Offers the names that begin so; where there is none, what a shell does `otherwise`."""
 
-    def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
-        from hapticd.config.shipped_files import shipped
-
-        here = sorted(path.name for path in Path().glob("*.yaml") if _PLAIN.fullmatch(path.name))
-        return _beginning(incomplete, [*shipped(folder), *here]) or [CompletionItem(incomplete, type="file")]
+    def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
+        found = [CompletionItem(name) for name in known(ctx) if name.startswith(incomplete)]
+        return found or ([] if otherwise is None else [CompletionItem(incomplete, type=otherwise)])
 
     return complete
 
 
-scenes, operators = _files("scenes"), _files("operators")
-experiments, sweeps = _files("experiments"), _files("sweeps")
+def _files(folder: Folder) -> Complete:
+    """What ships in a folder and YAML files of this one; where neither begins so, any file."""
 
+    def known(ctx: click.Context) -> list[str]:
+        from hapticd.config.shipped_files import shipped
 
-def materials(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
-    """Materials of the daemon, or the shipped ones where none answers."""
-    return _beginning(
-        incomplete, _asked(ctx, lambda client: client.get_materials()["materials"]) or _shipped_materials()
-    )
+        return [*shipped(folder), *sorted(path.name for path in Path().glob("*.yaml") if _PLAIN.fullmatch(path.name))]
 
-
-def shipped_materials(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
-    """Materials of the shipped library."""
-    return _beginning(incomplete, _shipped_materials())
-
-
-def objects(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
-    """Objects of the daemon's scene."""
-    return _beginning(incomplete, _asked(ctx, lambda client: client.get_scene()["scene"].get("objects")))
-
-
-def _beginning(incomplete: str, names: Iterable[str]) -> Items:
-    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+    return _offered(known, otherwise="file")
 
 
 def _asked(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
@@ -75,7 +59,7 @@ def _asked(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
         return []
 
 
-def _shipped_materials() -> list[str]:
+def _shipped_materials(ctx: click.Context) -> list[str]:
     from hapticd.base.yaml_source import load_bytes
     from hapticd.config.shipped_files import shipped
 
@@ -88,3 +72,14 @@ def _shipped_materials() -> list[str]:
 
 def _names(mapping: object) -> list[str]:
     return list(mapping) if isinstance(mapping, dict) else []
+
+
+scenes, operators = _files("scenes"), _files("operators")
+experiments, sweeps = _files("experiments"), _files("sweeps")
+shipped_materials = _offered(_shipped_materials)
+materials = _offered(
+    lambda ctx: _asked(ctx, lambda client: client.get_materials()["materials"]) or _shipped_materials(ctx)
+)
+"""Of the daemon, or the shipped ones where none answers."""
+objects = _offered(lambda ctx: _asked(ctx, lambda client: client.get_scene()["scene"].get("objects")))
+"""Of the daemon's scene."""

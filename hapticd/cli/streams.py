@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hapticd.base.errors import HapticdError
@@ -22,63 +21,44 @@ class OutputLost(HapticdError, OSError):
     """
 
 
-@dataclass(slots=True)
-class Told:
-    """What became of what was written."""
+class _Stream(io.FileIO):
+    """What cannot be written to it is lost, as a daemon goes on without its log; `raises`: the first time it says so,
+    and what is flushed at the exit is no error any more."""
 
-    lost: bool = False
-    """The last that was to go to stderr did not arrive: there is nowhere to say so."""
-
-
-class _Output(io.FileIO):
-    """Says once that it cannot be written to, and loses the rest: what is flushed at the exit is no error any more."""
-
-    def __init__(self, descriptor: int) -> None:
+    def __init__(self, descriptor: int, raises: bool) -> None:
         super().__init__(descriptor, "wb", closefd=False)
-        self._lost = False
-
-    def write(self, data: Buffer, /) -> int:
-        if not self._lost:
-            try:
-                return super().write(data)
-            except OSError as error:
-                self._lost = True
-                raise OutputLost(f"standard output: cannot be written: {error.strerror}") from None
-        return memoryview(data).nbytes
-
-
-class _Errors(io.FileIO):
-    """Loses what it cannot write: a daemon goes on without its log."""
-
-    def __init__(self, descriptor: int, told: Told) -> None:
-        super().__init__(descriptor, "wb", closefd=False)
-        self._told = told
+        self._raises = raises
+        self.lost = False
+        """What was written last did not arrive."""
 
     def write(self, data: Buffer, /) -> int:
         try:
             written = super().write(data)
-        except OSError:
-            self._told.lost = True
+        except OSError as error:
+            before, self.lost = self.lost, True
+            if self._raises and not before:
+                raise OutputLost(f"standard output: cannot be written: {error.strerror}") from None
             return memoryview(data).nbytes
-        self._told.lost = False
+        self.lost = False
         return written
 
 
 @contextmanager
-def guarded() -> Iterator[Told]:
-    """Meanwhile `sys.stdout` raises OutputLost where it cannot be written, and `sys.stderr` nothing.
+def guarded() -> Iterator[Callable[[], bool]]:
+    """Meanwhile `sys.stdout` raises OutputLost where it cannot be written, and `sys.stderr` nothing; what is given says
+    whether the last that was to go to stderr did not arrive: there is nowhere to say so.
 
     Streams that somebody else put in their places are left as they are.
     """
-    told = Told()
-    before = sys.stdout, sys.stderr
+    before, errors = (sys.stdout, sys.stderr), None
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout is sys.__stdout__:
         sys.stdout.flush()
-        sys.stdout = _text(sys.stdout, _Output(sys.stdout.fileno()))
+        sys.stdout = _text(sys.stdout, _Stream(sys.stdout.fileno(), raises=True))
     if isinstance(sys.stderr, io.TextIOWrapper) and sys.stderr is sys.__stderr__:
-        sys.stderr = _text(sys.stderr, _Errors(sys.stderr.fileno(), told))
+        errors = _Stream(sys.stderr.fileno(), raises=False)
+        sys.stderr = _text(sys.stderr, errors)
     try:
-        yield told
+        yield lambda: errors is not None and errors.lost
     finally:
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:

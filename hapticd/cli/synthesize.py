@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 import click
 
@@ -18,6 +19,8 @@ from hapticd.cli.common import (
     config_option,
     json_option,
     note,
+    options,
+    output_option,
     overwrite_option,
     print_json,
 )
@@ -29,67 +32,15 @@ if TYPE_CHECKING:
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _Truth = dict[str, float]
+"""The figures that recordings are made of."""
 ENDING: Final = ".npz"
+MATERIALS: Final = {"tap": "wood", "grooves": "comb", "texture": "sandpaper_100", "puncture": "cellophane"}
+"""The kinds of recordings, and what is recorded by default."""
 TAP_SPEEDS: Final = (0.08, 0.11, 0.14, 0.17, 0.2, 0.23, 0.26, 0.29, 0.32, 0.35)
 PUNCTURE_SPEEDS: Final = (0.03, 0.05, 0.08, 0.12)
 STROKE_SPEEDS: Final = (0.05, 0.12)
 STROKE_FORCES: Final = (0.5, 1.5)
-
-
-@click.group("synthesize", no_args_is_help=False, short_help="Make recordings whose truth is known.")
-def synthesize_command() -> None:
-    """Make recordings as a stylus would, of a material of the library, and print their truth.
-
-    Fitted again, they show what a fit can resolve with this rate, noise and sensor.
-    """
-
-
-def _stylus_options(command: _F) -> _F:
-    """What lies between the surface and the numbers."""
-    for option in (
-        json_option,
-        overwrite_option,
-        click.option(
-            "--seed",
-            type=click.IntRange(min=0),
-            default=1,
-            show_default=True,
-            help="Seed of noise, tremor and scatter.",
-        ),
-        _number("--position-step", "position_step_m", 0.0, 1.0, "M", "Step of the positions; 0: exact.", 0.0),
-        _number("--drift", "drift_m_per_s3", -1e3, 1e3, "M/S^3", "Drift of the acceleration.", 0.0),
-        _number("--tremor", "tremor_m_per_s2", 0.0, 1e3, "M/S^2", "Amplitude of the hand's tremor.", 0.0),
-        _number("--full-scale", "full_scale_m_per_s2", 1e-3, 1e9, "M/S^2", "The sensor clips larger accelerations."),
-        click.option(
-            "--filter-order", type=click.IntRange(1, 8), default=2, show_default=True, help="Order of the filter."
-        ),
-        _number("--filter", "filter_hz", 1.0, 1e6, "HZ", "Corner of a low-pass filter, Butterworth's."),
-        _number(
-            "--mounting-damping",
-            "mounting_damping",
-            1e-4,
-            0.999,
-            "PART",
-            "Damping ratio of the mounting; 1: critical.",
-            0.05,
-        ),
-        _number("--mounting", "mounting_hz", 1.0, 1e6, "HZ", "Resonance of the sensor on its mounting."),
-        _number(
-            "--noise", "noise_rms", 0.0, 10.0, "PART", "RMS of the noise, as a part of the largest acceleration.", 0.02
-        ),
-        _number("--rate", "rate_hz", 100.0, 1e6, "HZ", "Samples a second.", 25_000.0),
-        config_option,
-        click.option(
-            "-o",
-            "--output",
-            required=True,
-            type=click.Path(),
-            metavar=f"FILE{ENDING}",
-            help="Write the recording there; several get numbers.",
-        ),
-    ):
-        command = option(command)
-    return command
+STROKES_S: Final = {"grooves": 1.0, "texture": 10.0}
 
 
 def _number(
@@ -100,190 +51,101 @@ def _number(
     )
 
 
-def _several(flag: str, name: str, high: float, unit: str, text: str, default: Sequence[float]) -> Callable[[_F], _F]:
-    shown = " ".join(f"{each:g}" for each in default)
-    return click.option(
-        flag, name, type=Finite(1e-4, high), multiple=True, metavar=unit, help=f"{text} [default: {shown}]."
-    )
+def _count(flag: str, low: int, high: int | None, default: int, text: str) -> Callable[[_F], _F]:
+    return click.option(flag, type=click.IntRange(low, high), default=default, show_default=True, help=text)
 
 
-def _material_option(default: str) -> Callable[[_F], _F]:
-    return click.option(
-        "--material",
-        "name",
-        default=default,
-        show_default=True,
-        metavar="NAME",
-        shell_complete=names.shipped_materials,
-        help="A material of the library, or of a file that is given with -c.",
-    )
+def _several(flag: str, name: str, high: float, unit: str, text: str) -> Callable[[_F], _F]:
+    return click.option(flag, name, type=Finite(1e-4, high), multiple=True, metavar=unit, help=text)
 
 
-_stroke_options: Final = (
-    _several("--speed", "speeds", 5.0, "M/S", "Speed of a stroke; several: a stroke at each", STROKE_SPEEDS),
-    _several("--force", "forces", 100.0, "N", "Normal force; several: a stroke at each speed and force", STROKE_FORCES),
+_stylus_options: Final = options(
+    _number("--rate", "rate_hz", 100.0, 1e6, "HZ", "Samples a second.", 25_000.0),
+    _number(
+        "--noise", "noise_rms", 0.0, 10.0, "PART", "RMS of the noise, as a part of the largest acceleration.", 0.02
+    ),
+    _number("--mounting", "mounting_hz", 1.0, 1e6, "HZ", "Resonance of the sensor on its mounting."),
+    _number(
+        "--mounting-damping",
+        "mounting_damping",
+        1e-4,
+        0.999,
+        "PART",
+        "Damping ratio of the mounting; 1: critical.",
+        0.05,
+    ),
+    _number("--filter", "filter_hz", 1.0, 1e6, "HZ", "Corner of a low-pass filter, Butterworth's."),
+    _count("--filter-order", 1, 8, 2, "Order of the filter."),
+    _number("--full-scale", "full_scale_m_per_s2", 1e-3, 1e9, "M/S^2", "The sensor clips larger accelerations."),
+    _number("--tremor", "tremor_m_per_s2", 0.0, 1e3, "M/S^2", "Amplitude of the hand's tremor.", 0.0),
+    _number("--drift", "drift_m_per_s3", -1e3, 1e3, "M/S^3", "Drift of the acceleration.", 0.0),
+    _number("--position-step", "position_step_m", 0.0, 1.0, "M", "Step of the positions; 0: exact.", 0.0),
+    _count("--seed", 0, None, 1, "Seed of noise, tremor and scatter."),
 )
+"""What lies between the surface and the numbers."""
 
 
-@synthesize_command.command("tap")
-@_material_option("wood")
-@_several("--speed", "speeds", 10.0, "M/S", "Speed of a tap; several: one tap each", TAP_SPEEDS)
+@click.command("synthesize", short_help="Make recordings whose truth is known.")
+@click.argument("kind", type=click.Choice(list(MATERIALS)), metavar="KIND")
+@output_option("Write the recording there; several get numbers.", f"FILE{ENDING}", required=True)
+@click.option(
+    "--material",
+    "name",
+    metavar="NAME",
+    shell_complete=names.shipped_materials,
+    help="A material of the library, or of a file that is given with -c [default: wood, comb, sandpaper_100 or "
+    "cellophane].",
+)
+@config_option
+@_several("--speed", "speeds", 10.0, "M/S", "Speed of a tap, a stroke or a puncture; several: one at each.")
+@_several("--force", "forces", 100.0, "N", "Normal force of a stroke; several: one at each speed and force.")
+@_number(
+    "--duration", "duration_s", 0.05, 600.0, "S", "Duration of a stroke [default: 1 s of grooves, 10 s of texture]."
+)
 @_stylus_options
-def tap_command(name: str, speeds: tuple[float, ...], **options: Any) -> None:
-    """Taps at several speeds, in one recording."""
-
-    def make(material: Material, stylus: Stylus) -> tuple[list[Recording], _Truth]:
-        from hapticd.fit.synthesize import taps
-
-        tap = material.tap
-        if tap is None:
-            raise ValueError("it has no tap")
-        if tap.second is not None:
-            raise ValueError("synthetic taps ring with one mode, and it has two")
-        if tap.waveform is not None:
-            raise ValueError("synthetic taps ring, and its tap is a waveform")
-        recording, truth = taps(tap, speeds or TAP_SPEEDS, stylus)
-        mode = truth.mode
-        return [recording], {
-            "slope_per_s": truth.slope_per_s,
-            "first_peak_slope_per_s": truth.slope_per_s * mode.peak,
-            "frequency_hz": mode.frequency_hz,
-            "decay_time_s": mode.decay_time_s,
-        }
-
-    _run("tap", name, make, **options)
-
-
-@synthesize_command.command("grooves")
-@_material_option("comb")
-@_stroke_options[0]
-@_stroke_options[1]
-@_number("--duration", "duration_s", 0.05, 600.0, "S", "Duration of a stroke.", 1.0)
-@_stylus_options
-def grooves_command(
-    name: str, speeds: tuple[float, ...], forces: tuple[float, ...], duration_s: float, **options: Any
-) -> None:
-    """Strokes over grooves, each in a recording of its own."""
-
-    def make(material: Material, stylus: Stylus) -> tuple[list[Recording], _Truth]:
-        from hapticd.config.texture import Grooves
-        from hapticd.fit.synthesize import Hand, grooves
-
-        table = material.texture.frequency_table if isinstance(material.texture, Grooves) else None
-        if table is not None:
-            raise HapticdError(f"{name}: its frequency follows speed and force; the fit finds grooves of one frequency")
-        hand = Hand(duration_s=duration_s)
-        found = [grooves(material, *pair, each, hand) for pair, each in _pairs(speeds, forces, stylus)]
-        texture, mode = material.texture, material.groove_mode
-        assert isinstance(texture, Grooves) and mode is not None  # otherwise there are no strokes of it
-        return found, {
-            "spacing_m": texture.spacing_m,
-            "frequency_hz": mode.frequency_hz,
-            "decay_time_s": mode.decay_time_s,
-            "velocity_gain_per_s": texture.velocity_gain_per_s,
-            "force_gain_m_per_s2_per_n": texture.force_gain_m_per_s2_per_n,
-        }
-
-    _run("grooves", name, make, **options)
-
-
-@synthesize_command.command("texture", short_help="Strokes over sandpaper and the like.")
-@_material_option("sandpaper_100")
-@_stroke_options[0]
-@_stroke_options[1]
-@_number("--duration", "duration_s", 0.05, 600.0, "S", "Duration of a stroke.", 10.0)
-@_stylus_options
-def texture_command(
-    name: str, speeds: tuple[float, ...], forces: tuple[float, ...], duration_s: float, **options: Any
-) -> None:
-    """Strokes over sandpaper and the like, each in a recording of its own."""
-
-    def make(material: Material, stylus: Stylus) -> tuple[list[Recording], _Truth]:
-        from hapticd.config.texture import Stochastic
-        from hapticd.fit.synthesize import Hand, texture
-
-        hand = Hand(duration_s=duration_s)
-        found = [texture(material, *pair, each, hand) for pair, each in _pairs(speeds, forces, stylus)]
-        coarse = material.texture
-        if not isinstance(coarse, Stochastic):
-            return found, {}  # The truth is the models of the material itself.
-        return found, {
-            "peak_hz": coarse.peak_hz,
-            "mean_hz": coarse.mean_hz,
-            "velocity_gain_per_s": coarse.velocity_gain_per_s,
-            "force_gain_m_per_s2_per_n": coarse.force_gain_m_per_s2_per_n,
-        }
-
-    _run("texture", name, make, **options)
-
-
-@synthesize_command.command("puncture")
-@_material_option("cellophane")
-@_several("--speed", "speeds", 5.0, "M/S", "Speed of a puncture; several: one each", PUNCTURE_SPEEDS)
-@_stylus_options
-def puncture_command(name: str, speeds: tuple[float, ...], **options: Any) -> None:
-    """Punctures of a membrane, each in a recording of its own."""
-
-    def make(material: Material, stylus: Stylus) -> tuple[list[Recording], _Truth]:
-        from hapticd.fit.synthesize import puncture
-
-        chosen = speeds or PUNCTURE_SPEEDS
-        found = [
-            puncture(material, speed, each) for speed, each in zip(chosen, _others(stylus, len(chosen)), strict=True)
-        ]
-        rupture = material.rupture
-        assert rupture is not None  # otherwise there are no punctures of it
-        return found, {
-            "stiffness_n_per_m": material.stiffness_n_per_m,
-            "depth_m": rupture.rupture_depth_m,
-            "force_n": material.stiffness_n_per_m * rupture.rupture_depth_m,
-            "amplitude_m_per_s2": rupture.amplitude_m_per_s2,
-            "frequency_hz": rupture.mode.frequency_hz,
-            "decay_rate_per_s": rupture.mode.decay_rate_per_s,
-        }
-
-    _run("puncture", name, make, **options)
-
-
-def _pairs(
-    speeds: Sequence[float], forces: Sequence[float], stylus: Stylus
-) -> list[tuple[tuple[float, float], Stylus]]:
-    """Each speed with each force, and a stylus of its own chance for it."""
-    pairs = [(speed, force) for speed in speeds or STROKE_SPEEDS for force in forces or STROKE_FORCES]
-    return list(zip(pairs, _others(stylus, len(pairs)), strict=True))
-
-
-def _others(stylus: Stylus, count: int) -> list[Stylus]:
-    """Of seeds that follow one another far apart, so that two commands with seeds side by side share none."""
-    from dataclasses import replace
-
-    return [replace(stylus, seed=1000 * stylus.seed + index) for index in range(count)]
-
-
-def _run(
-    kind: str,
-    name: str,
-    make: Callable[[Material, Stylus], tuple[list[Recording], _Truth]],
+@overwrite_option
+@json_option
+def synthesize_command(
+    kind: Literal["tap", "grooves", "texture", "puncture"],
     output: str,
+    name: str | None,
     configs: tuple[str, ...],
+    speeds: tuple[float, ...],
+    forces: tuple[float, ...],
+    duration_s: float | None,
+    full_scale_m_per_s2: float | None,
     overwrite: bool,
     as_json: bool,
-    full_scale_m_per_s2: float | None,
     **stylus: Any,
 ) -> None:
+    """Make recordings as a stylus would, of a material of the library, and print their truth.
+
+    KIND is tap (several speeds in one recording), grooves, texture or puncture (each stroke and each puncture in a
+    recording of its own). Fitted again, they show what a fit can resolve with this rate, noise and sensor.
+    """
     from hapticd.config.configuration import config_of
+    from hapticd.config.schema import unit_of
     from hapticd.fit.recording import npz_of
     from hapticd.fit.synthesize import Stylus
 
     if os.path.splitext(output)[1].lower() != ENDING:
         raise HapticdError(f"{output}: is no recording: must end in {ENDING}")
+    if kind not in STROKES_S and (forces or duration_s is not None):
+        raise click.UsageError("--force and --duration are of strokes: of grooves and texture")
     materials: Mapping[str, Material] = config_of(configs).materials
+    name = name or MATERIALS[kind]
     if name not in materials:
         known = known_names(name, materials)
         raise HapticdError(f"unknown material {quoted(name)}; {known}; a material of your own is given with -c FILE")
     made = Stylus(**stylus, full_scale_m_per_s2=math.inf if full_scale_m_per_s2 is None else full_scale_m_per_s2)
     try:
-        recordings, truth = make(materials[name], made)
+        if kind == "tap":
+            recordings, truth = _taps(materials[name], made, speeds or TAP_SPEEDS)
+        elif kind == "puncture":
+            recordings, truth = _punctures(materials[name], made, speeds or PUNCTURE_SPEEDS)
+        else:
+            pairs = [(speed, force) for speed in speeds or STROKE_SPEEDS for force in forces or STROKE_FORCES]
+            recordings, truth = _strokes(kind, materials[name], made, pairs, duration_s or STROKES_S[kind])
     except ValueError as error:
         raise HapticdError(f"{quoted(name)} cannot be recorded: {error}") from None
     targets = _targets(output, len(recordings))
@@ -294,13 +156,72 @@ def _run(
     if as_json:
         print_json({"kind": kind, "material": name, "truth": truth, "files": targets})
         return
-    from hapticd.config.schema import unit_of
-
     for key, value in truth.items():
         click.echo(f"{key}: {value:.6g} {unit_of(key) or ''}".rstrip())
     if not truth:
         note(f"the truth of {name} is its models")
     note(f"{wording.count(len(targets), 'recording')} of {name}: {', '.join(targets)}")
+
+
+def _taps(material: Material, stylus: Stylus, speeds: Sequence[float]) -> tuple[list[Recording], _Truth]:
+    from hapticd.fit.synthesize import taps
+
+    tap = material.tap
+    if tap is None:
+        raise ValueError("it has no tap")
+    if tap.second is not None:
+        raise ValueError("synthetic taps ring with one mode, and it has two")
+    if tap.waveform is not None:
+        raise ValueError("synthetic taps ring, and its tap is a waveform")
+    recording, truth = taps(tap, speeds, stylus)
+    slope = {"slope_per_s": truth.slope_per_s, "first_peak_slope_per_s": truth.slope_per_s * truth.mode.peak}
+    return [recording], slope | _of(truth.mode, "frequency_hz", "decay_time_s")
+
+
+def _strokes(
+    kind: Literal["grooves", "texture"],
+    material: Material,
+    stylus: Stylus,
+    pairs: Sequence[tuple[float, float]],
+    duration_s: float,
+) -> tuple[list[Recording], _Truth]:
+    """A stroke at each speed and force."""
+    from hapticd.config.texture import Autoregressive, Grooves
+    from hapticd.fit.synthesize import Hand, grooves, texture
+
+    coarse, hand = material.texture, Hand(duration_s=duration_s)
+    if kind == "grooves" and isinstance(coarse, Grooves) and coarse.frequency_table is not None:
+        raise ValueError("its frequency follows speed and force; the fit finds grooves of one frequency")
+    stroke = grooves if kind == "grooves" else texture
+    made = zip(pairs, _others(stylus, len(pairs)), strict=True)
+    found = [stroke(material, *pair, each, hand) for pair, each in made]
+    if isinstance(coarse, Autoregressive):
+        return found, {}  # the truth is the models of the material itself
+    gains = _of(coarse, "velocity_gain_per_s", "force_gain_m_per_s2_per_n")
+    if kind == "texture":
+        return found, _of(coarse, "peak_hz", "mean_hz") | gains
+    return found, _of(coarse, "spacing_m") | _of(material.groove_mode, "frequency_hz", "decay_time_s") | gains
+
+
+def _punctures(material: Material, stylus: Stylus, speeds: Sequence[float]) -> tuple[list[Recording], _Truth]:
+    from hapticd.fit.synthesize import puncture
+
+    made = zip(speeds, _others(stylus, len(speeds)), strict=True)
+    found = [puncture(material, speed, each) for speed, each in made]
+    rupture = material.rupture
+    assert rupture is not None  # otherwise there are no punctures of it
+    depth_m, stiffness = rupture.rupture_depth_m, material.stiffness_n_per_m
+    truth = {"stiffness_n_per_m": stiffness, "depth_m": depth_m, "force_n": stiffness * depth_m}
+    return found, truth | _of(rupture, "amplitude_m_per_s2") | _of(rupture.mode, "frequency_hz", "decay_rate_per_s")
+
+
+def _of(owner: object, *figures: str) -> _Truth:
+    return {name: getattr(owner, name) for name in figures}
+
+
+def _others(stylus: Stylus, count: int) -> list[Stylus]:
+    """Of seeds that follow one another far apart, so that two commands with seeds side by side share none."""
+    return [replace(stylus, seed=1000 * stylus.seed + index) for index in range(count)]
 
 
 def _targets(output: str, count: int) -> list[str]:

@@ -17,7 +17,7 @@ import os
 import socket
 import stat
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -73,14 +73,12 @@ class RuntimePaths:
         return f"ipc://{self.telemetry}"
 
 
-def runtime_paths(
-    directory: str | os.PathLike[str] | None = None, environ: Mapping[str, str] | None = None
-) -> RuntimePaths:
+def runtime_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:
     """The names in `directory`, by default in the one that the environment says.
 
     Raises HapticdError where a socket's name would be longer than the system takes.
     """
-    environ = os.environ if environ is None else environ
+    environ = os.environ
     # systemd lists several directories separated by colons; the first is the service's own.
     given = environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
     named = directory or environ.get("HAPTICD_RUNTIME_DIR") or given
@@ -91,10 +89,6 @@ def runtime_paths(
     else:
         chosen = Path(f"/tmp/hapticd-{os.getuid()}")
     paths = RuntimePaths(chosen.absolute())
-    try:
-        os.fspath(paths.directory).encode("utf-8")
-    except UnicodeEncodeError:
-        raise HapticdError("runtime directory: its name must be UTF-8, or ZeroMQ cannot bind in it") from None
     longest = max(len(os.fsencode(paths.command)), len(os.fsencode(paths.telemetry)))
     if longest > _LONGEST_SOCKET_NAME:
         raise HapticdError(

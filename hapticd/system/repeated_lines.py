@@ -13,7 +13,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -26,8 +25,6 @@ STATE_S: Final = 60.0
 """The longest interval for changes of a state that somebody has to know of: a fault, a lost device."""
 QUIET_S: Final = 300.0
 """After so long without one, what is held back is logged, and the next is a first one again."""
-MOST_KINDS: Final = 256
-"""What is remembered; of more, the one that was noted the longest ago is forgotten."""
 
 _log = logging.getLogger("hapticd")
 
@@ -80,10 +77,7 @@ class Repeats:
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
         self._lock = threading.RLock()
-        self._kinds: OrderedDict[str, _Kind] = OrderedDict()
-
-    def __len__(self) -> int:
-        return len(self._kinds)
+        self._kinds: dict[str, _Kind] = {}
 
     def line(self, kind: str, level: int, text: str, longest_s: float = LONGEST_S) -> None:
         """Has a line logged of which the newest of several is shown, with their number."""
@@ -102,18 +96,15 @@ class Repeats:
         """
         with self._lock:
             now_s = self._now_s()
-            known = self._kinds.pop(kind, None)
+            known = self._kinds.get(kind)
             if known is None or known.over(now_s):
-                known = _Kind(now_s, 0.0, longest_s, now_s)
-            self._kinds[kind] = known
+                known = self._kinds[kind] = _Kind(now_s, 0.0, longest_s, now_s)
             known.waiting, known.newest_s = log, now_s
             known.times += 1
             for name, amount in (amounts or {}).items():
                 known.amounts[name] = known.amounts.get(name, 0) + amount
             if now_s - known.logged_s >= known.interval_s:
                 self._log(known, now_s, at_once=known.times == 1)
-            while len(self._kinds) > MOST_KINDS:
-                self._kinds.popitem(last=False)
 
     def flush(self) -> None:
         """Logs the sums that are due, and forgets who was quiet."""

@@ -34,17 +34,16 @@ class Installation:
     @staticmethod
     def this() -> Installation:
         """Of this process. Raises HapticdError where no executable is installed."""
-        places = [Path(sys.executable).parent, Path(sysconfig.get_path("scripts"))]
-        started = Path(sys.argv[0])
-        found = [place / "hapticd" for place in places] + ([started.absolute()] if started.name == "hapticd" else [])
-        for path in found:
-            if path.is_file() and os.access(path, os.X_OK):
-                package = Path(__file__).resolve().parents[2]
-                python = Path(os.path.realpath(sys.executable)).parents[1]
-                folders = {Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve(), python, package, path.parent}
-                outer = [folder for folder in folders if not any(other in folder.parents for other in folders)]
-                return Installation(path, tuple(sorted(outer)))
-        raise HapticdError(f"no executable `hapticd` in {places[0]}: install the package first (pip install .)")
+        places = f"{Path(sys.executable).parent}{os.pathsep}{sysconfig.get_path('scripts')}"
+        started = sys.argv[0] if Path(sys.argv[0]).name == "hapticd" else None
+        found = shutil.which("hapticd", path=places) or (started and shutil.which(started))
+        if not found:
+            raise HapticdError(f"no executable `hapticd` in {places}: install the package first (pip install .)")
+        path, package = Path(found).absolute(), Path(__file__).resolve().parents[2]
+        python = Path(os.path.realpath(sys.executable)).parents[1]
+        folders = {Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve(), python, package, path.parent}
+        outer = [folder for folder in folders if not any(other in folder.parents for other in folders)]
+        return Installation(path, tuple(sorted(outer)))
 
     def adapted(self, unit: str) -> str:
         """A unit's text with this executable, and with its folders where the sandbox would hide them."""

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import click
 import numpy as np
 import pytest
 from hypothesis import given
@@ -100,7 +99,7 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("group", ["", "scene", "material", "devices", "fit", "fit synthesize"])
+@pytest.mark.parametrize("group", ["", "scene", "material", "devices", "fit"])
 def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str], group: str) -> None:
     assert main([*group.split(), "--help"]) == 0
     listed = capsys.readouterr().out.partition("Commands:\n")[2].partition("\n\n")[0]
@@ -115,17 +114,16 @@ def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str]
         (["scene", "nonsense"], "No such command 'nonsense'"),
         (["status", "--nonsense"], "--nonsense"),
         (["status", "more"], "unexpected extra argument"),
-        (["force", "maybe"], '"maybe" is none of them; known: on, off'),
+        (["force", "maybe"], "'maybe' is not one of 'on', 'off'"),
         (["force"], "Missing argument"),
         (["-z", "run"], "No such option '-z'. (see"),
         (["-z"], "No such option '-z'. (see"),
         (["scene", "gte"], "No such command 'gte'. Did you mean 'get'?"),
-        (["play", "wood", "--amplitude", "x"], '"x" is not a number'),
+        (["play", "wood", "--amplitude", "x"], "'x' is not a valid number"),
         (["check", "s.yaml"], "Got unexpected extra argument (s.yaml)"),
         (["play", "--amplitude", "1"], "needs a MATERIAL or --mode"),
         (["play", "wood", "--mode", "frequency_hz=1", "--amplitude", "1"], "not both"),
         (["play", "--mode", "frequency_hz", "--amplitude", "1"], "write it as frequency_hz=200"),
-        (["play", "--mode", "a=1,a=2", "--amplitude", "1"], "each key once"),
         (["play", "--mode", "a=1e", "--amplitude", "1"], "write it as"),
         (["play", "wood"], "--amplitude"),
         (["play", "wood", "--amplitude", "-1"], "x>=0"),
@@ -149,18 +147,16 @@ def test_materials_without_a_daemon_are_the_shipped_ones(capsys: pytest.CaptureF
         assert captured.err == f"{note} library\n"
         printed = load_text(captured.out, "printed").data
         assert printed == {"materials": {name: shipped_materials()[name].to_dict() for name in names}}
-        assert main(["material", *arguments, "--offline", "--json"]) == 0
+        assert main(["material", *arguments, "--json"]) == 0
         captured = capsys.readouterr()
         assert captured.err == "" and json.loads(captured.out) == {**printed, "revision": None}
-    told = said(capsys, 1, "material", "get", "stel", "--offline")
-    shipped = 'hapticd: unknown material "stel" in the shipped library; one that was set is known to the daemon alone'
-    assert told == f"{shipped}: hapticd material get stel asks it; did you mean steel?\n"
     assert main(["material", "get", "stel"]) == 1
-    assert capsys.readouterr().err.splitlines()[1] == f"{shipped}; did you mean steel?"
+    shipped = 'hapticd: unknown material "stel" in the shipped library; one that was set is known to the daemon alone'
+    assert capsys.readouterr().err.splitlines() == [f"{note} library", f"{shipped}; did you mean steel?"]
 
 
 def test_a_mark_keeps_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "--data {a}: is not JSON: " in said(capsys, 2, "mark", "x", "--data", "{a}")
+    assert "'--data': {a}: is not JSON: " in said(capsys, 2, "mark", "x", "--data", "{a}")
 
 
 @pytest.mark.parametrize(
@@ -168,8 +164,7 @@ def test_a_mark_keeps_json(capsys: pytest.CaptureFixture[str]) -> None:
     [("5s", 5), ("500ms", 0.5), ("2min", 120), ("1h", 3600), ("3", 3), ("1.5s", 1.5), (".5s", 0.5), (" 5 s ", 5)],
 )
 def test_durations(text: str, seconds: float) -> None:
-    context, option = click.Context(click.Command("x")), click.Option(["--for"])
-    assert duration(context, option, text) == seconds
+    assert duration(text) == seconds
 
 
 def test_schema(capsys: pytest.CaptureFixture[str]) -> None:
@@ -333,7 +328,6 @@ def test_a_warning_that_nobody_takes_is_no_success() -> None:
     program = (
         "import click, hapticd.cli\n"
         "hapticd.cli.cli.add_command(click.Command('warn', callback=lambda: click.echo('x', err=True)))\n"
-        "hapticd.cli._HOMES.clear()\n"
         "hapticd.cli._LazyGroup.get_command = click.Group.get_command\n"
         "raise SystemExit(hapticd.cli.main(['warn']))\n"
     )

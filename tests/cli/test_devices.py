@@ -83,7 +83,6 @@ def test_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[0] == "can be driven"
     assert lines[1] == "forces: along x and y, by 2 effects"
     assert lines[2] == "axis x: input report 1, 16 bits at 0, -32767 to 32767"
-    assert "direction: an angle, 0 to 255; Axes Enable: x, y" in lines
     assert "constant force: magnitude in output report 4, 16 bits at 8, -10000 to 10000" in lines
     file.write_bytes(bytes(Joystick(without=frozenset({0x73, 0x96}))))
     assert main(["devices", "parse", str(file)]) == 0
@@ -96,8 +95,6 @@ def test_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     [
         (Joystick(force_axes=(0x30,), directions=1), "forces: along x only, by 1 effect"),
         (Joystick(is_magnitude_signed=False, direction_bits=16), "forces: along x and y, by 1 effect"),
-        (Joystick(direction_bits=0, without=frozenset({0x56})), "direction: none; Axes Enable: x, y"),
-        (Joystick(force_axes=()), "direction: an angle, 0 to 255; Axes Enable: none"),
     ],
 )
 def test_along_what_it_is_pushed_and_how(

@@ -551,7 +551,7 @@ def test_a_stopped_daemon_is_known_without_being_asked(
 def test_a_daemon_that_runs_and_does_not_answer_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], silent: subprocess.Popen[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hapticd.cli.doctor._ANSWER_S", 0.1)
+    monkeypatch.setattr("hapticd.cli.machine._ANSWER_S", 0.1)
     line = of_the_daemon(tmp_path, capsys)
     assert f"process {silent.pid} holds {tmp_path} and did not answer within 0.1 s" in line
 

@@ -146,7 +146,7 @@ def test_warnings_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str], m
     Path("hand.yaml").write_text("waypoints: [[0, 0, 0.01], [0.05, 0, 0]]\n")
     assert main(["simulate", "scene.yaml", "--operator", "hand.yaml", "-o", "a.npz", "--rate", "1000"]) == 0
     told = capsys.readouterr().err.splitlines()
-    assert told == [f"hapticd: {warning}" for warning in run.warnings]
+    assert told == [f"hapticd: warning: {warning}" for warning in run.warnings]
 
 
 def test_what_a_run_cannot_show_is_told(

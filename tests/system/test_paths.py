@@ -26,13 +26,19 @@ from hapticd.system.paths import check_directory, daemon_paths, runtime_paths
         ({}, f"/tmp/hapticd-{os.getuid()}"),
     ],
 )
-def test_the_environment_says_where(environment: dict[str, str], directory: str) -> None:
-    paths = runtime_paths(environ=environment)
+def test_the_environment_says_where(
+    environment: dict[str, str], directory: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    paths = runtime_paths()
     assert paths.directory == Path(directory)
     assert paths.command_endpoint == f"ipc://{directory}/hapticd.command"
     assert paths.telemetry_endpoint == f"ipc://{directory}/hapticd.telemetry"
     assert paths.lock == Path(directory, "hapticd.lock")
-    assert runtime_paths("/elsewhere", environment).directory == Path("/elsewhere")
+    assert runtime_paths("/elsewhere").directory == Path("/elsewhere")
 
 
 def test_a_relative_directory_is_made_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

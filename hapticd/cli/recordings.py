@@ -1,0 +1,272 @@
+"""Recordings: what watches and records a daemon, what simulates without one, and what is done with the files."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from dataclasses import asdict
+
+import click
+
+from hapticd.base import wording
+from hapticd.base.errors import HapticdError
+from hapticd.cli import names
+from hapticd.cli.common import (
+    Finite,
+    daemon,
+    doing,
+    for_option,
+    json_option,
+    note,
+    notes_option,
+    output_option,
+    overwrite_option,
+    print_json,
+    print_result,
+    stopped_by_signals,
+)
+
+_EXPORTED = "(.npz; .csv and .mcap are exported from the .npz beside it)"
+
+
+@click.command("watch", short_help="Show what happens, live.")
+@for_option("until Ctrl-C")
+@json_option
+def watch_command(duration_s: float | None, as_json: bool) -> None:
+    """Show position, forces, contacts and faults live, for some time or until Ctrl-C.
+
+    Into a file or a pipe it prints a line a second, and one for each event.
+    """
+    from hapticd.client.watch import watch
+
+    def end(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    signal.signal(signal.SIGTERM, end)  # so that the terminal is put back as it was
+    with daemon() as client:
+        watch(client, as_json, duration_s=duration_s)
+
+
+@click.command("record", short_help="Record telemetry to a file.")
+@click.argument("file", type=click.Path())
+@for_option("until Ctrl-C")
+@notes_option
+@overwrite_option
+@json_option
+def record_command(file: str, duration_s: float | None, notes: dict[str, str], overwrite: bool, as_json: bool) -> int:
+    """Record every tick and event into FILE (.npz), and what they were rendered with, for `hapticd replay`. FILE is
+    there once the recording is complete.
+
+    If FILE ends in .mcap or .csv, the recording goes into the .npz of the same name, and FILE is exported from it at
+    the end. If an earlier recording into FILE was killed, the command says so; `hapticd recover FILE` recovers it.
+    """
+    from hapticd.client.record import record
+    from hapticd.recording.output import check_target
+    from hapticd.recording.recovery import partial_files_beside
+
+    check_target(file, overwrite)
+    found = partial_files_beside(file)
+    if found is not None:
+        note(found)
+    with daemon() as client, stopped_by_signals() as stop, doing() as show:
+        recording = record(
+            client,
+            file,
+            duration_s,
+            overwrite=overwrite,
+            notes=notes,
+            stop=stop,
+            progress=lambda recorded_s: show(f"recording, {recorded_s:.1f} s"),
+        )
+    if as_json:
+        print_json(asdict(recording))
+    else:
+        click.echo(recording.summary())
+    if recording.warning is not None:
+        note(recording.warning)
+    if stop.signal is None and recording.ended_because is not None:
+        note(f"{recording.ended_because}; {recording.file} holds what came before")
+        return 1
+    return stop.exit_code(duration_s)
+
+
+@click.command("recover", short_help="Make a file from the parts of a killed recording.")
+@click.argument("file", type=click.Path(dir_okay=False))
+@json_option
+def recover_command(file: str, as_json: bool) -> int:
+    """Make NAME.recovered.npz of each recording into FILE that was killed, or whose file could
+    not be written to its end.
+
+    What cannot be read and what is still being recorded stays as it is, and is reported. Ends with 1 if no file was
+    made.
+    """
+    from hapticd.recording.recovery import recover
+
+    found = recover(file)
+    for problem in found.problems:
+        note(problem)
+    files = [os.fspath(path) for path in found.files]
+    if not files and not found.problems:
+        raise HapticdError(f"{file}: no recording into it left anything")
+    if as_json:
+        print_json({"files": files, "told": found.problems})
+    for path in () if as_json else files:
+        click.echo(path)
+    return 0 if files else 1
+
+
+@click.command("export", short_help="Write a recording in another form.")
+@click.argument("file", type=click.Path(dir_okay=False))
+@click.argument("target", type=click.Path())
+@overwrite_option
+def export_command(file: str, target: str, overwrite: bool) -> None:
+    """Write FILE (.npz of `record`, `simulate` or `flight`) to TARGET: .mcap for the tools of robotics, .csv for
+    everything else.
+
+    With .csv the events go into a second file, NAME.events.csv, and scene and materials into a third, NAME.about.json.
+    """
+    from hapticd.recording.recording import check_saved, load
+
+    check_saved(target, overwrite)
+    recording = load(file)
+    saved = recording.save(target, overwrite)
+    click.echo(f"{saved}: {len(recording.samples):,} ticks, {len(recording.events):,} events")
+
+
+@click.command("flight", short_help="Write the last seconds to a file.")
+@click.argument("file", required=False, type=click.Path())
+@overwrite_option
+@json_option
+def flight_command(file: str | None, overwrite: bool, as_json: bool) -> None:
+    """Have the flight recorder write the last seconds of samples and events to a file, and write what is in it to FILE
+    (.npz, or an export to .csv or .mcap), too.
+
+    The file of a daemon on another machine stays there.
+    """
+    from hapticd.client.flight_summary import summed_up, written_flight
+    from hapticd.recording.recording import check_saved
+
+    if file is not None:
+        check_saved(file, overwrite)
+    with daemon() as client:
+        written = written_flight(client)
+    found: dict[str, object] = {"file": written}
+    line = f"{written} on the daemon's machine"
+    if file is not None or os.path.exists(written):
+        found, line = summed_up(written, file, overwrite)
+    print_result(found, as_json, line)
+
+
+@click.command("replay", short_help="Render a recording again, and compare.")
+@click.argument("file", type=click.Path(dir_okay=False))
+@output_option(f"Where what was rendered goes {_EXPORTED}.")
+@overwrite_option
+@json_option
+def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool) -> int:
+    """Render FILE (.npz of `record`, `simulate` or `flight`) again, without daemon and clock, and
+    compare the forces.
+
+    Ends with 1 if they differ from the recorded ones in any bit.
+    """
+    from hapticd.recording.output import check_target
+    from hapticd.recording.replay import replay
+
+    if output is not None:
+        check_target(output, overwrite)
+    again = replay(file)
+    if output is not None:
+        again.write(output, overwrite)
+    print_result(again.to_dict(), as_json, f"{file}: {again.summary()}")
+    return 0 if again.identical == len(again.samples) else 1
+
+
+@click.command("simulate", short_help="Run a scene without daemon and clock.")
+@click.argument("scene", shell_complete=names.scenes)
+@click.option(
+    "--operator",
+    metavar="FILE",
+    shell_complete=names.operators,
+    help="What the hand does (YAML or CSV), or a shipped operator's name  [default: of a shipped scene, its own]",
+)
+@output_option(f"Where the samples go {_EXPORTED}  [default: nowhere, the summary alone is printed]")
+@for_option("as long as the operator")
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=Finite(min=0, min_open=True),
+    metavar="HZ",
+    help="Ticks per second [default: the configuration's].",
+)
+@notes_option
+@overwrite_option
+@json_option
+def simulate_command(
+    scene: str,
+    operator: str | None,
+    output: str | None,
+    duration_s: float | None,
+    rate_hz: float | None,
+    notes: dict[str, str],
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Run SCENE (YAML: a scene or a whole configuration; or the name of a shipped scene) with the simulated joystick,
+    without daemon and clock.
+
+    The same core as the daemon's; the result is the same on every run. The handle starts at the first
+    waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
+    """
+    from hapticd.config.shipped_files import file_of, shipped, shipped_scenes
+    from hapticd.recording.simulated import configuration, simulate_files
+    from hapticd.rendering.undisplayable_text import undisplayable_text
+
+    file = file_of(scene, "scenes")
+    operator = operator or next((each.operator for each in shipped_scenes() if each.file == file), None)
+    if operator is None:
+        if file != "/dev/stdin":
+            configuration(file)  # what is no scene is reported first
+        known = ", ".join(shipped("operators"))
+        raise click.UsageError(f"Missing option '--operator': a file that says what the hand does, or one of {known}")
+    if output is None and (notes or overwrite):
+        raise click.UsageError("--note and --overwrite are for a file: name it with -o")
+    result = simulate_files(
+        file, file_of(operator, "operators"), output, duration_s, rate_hz, overwrite=overwrite, notes=notes
+    )
+    for mode in result["undisplayable"]:
+        note(undisplayable_text(mode))
+    length = f"{wording.count(result['ticks'], 'tick')} in {result['duration_s']:.3f} s"
+    kinds = ", ".join(wording.count(number, kind) for kind, number in result["event_counts"].items())
+    told = f"{wording.count(result['events'], 'event')}{f' ({kinds})' if kinds else ''}"
+    force = f"largest force {wording.si(result['largest_force_n'], 'N')}"
+    print_result(result, as_json, f"{result['file'] or scene}: {length}, {told}, {force}")
+
+
+@click.command("lsl", short_help="Samples and event codes as outlets of Lab Streaming Layer.")
+@for_option("until Ctrl-C")
+@json_option
+def lsl_command(duration_s: float | None, as_json: bool) -> int:
+    """Pass every sample of the daemon, and the event codes of sessions, on to Lab Streaming Layer.
+
+    Two outlets: `hapticd samples`, a number for each axis and quantity, and `hapticd events`, the codes that
+    docs/experiments.md lists. It needs the extra `lsl`, and runs on the daemon's machine, whose clock it uses.
+    """
+    from hapticd.experiment.lsl import EVENTS, SAMPLES, stream
+
+    with daemon() as client, stopped_by_signals() as stop:
+        timer = threading.Timer(duration_s or 0.0, stop.set)
+
+        def started() -> None:
+            note(f"{SAMPLES!r} and {EVENTS!r} are there")
+            if duration_s is not None:
+                timer.start()
+
+        try:
+            sent = stream(client, stop, started)
+        finally:
+            timer.cancel()
+    line = f"{wording.count(sent.samples, 'sample')} and {wording.count(sent.events, 'event')} sent"
+    print_result(asdict(sent), as_json, line)
+    if sent.lost or sent.dropped:
+        note(f"{sent.lost:,} samples were lost on the way here, {sent.dropped:,} in the daemon's ring")
+    return stop.exit_code(duration_s)
