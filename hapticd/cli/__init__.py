@@ -41,7 +41,7 @@ import click
 
 from hapticd._version import __version__
 from hapticd.base.errors import HapticdError
-from hapticd.cli.failure import asks_for_json, tell
+from hapticd.cli.failure import tell
 from hapticd.cli.streams import guarded
 
 _ORDER: Final = (
@@ -127,16 +127,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    given = sys.argv[1:] if arguments is None else arguments
-    as_json = asks_for_json(given)
+    given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        result = cli.main(
-            args=None if arguments is None else list(arguments), prog_name="hapticd", standalone_mode=False
-        )
+        result = cli.main(given, prog_name="hapticd", standalone_mode=False)
         if sys.stdout is not None:  # closed by whoever started us
             sys.stdout.flush()
         return result if isinstance(result, int) else 0
     except (KeyboardInterrupt, click.Abort):
         return 130
     except (HapticdError, click.ClickException, MemoryError, OSError, RuntimeError) as error:
-        return tell(error, as_json)
+        return tell(error, as_json="--json" in given)  # also of a line that is not understood

@@ -227,10 +227,9 @@ def print_result(result: object, as_json: bool, text: str) -> None:
         return
     click.echo(text)
     if isinstance(result, Mapping):
-        if "warning" in result:
-            note(f"warning: {result['warning']}")
-        for warned in result.get("warnings", ()):
-            note(f"warning: {warned['where']}: {warned['problem']}")
+        warnings = [f"{warned['where']}: {warned['problem']}" for warned in result.get("warnings", ())]
+        for warning in filter(None, (result.get("warning"), *warnings)):
+            note(f"warning: {warning}")
 
 
 def print_pairs(pairs: Iterable[tuple[str, str]]) -> None:

@@ -29,7 +29,6 @@ from hapticd.hid.device_texts import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
-    from hapticd.hid.claim import Claims
     from hapticd.hid.discovery import Found
     from hapticd.hid.verdict import Verdict
 
@@ -149,13 +148,7 @@ def claim_command(device: str | None, as_json: bool) -> None:
     It is taken from the kernel's driver, which ends what programs have open of it, and bound again with event and
     joystick nodes that belong to root alone. A daemon that drives it sets it up again; forces are off then.
     """
-    from hapticd.hid.claim import Claims
-    from hapticd.hid.discovery import find
-
-    claims, found = Claims(), find()
-    item = _one(device, found if device else [one for one in found if one.usable], "can be driven")
-    what = "claimed: other programs have no access to its event nodes"
-    _print_driver(claims, item, claims.claim(item), as_json, what)
+    _hand_over(device, as_json, release=False)
 
 
 @devices_command.command("release", short_help="Let other programs at a device again.")
@@ -164,18 +157,25 @@ def claim_command(device: str | None, as_json: bool) -> None:
 def release_command(device: str | None, as_json: bool) -> None:
     """Let other programs at DEVICE again (its path, or VENDOR:PRODUCT in hex; by default the only one that is claimed).
     Needs root."""
+    _hand_over(device, as_json, release=True)
+
+
+def _hand_over(device: str | None, as_json: bool, *, release: bool) -> None:
+    """Claims or releases the device that is named, or the only one that this can be done to."""
     from hapticd.hid.claim import Claims
     from hapticd.hid.discovery import find
 
     claims, found = Claims(), find()
-    names = claims.names()
-    item = _one(device, found if device else [one for one in found if one.hid_name in names], "is claimed")
-    _print_driver(claims, item, claims.release(item), as_json, "released: other programs may use it")
-
-
-def _print_driver(claims: Claims, item: Found, driver: str, as_json: bool, what: str) -> None:
-    found = {"device": item.hid_name, "path": claims.path(item.hid_name), "driver": driver}
-    print_result(found, as_json, f"{found['path']} ({item.name or 'no name'}) is {what}; its driver is {driver}")
+    if device is None:
+        names = claims.names()
+        found = [item for item in found if (item.hid_name in names if release else item.usable)]
+    item = _one(device, found, "is claimed" if release else "can be driven")
+    driver = claims.release(item) if release else claims.claim(item)
+    told = {"device": item.hid_name, "path": claims.path(item.hid_name), "driver": driver}
+    what = "claimed: other programs have no access to its event nodes"
+    if release:
+        what = "released: other programs may use it"
+    print_result(told, as_json, f"{told['path']} ({item.name or 'no name'}) is {what}; its driver is {driver}")
 
 
 @devices_command.command("calibrate", short_help="Find out which way a device pushes.")

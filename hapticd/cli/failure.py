@@ -10,17 +10,10 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
 
 import click
 
 from hapticd.base.errors import HapticdError, InvalidError, lines_of, on_one_line
-
-
-def asks_for_json(arguments: Sequence[str]) -> bool:
-    """Whether a command line asks for JSON, also one that is not understood."""
-    before = arguments[: arguments.index("--")] if "--" in arguments else arguments
-    return "--json" in before
 
 
 def tell(error: Exception, as_json: bool) -> int:

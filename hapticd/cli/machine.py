@@ -52,7 +52,7 @@ def doctor_command(configs: tuple[str, ...], as_json: bool) -> int:
     if as_json:
         print_json([asdict(finding) for finding in findings])
     failed = [finding.name for finding in findings if finding.verdict == "fail"]
-    if failed and not as_json:
+    if failed:
         note(f"not ready: {wording.listed(list(dict.fromkeys(failed)))}")
     return 1 if failed else 0
 
@@ -106,6 +106,7 @@ def paths_command(configs: tuple[str, ...], as_json: bool) -> int:
         "telemetry_socket": str(runtime.telemetry),
         "flight_files": flight,
     }
+    ships = {folder: (str(folder_of(folder)), list(shipped(folder))) for folder in _SHIPPED}
     units = str(units_folder())
     if as_json:
         configuration = {
@@ -114,16 +115,14 @@ def paths_command(configs: tuple[str, ...], as_json: bool) -> int:
             "looked_for": list(chosen.looked_for),
             "fault": fault,
         }
-        ships: dict[str, object] = {
-            folder: {"folder": str(folder_of(folder)), "names": list(shipped(folder))} for folder in _SHIPPED
-        }
-        print_json({"configuration": configuration} | places | ships | {"units": units})
+        folders = {folder: {"folder": path, "names": names} for folder, (path, names) in ships.items()}
+        print_json({"configuration": configuration} | places | folders | {"units": units})
     else:
         lines = [("configuration", str(chosen)), *([] if fault is None else [("its fault", fault)])]
         lines += [(name.replace("_", " "), _place(path)) for name, path in places.items()]
-        for folder in _SHIPPED:
+        for folder, (path, names) in ships.items():
             word = "studies" if folder == "experiments" else folder
-            lines.append((f"shipped {word}", f"{folder_of(folder)}: {', '.join(shipped(folder))}"))
+            lines.append((f"shipped {word}", f"{path}: {', '.join(names)}"))
         print_pairs([*lines, ("units", units)])
     if fault is not None:
         note("the configuration is faulty")

@@ -22,7 +22,6 @@ from hapticd.cli.common import (
     notes_option,
     output_option,
     overwrite_option,
-    print_json,
     print_result,
     stopped_by_signals,
 )
@@ -79,12 +78,7 @@ def record_command(file: str, duration_s: float | None, notes: dict[str, str], o
             stop=stop,
             progress=lambda recorded_s: show(f"recording, {recorded_s:.1f} s"),
         )
-    if as_json:
-        print_json(asdict(recording))
-    else:
-        click.echo(recording.summary())
-    if recording.warning is not None:
-        note(recording.warning)
+    print_result(asdict(recording), as_json, recording.summary())
     if stop.signal is None and recording.ended_because is not None:
         note(f"{recording.ended_because}; {recording.file} holds what came before")
         return 1
@@ -109,10 +103,8 @@ def recover_command(file: str, as_json: bool) -> int:
     files = [os.fspath(path) for path in found.files]
     if not files and not found.problems:
         raise HapticdError(f"{file}: no recording into it left anything")
-    if as_json:
-        print_json({"files": files, "told": found.problems})
-    for path in () if as_json else files:
-        click.echo(path)
+    if files or as_json:
+        print_result({"files": files, "told": found.problems}, as_json, "\n".join(files))
     return 0 if files else 1
 
 

@@ -61,19 +61,9 @@ def _several(flag: str, name: str, high: float, unit: str, text: str) -> Callabl
 
 _stylus_options: Final = options(
     _number("--rate", "rate_hz", 100.0, 1e6, "HZ", "Samples a second.", 25_000.0),
-    _number(
-        "--noise", "noise_rms", 0.0, 10.0, "PART", "RMS of the noise, as a part of the largest acceleration.", 0.02
-    ),
+    _number("--noise", "noise_rms", 0.0, 10.0, "PART", "Noise RMS, as a fraction of the peak acceleration.", 0.02),
     _number("--mounting", "mounting_hz", 1.0, 1e6, "HZ", "Resonance of the sensor on its mounting."),
-    _number(
-        "--mounting-damping",
-        "mounting_damping",
-        1e-4,
-        0.999,
-        "PART",
-        "Damping ratio of the mounting; 1: critical.",
-        0.05,
-    ),
+    _number("--mounting-damping", "mounting_damping", 1e-4, 0.999, "PART", "Damping ratio of that resonance.", 0.05),
     _number("--filter", "filter_hz", 1.0, 1e6, "HZ", "Corner of a low-pass filter, Butterworth's."),
     _count("--filter-order", 1, 8, 2, "Order of the filter."),
     _number("--full-scale", "full_scale_m_per_s2", 1e-3, 1e9, "M/S^2", "The sensor clips larger accelerations."),

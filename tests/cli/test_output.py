@@ -17,7 +17,7 @@ from hapticd.base.core import Fault, SignsProblem, SignsState
 from hapticd.base.errors import HapticdError, InvalidError, Problem, in_order
 from hapticd.cli import main
 from hapticd.cli.common import print_result
-from hapticd.cli.failure import asks_for_json, tell
+from hapticd.cli.failure import tell
 from hapticd.client.sources import patch_tree
 from hapticd.daemon.counters import Granted
 from hapticd.daemon.status_text import FAULTS, lines, text_of
@@ -168,14 +168,6 @@ def test_every_fault_has_words() -> None:
 
 
 # ---- failures --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "asked"),
-    [(["status", "--json"], True), (["status"], False), (["mark", "--", "--json"], False), (["--json", "x"], True)],
-)
-def test_who_asks_for_json(arguments: list[str], asked: bool) -> None:
-    assert asks_for_json(arguments) is asked
 
 
 @pytest.mark.parametrize(
