@@ -18,7 +18,7 @@ import socket
 import stat
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -187,32 +187,25 @@ def owned(paths: RuntimePaths) -> Iterator[Owned]:
     Raises HapticdError where another daemon holds it.
     """
     _make(paths)
-    try:
-        directory = os.open(paths.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except OSError as error:
-        raise HapticdError(f"runtime directory {paths.directory}: {error.strerror}") from None
-    try:
+    mine = Owned(paths)
+    with ExitStack() as stack:
         try:
+            directory = os.open(paths.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            stack.callback(os.close, directory)
             fcntl.flock(directory, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            paths.lock.write_text(f"{os.getpid()}\n")
+            mine.note(paths.lock)
         except BlockingIOError:
             holder = paths.lock.read_text(errors="replace").strip() if paths.lock.exists() else "unknown"
             raise HapticdError(
                 f"another daemon (process {holder}) runs on {paths.directory}; stop it, or choose another "
                 "directory with --runtime-dir"
             ) from None
-        mine = Owned(paths)
-        try:
-            paths.lock.write_text(f"{os.getpid()}\n")
         except OSError as error:
-            raise HapticdError(f"{paths.lock}: {error.strerror}") from None
-        mine.note(paths.lock)
-        try:
-            yield mine
-        finally:
-            for path in (paths.command, paths.telemetry):
-                mine.remove(path)
-    finally:
-        os.close(directory)
+            raise HapticdError(f"runtime directory {paths.directory}: {error.filename}: {error.strerror}") from None
+        for path in (paths.telemetry, paths.command):
+            stack.callback(mine.remove, path)
+        yield mine
 
 
 def _make(paths: RuntimePaths) -> None:

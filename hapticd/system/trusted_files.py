@@ -38,5 +38,3 @@ def read_trusted(path: str | os.PathLike[str], most: int, *, secret: bool = Fals
             return file.read(most + 1)
     except OSError as error:
         raise HapticdError(f"{name}: cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise HapticdError(f"{name}: cannot be read: {error}") from None
