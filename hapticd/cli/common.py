@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import shutil
 import signal
 import sys
 import threading
@@ -293,5 +292,7 @@ def doing() -> Iterator[Callable[[str], None]]:
 
 def _show(text: str) -> None:
     if sys.stderr is not None and sys.stderr.isatty():
+        import shutil  # which loads three compressions
+
         width = shutil.get_terminal_size().columns - 1
         click.echo(f"\r\x1b[K{text[:width]}", nl=False, err=True)
