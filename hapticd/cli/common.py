@@ -67,18 +67,6 @@ def options(*decorators: Callable[[Any], Any]) -> Callable[[_F], _F]:
     return decorated
 
 
-change_options = options(
-    click.option("--wait", is_flag=True, help="Wait until it is in force, and print the tick."),
-    click.option(
-        "--expect-revision",
-        type=click.IntRange(min=0),
-        metavar="N",
-        help="Change nothing unless the scene is at revision N.",
-    ),
-    json_option,
-)
-"""Of commands that change scene or materials."""
-
 log_options = options(
     click.option("-q", "--quiet", "log_level", flag_value="warning", help="Log only warnings and errors."),
     click.option("-v", "--verbose", "log_level", flag_value="debug", help="Log each request and each event, too."),
@@ -197,11 +185,6 @@ def stopped_by_signals() -> Iterator[Stop]:
 # ---- What is printed -------------------------------------------------------------------------------------------------
 
 
-def yaml_file(name: str) -> str:
-    """The path of a file that a command reads; `-` is the standard input."""
-    return "/dev/stdin" if name == "-" else name
-
-
 def print_json(value: object) -> None:
     """One line of JSON."""
     click.echo(json.dumps(value, ensure_ascii=False))
@@ -290,9 +273,14 @@ def doing() -> Iterator[Callable[[str], None]]:
         _show("")
 
 
+_line_shown = False
+
+
 def _show(text: str) -> None:
-    if sys.stderr is not None and sys.stderr.isatty():
+    global _line_shown
+    if (text or _line_shown) and sys.stderr is not None and sys.stderr.isatty():
         import shutil  # which loads three compressions
 
         width = shutil.get_terminal_size().columns - 1
         click.echo(f"\r\x1b[K{text[:width]}", nl=False, err=True)
+        _line_shown = bool(text)

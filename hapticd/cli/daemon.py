@@ -15,16 +15,16 @@ from hapticd.base.yaml_text import yaml_text
 from hapticd.cli import names
 from hapticd.cli.common import (
     Finite,
-    change_options,
     config_option,
     daemon,
     json_option,
     log_options,
     note,
+    options,
+    print_json,
     print_pairs,
     print_result,
     runtime_dir,
-    yaml_file,
 )
 
 if TYPE_CHECKING:
@@ -33,6 +33,23 @@ if TYPE_CHECKING:
 
 RELOAD_S = 60.0
 """So long is a reload waited for: the daemon itself gives up files that do not come after 10 s."""
+
+_change_options = options(
+    click.option("--wait", is_flag=True, help="Wait until it is in force, and print the tick."),
+    click.option(
+        "--expect-revision",
+        type=click.IntRange(min=0),
+        metavar="N",
+        help="Change nothing unless the scene is at revision N.",
+    ),
+    json_option,
+)
+"""Of commands that change scene or materials."""
+
+
+def _file(name: str) -> str:
+    """The path of a file that a command reads; `-` is the standard input."""
+    return "/dev/stdin" if name == "-" else name
 
 
 @click.command("run")
@@ -55,7 +72,10 @@ def status_command(as_json: bool) -> None:
 
     with daemon() as client:
         status = client.get_status(detail=True)
-    click.echo(json.dumps(status, ensure_ascii=False) if as_json else text_of(list(lines(status))))
+    if as_json:
+        print_json(status)
+    else:
+        click.echo(text_of(list(lines(status))))
 
 
 def _change(as_json: bool, send: Callable[[Client], Mapping[str, object]], timeout_s: float | None = None) -> None:
@@ -67,7 +87,7 @@ def _change(as_json: bool, send: Callable[[Client], Mapping[str, object]], timeo
 
 
 @click.command("reload", short_help="Read the configuration files again.")
-@change_options
+@_change_options
 def reload_command(expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Have the daemon read its configuration files again, and take scene and materials from them: all or nothing.
 
@@ -78,7 +98,7 @@ def reload_command(expect_revision: int | None, wait: bool, as_json: bool) -> No
 
 @click.command("apply", short_help="Change materials and scene together.")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", shell_complete=names.scenes)
-@change_options
+@_change_options
 def apply_command(files: tuple[str, ...], expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Set the materials, the scene or both that FILEs hold: one change at one tick, all or nothing.
 
@@ -88,7 +108,7 @@ def apply_command(files: tuple[str, ...], expect_revision: int | None, wait: boo
     """
     from hapticd.config.change_files import load_change
 
-    given = load_change([yaml_file(file) for file in files])
+    given = load_change([_file(file) for file in files])
     _change(
         as_json,
         lambda client: client.apply(
@@ -113,7 +133,7 @@ def scene_list(as_json: bool) -> None:
 
     scenes = shipped_scenes()
     if as_json:
-        click.echo(json.dumps([scene.to_dict() for scene in scenes], ensure_ascii=False))
+        print_json([scene.to_dict() for scene in scenes])
         return
     made_for = {scene.name: f" (operator: {scene.operator})" if scene.operator else "" for scene in scenes}
     print_pairs((scene.name, scene.shows + made_for[scene.name]) for scene in scenes)
@@ -130,7 +150,7 @@ def scene_get(as_json: bool) -> None:
 
 @scene_command.command("set", short_help="Replace the scene.")
 @click.argument("file", shell_complete=names.scenes)
-@change_options
+@_change_options
 def scene_set(file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Replace the scene by that in FILE (YAML, or the name of a shipped scene; - is the standard input)."""
     from hapticd.config.shipped_files import file_of
@@ -141,10 +161,10 @@ def scene_set(file: str, expect_revision: int | None, wait: bool, as_json: bool)
 
 @scene_command.command("update", short_help="Change single objects; null removes.")
 @click.argument("file", type=click.Path())
-@change_options
+@_change_options
 def scene_update(file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Change objects as FILE says: what it holds is merged into them by id and key, null removes."""
-    _change(as_json, lambda client: client.update_scene(yaml_file(file), expect_revision, wait))
+    _change(as_json, lambda client: client.update_scene(_file(file), expect_revision, wait))
 
 
 # ---- The materials ---------------------------------------------------------------------------------------------------
@@ -199,18 +219,18 @@ def material_get(name: str, as_json: bool) -> None:
 
 @material_command.command("set", short_help="Replace the materials that are named.")
 @click.argument("file", type=click.Path())
-@change_options
+@_change_options
 def material_set(file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Set the materials in FILE (YAML; - is the standard input): each is replaced whole, others stay."""
-    _change(as_json, lambda client: client.set_materials(yaml_file(file), expect_revision, wait))
+    _change(as_json, lambda client: client.set_materials(_file(file), expect_revision, wait))
 
 
 @material_command.command("update", short_help="Change single keys; null removes.")
 @click.argument("file", type=click.Path())
-@change_options
+@_change_options
 def material_update(file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Change materials as FILE says: what it holds is merged into them by name and key, null removes."""
-    _change(as_json, lambda client: client.update_materials(yaml_file(file), expect_revision, wait))
+    _change(as_json, lambda client: client.update_materials(_file(file), expect_revision, wait))
 
 
 # ---- What is done at once --------------------------------------------------------------------------------------------

@@ -111,7 +111,8 @@ def synthesize_command(
     """Make recordings as a stylus would, of a material of the library, and print their truth.
 
     KIND is tap (several speeds in one recording), grooves, texture or puncture (each stroke and each puncture in a
-    recording of its own). Fitted again, they show what a fit can resolve with this rate, noise and sensor.
+    recording of its own). Without --speed and --force they are ten taps, four strokes or four punctures. Fitted again,
+    they show what a fit can resolve with this rate, noise and sensor.
     """
     from hapticd.config.configuration import config_of
     from hapticd.config.schema import unit_of
