@@ -319,24 +319,7 @@ def test_warnings_of_a_result(capsys: pytest.CaptureFixture[str]) -> None:
     assert (json.loads(captured.out), captured.err) == (result, "")
 
 
-# ---- commands that there are not -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["xtatus"], "No such command 'xtatus'. Did you mean 'status'? (see hapticd --help)"),
-        (
-            ["recrod"],
-            "No such command 'recrod'. (Did you mean one of: 'record', 'recover', 'reload'?) (see hapticd --help)",
-        ),
-        (["scene", "gte"], "No such command 'gte'. Did you mean 'get'? (see hapticd scene --help)"),
-        (["xyzzy"], "No such command 'xyzzy'. (see hapticd --help)"),
-        (["status", "--jsn"], "No such option '--jsn'. Did you mean '--json'? (see hapticd status --help)"),
-    ],
-)
-def test_a_command_that_is_mistyped(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert said(capsys, 2, *arguments) == f"hapticd: {told}\n"
+# ---- the log ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -357,11 +340,6 @@ def test_one_option_says_how_much_is_logged(
     monkeypatch.setattr("gc.disable", lambda: None)
     assert main(["run", *options]) == 0
     assert given == [level]
-
-
-def test_main_is_what_is_tested(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["xyzzy", "--json"]) == 2
-    assert json.loads(capsys.readouterr().err)["error"]["exit_code"] == 2
 
 
 def test_forces_that_a_fault_keeps_off_are_told_so(
