@@ -21,7 +21,7 @@ from click_man.core import write_man_pages
 import hapticd.cli
 from hapticd._version import __version__
 from hapticd.base.files import check_regular
-from hapticd.cli.completion import SHELLS, script
+from hapticd.cli.machine import SHELLS, script
 
 _CHANGELOG: Final = Path(__file__).resolve().parent.parent / "CHANGELOG.md"
 _LITERAL: Final = re.compile(r"\x08\n(.*?)(?=\n\n|\Z)", re.DOTALL)

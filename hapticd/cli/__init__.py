@@ -47,18 +47,17 @@ from hapticd.cli.streams import guarded
 _ORDER: Final = (
     ("daemon", "run status reload scene material apply play force reset operator mark"),
     ("recordings", "watch record recover export flight replay simulate"),
-    ("check", "check"),
+    ("displayed", "check"),
     ("machine", "paths schema"),
     ("devices", "devices"),
-    ("bench", "bench"),
-    ("calibrate", "calibrate verify"),
+    ("machine", "bench"),
+    ("displayed", "calibrate verify"),
     ("fit", "fit"),
     ("experiment", "experiment"),
     ("sweep", "sweep"),
     ("recordings", "lsl"),
     ("web", "web"),
-    ("machine", "doctor install-service stop-device"),
-    ("completion", "completion"),
+    ("machine", "doctor install-service stop-device completion"),
 )
 """The modules and the commands in them, in the order in which a person meets these."""
 _HOMES: Final = {name: module for module, names in _ORDER for name in names.split()}

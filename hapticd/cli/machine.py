@@ -1,16 +1,22 @@
-"""This machine: whether it is ready, where everything is, what editors are told, and the service of systemd."""
+"""This machine: whether it is ready and how fast, where everything is, what editors and shells are told, and the
+service of systemd."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import re
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Final, cast
 
 import click
+from click.shell_completion import ShellComplete, get_completion_class
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
@@ -22,6 +28,17 @@ if TYPE_CHECKING:
 
 _ANSWER_S = 2.0
 _SHIPPED: Final[tuple[Folder, ...]] = ("scenes", "operators", "materials", "experiments", "sweeps")
+TREE = Path(__file__).resolve().parent.parent.parent
+"""The source tree, where this is one."""
+SHELLS: Final = {
+    "bash": "share/bash-completion/completions/hapticd",
+    "zsh": "share/zsh/site-functions/_hapticd",
+    "fish": "share/fish/vendor_completions.d/hapticd.fish",
+}
+"""The shells, and where below a prefix each looks for the scripts of packages."""
+
+# Where click's scripts ask hapticd: the end of that command, before the bracket that ends the substitution.
+_QUESTION: Final = re.compile(r"(_complete \$1|_complete hapticd|\(commandline -t\) hapticd)(?=\))")
 
 
 @click.command("doctor", short_help="Check whether this machine is ready.")
@@ -188,3 +205,83 @@ def stop_device_command(as_json: bool) -> None:
 
     done = stop_device(runtime_paths(runtime_dir()).device)
     print_result({"stopped": done}, as_json, done or "no device was left: nothing to stop")
+
+
+def script(shell: str) -> str:
+    """click's script for a shell, with three things mended: what goes wrong while a key is pressed is kept from the
+    terminal, fish shows help texts beyond their first comma, and zsh, where it loads the script from its fpath, does
+    not lose the second key."""
+    from hapticd.cli import cli
+
+    kind = get_completion_class(shell)
+    assert kind is not None
+    # The class's own source() asks the bash that is installed for its version; the text is the same for all.
+    source = ShellComplete.source(kind(cli, {}, "hapticd", "_HAPTICD_COMPLETE"))
+    source = _QUESTION.sub(r"\1 2>/dev/null", source)
+    source = source.replace("$zsh_eval_context[-1] == loadautofunc", "$funcstack[1] == _hapticd")
+    return source.replace('string split ","', 'string split -m 1 ","')
+
+
+@click.command("completion", short_help="Print the completion script of a shell.")
+@click.argument("shell", type=click.Choice(list(SHELLS)))
+def completion_command(shell: str) -> None:
+    """Print the script by which SHELL completes commands, options, files, scenes, materials and objects.
+
+    For the terminal that is open:
+
+    \b
+    eval "$(hapticd completion bash)"
+    eval "$(hapticd completion zsh)"           # after compinit
+    hapticd completion fish | source
+
+    For every new one, the same line in ~/.bashrc or ~/.zshrc; for fish:
+
+    \b
+    hapticd completion fish > ~/.config/fish/completions/hapticd.fish
+
+    An installation into /usr or /usr/local brings the scripts with it, where the shells look for them.
+    """
+    click.echo(script(shell), nl=False)
+
+
+def _bench() -> ModuleType:
+    """The benchmarks' main module. Raises HapticdError where they are not, or what they need is not."""
+    if not (TREE / "bench" / "peers.py").is_file():
+        raise HapticdError(
+            "the benchmarks are not installed with hapticd: run this in a source tree, after pip install -e '.[dev]'"
+        )
+    if str(TREE) not in sys.path:
+        sys.path.insert(0, str(TREE))
+    try:
+        return importlib.import_module("bench.__main__")
+    except ModuleNotFoundError as error:
+        raise HapticdError(
+            f"the benchmarks need {error.name}, which is not installed: pip install -e '.[dev]' in {TREE}"
+        ) from None
+
+
+@click.command("bench", short_help="Measure speed and error on this machine.")
+@click.argument("names", nargs=-1)
+@click.option("--list", "list_names", is_flag=True, help="Say what can be measured, and stop.")
+@click.option("--quick", is_flag=True, help="A minute or two: shows that it runs, not how fast.")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Where the report and its figures go [default: docs of the source tree, of a whole run].",
+)
+@click.option(
+    "--overwrite", is_flag=True, help="Replace the pages and figures that are there; of a part, its sections of them."
+)
+def bench_command(names: tuple[str, ...], list_names: bool, quick: bool, out: Path | None, overwrite: bool) -> int:
+    """Measure NAMES, or everything: what each part costs, and how wrong it is, beside other ways to do the same.
+
+    A whole run says at its end how long it took. Works in a source tree, where the benchmarks are.
+    """
+    bench = _bench()
+    if list_names:
+        click.echo(bench.listed())
+        return 0
+    if (wrong := bench.unknown(names)) is not None:
+        raise click.UsageError(wrong)
+    return int(bench.perform(names, bench.Options(quick=quick), out, overwrite))

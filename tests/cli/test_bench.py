@@ -8,7 +8,7 @@ import pytest
 
 from bench import __main__ as bench
 from hapticd import cli
-from hapticd.cli import bench as command
+from hapticd.cli import machine
 from tests.support.special_files import KINDS, special
 
 
@@ -23,7 +23,7 @@ def test_the_command_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> 
 def test_an_installed_hapticd_says_where_the_benchmarks_are(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(command, "TREE", tmp_path)
+    monkeypatch.setattr(machine, "TREE", tmp_path)
     assert cli.main(["bench"]) == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1

@@ -17,7 +17,7 @@ import pytest
 from click.shell_completion import BashComplete
 
 from hapticd.cli import cli, main, names
-from hapticd.cli.completion import SHELLS, script
+from hapticd.cli.machine import SHELLS, script
 from tests.support.daemon_process import PATIENCE_S, running_daemon
 from tests.support.marks import rest_slow
 

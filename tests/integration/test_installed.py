@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from hapticd import __version__
-from hapticd.cli.completion import SHELLS
+from hapticd.cli.machine import SHELLS
 from tests.support.cli import page_names
 
 ROOT = Path(__file__).parents[2]

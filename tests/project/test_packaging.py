@@ -16,7 +16,7 @@ import pytest
 from hapticd import __version__
 from hapticd._share import write
 from hapticd.base.errors import HapticdError
-from hapticd.cli.completion import SHELLS, script
+from hapticd.cli.machine import SHELLS, script
 from tests.support.cli import contexts, page_names
 from tests.support.special_files import KINDS, special, untouched
 
