@@ -12,7 +12,6 @@ not be done (output that nobody takes among it), 2 for a command that was not un
     names       what a shell completes where a command takes a name
     streams     standard output and error that cannot be written
     synthesize  `hapticd fit synthesize`, which fit takes in
-    fit_batch   `hapticd fit batch`, which fit takes in
     experiment_analyze  `hapticd experiment analyze`, which experiment takes in
     experiment_run      `hapticd experiment run` and `resume`, which experiment takes in
     sweep_show          `hapticd sweep show`, which sweep takes in
