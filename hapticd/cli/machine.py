@@ -60,7 +60,7 @@ def doctor_command(configs: tuple[str, ...], as_json: bool) -> int:
     config, first = configuration(choose(configs))
     servo = config.servo
     device = config.device.hid if config.device.kind == "hid" else None
-    needs = Needs(servo.realtime, servo.priority, servo.cpu, device is not None, device)
+    needs = Needs(servo.realtime, servo.priority, servo.cpu, device)
     findings = []
     for finding in chain([first], diagnose(Machine(daemon=_status, version=__version__), needs)):
         findings.append(finding)

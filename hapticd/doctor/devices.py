@@ -36,9 +36,9 @@ def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
         other = f"; there are {len(devices)} other HID devices" if devices else ""
         described = needs.device is not None and needs.device.report is not None
         kind = "that the configuration describes" if described else "of the PID class"
-        todo = "plug it in; `hapticd devices` says what is there" if needs.hid else ""
+        todo = "plug it in; `hapticd devices` says what is there" if needs.device is not None else ""
         what = f"no force-feedback joystick {kind} is connected{other}"
-        yield Finding("joystick", "warn" if needs.hid else "ok", what, todo)
+        yield Finding("joystick", "warn" if needs.device is not None else "ok", what, todo)
     for device in devices:
         why_not = device.verdict.why_not
         name = f"{device.name or 'no name'} at {_node(device)}"
@@ -53,7 +53,7 @@ def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
         elif _service_may(machine, device):
             yield ok("joystick", f"{name} may be driven by the service, not from here")
         else:
-            verdict: Verdict = "fail" if needs.hid else "warn"
+            verdict: Verdict = "fail" if needs.device is not None else "warn"
             yield Finding("joystick", verdict, f"{name} may not be driven from here", _INSTALLED)
 
 
@@ -78,7 +78,7 @@ def rule(machine: Machine, needs: Needs) -> Iterator[Finding]:
     found = next((path for path in paths if machine.path(path).exists()), None)
     if found is not None:
         yield ok("udev rule", found)
-    elif needs.hid or _drivable(machine, needs):
+    elif needs.device is not None or _drivable(machine, needs):
         what = f"{_RULE} is not installed: joysticks are root's alone, and other programs may reset them"
         yield warn("udev rule", what, "`hapticd install-service` installs it")
     else:

@@ -64,10 +64,8 @@ class Needs:
     realtime: Literal["required", "preferred", "off"] = "preferred"
     priority: int = 80
     cpu: int | None = None
-    hid: bool = False
-    """A joystick is to be driven."""
     device: Hid | None = None
-    """How the configuration would drive it; None: by the defaults."""
+    """The joystick that is to be driven, and how; None: none is."""
 
     def without(self) -> Verdict:
         """How bad it is when real time cannot be had."""

@@ -78,7 +78,7 @@ def test_a_processor_that_is_asked_for_is_not_known_without_files(tmp_path: Path
 
 
 def test_every_check_stands_an_empty_machine(tmp_path: Path) -> None:
-    for needs in (Needs(), Needs("required", 90, 3, True)):
+    for needs in (Needs(), Needs("required", 90, 3, Hid())):
         found = list(diagnose(Machine(tmp_path, limit=nothing), needs))
         assert len(found) >= len(CHECKS) - 1  # without a joystick nobody competes for one
 
@@ -89,7 +89,7 @@ def test_files_that_hold_nonsense(tmp_path: Path) -> None:
     names += ["proc/sys/kernel/sched_rt_runtime_us", "proc/sys/kernel/sched_rt_period_us", "proc/config.gz"]
     names += [f"{CPU}/online", f"{CPU}/isolated", f"{CPU}/cpu0/cpuidle/state0/latency", "proc/123/cmdline"]
     put(tmp_path, dict.fromkeys(names, junk))
-    for needs in (Needs(), Needs("required", 90, 3, True)):
+    for needs in (Needs(), Needs("required", 90, 3, Hid())):
         assert list(diagnose(Machine(tmp_path, limit=nothing), needs))
 
 
@@ -315,9 +315,11 @@ def process(root: Path, pid: int, name: str, *open_files: str) -> None:
 
 def test_no_joystick(tmp_path: Path) -> None:
     assert reported(tmp_path, devices.permissions).startswith("ok no force-feedback joystick")
-    assert reported(tmp_path, devices.permissions, needs=Needs(hid=True)).startswith("warn no force-feedback joystick")
+    assert reported(tmp_path, devices.permissions, needs=Needs(device=Hid())).startswith(
+        "warn no force-feedback joystick"
+    )
     assert reported(tmp_path, devices.rule).startswith("ok")
-    assert reported(tmp_path, devices.rule, needs=Needs(hid=True)).startswith("warn")
+    assert reported(tmp_path, devices.rule, needs=Needs(device=Hid())).startswith("warn")
     assert list(devices.competitors(Machine(tmp_path), Needs())) == []
 
 
@@ -344,15 +346,15 @@ def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
             **{name: {"bit_offset": at, "bit_size": 8, "counts_per_n": 10} for name, at in (("x", 0), ("y", 8))},
         },
     }
-    mine = Needs(hid=True, device=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
-    other = Needs(hid=True, device=Hid.model_validate({"vendor": 0x45E, "product": 0x1C, "report": report}))
+    mine = Needs(device=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
+    other = Needs(device=Hid.model_validate({"vendor": 0x45E, "product": 0x1C, "report": report}))
     assert reported(tmp_path, devices.permissions, needs=mine) == "ok Stick at /dev/hidraw0 may be driven from here -> "
     assert reported(tmp_path, devices.competitors, needs=mine) == "ok nobody else uses /dev/hidraw0 -> "
     missing = "warn no force-feedback joystick that the configuration describes is connected; there are 1 other"
     assert reported(tmp_path, devices.permissions, needs=other).startswith(missing)
     # A description that does not fit is reported as by `hapticd run`.
     report["output"]["length"] = 3
-    wrong = Needs(hid=True, device=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
+    wrong = Needs(device=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
     lines = [str(one) for one in devices.permissions(Machine(tmp_path), wrong)]
     assert lines[0].startswith("warn  joystick     no force-feedback joystick that the configuration describes")
     assert "Stick at /dev/hidraw0 cannot be driven: device.hid.report.output.length: output report 0" in lines[1]
@@ -364,8 +366,8 @@ def test_a_joystick_that_run_would_refuse(tmp_path: Path) -> None:
     descriptor.write_bytes(bytes(Joystick(force_axes=(), direction_bits=0)))
     for needs, verdict in (
         (Needs(), "warn"),
-        (Needs(hid=True, device=Hid()), "warn"),
-        (Needs(hid=True, device=Hid(product=0x1B)), "fail"),
+        (Needs(device=Hid()), "warn"),
+        (Needs(device=Hid(product=0x1B)), "fail"),
     ):
         _, second = devices.permissions(Machine(tmp_path), needs)
         assert second.verdict == verdict
@@ -377,7 +379,7 @@ def test_a_joystick_without_permission(tmp_path: Path) -> None:
     node.chmod(0o460)
     how: dict[str, Any] = {"find": lambda *where: [replace(one, permission="denied") for one in find(*where)]}
     assert reported(tmp_path, devices.permissions, **how).startswith("warn")
-    assert reported(tmp_path, devices.permissions, needs=Needs(hid=True), **how).startswith("fail")
+    assert reported(tmp_path, devices.permissions, needs=Needs(device=Hid()), **how).startswith("fail")
     put(tmp_path, {"etc/systemd/system/hapticd.service": ""})
     how["group"] = lambda gid: "input"
     assert reported(tmp_path, devices.permissions, **how).startswith("ok Stick at /dev/hidraw0 may be")

@@ -237,7 +237,7 @@ def test_everybody_says_the_same(
     # check
     said["check"] = "".join(problem.problem for problem in check(load_config({"device": device})).refused)
     # doctor
-    findings = list(doctor.permissions(Machine(find=lambda sysfs, dev: here), Needs(hid=True, device=hid)))
+    findings = list(doctor.permissions(Machine(find=lambda sysfs, dev: here), Needs(device=hid)))
     said["doctor"] = "".join(one.what for one in findings if one.verdict == "fail")
 
     if reason is None:

@@ -20,7 +20,7 @@ from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag,
 from hapticd.base.yaml_source import load_text
 from hapticd.cli import cli
 from hapticd.config.configuration import default_config, load_config
-from hapticd.config.hid import Quirk
+from hapticd.config.hid import Hid, Quirk
 from hapticd.config.materials import ModeKeys
 from hapticd.config.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
 from hapticd.daemon.counters import Granted
@@ -319,7 +319,7 @@ def test_the_files_of_the_service_are_told(tmp_path: Path) -> None:
 
 
 def test_the_lines_of_the_doctor_are_told() -> None:
-    found = diagnose(Machine(limit=lambda number: (0, 0)), Needs(hid=True))
+    found = diagnose(Machine(limit=lambda number: (0, 0)), Needs(device=Hid()))
     told = first_names(tables(SERVICE)["line"])
     assert {finding.name for finding in found} <= set(told)
     sources = "".join(path.read_text() for path in (ROOT / "hapticd" / "doctor").glob("*.py"))
