@@ -74,10 +74,19 @@ class _LazyGroup(click.Group):
             raise HapticdError(str(error.strerror)) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(self.commands)
+        return list(_HOMES)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        try:
+            return super().resolve_command(ctx, args)
+        except click.NoSuchCommand as error:
+            # Click compares with the commands that are loaded, of which there are none.
+            raise click.NoSuchCommand(error.command_name, possibilities=_HOMES, ctx=ctx) from None
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in self.commands:
+        if cmd_name not in _HOMES:
             return None
         module = importlib.import_module(f"hapticd.cli.{_HOMES[cmd_name]}")
         command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
@@ -94,7 +103,6 @@ Environment:
 
 @click.group(
     cls=_LazyGroup,
-    commands=[click.Command(name) for name in _HOMES],  # names to compare a mistyped one with
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog=_ENVIRONMENT,
