@@ -89,6 +89,10 @@ def runtime_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePat
     else:
         chosen = Path(f"/tmp/hapticd-{os.getuid()}")
     paths = RuntimePaths(chosen.absolute())
+    try:
+        os.fspath(paths.directory).encode("utf-8")
+    except UnicodeEncodeError:
+        raise HapticdError("runtime directory: its name must be UTF-8, or ZeroMQ cannot connect to it") from None
     longest = max(len(os.fsencode(paths.command)), len(os.fsencode(paths.telemetry)))
     if longest > _LONGEST_SOCKET_NAME:
         raise HapticdError(
