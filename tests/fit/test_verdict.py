@@ -111,12 +111,12 @@ def test_check_shows_the_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_the_list_of_materials_shows_the_verdict(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     origin = {"files": [{"path": "a"}], "date": "2026-01-01", "version": "1", "verdict": JUDGED}
     made = validate_materials({"pine": {"stiffness_n_per_m": 300.0, "provenance": origin}})
     monkeypatch.setattr("hapticd.config.materials.shipped_materials", lambda: made)
-    assert main(["material", "list", "--offline"]) == 0
+    assert main(["--runtime-dir", str(tmp_path), "material", "list"]) == 0
     listed = load_text(capsys.readouterr().out, "printed").data
     assert isinstance(listed, dict)
     assert listed["materials"]["pine"]["provenance"]["verdict"] == JUDGED
