@@ -4,11 +4,8 @@ Compiling:
 
     compiler/           scene and materials become the flat C records that a tick reads
     compensation        what is struck for a mode, so that handle and hand accelerate as the library says
-    groove_tuning       grooves whose frequency follows speed and force: the numbers that the tick looks up
-    tap_tuning          taps whose mode follows the approach speed: likewise
     filter_design       filters for coloured noise
     resampling          textures identified at one rate, as models for the servo's
-    noise_grid          models of noise at some speeds and forces, as a grid over all
     device_output       what rendering has to know of the device: how forces come out, and what closes its loop
     joystick            the simulated joystick and its operator as C objects
 

@@ -485,10 +485,10 @@ def tuned_shapes(
     return list(zip(others, ways[best], strict=True) if own else zip(ways[best], others, strict=True))
 
 
-def peak_between(one: Shape, other: Shape, pole: complex) -> float:
+def peak_between(one: Shape, other: Shape) -> float:
     """The peak of what lies half way between two shapes, at the pole half way between theirs, over that of the straight
     line between their peaks."""
-    mode = Ringing(pole, (one.mode.gain + other.mode.gain) / 2)
+    mode = Ringing((one.mode.pole + other.mode.pole) / 2, (one.mode.gain + other.mode.gain) / 2)
     tail = None
     if one.tail is not None and other.tail is not None:
         tail = Ringing(one.tail.pole, (one.tail.gain + other.tail.gain) / 2)

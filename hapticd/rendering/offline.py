@@ -185,7 +185,9 @@ class Rerun:
         self._compiler.turn_to(output)
 
     def turn_to(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
-        """Takes a validated scene, of which the objects `changed` are not those of the scene before."""
+        """Takes a validated scene, of which the objects `changed` are not those of the scene before. Events
+        of the ticks before have no names from then on."""
+        self._compiler.events_read((revision - 1) & 0xFFFFFFFF)
         self._world = new_world(self._compiler.update(scene, changed, materials, revision))
 
     def play(self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float) -> None:

@@ -22,7 +22,6 @@ from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import Methods
 from hapticd.daemon.router import Router
 from hapticd.protocol import messages
-from hapticd.rendering.compiler import noise_filters
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 SANDED = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "sand"}
@@ -97,9 +96,8 @@ class Daemon:
 
 @pytest.fixture
 def daemon(monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
-    """Whose changes go on for one step at a time, and for which no other test has designed filters."""
+    """Whose changes go on for one step at a time."""
     monkeypatch.setattr(dispatching, "SLICE_NS", 0)
-    monkeypatch.setattr(noise_filters, "designs", noise_filters.Designs())
     made = Daemon()
     made.engine.start()
     yield made
@@ -214,21 +212,6 @@ def test_large_bodies_are_answered_whatever_they_are(daemon: Daemon) -> None:
     body = codec.encode({"jsonrpc": "1.0", "id": "old", "method": "set_scene", "params": {"scene": long}})
     daemon.dispatch.take(body, daemon._reply)
     assert daemon.answers["old"]["error"]["code"] == messages.Code.INVALID_REQUEST
-
-
-def test_designs_are_kept_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    designs = noise_filters.Designs()
-    monkeypatch.setattr(noise_filters, "_KEPT", 10_000)
-    config = load_config({"device": {"kind": "sim"}})
-    output = Engine(config).output
-    methods = Methods(Engine(config))
-    methods.call("set_materials", {"materials": {f"sand {seed}": sand(1, seed) for seed in range(3)}})
-    textures = [methods._engine.materials[f"sand {seed}"].texture for seed in range(3)]
-    large = noise_filters.SILENCE._replace(nodes=np.zeros((1, 1, 500)))
-    for texture in textures:
-        designs.keep(texture, output, large)  # type: ignore[arg-type]
-        designs.keep(texture, output, large)  # type: ignore[arg-type]
-    assert [designs.find(texture, output) is large for texture in textures] == [False, True, True]  # type: ignore[arg-type]
 
 
 def patched(count: int, **keys: object) -> dict[str, object]:

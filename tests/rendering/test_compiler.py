@@ -16,7 +16,6 @@ from scipy import signal
 from hapticd.base.core import OBJECT_DTYPE, WAVE_PARTS, CData, Shape, Status, Texture, ffi, invalid_reason, lib
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.config.scene import Scene, validate_scene
-from hapticd.rendering.compiler import retired_names
 from hapticd.rendering.compiler.table import Compiler, _place_of
 from hapticd.rendering.device_output import Output
 
@@ -141,12 +140,10 @@ def test_names_of_the_gone_are_kept_until_their_events_were_read_and_those_of_th
     before = gone(taken, "a", "b")
     read = taken.revision
     after = gone(taken, "c")
-    compiler.events_read(read - 1)
-    assert [compiler.name_of(*place) for place in before + after] == [None, "b", "c"]
-    compiler.events_read(read)
-    assert [compiler.name_of(*place) for place in before + after] == [None, None, "c"]
-    compiler.events_read(taken.revision)
-    assert [compiler.name_of(*place) for place in before + after] == [None] * 3
+    for revision, names in ((read - 1, [None, "b", "c"]), (read, [None, None, "c"]), (taken.revision, [None] * 3)):
+        compiler.events_read(revision)
+        compiler.update(scene(stays=WALL), (), SHIPPED, taken.revision + 1)
+        assert [compiler.name_of(*place) for place in before + after] == names
     assert compiler.name_of(*stays) == "stays"
     assert compiler.name_of(lib.HD_NO_SLOT, 0) is None
 
@@ -154,32 +151,26 @@ def test_names_of_the_gone_are_kept_until_their_events_were_read_and_those_of_th
 def test_names_are_kept_over_the_end_of_revisions() -> None:
     """They count modulo 2**32."""
     taken = Taken()
+    compiler = taken.compiler
     taken.take(scene(stays=WALL))
     taken.revision = 0xFFFFFFFC
     places = gone(taken, "a")
     last = taken.revision
     taken.revision = -1
     places += gone(taken, "b")
-    taken.compiler.events_read(last - 1)
-    assert [taken.compiler.name_of(*place) for place in places] == ["a", "b"]
-    taken.compiler.events_read(0)
-    assert [taken.compiler.name_of(*place) for place in places] == [None, "b"]
-    taken.compiler.events_read(1)
-    assert [taken.compiler.name_of(*place) for place in places] == [None, None]
+    for revision, names in ((last - 1, ["a", "b"]), (0, [None, "b"]), (1, [None, None])):
+        compiler.events_read(revision)
+        compiler.update(scene(stays=WALL), (), SHIPPED, taken.revision + 1)
+        assert [compiler.name_of(*place) for place in places] == names
 
 
-def test_where_nobody_reads_the_events_the_newest_names_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retired_names, "MOST", 10)
+def test_of_one_update_all_names_are_kept() -> None:
+    """Contacts with any of them end in the same tick."""
     taken = Taken()
-    taken.take(scene(stays=WALL))
-    places = gone(taken, *(f"a{index}" for index in range(25)))
-    known = [taken.compiler.name_of(*place) for place in places]
-    assert known == [None] * 15 + [f"a{index}" for index in range(15, 25)]
     many = [f"b{index}" for index in range(30)]
-    taken.take(scene(stays=WALL, **dict.fromkeys(many, WALL)), *many)
+    taken.take(scene(**dict.fromkeys(many, WALL)), *many)
     found = [taken.compiler.slot_of(id) for id in many]
-    taken.take(scene(stays=WALL), *many)
-    # Of one update all are kept: contacts with any of them end in the same tick.
+    taken.take(scene(), *many)
     assert [taken.compiler.name_of(*place) for place in found if place is not None] == many
 
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from hapticd.base.lattice import coefficients_of, reflection_of
 from hapticd.config.texture import MAX_MODELS
+from hapticd.rendering.compiler.noise_filters import Model, grid
 from hapticd.rendering.filter_design import Filter, power_spectrum, stochastic_filter
-from hapticd.rendering.noise_grid import Model, grid
 from hapticd.rendering.resampling import CLOSE_DB, resampled
 
 Array = npt.NDArray[np.float64]
@@ -446,16 +446,16 @@ def test_resampling_refuses(arguments: tuple[tuple[float, ...], float, float], m
 def test_a_complete_grid_is_reproduced() -> None:
     rng = np.random.default_rng(1)
     models = [
-        Model(v, f, tuple(rng.uniform(-0.99, 0.99, 3).tolist()), float(rng.uniform(0, 5)))
+        Model(v, f, tuple(rng.uniform(-0.99, 0.99, 4 if v == 0.1 else 3).tolist()), float(rng.uniform(0, 5)))
         for v in (0.2, 0.05, 0.1)
         for f in (1.0, 0.5)
     ]
-    found = grid(models, 4)
+    found = grid(models)
     assert found.speeds == (0.05, 0.1, 0.2) and found.forces == (0.5, 1.0)
     assert found.nodes.shape == (3, 2, 5)
     for model in models:
         node = found.nodes[found.speeds.index(model.speed_m_per_s), found.forces.index(model.force_n)]
-        assert node.tolist() == [model.rms_m_per_s2, *model.reflection, 0.0]
+        assert node.tolist() == [model.rms_m_per_s2, *model.reflection, 0.0][:5]
 
 
 places = st.tuples(st.floats(0, 1), st.floats(0, 5))
@@ -467,30 +467,31 @@ def test_scattered_models_are_met_and_the_rest_lies_between(
     models: dict[tuple[float, float], tuple[list[float], float]],
 ) -> None:
     given_models = [Model(v, f, tuple(k), rms) for (v, f), (k, rms) in models.items()]
-    found = grid(given_models, 32)
+    found = grid(given_models)
+    order = max(len(model.reflection) for model in given_models)
     assert list(found.speeds) == sorted({v for v, _ in models}) and list(found.forces) == sorted({f for _, f in models})
     assert np.all(np.isfinite(found.nodes)) and np.all(np.abs(found.nodes[..., 1:]) < 1)
     rms = [model.rms_m_per_s2 for model in given_models]
     assert np.all((found.nodes[..., 0] >= min(rms)) & (found.nodes[..., 0] <= max(rms)))
     for model in given_models:
         node = found.nodes[found.speeds.index(model.speed_m_per_s), found.forces.index(model.force_n)]
-        padded = [*model.reflection, *[0.0] * (32 - len(model.reflection))]
+        padded = [*model.reflection, *[0.0] * (order - len(model.reflection))]
         assert node.tolist() == [model.rms_m_per_s2, *padded]
 
 
 def test_a_missing_corner_is_a_mean_by_distance_on_scaled_axes() -> None:
     # Speeds span 0.1, forces 2: the corner is 1, sqrt 2 and 1 away from the others, with weights 2/5, 1/5, 2/5.
-    found = grid([Model(0.1, 1, (0.5,), 1.0), Model(0.2, 1, (0.1,), 2.0), Model(0.1, 3, (-0.4,), 4.0)], 1)
+    found = grid([Model(0.1, 1, (0.5,), 1.0), Model(0.2, 1, (0.1,), 2.0), Model(0.1, 3, (-0.4,), 4.0)])
     np.testing.assert_allclose(found.nodes[1, 1], [0.2 * 1 + 0.4 * 2 + 0.4 * 4, 0.2 * 0.5 + 0.4 * 0.1 - 0.4 * 0.4])
     # A node close to a model is nearly that model.
-    near = grid([Model(0.1, 1, (0.9,), 1.0), Model(0.1001, 1.001, (0.2,), 3.0), Model(1.0, 9.0, (-0.9,), 5.0)], 1)
+    near = grid([Model(0.1, 1, (0.9,), 1.0), Model(0.1001, 1.001, (0.2,), 3.0), Model(1.0, 9.0, (-0.9,), 5.0)])
     assert near.nodes[0, 2, 1] != 0.9
     assert abs(near.nodes[0, 1, 0] - 2) < 1.1
 
 
 def test_the_largest_grid() -> None:
     most = [Model(i / 100, i / 10, (0.1 * (i % 3),), 1.0) for i in range(MAX_MODELS)]
-    assert grid(most, 1).nodes.shape == (MAX_MODELS, MAX_MODELS, 2)
+    assert grid(most).nodes.shape == (MAX_MODELS, MAX_MODELS, 2)
 
 
 def test_a_higher_rate_keeps_all_power_however_sharp_the_poles() -> None:

@@ -370,7 +370,7 @@ def test_a_second_mode_that_needs_too_much_force_is_told_by_its_path() -> None:
 def test_a_device_plays_the_first_mode_and_the_second_is_streamed() -> None:
     made = validate_materials({"m": material(POINTS, second={**SECOND, "ratio": -0.5})})["m"]
     assert made.tap is not None
-    record = material_record(made, 0, output_of(default_config(), RATE), {made.tap.mode: (7, 0.6, 0.05)})
+    record, _ = material_record(made, 0, output_of(default_config(), RATE), {made.tap.mode: (7, 0.6, 0.05)})
     mass = default_config().device.effective_mass_kg
     assert (record.tap.effect, record.tap.effect_force_per_unit) == (7, pytest.approx(mass))
     assert record.second.effect == 0

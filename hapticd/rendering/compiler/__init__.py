@@ -2,11 +2,10 @@
 
 table            the compiler itself: keeps slots, rewrites the records of what changed
 records          arrays of C records that grow in place, and their free places
-fields           springs, dampers and constant forces, summed to one field
 walls            the pieces of walls with patches
 materials        the materials of a scene: records, noises and the numbers of both
-material_record  the record of one material
+material_record  the record of one material, and the numbers that it has beside
 mode_record      the numbers of one mode at the rate
-noise_filters    the filters of textures that are noise, kept for a while after their use
-retired_names    names of objects that are gone, for events that still speak of them
+mode_tables      modes that follow speed or force: what the tick looks up when it strikes them
+noise_filters    the filters of textures that are noise
 """

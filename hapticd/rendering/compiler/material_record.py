@@ -1,10 +1,10 @@
-"""The record of a material in the table, and the numbers that it has outside its record."""
+"""The record of a material in the table, and the numbers that it has beside its record."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -12,13 +12,15 @@ import numpy.typing as npt
 from hapticd.base.core import KICKS, CData, Texture, ffi
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
-from hapticd.config.texture import Grooves
+from hapticd.config.texture import FrequencyTable, Grooves
 from hapticd.config.waveform import Waveform
 from hapticd.rendering.compiler.mode_record import Effect, mode_record
+from hapticd.rendering.compiler.mode_tables import groove_modes, tap_modes
 from hapticd.rendering.device_output import Output
-from hapticd.rendering.displayability import displayed_wave_rate, touched_by, waveform_of
-from hapticd.rendering.groove_tuning import tuning_of
-from hapticd.rendering.tap_tuning import tap_tuning_of
+from hapticd.rendering.displayability import displayed_wave_rate, touched_by
+
+Numbers: TypeAlias = dict[str, npt.NDArray[np.float64]]
+"""Of a material in the table, by the member of its record that says where they begin."""
 
 _ACROSS: Final = (1.0, 0.0)
 """A tap's and a rupture's aim unless another is given, which the core takes for granted."""
@@ -36,68 +38,16 @@ def struck_modes(material: Material) -> Iterator[Mode]:
         yield material.rupture.mode
 
 
-def _play(record: CData, waveform: Waveform, slope: float, coefficient: float, output: Output) -> None:
-    """A tap that plays a waveform."""
-    rate_hz = displayed_wave_rate(waveform, output)
-    shown_hz = waveform.rate_hz if rate_hz is None else rate_hz
-    tap, slowed = record.tap, waveform.rate_hz / shown_hz
-    tap.end_s = waveform.length_s * slowed
-    tap.peak, tap.peak_time_s = waveform.curve.peak, waveform.curve.peak_time_s * slowed
-    tap.amplitude_per_unit = slope
-    tap.force_per_unit = 0.0 if rate_hz is None else output.effective_mass_kg * coefficient
-    tap.gain_re = 1.0
-    record.wave_rate_hz, record.wave_count = shown_hz, len(waveform.samples)
-
-
-def numbers_of(material: Material, output: Output) -> Iterator[tuple[str, npt.NDArray[np.float64]]]:
-    """What a material has in the table's numbers: the member of its record that says where they begin, and they."""
-    if material.tap is not None and material.tap.amplitudes is not None:
-        yield "tap_first", np.array(material.tap.amplitudes).T.ravel()
-    tuning, tap_tuning, waveform = tuning_of(material, output), tap_tuning_of(material, output), waveform_of(material)
-    if tuning is not None:
-        yield "tune_first", tuning.numbers()
-    if tap_tuning is not None:
-        yield "mode_first", tap_tuning.numbers()
-    if waveform is not None:
-        yield "wave_first", waveform.curve.numbers()
-
-
 def material_record(
     material: Material, noise_index: int, output: Output, effects: Mapping[Mode, Effect | None] = MappingProxyType({})
-) -> CData:
-    """A `struct hd_material *`, of which only the places of its numbers are missing (`numbers_of`); `noise_index` is
-    where its noise is, for a texture that is noise; `effects` are what a device plays itself."""
-    record = ffi.new("struct hd_material *")
+) -> tuple[CData, Numbers]:
+    """A `struct hd_material *`, and its numbers, whose places are missing in it; `noise_index` is where its noise is,
+    for a texture that is noise; `effects` are what a device plays itself."""
+    record, numbers = ffi.new("struct hd_material *"), Numbers()
     record.stiffness_n_per_m = material.stiffness_n_per_m
     record.damping_n_s_per_m = material.damping_n_s_per_m
-    touched = touched_by(material, "tap")
     if material.tap is not None:
-        mode, slope = material.tap.ringing, material.tap.attack_slope_per_s
-        if slope is None:  # the points give A itself
-            slope = 1.0
-            record.tap_count = len(material.tap.amplitudes or ())
-        tuned = tap_tuning_of(material, output)
-        # Of a table the tick knows the mode, and what a first peak is of it.
-        coefficient = material.tap.coefficient(slope) if tuned is None else slope
-        if material.tap.aim != _ACROSS:
-            record.tap_aim = material.tap.aim
-        if material.tap.waveform is not None:
-            _play(record, material.tap.waveform, slope, coefficient, output)
-        elif tuned is not None:
-            record.tap = mode_record(tuned.base, slope, coefficient, output, touched=touched)
-            tuned.complete(record, 1.0 / output.rate_hz)
-        elif mode is not None:
-            record.tap = mode_record(mode, slope, coefficient, output, effects.get(mode), touched)
-        if material.tap.second is not None:
-            ratio = material.tap.second.ratio
-            record.second = mode_record(
-                material.tap.second.mode, 0.0, abs(ratio) * coefficient, output, touched=touched
-            )
-            if ratio < 0:
-                for index in range(2 * KICKS):
-                    record.second.kicks[index] = -record.second.kicks[index]
-                for key in _SIGNED:
-                    setattr(record.second, key, -getattr(record.second, key))
+        _put_tap(record, numbers, material, output, effects)
     if material.rupture is not None:
         amplitude, mode = material.rupture.amplitude_m_per_s2, material.rupture.mode
         record.rupture = mode_record(mode, amplitude, amplitude, output, effects.get(mode))
@@ -113,14 +63,10 @@ def material_record(
         record.spacing_m = texture.spacing_m
         record.width_m = texture.width_m
         if texture.display == "vibration":
-            assert material.groove_mode is not None
             record.texture = Texture.STRIKES
             record.velocity_gain_per_s = texture.velocity_gain_per_s
             record.force_gain_m_per_s2_per_n = texture.force_gain_m_per_s2_per_n
-            tuning = tuning_of(material, output)
-            record.groove = mode_record(material.groove_mode if tuning is None else tuning.base, 1.0, 1.0, output)
-            if tuning is not None:
-                tuning.complete(record, 1.0 / output.rate_hz)
+            _put_groove_mode(record, numbers, material, texture.frequency_table, output)
         elif texture.display == "geometry":
             record.texture = Texture.GEOMETRY
             record.depth_m = texture.depth_m
@@ -130,4 +76,67 @@ def material_record(
     elif texture is not None:
         record.texture = Texture.NOISE
         record.noise = noise_index
-    return record
+    return record, numbers
+
+
+def _put_tap(
+    record: CData, numbers: Numbers, material: Material, output: Output, effects: Mapping[Mode, Effect | None]
+) -> None:
+    tap, slope = material.tap, 1.0
+    assert tap is not None
+    tabled, touched = tap_modes(material, output), touched_by(material, "tap")
+    if tap.attack_slope_per_s is not None:
+        slope = tap.attack_slope_per_s
+    elif tap.amplitudes is not None:  # the points give A itself
+        record.tap_count, numbers["tap_first"] = len(tap.amplitudes), np.array(tap.amplitudes).T.ravel()
+    # Of a table the tick knows the mode, and what a first peak is of it.
+    coefficient = tap.coefficient(slope) if tabled is None else slope
+    if tap.aim != _ACROSS:
+        record.tap_aim = tap.aim
+    if tap.waveform is not None:
+        _put_waveform(record, tap.waveform, slope, coefficient, output)
+        numbers["wave_first"] = tap.waveform.curve.numbers()
+    elif tabled is not None:
+        assert tap.mode_table is not None
+        record.tap = mode_record(tabled.base, slope, coefficient, output, touched=touched)
+        record.mode_count, record.mode_nodes = len(tap.mode_table.speeds_m_per_s), len(tabled.nodes)
+        record.mode_by_peak = tap.attack == "first_peak"
+        tabled.complete(record, record.tap, output)
+        numbers["mode_first"] = tabled.numbers
+    elif tap.ringing is not None:
+        mode = tap.ringing
+        record.tap = mode_record(mode, slope, coefficient, output, effects.get(mode), touched)
+    if tap.second is not None:
+        ratio = tap.second.ratio
+        record.second = mode_record(tap.second.mode, 0.0, abs(ratio) * coefficient, output, touched=touched)
+        if ratio < 0:
+            for index in range(2 * KICKS):
+                record.second.kicks[index] = -record.second.kicks[index]
+            for key in _SIGNED:
+                setattr(record.second, key, -getattr(record.second, key))
+
+
+def _put_waveform(record: CData, waveform: Waveform, slope: float, coefficient: float, output: Output) -> None:
+    """A tap that plays a waveform."""
+    rate_hz = displayed_wave_rate(waveform, output)
+    shown_hz = waveform.rate_hz if rate_hz is None else rate_hz
+    tap, slowed = record.tap, waveform.rate_hz / shown_hz
+    tap.end_s = waveform.length_s * slowed
+    tap.peak, tap.peak_time_s = waveform.curve.peak, waveform.curve.peak_time_s * slowed
+    tap.amplitude_per_unit = slope
+    tap.force_per_unit = 0.0 if rate_hz is None else output.effective_mass_kg * coefficient
+    tap.gain_re = 1.0
+    record.wave_rate_hz, record.wave_count = shown_hz, len(waveform.samples)
+
+
+def _put_groove_mode(
+    record: CData, numbers: Numbers, material: Material, table: FrequencyTable | None, output: Output
+) -> None:
+    mode, tabled = material.groove_mode, groove_modes(material, output)
+    assert mode is not None
+    record.groove = mode_record(mode if tabled is None else tabled.base, 1.0, 1.0, output)
+    if tabled is not None and table is not None:
+        record.tune_speeds, record.tune_forces = len(table.speeds_m_per_s), len(table.forces_n)
+        record.tune_nodes = len(tabled.nodes)
+        tabled.complete(record, record.groove, output)
+        numbers["tune_first"] = tabled.numbers

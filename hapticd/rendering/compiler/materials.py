@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final, Protocol, cast
+from dataclasses import dataclass, field
+from typing import Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -13,13 +14,11 @@ from hapticd.base.steps import Steps
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.texture import Autoregressive, Stochastic
-from hapticd.rendering.compiler.material_record import material_record, numbers_of, struck_modes
+from hapticd.rendering.compiler.material_record import Numbers, material_record, struck_modes
 from hapticd.rendering.compiler.mode_record import Effect
 from hapticd.rendering.compiler.noise_filters import SILENCE, Design, Noise, design
 from hapticd.rendering.compiler.records import Places, Records, next_version
 from hapticd.rendering.device_output import Output
-
-_NO_MATERIAL: Final = Material(stiffness_n_per_m=0.0)
 
 
 class Effects(Protocol):
@@ -34,12 +33,20 @@ class Effects(Protocol):
         ...
 
 
-class _NoEffects:
-    def take(self, mode: Mode) -> Effect | None:
-        return None
+@dataclass(slots=True)
+class _Used:
+    """A material that something is made of."""
 
-    def give(self, mode: Mode) -> None:
-        pass
+    name: str
+    material: Material
+    uses: int = 0
+    noise: int | None = None
+    """Its place among the noises."""
+    heard: tuple[Noise, int, Design] | None = None
+    """What the noise is made of, the version of that, and its filters."""
+    numbers: Numbers = field(default_factory=dict)
+    struck: tuple[Mode, ...] = ()
+    """The modes that it has of the effects."""
 
 
 class Materials:
@@ -49,23 +56,13 @@ class Materials:
         """`beat` is called between the filters that nobody prepared, of which many take seconds."""
         self.output = output
         self._beat = beat
-        self._effects = effects or _NoEffects()
-        self._struck: dict[int, tuple[Mode, ...]] = {}
-        """Material to the modes that it uses of those."""
-        self._places = Places()
+        self._effects = effects
+        self._places, self._noise_places = Places(), Places()
+        self._used: dict[int, _Used] = {}
+        """By index."""
         self._index: dict[str, int] = {}
-        self._names: list[str] = []
-        self._uses: list[int] = []
-        self._known: list[Material] = []
         self._source: Mapping[str, Material] = {}
         self._rows = Records("struct hd_material", MATERIAL_DTYPE)
-        self._noise_places = Places()
-        self._noise_of: dict[int, int] = {}
-        """Material to noise."""
-        self._heard: dict[int, tuple[Stochastic | Autoregressive, int, Design]] = {}
-        """Material to what its noise is made of, the version of that, and its filters."""
-        self._own_numbers: dict[int, tuple[tuple[str, npt.NDArray[np.float64]], ...]] = {}
-        """Material to what `numbers_of` finds, where it finds anything."""
         self._prepared: dict[tuple[Noise, Output], Design] = {}
         """Designed for the change that is being made."""
         self._versions = 0
@@ -81,11 +78,11 @@ class Materials:
             return []
         self._source = source
         stale = []
-        for name, index in self._index.items():
-            material = source.get(name, self._known[index])
-            if material is not self._known[index] and material != self._known[index]:
+        for index, used in self._used.items():
+            material, before = source.get(used.name, used.material), used.material
+            used.material = material
+            if material is not before and material != before:
                 stale.append(index)
-            self._known[index] = material
         for index in stale:
             self._compile(index)
         return stale
@@ -93,70 +90,75 @@ class Materials:
     def turn_to_output(self, output: Output) -> list[int]:
         """Compiles everything for another output; the indices of all that is used."""
         self.output = output
-        self._heard.clear()
-        used = sorted(self._index.values())
+        used = sorted(self._used)
         for index in used:
+            self._used[index].heard = None
             self._compile(index)
         return used
 
     def names(self) -> tuple[str, ...]:
-        """By index."""
-        return tuple(self._names)
+        """By index; empty where it is free."""
+        return tuple(self._used[index].name if index in self._used else "" for index in range(self._places.count))
 
     def use(self, name: str) -> int:
         """The index of a material that one thing more is made of."""
         index = self._index.get(name)
         if index is None:
             index = self._index[name] = self._places.take()
-            if index == len(self._names):
-                self._names.append(name)
-                self._uses.append(0)
-                self._known.append(self._source[name])
-                self._rows.reserve(index + 1)
-            else:
-                self._names[index], self._known[index] = name, self._source[name]
+            self._used[index] = _Used(name, self._source[name])
+            self._rows.reserve(index + 1)
             self._compile(index)
-        self._uses[index] += 1
+        self._used[index].uses += 1
         return index
 
     def release(self, index: int) -> None:
         """One thing less is made of it."""
-        self._uses[index] -= 1
-        if self._uses[index] == 0:
-            del self._index[self._names[index]]
-            self._known[index] = _NO_MATERIAL  # one of 64 models would be kept
+        used = self._used[index]
+        used.uses -= 1
+        if used.uses == 0:
+            self._silence(used)
+            self._give_up(used)
+            del self._index[used.name], self._used[index]
             self._places.give(index)
-            self._silence(index)
-            self._give_up(index)
             self._rows.pointer[index] = ffi.new("struct hd_material *")[0]
             self.changed = True
 
     def _compile(self, index: int) -> None:
-        material = self._known[index]
-        if isinstance(material.texture, Stochastic | Autoregressive):
-            if index not in self._noise_of:
-                self._noise_of[index] = self._noise_places.take()
-            if index not in self._heard or self._heard[index][0] != material.texture:
-                design = self._designed(material.texture)
+        used = self._used[index]
+        material, texture = used.material, used.material.texture
+        if isinstance(texture, Stochastic | Autoregressive):
+            if used.noise is None:
+                used.noise = self._noise_places.take()
+            if used.heard is None or used.heard[0] != texture:
+                filters = self._designed(texture)
                 self._versions = next_version(self._versions)
-                self._heard[index] = material.texture, self._versions, design
+                used.heard = texture, self._versions, filters
                 self._numbers_changed = True
         else:
-            self._silence(index)
-        self._give_up(index)
-        numbers = tuple(numbers_of(material, self.output))
-        if numbers:
-            self._own_numbers[index] = numbers
-            self._numbers_changed = True
-        effects = {mode: self._effects.take(mode) for mode in struck_modes(material)}
-        self._struck[index] = tuple(effects)
-        self._rows.pointer[index] = material_record(material, self._noise_of.get(index, 0), self.output, effects)[0]
+            self._silence(used)
+        self._give_up(used)
+        effects: dict[Mode, Effect | None] = {}
+        if self._effects is not None:
+            effects = {mode: self._effects.take(mode) for mode in struck_modes(material)}
+        used.struck = tuple(effects)
+        record, used.numbers = material_record(material, used.noise or 0, self.output, effects)
+        self._rows.pointer[index] = record[0]
+        self._numbers_changed |= bool(used.numbers)
         self.changed = True
 
-    def _give_up(self, index: int) -> None:
-        self._numbers_changed |= self._own_numbers.pop(index, None) is not None
-        for mode in self._struck.pop(index, ()):
+    def _give_up(self, used: _Used) -> None:
+        """What was compiled of a material, but for its noise."""
+        self._numbers_changed |= bool(used.numbers)
+        for mode in used.struck:
+            assert self._effects is not None
             self._effects.give(mode)
+        used.numbers, used.struck = {}, ()
+
+    def _silence(self, used: _Used) -> None:
+        if used.noise is not None:
+            self._noise_places.give(used.noise)
+            used.noise = used.heard = None
+            self._numbers_changed = True
 
     def _designed(self, texture: Noise) -> Design:
         found = self._prepared.get((texture, self.output))
@@ -173,18 +175,15 @@ class Materials:
     def prepare(self, name: str, material: Material) -> Steps[None]:
         """Finds what takes long of a material that is to be compiled under this name: filters, compensated shapes, the
         spectrum of a waveform. Pauses after each filter, and after the rest."""
-        index, output = self._index.get(name), self.output
-        known = None if index is None else self._known[index]
-        if known is material:
+        used = self._used.get(self._index.get(name, -1))
+        if used is not None and used.material is material:
             return
         texture = material.texture
-        heard = known is not None and known.texture == texture
+        heard = used is not None and used.material.texture == texture
         if isinstance(texture, Stochastic | Autoregressive) and not heard:
-            self._prepared[texture, output] = yield from design(texture, output)
-        # What these find is kept by the functions that they call.
-        material_record(material, 0, output, dict.fromkeys(struck_modes(material)))
-        for _ in numbers_of(material, output):
-            yield
+            self._prepared[texture, self.output] = yield from design(texture, self.output)
+        # What this finds is kept by the functions that it calls.
+        material_record(material, 0, self.output)
         yield
 
     def forget_prepared(self) -> None:
@@ -195,15 +194,7 @@ class Materials:
         """The names in use of which `source` has another material."""
         if source is self._source:
             return []
-        places = self._index.items()
-        return [name for name, index in places if source.get(name, self._known[index]) is not self._known[index]]
-
-    def _silence(self, index: int) -> None:
-        place = self._noise_of.pop(index, None)
-        if place is not None:
-            del self._heard[index]
-            self._noise_places.give(place)
-            self._numbers_changed = True
+        return [used.name for used in self._used.values() if source.get(used.name, used.material) is not used.material]
 
     def rows(self) -> npt.NDArray[np.void]:
         """The records, at their indices."""
@@ -224,27 +215,27 @@ class Materials:
     def _rebuild_numbers(self) -> None:
         """All noises and their numbers, and those of the materials. A place that is free is silent."""
         self._noises = records(NOISE_DTYPE, self._noise_places.count)
-        used = {place: index for index, place in self._noise_of.items()}
+        heard = {used.noise: used.heard for used in self._used.values()}
         numbers: list[npt.NDArray[np.float64]] = []
         first = 0
         for place, record in enumerate(pointer("struct hd_noise[]", self._noises)):
-            design = SILENCE
-            if place in used:
-                texture, record.version, design = self._heard[used[place]]
+            filters, sounding = SILENCE, heard.get(place)
+            if sounding is not None:
+                texture, record.version, filters = sounding
                 record.along_normal = texture.direction == "normal"
                 record.seed = texture.seed
                 record.threshold_m_per_s = texture.threshold_m_per_s
                 if isinstance(texture, Stochastic):
                     record.velocity_gain_per_s = texture.velocity_gain_per_s
                     record.force_gain_m_per_s2_per_n = texture.force_gain_m_per_s2_per_n
-            record.order, record.taps = design.order, design.taps
-            record.speed_count, record.force_count = len(design.speeds), len(design.forces)
+            record.order, record.taps = filters.order, filters.taps
+            record.speed_count, record.force_count = len(filters.speeds), len(filters.forces)
             record.first = first
-            record.force_per_unit = 0.0 if design.muted else self.output.effective_mass_kg
-            numbers.append(design.numbers())
+            record.force_per_unit = 0.0 if filters.muted else self.output.effective_mass_kg
+            numbers.append(filters.numbers())
             first += len(numbers[-1])
-        for index, each in self._own_numbers.items():
-            for key, own in each:
+        for index, used in self._used.items():
+            for key, own in used.numbers.items():
                 setattr(self._rows.pointer[index], key, first)
                 numbers.append(own)
                 first += len(own)

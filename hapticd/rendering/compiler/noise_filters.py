@@ -1,24 +1,24 @@
-"""The filters of textures that are noise, designed for a rate, and kept for a while after their use."""
+"""The filters of textures that are noise, designed for a rate, as a grid over speeds and forces."""
 
 from __future__ import annotations
 
 import math
-import threading
-from collections import OrderedDict
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.lattice import reflection_of
+from hapticd.base.lattice import Reflection, reflection_of
 from hapticd.base.steps import Steps
 from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import displayed_pair
 from hapticd.rendering.filter_design import stochastic_filter
-from hapticd.rendering.noise_grid import Model, grid
 from hapticd.rendering.resampling import resampled
+
+Noise: TypeAlias = Stochastic | Autoregressive
 
 
 class Design(NamedTuple):
@@ -30,7 +30,7 @@ class Design(NamedTuple):
     forces: tuple[float, ...]
     nodes: npt.NDArray[np.float64]
     """(speeds, forces, 1 + order, and order + 1 with taps): RMS in m/s^2, reflection coefficients, ladder taps."""
-    muted: bool
+    muted: bool = False
 
     def numbers(self) -> npt.NDArray[np.float64]:
         return np.concatenate((self.speeds, self.forces, self.nodes.ravel()))
@@ -39,74 +39,29 @@ class Design(NamedTuple):
 SILENCE: Final = Design(0, False, (0.0,), (0.0,), np.zeros((1, 1, 1)), True)
 
 
-Noise: TypeAlias = Stochastic | Autoregressive
-_KEPT: Final = 16 * 2**20
-"""Bytes of designs that are kept after their use, of all outputs, and of what they were made of."""
+class Model(NamedTuple):
+    """What noise is at one speed and force: an all-pole filter and the RMS of its output."""
 
-
-def _bytes_of(texture: Noise) -> int:
-    """About: a number of Python's and the reference to it have 32 bytes."""
-    if isinstance(texture, Stochastic):
-        return 512
-    return sum(512 + 32 * len(model.coefficients) for model in texture.models)
-
-
-class Designs:
-    """Designs by what they are made of: materials come and go with the objects. For any thread."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[Noise, Output], tuple[Design, int]] = OrderedDict()
-        """Each with its bytes."""
-        self._bytes = 0
-        self._lock = threading.Lock()
-
-    def find(self, texture: Noise, output: Output) -> Design | None:
-        with self._lock:
-            found = self._kept.get((texture, output))
-            if found is not None:
-                self._kept.move_to_end((texture, output))
-            return None if found is None else found[0]
-
-    def keep(self, texture: Noise, output: Output, design: Design) -> None:
-        """Keeps a design, and gives up those that were not asked for longest."""
-        with self._lock:
-            if (texture, output) not in self._kept:
-                size = design.nodes.nbytes + _bytes_of(texture)
-                self._kept[texture, output] = design, size
-                self._bytes += size
-            while self._bytes > _KEPT:
-                self._bytes -= self._kept.popitem(last=False)[1][1]
-
-
-designs: Final = Designs()
+    speed_m_per_s: float
+    force_n: float
+    reflection: Reflection
+    rms_m_per_s2: float
 
 
 def design(texture: Noise, output: Output) -> Steps[Design]:
     """The filters of a texture, with a pause after each: that of a model identified at another rate takes tens of
     milliseconds."""
-    found = designs.find(texture, output)
-    if found is None:
-        found = yield from _new_design(texture, output)
-        designs.keep(texture, output, found)
-    return found
-
-
-def _new_design(texture: Noise, output: Output) -> Steps[Design]:
-    if isinstance(texture, Stochastic):
-        pair = displayed_pair(texture, output)
-        if pair is None:
-            return SILENCE
-        shown = stochastic_filter(*pair, output.rate_hz)
-        taps = () if shown.taps is None else shown.taps
-        node = np.array([0.0, *shown.reflection, *taps])
-        return Design(len(shown.reflection), bool(taps), (0.0,), (0.0,), node.reshape(1, 1, -1), False)
-    models = []
-    for model in texture.models:
-        models.append(_shown_model(model, texture.rate_hz, output.rate_hz))
-        yield
-    order = max(len(model.reflection) for model in models)
-    found = grid(models, order)
-    return Design(order, False, found.speeds, found.forces, found.nodes, False)
+    if isinstance(texture, Autoregressive):
+        for model in texture.models:
+            _shown_model(model, texture.rate_hz, output.rate_hz)
+            yield
+        return _shown_grid(texture, output.rate_hz)
+    pair = displayed_pair(texture, output)
+    if pair is None:
+        return SILENCE
+    shown = stochastic_filter(*pair, output.rate_hz)
+    node = np.array([0.0, *shown.reflection, *(shown.taps or ())])
+    return Design(len(shown.reflection), shown.taps is not None, (0.0,), (0.0,), node.reshape(1, 1, -1))
 
 
 @lru_cache(maxsize=1024)
@@ -115,3 +70,40 @@ def _shown_model(model: AutoregressiveModel, from_rate_hz: float, to_rate_hz: fl
     other = resampled(given, from_rate_hz, to_rate_hz)
     rms = model.level(given) * math.sqrt(other.kept)
     return Model(model.speed_m_per_s, model.force_n, other.reflection, rms)
+
+
+@lru_cache(maxsize=16)
+def _shown_grid(texture: Autoregressive, rate_hz: float) -> Design:
+    """Kept for a while after its use: materials come and go with the objects. The largest has a megabyte."""
+    return grid([_shown_model(model, texture.rate_hz, rate_hz) for model in texture.models])
+
+
+def grid(models: Sequence[Model]) -> Design:
+    """The grid on all speeds and forces at which there are models, of the highest of their orders.
+
+    A model is its node, with zeros after its own order (which do not change it). A node without a model is a mean of
+    all of them, weighted by the inverse square of their distance (Shepard, 1968) on axes scaled to their ranges: the
+    weights are positive and add up to one, so that the RMS stays within what was given and every |k| below 1.
+    """
+    order = max(len(model.reflection) for model in models)
+    places = np.array([(model.speed_m_per_s, model.force_n) for model in models])
+    speeds, rows = np.unique(places[:, 0], return_inverse=True)
+    forces, columns = np.unique(places[:, 1], return_inverse=True)
+    given = np.zeros((len(speeds), len(forces)), dtype=np.bool_)
+    given[rows, columns] = True
+    values = np.zeros((len(models), 1 + order))
+    for value, model in zip(values, models, strict=True):
+        value[0] = model.rms_m_per_s2
+        value[1 : 1 + len(model.reflection)] = model.reflection
+    nodes = np.empty((len(speeds), len(forces), 1 + order))
+    nodes[rows, columns] = values
+    scale = np.array([float(np.ptp(axis)) or 1.0 for axis in (speeds, forces)])
+    for row in range(len(speeds)):
+        free = np.flatnonzero(~given[row])
+        away = (places[:, None] - np.stack(np.broadcast_arrays(speeds[row], forces[free]), axis=-1)) / scale
+        distance = np.maximum(np.hypot(away[..., 0], away[..., 1]), np.finfo(np.float64).tiny)
+        weights = (distance.min(axis=0) / distance) ** 2
+        blends = (weights / weights.sum(axis=0)).T @ values
+        # Rounding must not carry a mean past what it is the mean of.
+        nodes[row, free] = np.clip(blends, values.min(axis=0), values.max(axis=0))
+    return Design(order, False, tuple(speeds.tolist()), tuple(forces.tolist()), nodes)

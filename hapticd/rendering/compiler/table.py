@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Final, TypeAlias, TypeGuard, assert_never
 
@@ -24,10 +25,8 @@ from hapticd.base.core import OBJECT_DTYPE, PASSIVITY_AGE_MAX, CData, PassivityM
 from hapticd.base.steps import Steps
 from hapticd.config.materials import Material
 from hapticd.config.scene import SURFACE_KINDS, Scene, SceneObject, Surface
-from hapticd.rendering.compiler.fields import Fields
 from hapticd.rendering.compiler.materials import Effects, Materials
 from hapticd.rendering.compiler.records import Places, Records, next_version
-from hapticd.rendering.compiler.retired_names import RetiredNames
 from hapticd.rendering.compiler.walls import PatchedWalls, same
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.surface_table import SurfaceTable
@@ -40,8 +39,12 @@ PASSIVITY_BRAKE: Final = 0.1
 """The passivity controller takes at most this part of a handle's momentum in a period."""
 
 _SAME_PERIOD: Final = 1e-6
+_NO_FIELD: Final = (0.0,) * 4
 _Place: TypeAlias = tuple[float, float, float, float, float, float]
-
+_Owner: TypeAlias = tuple[int, int]
+"""Slot and generation: what an event says of its object."""
+_Field: TypeAlias = tuple[float, float, float, float]
+"""Force (x, y), stiffness and damping: F = force - stiffness p - damping v."""
 
 # By kind: isinstance of a pydantic model costs more than the rest of its record. So does a member of an enum.
 _SURFACE_KINDS: Final = frozenset(SURFACE_KINDS)
@@ -68,6 +71,20 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
     assert_never(item)
 
 
+def _field_of(item: SceneObject | None) -> _Field | None:
+    """None for a surface."""
+    if item is None:
+        return None
+    if item.kind == "spring":
+        stiffness = item.stiffness_n_per_m
+        return stiffness * item.center_m[0], stiffness * item.center_m[1], stiffness, item.damping_n_s_per_m
+    if item.kind == "viscous":
+        return 0.0, 0.0, 0.0, item.damping_n_s_per_m
+    if item.kind == "constant":
+        return item.force_n[0], item.force_n[1], 0.0, 0.0
+    return None
+
+
 class Compiler:
     """Keeps the table of one scene up to date. One thread at a time, but for `name_of` and `events_read`."""
 
@@ -79,12 +96,16 @@ class Compiler:
         self._slots: dict[str, int] = {}
         self._owners: list[tuple[int, str] | None] = []
         """Generation and id, by slot."""
-        self._retired = RetiredNames()
-        self._lost: dict[str, tuple[int, int]] = {}
-        """Slot and generation that ids lost at the last update."""
+        self._lost: dict[str, _Owner] = {}
+        """What ids had and lost at the last update."""
+        self._retired: dict[_Owner, str] = {}
+        """Ids of what is gone: the events of its last ticks are read a moment later and speak of it."""
+        self._retiring: deque[tuple[int, list[_Owner]]] = deque()
+        """Revisions and what they took away, the oldest first."""
+        self._read_revision: int | None = None
         self._materials = Materials(output, beat, effects)
         self._walls = PatchedWalls(self._materials)
-        self._fields = Fields()
+        self._fields: dict[str, _Field] = {}
         self._changed: set[int] = set()
         self.touched: dict[int, None] = {}
         """The slots of surfaces that the last update put there, or of whose materials it changed one."""
@@ -144,16 +165,16 @@ class Compiler:
         return ["" if owner is None else owner[1] for owner in self._owners]
 
     def name_of(self, slot: int, generation: int) -> str | None:
-        """The id of the object that has, or had, a slot; None where its events were read. For any thread."""
+        """The id of the object that has, or had, a slot; None some time after its events were read. For any thread."""
         owner = self._owners[slot] if slot < len(self._owners) else None
         if owner is not None and owner[0] == generation:
             return owner[1]
-        return self._retired.name_of(slot, generation)
+        return self._retired.get((slot, generation))
 
     def events_read(self, revision: int) -> None:
-        """Every event up to the tick that took this revision, and of that tick, was read: what went until then has no
-        name any more. For any one thread."""
-        self._retired.read(revision)
+        """Every event up to the tick that took this revision, and of that tick, was read: the names of what went until
+        then are given up at the next update. For any thread."""
+        self._read_revision = revision
 
     def surfaces(self) -> SurfaceTable:
         """What of the table says how surfaces and fields push, as long as nothing updates it."""
@@ -205,7 +226,8 @@ class Compiler:
         generations included. The next table is to be taken whole."""
         self._table.all_changed = 1
         former, self._lost = self._lost, {}
-        self._retired.take_back(self._table.revision)
+        if self._retiring and self._retiring[-1][0] == self._table.revision:
+            self._retiring.pop()
         self._update(scene, list(changed), materials, revision, former)
 
     def _update(
@@ -214,7 +236,7 @@ class Compiler:
         ids: list[str],
         materials: Mapping[str, Material],
         revision: int,
-        former: Mapping[str, tuple[int, int]],
+        former: Mapping[str, _Owner],
     ) -> CData:
         self._stamp = next_version(self._stamp)
         self.touched = {}
@@ -226,20 +248,29 @@ class Compiler:
             surface = _is_surface(item)
             if not surface and id in self._slots:
                 self._remove(id)
-            fields_changed |= self._fields.put(id, None if surface else item)
+            before, field = self._fields.pop(id, None), _field_of(item)
+            if field is not None:
+                self._fields[id] = field
+            fields_changed |= field != before
         self._mark_made_of(self._materials.turn_to(materials))
         for id in ids:
             item = objects.get(id)
             if _is_surface(item):
                 self._put(id, item, former.get(id))
-        self._retired.close(revision, self._lost.values())
+        self._retire_names(revision)
         if self._walls.changed or self._materials.changed:
             table.parts_version = self._stamp
             self._changed.update(self._walls.write(table, self._objects.array))
             self._materials.write(table)
         if fields_changed:
             table.field_version = self._stamp
-            self._fields.write(table.field)
+            # Correctly rounded however often fields come and go (docs/adr/0005).
+            *force, stiffness, damping = map(math.fsum, zip(_NO_FIELD, *self._fields.values(), strict=True))
+            table.field.force_n, table.field.stiffness_n_per_m, table.field.damping_n_s_per_m = (
+                force,
+                stiffness,
+                damping,
+            )
         table.revision = revision
         table.display_force = scene.display.force
         table.display_vibration = scene.display.vibration
@@ -253,7 +284,7 @@ class Compiler:
         table.changed = pointer("uint32_t[]", self._changed_slots)
         return table
 
-    def _put(self, id: str, item: Surface, former: tuple[int, int] | None) -> None:
+    def _put(self, id: str, item: Surface, former: _Owner | None) -> None:
         """`former`: slot and generation that it gets back."""
         stamp = self._stamp
         shape, place = _place_of(item)
@@ -303,9 +334,19 @@ class Compiler:
         """The slot has no owner any more; its name is kept for a while."""
         owner = self._owners[slot]
         assert owner is not None
-        self._retired.add((slot, owner[0]), owner[1])
-        self._lost[owner[1]] = (slot, owner[0])
+        generation, id = owner
+        self._lost[id] = slot, generation
+        self._retired[slot, generation] = id  # before the owner goes: another thread asks for the name meanwhile
         self._owners[slot] = None
+
+    def _retire_names(self, revision: int) -> None:
+        """Of what went with this revision the names are kept until its events were read."""
+        if self._lost:
+            self._retiring.append((revision, list(self._lost.values())))
+        read = self._read_revision
+        while self._retiring and read is not None and (read - self._retiring[0][0]) & 0xFFFFFFFF < 0x80000000:
+            for owner in self._retiring.popleft()[1]:
+                del self._retired[owner]
 
     def _mark_made_of(self, materials: list[int]) -> None:
         """Marks what is made of these materials."""
