@@ -28,7 +28,7 @@ from hapticd.analysis.check import check
 from hapticd.base.core import Flag
 from hapticd.config.configuration import Config, load_config
 from hapticd.rendering.end_state import EndState, end_state
-from hapticd.rendering.endless_simulation import EndlessSimulation
+from hapticd.rendering.offline import CompiledScene, Simulation
 from hapticd.sweeps.measures.energy import given_j
 
 Kind: TypeAlias = Literal["wall", "texture", "patches", "corner", "seam", "disc", "mixed"]
@@ -269,8 +269,8 @@ class Outcome:
 def given(case: Case, mode: Mode) -> float:
     """The most, J, that touched objects give to the hand in a contact: without vibration, whose part of a force at the
     limit samples do not tell. No fields, forces on: every force is theirs."""
-    loop = EndlessSimulation(case.config(mode, vibration=False), case.waypoints)
-    truth, samples = loop.recorded(case.waypoints[-1][0] + AFTER_S)
+    loop = Simulation(CompiledScene(case.config(mode, vibration=False)), case.waypoints)
+    samples, truth, _ = loop.run(case.waypoints[-1][0] + AFTER_S)
     touched = (samples["flags"] & Flag.CONTACT) != 0
     return given_j(samples["force_n"], truth[:, :2], touched, case.age)
 
@@ -278,9 +278,9 @@ def given(case: Case, mode: Mode) -> float:
 def settle(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> Outcome:
     """Runs a loop until its end is certain."""
     config = case.config(mode)
-    loop = EndlessSimulation(config, case.waypoints)
+    loop = Simulation(CompiledScene(config), case.waypoints)
     device = config.device
-    _, samples = loop.recorded(case.waypoints[-1][0] + AFTER_S)
+    samples, _, _ = loop.run(case.waypoints[-1][0] + AFTER_S)
     return Outcome(
         end=end_state(loop.go_on, longest_s),
         given_j=given(case, mode),
@@ -292,7 +292,7 @@ def settle(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> Outcome:
 
 def drives_itself(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> bool:
     """Whether it rests without vibration."""
-    loop = EndlessSimulation(case.config(mode, vibration=False), case.waypoints)
+    loop = Simulation(CompiledScene(case.config(mode, vibration=False)), case.waypoints)
     loop.go_on(case.waypoints[-1][0] + AFTER_S)
     return end_state(loop.go_on, longest_s).fate == "rests"
 

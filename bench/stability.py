@@ -23,8 +23,7 @@ from hapticd.base.yaml_source import Json, load_path
 from hapticd.config.configuration import Config, load_config
 from hapticd.rendering.contact_sets import ContactSets
 from hapticd.rendering.device_output import loop_of
-from hapticd.rendering.end_state import EndState, Fate
-from hapticd.rendering.endless_simulation import end_of
+from hapticd.rendering.end_state import EndState, Fate, end_of
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.scene_stability import sets_of
 from hapticd.rendering.stability import Loop, spectral_radius

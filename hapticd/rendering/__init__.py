@@ -14,7 +14,6 @@ What can be shown:
     displayability      what of scene and materials is muted, lowered, refused or shown otherwise
     undisplayable_text  one mode that the rate cannot carry, and its sentence; cheap to load
     lagging_modes       modes that the actuator is too slow for
-    endless_simulation  the closed loop for as long as is asked
     end_state           how a simulated motion ends: at rest, or in a cycle
     driven_hand         whether a texture drives a light hand along by itself
     displayed_error     how far the handle's acceleration is from what was wanted

@@ -7,12 +7,15 @@ half a second is followed until the handle rests, or until it no longer changes 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+
+from hapticd.config.configuration import Config
+from hapticd.rendering.offline import CompiledScene, Simulation
 
 Fate = Literal["rests", "cycles", "grows", "falls"]
 """`falls`: the energy still falls after the longest time; nobody knows to what."""
@@ -27,6 +30,8 @@ STEADY: Final = 0.01
 CHANGES: Final = 0.1
 """What is not regular (chaotic, or beating) grows or falls if its energy changes by more than this part within the last
 quarter of the time."""
+RESTED_S: Final = 0.2
+"""A motion is judged from so long after the hand's last waypoint on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,3 +97,15 @@ def _fades(energies: list[float]) -> bool:
     means = [math.fsum(energies[len(energies) - k * eighth :][:eighth]) for k in (4, 3, 2, 1)]
     falls = np.diff(np.log(np.maximum(means, 1e-300)))
     return bool((falls < 0.0).all() and falls[-1] <= 0.75 * falls[0])
+
+
+def end_of(
+    config: Config,
+    waypoints: Sequence[Sequence[float]],
+    longest_s: float = 640.0,
+    interpolation: Literal["linear", "minimum_jerk"] = "linear",
+) -> EndState:
+    """How the motion of the simulated handle ends once the hand's reference rests, as end_state judges it."""
+    simulation = Simulation(CompiledScene(config), waypoints, interpolation)
+    simulation.go_on(waypoints[-1][0] + RESTED_S)
+    return end_state(simulation.go_on, longest_s)

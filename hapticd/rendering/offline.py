@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -46,6 +46,10 @@ from hapticd.rendering.undisplayable_text import Undisplayable
 Samples: TypeAlias = npt.NDArray[np.void]
 """Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record a tick, with the fields and units of telemetry."""
 
+Events: TypeAlias = npt.NDArray[np.void]
+"""Shape (m,), dtype `hapticd.base.core.EVENT_DTYPE`."""
+Floats: TypeAlias = npt.NDArray[np.float64]
+
 MAX_DURATION_S = 3600.0
 
 
@@ -55,11 +59,10 @@ class Run:
 
     samples: Samples
     """(n,) records, one a tick."""
-    events: npt.NDArray[np.void]
-    """(m,) records of `hapticd.base.core.EVENT_DTYPE`."""
+    events: Events
     objects: dict[tuple[int, int], str]
     """Ids of the objects that events speak of, by their slot and generation."""
-    truth: npt.NDArray[np.float64] | None
+    truth: Floats | None
     """(n, 4) the simulated handle's own position (m) and velocity (m/s) at each tick; None for `render`."""
     undisplayable: tuple[Undisplayable, ...]
     """Modes and peaks of textures of the scene that this rate cannot carry."""
@@ -70,23 +73,24 @@ class Run:
     """Ticks per second."""
 
 
-class _Scene:
+class CompiledScene:
     """A configuration, compiled for a rate, by default its own. Raises InvalidError for what no signal of it has."""
 
-    def __init__(self, config: ConfigSource, rate_hz: float | None) -> None:
+    def __init__(self, config: ConfigSource, rate_hz: float | None = None) -> None:
         self.config: Config = load_config(config)
         self.rate_hz = self.config.servo.rate_hz if rate_hz is None else _rate(rate_hz)
         scene, materials = self.config.scene, self.config.materials
-        output = output_of(self.config, self.rate_hz)
-        refused = rate_faults(scene.objects, materials, output)
+        self.output = output_of(self.config, self.rate_hz)
+        refused = rate_faults(scene.objects, materials, self.output)
         if refused:
             raise InvalidError(refused)
-        self.undisplayable = tuple(undisplayable(materials_in(scene.objects, materials), output))
-        self.warnings = tuple(warnings(scene.objects, materials, output))
-        compiler = Compiler(output)
-        self.world = new_world(compiler.update(scene, scene.objects, materials, 1))
-        self.objects = {place: id for id in scene.objects if (place := compiler.slot_of(id)) is not None}
-        self._compiler = compiler
+        self._compiler = Compiler(self.output)
+        self.world = new_world(self._compiler.update(scene, scene.objects, materials, 1))
+
+    def new_state(self, resolution_m: float) -> CData:
+        state = new_state_of(len(self.config.scene.objects))
+        lib.hd_state_set_resolution(state, resolution_m)
+        return state
 
     def stability(self) -> Stability:
         """Which sets of objects are not safe with the simulated joystick, whatever the configuration's device is."""
@@ -96,10 +100,18 @@ class _Scene:
         objects = self.config.scene.objects
         return evaluate(self._compiler.surfaces(), self._compiler.names().__getitem__, lambda: field_ids(objects), loop)
 
-    def new_state(self, resolution_m: float) -> CData:
-        state = new_state_of(len(self.objects))
-        lib.hd_state_set_resolution(state, resolution_m)
-        return state
+    def gave(self, samples: Samples, events: Events, truth: Floats | None, unstable: Iterable[Problem] = ()) -> Run:
+        """What a run gave, and what of the scene was not displayed as it was meant."""
+        objects, materials = self.config.scene.objects, self.config.materials
+        return Run(
+            samples,
+            events,
+            {place: id for id in objects if (place := self._compiler.slot_of(id)) is not None},
+            truth,
+            tuple(undisplayable(materials_in(objects, materials), self.output)),
+            (*warnings(objects, materials, self.output), *unstable),
+            self.rate_hz,
+        )
 
 
 def new_state_of(slots: int) -> CData:
@@ -141,9 +153,9 @@ class _Recorder:
         self._room = records(EVENT_DTYPE, self.STRETCH * self.EVENTS_PER_TICK)
         self._room_pointer = pointer("struct hd_event[]", self._room)
         self._count = ffi.new("size_t *")
-        self._taken: list[npt.NDArray[np.void]] = []
+        self._taken: list[Events] = []
 
-    def run(self, count: int, stretch: Callable[[slice, CData, int, CData], int]) -> npt.NDArray[np.void]:
+    def run(self, count: int, stretch: Callable[[slice, CData, int, CData], int]) -> Events:
         """Calls `stretch` for each slice of `count` ticks; the events of all of them."""
         for start in range(0, count, self.STRETCH):
             part = slice(start, min(count, start + self.STRETCH))
@@ -192,12 +204,7 @@ class Rerun:
 
     def play(self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float) -> None:
         """Strikes a mode at the next tick, as the daemon's `play` does."""
-        length = math.hypot(*direction)
-        record = ffi.new("struct hd_mode *")
-        record[0] = mode_record(mode, 1.0, mode.coefficient(1.0, attack), self._output)
-        along = ffi.new("double[2]", (direction[0] / length, direction[1] / length))
-        if lib.hd_play(self._state, record, along, amplitude_m_per_s2) != Status.OK:
-            raise HapticdError(f"the mode cannot be played: {invalid_reason()}")
+        _play(self._state, self._output, mode, mode.coefficient(1.0, attack), direction, amplitude_m_per_s2)
 
     def reset(self, objects: Iterable[str] | None, time_ns: int) -> None:
         """Clears contact state at the next tick, which has this time, as the daemon's `reset` does."""
@@ -210,9 +217,7 @@ class Rerun:
         """The id of the object that an event speaks of."""
         return self._compiler.name_of(int(event["slot"]), int(event["generation"]))
 
-    def run(
-        self, recorded: Samples, interval_s: npt.NDArray[np.float64], periods: npt.NDArray[np.uint32]
-    ) -> tuple[Samples, npt.NDArray[np.void]]:
+    def run(self, recorded: Samples, interval_s: Floats, periods: npt.NDArray[np.uint32]) -> tuple[Samples, Events]:
         """The samples and events of (n,) recorded ticks; `interval_s`, (n,): between the report of a tick and the one
         before, 0: none came; `periods`, (n,): since the tick before."""
         world, samples = self._world, np.empty(len(recorded), SAMPLE_DTYPE)
@@ -237,16 +242,74 @@ class Rerun:
         return samples, events
 
 
-def _ticks(duration_s: float, rate_hz: float) -> int:
+class Simulation:
+    """The closed loop of the tick and the simulated joystick, which goes on where it was. Raises HapticdError for what
+    cannot be rendered."""
+
+    def __init__(
+        self,
+        scene: CompiledScene,
+        waypoints: Sequence[Sequence[float]] | None = None,
+        interpolation: Literal["linear", "minimum_jerk"] = "linear",
+    ) -> None:
+        """`waypoints` are rows [t_s, x_m, y_m] of the hand, where the handle starts at rest; None: it stays where it
+        is."""
+        sim = scene.config.device.sim
+        self._scene, self._recorder = scene, _Recorder()
+        self._state, self._sim = scene.new_state(sim.encoder_step_m), new_sim(sim, scene.rate_hz)
+        if waypoints is not None:
+            self._hand = new_operator(waypoints, interpolation)
+            lib.hd_sim_operate(self._sim, self._hand)
+            lib.hd_sim_settle(self._sim)
+
+    def strike(self, mode: Mode, coefficient_m_per_s2: float, direction: tuple[float, float]) -> None:
+        """Strikes a mode at the next tick."""
+        _play(self._state, self._scene.output, mode, 1.0, direction, coefficient_m_per_s2)
+
+    def go_on(self, duration_s: float) -> Floats:
+        """The handle's own position (m) and velocity (m/s) at the ticks to come, (n, 4)."""
+        return self.run(duration_s)[1]
+
+    def run(self, duration_s: float) -> tuple[Samples, Floats, Events]:
+        """As go_on, with samples, (n,), and events of the same ticks, one at least."""
+        count = max(1, round(duration_s * self._scene.rate_hz))
+        samples, truth = np.empty(count, SAMPLE_DTYPE), np.empty((count, 4))
+        events = self._recorder.run(
+            count,
+            lambda part, room, capacity, found: lib.hd_simulate(
+                self._scene.world,
+                self._state,
+                self._sim,
+                part.stop - part.start,
+                pointer("struct hd_sample[]", samples[part]),
+                pointer("double[]", truth[part]),
+                room,
+                capacity,
+                found,
+            ),
+        )
+        return samples, truth, events
+
+
+def _play(
+    state: CData, output: Output, mode: Mode, coefficient: float, direction: tuple[float, float], amplitude: float
+) -> None:
+    length = math.hypot(*direction)
+    record = ffi.new("struct hd_mode *", mode_record(mode, 1.0, coefficient, output))
+    along = ffi.new("double[2]", (direction[0] / length, direction[1] / length))
+    if lib.hd_play(state, record, along, amplitude) != Status.OK:
+        raise HapticdError(f"the mode cannot be played: {invalid_reason()}")
+
+
+def _duration(duration_s: float, rate_hz: float) -> float:
     wanted = f"must be a number of seconds, at least one tick and at most {MAX_DURATION_S:g} s"
-    if isinstance(duration_s, bool) or not isinstance(duration_s, int | float | np.integer | np.floating):
+    number = not isinstance(duration_s, bool) and isinstance(duration_s, int | float | np.integer | np.floating)
+    if not number or not 0 < duration_s <= MAX_DURATION_S or round(float(duration_s) * rate_hz) < 1:
         raise InvalidError([Problem("duration_s", f"{wanted}, is {shown(duration_s)}")])
-    if not 0 < duration_s <= MAX_DURATION_S or round(float(duration_s) * rate_hz) < 1:
-        raise InvalidError([Problem("duration_s", f"{wanted}, is {shown(duration_s)}")])
-    return round(float(duration_s) * rate_hz)
+    return float(duration_s)
 
 
-def _numbers(values: npt.ArrayLike, name: str, columns: int) -> npt.NDArray[np.float64]:
+def _numbers(values: npt.ArrayLike, name: str, columns: int) -> Floats:
     """Real numbers, shape (n, columns); whether they are finite is not asked here."""
     try:
         given = np.asarray(values)
@@ -260,7 +323,7 @@ def _numbers(values: npt.ArrayLike, name: str, columns: int) -> npt.NDArray[np.f
     return array
 
 
-def _positions(position_m: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+def _positions(position_m: npt.ArrayLike, name: str) -> Floats:
     array = _numbers(position_m, name, 2)
     with np.errstate(over="ignore", invalid="ignore"):
         total = array.sum()
@@ -302,7 +365,7 @@ def render_run(
     periods: npt.ArrayLike | None = None,
 ) -> Run:
     """As `render`, with the events; `periods`, shape (n,), says how many periods before each tick (1: none missed)."""
-    scene = _Scene(config, rate_hz)
+    scene = CompiledScene(config, rate_hz)
     positions = _positions(position_m, "position_m")
     count = len(positions)
     velocities = counts = None
@@ -331,7 +394,7 @@ def render_run(
             found,
         ),
     )
-    return Run(samples, events, scene.objects, None, scene.undisplayable, scene.warnings, scene.rate_hz)
+    return scene.gave(samples, events, None)
 
 
 def simulate(
@@ -366,34 +429,13 @@ def simulate_run(
 
     Without `check_stability`, which may take longer than the run, the warnings say nothing of what may oscillate.
     """
-    scene = _Scene(config, rate_hz)
+    scene = CompiledScene(config, rate_hz)
     operator = _operator(waypoints, interpolation)
-    device = scene.config.device.sim
-    path = way_of(operator, scene.config)
-    count = _ticks(float(path[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
+    way = way_of(operator, scene.config)
+    lasting_s = _duration(float(way[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
     unstable = scene.stability().problems() if check_stability else ()
-    sim = new_sim(device, scene.rate_hz)
-    hand = new_operator(path.tolist(), operator.interpolation)
-    lib.hd_sim_operate(sim, hand)
-    lib.hd_sim_settle(sim)
-    state = scene.new_state(device.encoder_step_m)
-    samples = np.empty(count, SAMPLE_DTYPE)
-    truth = np.empty((count, 4))
-    events = _Recorder().run(
-        count,
-        lambda part, room, capacity, found: lib.hd_simulate(
-            scene.world,
-            state,
-            sim,
-            part.stop - part.start,
-            pointer("struct hd_sample[]", samples[part]),
-            pointer("double[]", truth[part]),
-            room,
-            capacity,
-            found,
-        ),
-    )
-    return Run(samples, events, scene.objects, truth, scene.undisplayable, (*scene.warnings, *unstable), scene.rate_hz)
+    samples, truth, events = Simulation(scene, way.tolist(), operator.interpolation).run(lasting_s)
+    return scene.gave(samples, events, truth, unstable)
 
 
 def _operator(

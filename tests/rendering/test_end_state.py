@@ -15,7 +15,7 @@ from bench.swept import STUDIES
 from hapticd.base.yaml_source import load_path
 from hapticd.config.dynamics import Dynamics
 from hapticd.rendering.end_state import EndState, end_state
-from hapticd.rendering.endless_simulation import EndlessSimulation
+from hapticd.rendering.offline import CompiledScene, Simulation
 from hapticd.rendering.stability import Loop, spectral_radius, timing
 
 Floats = npt.NDArray[np.float64]
@@ -79,6 +79,6 @@ def test_a_free_handle_rests_up_to_its_exact_limit_and_not_beyond(stiffness: flo
     config = on_wall(base["base"], LIGHT, stiffness)
     loop = Loop(timing(10_000.0), Dynamics(0.04, 0.2, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 100.0, 0.075)
     assert (float(spectral_radius(np.diag([stiffness, 0.0]), np.zeros((2, 2)), loop)) < 1.0 + 1e-9) == (fate == "rests")
-    simulation = EndlessSimulation(config, [[0.0, 0.0, 0.005], [0.08, 0.0, 0.005]])
+    simulation = Simulation(CompiledScene(config), [[0.0, 0.0, 0.005], [0.08, 0.0, 0.005]])
     simulation.go_on(0.3)
     assert end_state(simulation.go_on).fate == fate

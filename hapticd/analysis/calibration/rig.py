@@ -13,24 +13,19 @@ What they cannot do they raise as HapticdError.
 
 from __future__ import annotations
 
-import math
 import time
 from typing import Final, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config
 from hapticd.config.modes import Mode
 from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine
 from hapticd.protocol.events import fault_names
-from hapticd.rendering.compiler.mode_record import mode_record
-from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.device_output import output_of
-from hapticd.rendering.joystick import new_sim
-from hapticd.rendering.offline import Samples, new_state_of, new_world
+from hapticd.rendering.offline import CompiledScene, Samples, Simulation
 
 POLL_S: Final = 0.005
 STALLED_S: Final = 1.0
@@ -43,18 +38,11 @@ class SimRig:
     """The simulated joystick; the same on every run."""
 
     def __init__(self, config: Config) -> None:
-        self.rate_hz = config.servo.rate_hz
-        self.output = output_of(config, self.rate_hz)
-        self.hold_s = 1.0 / self.output.carried_hz
-        compiler = Compiler(self.output)
-        self._world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
-        sim = config.device.sim
-        self.force_steps_n = (sim.force_step_n, sim.force_step_n)
-        self._sim = new_sim(sim, self.rate_hz)
-        self._state = new_state_of(max(1, len(config.scene.objects)))
-        lib.hd_state_set_resolution(self._state, sim.encoder_step_m)
-        self._events = records(EVENT_DTYPE, 1024)
-        self._event_count = ffi.new("size_t *")
+        scene = CompiledScene(config)
+        self.rate_hz, self.output, self.hold_s = scene.rate_hz, scene.output, 1.0 / scene.output.carried_hz
+        step_n = config.device.sim.force_step_n
+        self.force_steps_n = (step_n, step_n)
+        self._simulation = Simulation(scene)
         self._ticks = 0
 
     def __enter__(self) -> Self:
@@ -64,34 +52,12 @@ class SimRig:
         """Nothing moves without `run`."""
 
     def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
-        played = ffi.new("struct hd_mode *", mode_record(mode, 1.0, 1.0, self.output))
-        length = math.hypot(*direction)
-        unit = ffi.new("double[2]", [direction[0] / length, direction[1] / length])
-        status = lib.hd_play(self._state, played, unit, amplitude_m_per_s2)
-        if status != Status.OK:
-            raise HapticdError(f"a mode cannot be struck: {invalid_reason()}")
+        self._simulation.strike(mode, amplitude_m_per_s2, direction)
         return self._ticks
 
     def run(self, duration_s: float) -> Samples:
-        count = max(1, round(duration_s * self.rate_hz))
-        samples = np.empty(count, SAMPLE_DTYPE)
-        truth = np.empty((count, 4))
-        status = lib.hd_simulate(
-            self._world,
-            self._state,
-            self._sim,
-            count,
-            pointer("struct hd_sample[]", samples),
-            pointer("double[]", truth),
-            pointer("struct hd_event[]", self._events),
-            len(self._events),
-            self._event_count,
-        )
-        if status == Status.ERR_MEMORY:
-            raise MemoryError("no memory for a run")
-        if status != Status.OK:
-            raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
-        self._ticks += count
+        samples, _, _ = self._simulation.run(duration_s)
+        self._ticks += len(samples)
         return samples
 
 

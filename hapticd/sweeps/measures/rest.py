@@ -6,7 +6,7 @@ from pydantic import Field
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.model import Model
-from hapticd.rendering.endless_simulation import end_of
+from hapticd.rendering.end_state import end_of
 from hapticd.sweeps.columns import Column, Row
 from hapticd.sweeps.point import Point
 
