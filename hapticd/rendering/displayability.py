@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import Final, TypeAlias
+from typing import Final
 
 from hapticd.base.errors import Path, Problem, path_text
 from hapticd.base.lattice import reflection_of
@@ -323,40 +323,33 @@ def _above_problem(above: float, output: Output) -> str:
     )
 
 
-_Worst: TypeAlias = tuple[float, int]
-"""The largest of a figure over the models of a texture, and the index of the model, negated: of equals the first."""
-
-
 @lru_cache(maxsize=8)
-def _losses(texture: Autoregressive, rate_hz: float, carried_hz: float) -> tuple[_Worst, _Worst, _Worst]:
-    """What models lose when they are shown at a rate: the largest fraction of power that is cut off, the largest error
-    of a spectrum in dB, and the largest fraction of power above what the link carries, if that is the lower rate."""
+def _losses(texture: Autoregressive, rate_hz: float, carried_hz: float) -> list[list[float]]:
+    """What each model loses when it is shown at a rate: the fractions of power that are cut off, the errors of spectra
+    in dB, and the fractions of power above what the link carries, if that is the lower rate."""
     shown = [resampled(reflection_of(model.coefficients), texture.rate_hz, rate_hz) for model in texture.models]
-    return (
-        max((1 - each.kept, -index) for index, each in enumerate(shown)),
-        max((each.error_db, -index) for index, each in enumerate(shown)),
-        max(
-            (power_above((each.reflection, None), DISPLAYABLE * carried_hz, rate_hz), -index)
-            for index, each in enumerate(shown)
-        )
-        if carried_hz < rate_hz
-        else (0.0, 0),
-    )
+    limit_hz = DISPLAYABLE * carried_hz if carried_hz < rate_hz else math.inf
+    above = [power_above((each.reflection, None), limit_hz, rate_hz) for each in shown]
+    return [[1 - each.kept for each in shown], [each.error_db for each in shown], above]
 
 
 def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output) -> Iterator[Problem]:
-    (loss, lossy), (error_db, wrong), (above, highest) = _losses(texture, output.rate_hz, output.carried_hz)
-    rate = f"at a rate of {_hz(output.rate_hz)}" + (", more than any other model" if len(texture.models) > 1 else "")
-    if loss > MAX_LOSS:
-        place = path_text(("materials", name, "texture", "models", -lossy))
-        yield Problem(place, f"loses {100 * loss:.3g} % of its power {rate}")
-    if error_db > MAX_ERROR_DB:
-        place = path_text(("materials", name, "texture", "models", -wrong))
-        yield Problem(place, f"is shown with a spectrum that is off by up to {error_db:.2g} dB {rate}")
-    if above > MAX_LOSS:
-        place = path_text(("materials", name, "texture", "models", -highest))
-        more = ", more of it than any other model" if len(texture.models) > 1 else ""
-        yield Problem(place, f"{_above_problem(above, output)}{more}")
+    """Of the worst model of each kind, of equals the first."""
+    losses = _losses(texture, output.rate_hz, output.carried_hz)
+    loss, error_db, above = map(max, losses)
+    more = "" if len(texture.models) == 1 else ", more than any other model"
+    problems = (
+        (loss > MAX_LOSS, f"loses {100 * loss:.3g} % of its power at a rate of {_hz(output.rate_hz)}{more}"),
+        (
+            error_db > MAX_ERROR_DB,
+            f"is shown with a spectrum that is off by up to {error_db:.2g} dB at a rate of {_hz(output.rate_hz)}{more}",
+        ),
+        (above > MAX_LOSS, f"{_above_problem(above, output)}{more}"),
+    )
+    for (is_large, problem), figures in zip(problems, losses, strict=True):
+        if is_large:
+            index = figures.index(max(figures))
+            yield Problem(path_text(("materials", name, "texture", "models", index)), problem)
 
 
 def patch_warnings(wall: Wall, root: Path) -> list[Problem]:

@@ -362,21 +362,16 @@ def render_run(
     rate_hz: float | None = None,
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
-    periods: npt.ArrayLike | None = None,
 ) -> Run:
-    """As `render`, with the events; `periods`, shape (n,), says how many periods before each tick (1: none missed)."""
+    """As `render`, with the events."""
     scene = CompiledScene(config, rate_hz)
     positions = _positions(position_m, "position_m")
     count = len(positions)
-    velocities = counts = None
+    velocities = None
     if velocity_m_per_s is not None:
         velocities = _positions(velocity_m_per_s, "velocity_m_per_s")
         if len(velocities) != count:
             raise InvalidError([Problem("velocity_m_per_s", f"must have shape ({count}, 2), has {velocities.shape}")])
-    if periods is not None:
-        counts = np.ascontiguousarray(periods, dtype=np.uint32)
-        if counts.shape != (count,):
-            raise InvalidError([Problem("periods", f"must have shape ({count},), has {counts.shape}")])
     state = scene.new_state(0.0)
     samples = np.empty(count, SAMPLE_DTYPE)
     events = _Recorder().run(
@@ -386,7 +381,7 @@ def render_run(
             state,
             pointer("double[]", positions[part]),
             ffi.NULL if velocities is None else pointer("double[]", velocities[part]),
-            ffi.NULL if counts is None else pointer("uint32_t[]", counts[part]),
+            ffi.NULL,  # no period was missed
             part.stop - part.start,
             pointer("struct hd_sample[]", samples[part]),
             room,

@@ -47,11 +47,12 @@ class Resampled(NamedTuple):
     """How far the spectrum is from the model's, at most, within that band and RANGE_DB of the peak."""
 
 
-def resampled(reflection: Sequence[float], from_rate_hz: float, to_rate_hz: float, order: int = MAX_ORDER) -> Resampled:
+@lru_cache(maxsize=1024)
+def resampled(model: Reflection, from_rate_hz: float, to_rate_hz: float) -> Resampled:
     """An all-pole model identified at one rate, as an all-pole model for another.
 
     The model's spectrum in that band gives the autocorrelation at the lags of the new rate, and Levinson and Durbin's
-    recursion the reflection coefficients. The smallest order up to `order` is taken that stays within CLOSE_DB of the
+    recursion the reflection coefficients. The smallest order up to MAX_ORDER is taken that stays within CLOSE_DB of the
     model's spectrum in the band (both of unit power) wherever that is within RANGE_DB of its peak; else the best.
 
     At a higher rate the model says nothing beyond its band. There power falls steeply from the band's edge. Where the
@@ -59,25 +60,10 @@ def resampled(reflection: Sequence[float], from_rate_hz: float, to_rate_hz: floa
     fit as far as it stays below the edge's; and because 32 lags of the new rate may be too short to resolve the
     model's poles, its sharpest poles p are placed directly, at p^(from/to), and the recursion fits the rest. (All
     poles placed and no fit would keep the resonances and lose the levels between them.)
-
-    ValueError where a coefficient is not within (-1, 1), a rate not positive, or `order` not 1 .. 32.
     """
-    model = tuple(float(k) for k in reflection)
-    if not all(abs(k) < 1 for k in model):
-        raise ValueError("every reflection coefficient must be between -1 and 1")
-    if not (0 < from_rate_hz < math.inf and 0 < to_rate_hz < math.inf):
-        raise ValueError("rates must be positive")
-    if not 1 <= order <= MAX_ORDER:
-        raise ValueError(f"the order must be 1 to {MAX_ORDER}")
-    return (
-        Resampled(model, 1.0, 0.0)
-        if from_rate_hz == to_rate_hz
-        else _resampled(model, from_rate_hz / to_rate_hz, order)
-    )
-
-
-@lru_cache(maxsize=1024)
-def _resampled(model: Reflection, ratio: float, order: int) -> Resampled:
+    if from_rate_hz == to_rate_hz:
+        return Resampled(model, 1.0, 0.0)
+    ratio = from_rate_hz / to_rate_hz
     # Angles of the new rate, as far as the band goes; poles are where the model has them.
     poles = poles_of(model)
     band = min(math.pi, math.pi / ratio)
@@ -88,9 +74,9 @@ def _resampled(model: Reflection, ratio: float, order: int) -> Resampled:
     kept = min(float(own_weight @ power) / math.pi, 1.0) if ratio > 1 else 1.0
     power *= math.pi / (weight @ power)
     if ratio > 1:
-        fits = iter([_fit(power, power, _Nodes.at(angle, weight, order), [], order)])
+        fits = iter([_fit(power, power, _Nodes.at(angle, weight), [])])
     else:
-        fits = _fits_beyond(power, angle, weight, poles, ratio, order)
+        fits = _fits_beyond(power, angle, weight, poles, ratio)
     best = None
     for fit in fits:
         if best is None or fit.error_db < best.error_db:
@@ -152,24 +138,24 @@ class _Nodes:
     """[lags][nodes]: what gives the autocorrelation."""
 
     @classmethod
-    def at(cls, angle: Array, weight: Array, order: int) -> "_Nodes":
+    def at(cls, angle: Array, weight: Array) -> "_Nodes":
         delay = np.exp(-1j * angle)
-        cosines = np.empty((order + 1, len(angle)))
+        cosines = np.empty((MAX_ORDER + 1, len(angle)))
         turned = np.ones_like(delay)
         cosines[0] = 1.0
-        for lag in range(1, order + 1):
+        for lag in range(1, MAX_ORDER + 1):
             turned *= delay
             cosines[lag] = turned.real
         return cls(weight, delay, np.exp(0.5j * angle), cosines)
 
 
-def _fit(power: Array, target: Array, nodes: _Nodes, placed: list[complex], order: int) -> _Fit:
+def _fit(power: Array, target: Array, nodes: _Nodes, placed: list[complex]) -> _Fit:
     """The all-pole fit to `target` at these nodes, of the smallest order that is close to `power` (at the first of
     them: those within the band), else of the order that is closest."""
     direct = np.ones_like(target)
     for pole in placed:
         direct /= np.abs((1 - pole * nodes.delay) * (1 if pole.imag == 0 else 1 - pole.conjugate() * nodes.delay)) ** 2
-    room = order - _order_of(placed)
+    room = MAX_ORDER - _order_of(placed)
     correlation = nodes.cosines[: room + 1] @ (nodes.weight * (target / direct))
     reflection = _predicted(correlation)
     heard = np.flatnonzero(power >= power.max() * 10 ** (-RANGE_DB / 10))
@@ -192,16 +178,14 @@ def _fit(power: Array, target: Array, nodes: _Nodes, placed: list[complex], orde
     return _Fit(error, placed, reflection[:n], direct * fitted)
 
 
-def _fits_beyond(
-    power: Array, angle: Array, weight: Array, poles: ComplexArray, ratio: float, order: int
-) -> Iterator[_Fit]:
+def _fits_beyond(power: Array, angle: Array, weight: Array, poles: ComplexArray, ratio: float) -> Iterator[_Fit]:
     """Fits at a rate beyond the model's, the plain one first."""
     edge = math.pi * ratio
     # Panels that grow with the distance from the edge, where the skirt is steep.
     count = math.ceil(20 * math.log(1 / ratio)) + 1
     beyond, beyond_weight = panel_nodes(np.geomspace(edge, math.pi, count + 1), COARSE)
     inside = len(angle)
-    nodes = _Nodes.at(np.concatenate((angle, beyond)), np.concatenate((weight, beyond_weight)), order)
+    nodes = _Nodes.at(np.concatenate((angle, beyond)), np.concatenate((weight, beyond_weight)))
     fall = max(_SKIRT, 1 + power[-1] * edge / (_LEAK * math.pi))
     skirt = power[-1] * (edge / beyond) ** fall
     # A pole on the negative real axis has no counterpart at another rate; one that rings for a million ticks has no
@@ -210,12 +194,10 @@ def _fits_beyond(
     sharpest = sorted((p for p in upper if abs(p) < 1 - 1e-6), key=lambda p: (-abs(p), p.imag))
     for count in range(min(_PLACED, len(sharpest)) + 1):
         placed = sharpest[:count]
-        if _order_of(placed) > order:
-            return
         target = np.concatenate((power, skirt))
         before = math.inf
         for _ in range(_ROUNDS):
-            fit = _fit(power, target, nodes, placed, order)
+            fit = _fit(power, target, nodes, placed)
             yield fit
             if fit.error_db > _STALLED * before:
                 break

@@ -328,7 +328,7 @@ def test_models_above_what_a_link_carries_are_told_of_the_worst() -> None:
     ((where, problem),) = told(texture, output(rate_hz, link_rate_hz=1000)).items()
     assert where == "models[1]"
     assert float(problem.split()[1]) == pytest.approx(100 * above(high, 400, rate_hz), rel=0.01)
-    assert problem.endswith("more of it than any other model")
+    assert problem.endswith("more than any other model")
     assert told(texture, output(rate_hz)) == {}
 
 

@@ -390,30 +390,25 @@ def test_the_order_is_the_smallest_that_is_close() -> None:
     found, kept, _ = resampled(model, 25e3, 10e3)
     assert error_db(model, 25e3, found, 10e3, kept)[0] <= CLOSE_DB
     for order in range(1, len(found)):
-        shorter = resampled(model, 25e3, 10e3, order).reflection
-        assert len(shorter) <= order
-        assert error_db(model, 25e3, shorter, 10e3, kept)[0] > CLOSE_DB
+        assert error_db(model, 25e3, found[:order], 10e3, kept)[0] > CLOSE_DB
 
 
 def test_white_noise_stays_white_and_equal_rates_change_nothing() -> None:
     assert resampled((), 25e3, 10e3) == ((), pytest.approx(0.4), pytest.approx(0, abs=1e-9))
     model = (0.5, -0.25, 0.125)
     assert resampled(model, 5e3, 5e3) == (model, 1.0, 0.0)
-    assert resampled([0.1] * 40, 5e3, 5e3, 4) == ((0.1,) * 40, 1.0, 0.0)
 
 
 @settings(max_examples=40, deadline=None)
 @given(
     reflection=st.lists(st.floats(-0.99, 0.99), max_size=32),
     rates=st.tuples(st.sampled_from([500.0, 1e3, 5e3, 25e3, 1e5]), st.sampled_from([1e3, 2e3, 9999.0, 10e3])),
-    order=st.integers(1, 32),
 )
-def test_whatever_is_resampled_is_stable(reflection: list[float], rates: tuple[float, float], order: int) -> None:
-    found, kept, _ = resampled(reflection, *rates, order)
+def test_whatever_is_resampled_is_stable(reflection: list[float], rates: tuple[float, float]) -> None:
+    found, kept, _ = resampled(tuple(reflection), *rates)
     assert all(abs(k) < 1 for k in found)
     assert 0 < kept <= 1
-    if rates[0] != rates[1]:
-        assert len(found) <= order
+    assert len(found) <= 32
 
 
 def test_a_sharp_line_survives() -> None:
@@ -422,22 +417,6 @@ def test_a_sharp_line_survives() -> None:
         found, kept, _ = resampled(model, 25e3, to_hz)
         assert kept == pytest.approx(1, abs=0.02)
         assert error_db(model, 25e3, found, to_hz, kept)[0] < CLOSE_DB + 0.1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (((0.5, 1.0), 1e3, 2e3), "between -1 and 1"),
-        (((math.nan,), 1e3, 2e3), "between -1 and 1"),
-        (((0.5,), 0.0, 2e3), "rates"),
-        (((0.5,), 1e3, math.inf), "rates"),
-        (((0.5,), 1e3, 2e3, 0), "order"),
-        (((0.5,), 1e3, 2e3, 33), "order"),
-    ],
-)
-def test_resampling_refuses(arguments: tuple[tuple[float, ...], float, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        resampled(*arguments)
 
 
 # ---- grids -----------------------------------------------------------------------------------------------------
@@ -496,4 +475,4 @@ def test_the_largest_grid() -> None:
 
 def test_a_higher_rate_keeps_all_power_however_sharp_the_poles() -> None:
     model = np.random.default_rng(0).uniform(-0.9, 0.9, 31).tolist()
-    assert resampled([*model, -(1 - 1e-13)], 1e3, 10e3).kept == 1
+    assert resampled((*model, -(1 - 1e-13)), 1e3, 10e3).kept == 1
