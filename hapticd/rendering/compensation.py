@@ -20,9 +20,9 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
@@ -217,7 +217,7 @@ def _grid(mode: Mode, rate_hz: float) -> _Grid:
 
 
 class _Band:
-    """What strikes of some poles accelerate one device by, seen from their first tick.
+    """What a mode and some tails, when they are struck, accelerate one device by, seen from their first tick.
 
     All of it, weighted, lies in a space of few dimensions: vectors are coordinates in an orthonormal base of it, in
     which least squares and norms are what they are over the whole band. From the first tick all onsets see the same
@@ -230,17 +230,18 @@ class _Band:
         dynamics: Dynamics,
         rate_hz: float,
         load: Load,
-        poles: Sequence[complex],
+        tails: Sequence[complex] = (),
         attacked: bool = False,
     ) -> None:
         """`attacked`: onsets are anywhere between two ticks, and kicks too."""
         grid = self._grid = _grid(mode, rate_hz)
-        self.wanted_norm = grid.wanted_norm
+        self._met = mode, dynamics, load
+        self._pole = pole_of(mode)
         response = grid.response(dynamics, load)
         self._parts = _ONSETS if attacked else _ONSETS[:1]
         self._rung: dict[tuple[complex, int], int] = {}
         spectra: list[_Complex] = []
-        for pole in poles:
+        for pole in (self._pole, *tails):
             for count in sorted({grid.count(pole, part) for part in self._parts}):
                 self._rung[pole, count] = len(spectra)
                 spectra += [response * each for each in grid.pair(pole, count)]
@@ -257,21 +258,87 @@ class _Band:
         """The acceleration of the mode, for an onset `part` of a period before the first tick."""
         return np.asarray(self._base[:, self._wanted + self._parts.index(part)], np.float64)
 
-    def columns(self, pole: complex, part: float = 0.0) -> list[_Floats]:
-        """The acceleration for Im(exp(p t)) and for Re(exp(p t)), of the ticks up to five time constants, the first of
-        them `part` of a period after the onset."""
-        at = self._rung[pole, self._grid.count(pole, part)]
-        begun = cmath.exp(pole * part * self._grid.period_s)
-        sine, cosine = self._base[:, at], self._base[:, at + 1]
-        return [begun.real * sine + begun.imag * cosine, begun.real * cosine - begun.imag * sine]
-
-    def kicks(self, part: float) -> list[_Floats]:
-        """The acceleration for 1 and for `part` in each of the first samples alone."""
-        return [scale * self._base[:, self._kicks + k] for k in range(KICKS) for scale in (1.0, part)]
+    def columns(self, poles: Sequence[complex], part: float = 0.0) -> list[_Floats]:
+        """The acceleration for Im(exp(p t)) and for Re(exp(p t)) of each pole, of the ticks up to five time constants,
+        the first of them `part` of a period after the onset."""
+        found = []
+        for pole in poles:
+            at = self._rung[pole, self._grid.count(pole, part)]
+            begun = cmath.exp(pole * part * self._grid.period_s)
+            sine, cosine = self._base[:, at], self._base[:, at + 1]
+            found += [begun.real * sine + begun.imag * cosine, begun.real * cosine - begun.imag * sine]
+        return found
 
     def error(self, columns: list[_Floats], gains: _Floats, part: float = 0.0) -> float:
         """Of these gains, Re and Im of each pole in turn."""
-        return float(np.linalg.norm(gains @ np.array(columns) - self.wanted(part))) / self.wanted_norm
+        return float(np.linalg.norm(gains @ np.array(columns) - self.wanted(part))) / self._grid.wanted_norm
+
+    def shape(self, poles: Sequence[complex], gains: _Floats) -> Shape:
+        """Of these gains, scaled back to LARGEST."""
+        ringing = [Ringing(pole, complex(*gains[2 * i : 2 * i + 2])) for i, pole in enumerate(poles)]
+        mode, tail = ringing[0], ringing[1] if len(ringing) > 1 else None
+        peak, peak_time_s = _peak(mode, tail)
+        limited = peak > LARGEST
+        if limited:
+            factor = LARGEST / peak
+            mode = Ringing(mode.pole, factor * mode.gain)
+            tail = None if tail is None else Ringing(tail.pole, factor * tail.gain)
+            gains, peak = factor * gains, LARGEST
+        return Shape(mode, tail, peak, peak_time_s, self.error(self.columns(poles), gains), limited)
+
+    def alone(self) -> tuple[Shape, Shape]:
+        """The mode's pole alone: what makes up for hold and actuator, and C."""
+        mode, dynamics, load = self._met
+        lag = complex(load.lag(np.array([self._pole], np.complex128))[0])
+        period_s = self._grid.period_s
+        gains = (hold_gain(self._pole, period_s) / lag, pole_gain(mode, dynamics, period_s, load))
+        held, whole = (self.shape([self._pole], np.array([gain.real, gain.imag])) for gain in gains)
+        return held, whole
+
+    def plain(self) -> Shape:
+        """Of the mode's pole alone, what leaves less."""
+        return min(self.alone(), key=lambda shape: shape.error)
+
+    def tailed(self, tail: complex) -> Shape:
+        """Gain and tail together, by least squares."""
+        poles = [self._pole, tail]
+        gains = np.linalg.lstsq(np.array(self.columns(poles)).T, self.wanted(), rcond=None)[0]
+        return self.shape(poles, np.asarray(gains, np.float64))
+
+    def attacked(self, tail: complex, kicks: _Floats | None = None) -> tuple[Shape, float]:
+        """Gain, tail and kicks together, by least squares over onsets anywhere between two ticks, and the displayed
+        error over them, RMS. With `kicks` given, only gain and tail."""
+        poles = [self._pole, tail]
+        rung = [np.array(self.columns(poles, part)).T for part in _ONSETS]
+        # For 1 and for `part` in each of the first samples alone.
+        late = [self._base[:, self._kicks + k] for k in range(KICKS)]
+        kicked = [np.array([scale * each for each in late for scale in (1.0, part)]).T for part in _ONSETS]
+        wanted = np.concatenate([self.wanted(part) for part in _ONSETS])
+        whole = [np.hstack(pair) for pair in zip(rung, kicked, strict=True)]
+        if kicks is None:
+            found: _Floats = np.asarray(np.linalg.lstsq(np.vstack(whole), wanted, rcond=None)[0], np.float64)
+        else:
+            fixed = np.concatenate([each @ kicks for each in kicked])
+            own = np.linalg.lstsq(np.vstack(rung), wanted - fixed, rcond=None)[0]
+            found = np.concatenate((own, kicks))
+        shape = self.shape(poles, found[:4])
+        pairs = found[4:].reshape(-1, 2)
+        peak = shape.peak + float(max(np.abs(pairs[:, 0]).max(), np.abs(pairs.sum(1)).max()))
+        errors = [self.error(list(each.T), found, part) for each, part in zip(whole, _ONSETS, strict=True)]
+        kicked_pairs = tuple((float(c), float(d)) for c, d in pairs)
+        shape = replace(shape, peak=peak, error=errors[0], limited=peak > LARGEST, kicks=kicked_pairs)
+        return shape, _root_mean_square(errors)
+
+    def anywhere(self, shape: Shape) -> float:
+        """The displayed error of a shape without kicks over the same onsets, RMS."""
+        sounding = [shape.mode] if shape.tail is None else [shape.mode, shape.tail]
+        poles = [each.pole for each in sounding]
+        gains = np.array([x for each in sounding for x in (each.gain.real, each.gain.imag)])
+        return _root_mean_square([self.error(self.columns(poles, part), gains, part) for part in _ONSETS])
+
+
+def _root_mean_square(errors: list[float]) -> float:
+    return math.sqrt(sum(error**2 for error in errors) / len(errors))
 
 
 def _at(ringing: Ringing, time_s: _Floats) -> _Floats:
@@ -299,20 +366,6 @@ def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
     return highest, where
 
 
-def _shape(band: _Band, poles: list[complex], columns: list[_Floats], gains: _Floats) -> Shape:
-    """Gains as least squares gives them, Re and Im of each pole in turn; scaled back to LARGEST."""
-    ringing = [Ringing(pole, complex(*gains[2 * i : 2 * i + 2])) for i, pole in enumerate(poles)]
-    mode, tail = ringing[0], ringing[1] if len(ringing) > 1 else None
-    peak, peak_time_s = _peak(mode, tail)
-    limited = peak > LARGEST
-    if limited:
-        factor = LARGEST / peak
-        mode = Ringing(mode.pole, factor * mode.gain)
-        tail = None if tail is None else Ringing(tail.pole, factor * tail.gain)
-        gains, peak = factor * gains, LARGEST
-    return Shape(mode, tail, peak, peak_time_s, band.error(columns, gains), limited)
-
-
 def _tails(mode: Mode, rate_hz: float) -> list[complex]:
     """Poles of the tails that are tried: slow and long for what the hand's spring and damper leave, and as fast as the
     band for what the first held samples leave."""
@@ -321,46 +374,9 @@ def _tails(mode: Mode, rate_hz: float) -> list[complex]:
     return [complex(-slow, min(slow / 2, highest)), complex(-3 * mode.decay_rate_per_s, highest)]
 
 
-def _attacked(band: _Band, mode: Mode, tail: complex, kicks: _Floats | None = None) -> tuple[Shape, float]:
-    """Gain, tail and kicks together, by least squares over onsets anywhere between two ticks, and the displayed error
-    over them, RMS. With `kicks` given, only gain and tail."""
-    p = pole_of(mode)
-    rung = [np.array(band.columns(p, part) + band.columns(tail, part)).T for part in _ONSETS]
-    kicked = [np.array(band.kicks(part)).T for part in _ONSETS]
-    wanted = np.concatenate([band.wanted(part) for part in _ONSETS])
-    if kicks is None:
-        whole = np.vstack([np.hstack(pair) for pair in zip(rung, kicked, strict=True)])
-        found: _Floats = np.asarray(np.linalg.lstsq(whole, wanted, rcond=None)[0], np.float64)
-    else:
-        fixed = np.concatenate([each @ kicks for each in kicked])
-        own = np.linalg.lstsq(np.vstack(rung), wanted - fixed, rcond=None)[0]
-        found = np.concatenate((own, kicks))
-    shape = _shape(band, [p, tail], band.columns(p) + band.columns(tail), found[:4])
-    pairs = found[4:].reshape(-1, 2)
-    peak = shape.peak + float(max(np.abs(pairs[:, 0]).max(), np.abs(pairs.sum(1)).max()))
-    columns = [list(np.hstack(pair).T) for pair in zip(rung, kicked, strict=True)]
-    errors = [band.error(each, found, part) for each, part in zip(columns, _ONSETS, strict=True)]
-    anywhere = math.sqrt(sum(error**2 for error in errors) / len(errors))
-    kicked_pairs = tuple((float(c), float(d)) for c, d in pairs)
-    return replace(shape, peak=peak, error=errors[0], limited=peak > LARGEST, kicks=kicked_pairs), anywhere
-
-
-def _anywhere(band: _Band, shape: Shape) -> float:
-    """The displayed error of a shape without kicks over the same onsets, RMS."""
-    sounding = [shape.mode] if shape.tail is None else [shape.mode, shape.tail]
-    errors = []
-    for part in _ONSETS:
-        columns = [column for each in sounding for column in band.columns(each.pole, part)]
-        gains = np.array([x for each in sounding for x in (each.gain.real, each.gain.imag)])
-        errors.append(band.error(columns, gains, part))
-    return math.sqrt(sum(error**2 for error in errors) / len(errors))
-
-
 def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, load: Load = NOTHING) -> Shape:
     """The mode's pole alone, with this gain in units of (m + m_h)."""
-    p = pole_of(mode)
-    band = _Band(mode, dynamics, rate_hz, load, [p])
-    return _shape(band, [p], band.columns(p), np.array([gain.real, gain.imag]))
+    return _Band(mode, dynamics, rate_hz, load).shape([pole_of(mode)], np.array([gain.real, gain.imag]))
 
 
 def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NOTHING) -> complex:
@@ -385,43 +401,18 @@ def shape_of(
 
     Deterministic. `full` takes a few milliseconds, once.
     """
-    p = pole_of(mode)
     if compensation == "mass":
-        return _alone(_Band(mode, dynamics, rate_hz, load, [p]), mode, dynamics, 1 / rate_hz, load)[0]
+        return _Band(mode, dynamics, rate_hz, load).alone()[0]
     tails = _tails(mode, rate_hz)
     long = 1 / mode.decay_rate_per_s >= 2 * KICKS / rate_hz / _TIME_CONSTANTS
     attacked = long and mode.frequency_hz >= KICKED * rate_hz
-    band = _Band(mode, dynamics, rate_hz, load, [p, *tails], attacked)
-    plain = _plain(band, mode, dynamics, 1 / rate_hz, load)
-    best = min((_tailed(band, mode, pole) for pole in tails), key=lambda shape: shape.error)
+    band = _Band(mode, dynamics, rate_hz, load, tails, attacked)
+    plain, best = band.plain(), min(map(band.tailed, tails), key=lambda shape: shape.error)
     best = best if best.error < plain.error - WORTH else plain
     if not attacked:
         return best
-    kicked, anywhere = _attacked(band, mode, tails[0])
-    return kicked if not kicked.limited and anywhere < _anywhere(band, best) - KICKS_WORTH else best
-
-
-def _alone(band: _Band, mode: Mode, dynamics: Dynamics, period_s: float, load: Load) -> tuple[Shape, Shape]:
-    """The mode's pole alone: what makes up for hold and actuator, and C."""
-    p = pole_of(mode)
-    own = band.columns(p)
-    lag = complex(load.lag(np.array([p], np.complex128))[0])
-    gains = (hold_gain(p, period_s) / lag, pole_gain(mode, dynamics, period_s, load))
-    held, whole = (_shape(band, [p], own, np.array([gain.real, gain.imag])) for gain in gains)
-    return held, whole
-
-
-def _plain(band: _Band, mode: Mode, dynamics: Dynamics, period_s: float, load: Load) -> Shape:
-    """Of the mode's pole alone, what leaves less."""
-    return min(_alone(band, mode, dynamics, period_s, load), key=lambda shape: shape.error)
-
-
-def _tailed(band: _Band, mode: Mode, tail: complex) -> Shape:
-    """Gain and tail together, by least squares."""
-    p = pole_of(mode)
-    columns = band.columns(p) + band.columns(tail)
-    gains: _Floats = np.asarray(np.linalg.lstsq(np.array(columns).T, band.wanted(), rcond=None)[0], np.float64)
-    return _shape(band, [p, tail], columns, gains)
+    kicked, anywhere = band.attacked(tails[0])
+    return kicked if not kicked.limited and anywhere < band.anywhere(best) - KICKS_WORTH else best
 
 
 @lru_cache(maxsize=4096)
@@ -438,14 +429,14 @@ def shapes_of(
         return chosen, chosen
     first, second = (load, load.free) if own else (load.free, load)
     chosen = shape_of(mode, dynamics, rate_hz, compensation, first)
-    poles = [pole_of(mode)] if chosen.tail is None else [pole_of(mode), chosen.tail.pole]
-    band = _Band(mode, dynamics, rate_hz, second, poles, bool(chosen.kicks))
-    if chosen.tail is None:
-        other = _plain(band, mode, dynamics, 1 / rate_hz, second)
+    tail = () if chosen.tail is None else (chosen.tail.pole,)
+    band = _Band(mode, dynamics, rate_hz, second, tail, bool(chosen.kicks))
+    if not tail:
+        other = band.plain()
     elif chosen.kicks:
-        other = _attacked(band, mode, chosen.tail.pole, np.array(chosen.kicks).ravel())[0]
+        other = band.attacked(*tail, np.array(chosen.kicks).ravel())[0]
     else:
-        other = _tailed(band, mode, chosen.tail.pole)
+        other = band.tailed(*tail)
     return (other, chosen) if own else (chosen, other)
 
 
@@ -455,10 +446,9 @@ def tuned_shapes(
     rate_hz: float,
     compensation: Literal["mass", "full"],
     load: Load,
-    own: bool = False,
+    own: bool,
 ) -> list[tuple[Shape, Shape]]:
-    """As shapes_of, of modes that change steadily from one to the next: where nothing is touched, and against `load`,
-    which is best where it is the modes' `own`.
+    """As shapes_of, of modes that change steadily from one to the next.
 
     All have the poles of the same tail, or none has one, and none has kicks: so gains change steadily, too.
     """
@@ -467,22 +457,19 @@ def tuned_shapes(
         return [(shape, shape) for shape in plain]
     tails = _tails(modes[len(modes) // 2], rate_hz)
     loads = (load, load.free) if own else (load.free, load)
-    first, second = (
-        [_Band(mode, dynamics, rate_hz, each, [pole_of(mode), *tails]) for mode in modes] for each in loads
-    )
-
-    def designed(band: _Band, mode: Mode, way: int, met: Load) -> Shape:
-        if way < 2:
-            return _tailed(band, mode, tails[way])
-        return _alone(band, mode, dynamics, 1 / rate_hz, met)[way - 2]
-
-    ways = [[designed(*pair, way, loads[0]) for pair in zip(first, modes, strict=True)] for way in range(4)]
-    errors = [sum(shape.error for shape in way) / len(modes) for way in ways]
-    plain_way = min((2, 3), key=lambda way: errors[way])
-    tailed_way = min((0, 1), key=lambda way: errors[way])
-    best = tailed_way if errors[tailed_way] < errors[plain_way] - WORTH else plain_way
-    others = [designed(*pair, best, loads[1]) for pair in zip(second, modes, strict=True)]
-    return list(zip(others, ways[best], strict=True) if own else zip(ways[best], others, strict=True))
+    first, second = ([_Band(mode, dynamics, rate_hz, each, tails) for mode in modes] for each in loads)
+    # Each of two tails, what makes up for hold and actuator, and C.
+    ways: list[Callable[[_Band], Shape]] = [
+        *(partial(_Band.tailed, tail=tail) for tail in tails),
+        lambda band: band.alone()[0],
+        lambda band: band.alone()[1],
+    ]
+    found = [[way(band) for band in first] for way in ways]
+    errors = [sum(shape.error for shape in shapes) / len(modes) for shapes in found]
+    tailed, plainer = min((0, 1), key=errors.__getitem__), min((2, 3), key=errors.__getitem__)
+    best = tailed if errors[tailed] < errors[plainer] - WORTH else plainer
+    others = [ways[best](band) for band in second]
+    return list(zip(others, found[best], strict=True) if own else zip(found[best], others, strict=True))
 
 
 def peak_between(one: Shape, other: Shape) -> float:

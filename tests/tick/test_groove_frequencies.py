@@ -216,10 +216,10 @@ def test_compensation_follows_the_frequency(compensation: str) -> None:
         w = mode.angular_frequency_rad_per_s
         row = [np.interp(w, tuning.nodes[:, 0], tuning.nodes[:, column]) for column in range(11)]
         alone = shapes_of(mode, output.dynamics, 10_000, output.compensation, Load(800.0), False)[0]
-        poles = [complex(-mode.decay_rate_per_s, w)] + ([] if tuning.tail is None else [tuning.tail.pole])
-        band = _Band(mode, output.dynamics, 10_000, NOTHING, poles)
-        columns, gains = [column for pole in poles for column in band.columns(pole)], row[5 : 5 + 2 * len(poles)]
-        assert band.error(columns, np.array(gains)) < alone.error + 0.005
+        tails = [] if tuning.tail is None else [tuning.tail.pole]
+        band = _Band(mode, output.dynamics, 10_000, NOTHING, tails)
+        columns = band.columns([complex(-mode.decay_rate_per_s, w), *tails])
+        assert band.error(columns, np.array(row[5 : 5 + len(columns)])) < alone.error + 0.005
 
 
 def validated(**texture: object) -> Material:
