@@ -4,7 +4,7 @@ It reads the compiled table, whole arrays at a time. A surface is the region in 
 strip below its surface, as deep as the force limit presses, a membrane a strip about it, a box or a disc all of it.
 Two surfaces act together where their regions meet. A set is a pair that meets and whatever meets both, or a surface
 that meets none: whatever a probe touches at once lies within one of the sets. Where too many meet to compare them pair
-by pair, a set is all that may lie over one cell of a grid. Either way a set may be too large, but never too small.
+by pair, all are one set. Either way a set may be too large, but never too small.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from hapticd.rendering.stability import (
 from hapticd.rendering.surface_properties import SurfaceProperties, properties_of
 from hapticd.rendering.surface_table import Ints, SurfaceTable
 
-MOST_PAIRS: Final = 40_000
-"""So many pairs are compared, or a set is what lies over a cell of a grid."""
-MOST_TRIPLES: Final = 200_000
+MOST_PAIRS: Final = 500_000
+"""So many pairs are compared, or all surfaces are one set."""
+MOST_TRIPLES: Final = 2_000_000
 """The same for triples."""
 MOST_TRIES: Final = 400
 """So many of the worst sets are searched for different ones."""
@@ -42,8 +42,7 @@ MOST_REPORTED: Final = 20
 """Sets that are reported one by one."""
 MOST_LINES: Final = 5
 """Sets that are reported as lines."""
-_CELLS: Final = 4
-"""A region that is wider than so many cells of the grid is compared with all others."""
+_TOUCHING_M: Final = 1e-12
 
 
 class _Regions(NamedTuple):
@@ -104,60 +103,28 @@ def _meet(regions: _Regions, a: Ints, b: Ints) -> npt.NDArray[np.bool_]:
     return ~apart
 
 
-class _Grid:
-    """Upright boxes about regions, over the cells of a grid; those that are wider than a few cells stand apart."""
-
-    def __init__(self, regions: _Regions, which: Ints) -> None:
-        """`which` regions are in it; places below count in it. There is at least one."""
-        normal, half = np.abs(regions.normal[which]), regions.half[which]
-        across = np.stack((normal[:, 1], normal[:, 0]), axis=1)
-        extent = half[:, :1] * across + half[:, 1:] * normal
-        self.extent = np.where(regions.round[which][:, None], half[:, :1], extent)
-        self.center = regions.center[which]
-        cell = max(1e-5, 4.0 * float(np.median(self.extent.max(axis=1))))
-        low = np.floor((self.center - self.extent) / cell).astype(np.int64)
-        spans = np.floor((self.center + self.extent) / cell).astype(np.int64) - low + 1
-        self.wide = np.any(spans > _CELLS, axis=1)
-        small = np.flatnonzero(~self.wide)
-        low, spans = low[small], spans[small]
-        copies = spans[:, 0] * spans[:, 1]
-        place = np.repeat(np.arange(len(small)), copies)
-        within = np.arange(len(place)) - np.repeat(np.cumsum(copies) - copies, copies)
-        columns = spans[place, 0]
-        # Two cells with one key only make more to look at.
-        key = (low[place, 0] + within % columns) * 1_000_003 + low[place, 1] + within // columns
-        order = np.argsort(key, kind="stable")
-        self.key, self.owner = key[order], small[place[order]]
-        """The cells' keys in rising order, and whose boxes lie over them."""
-
-    def pairs(self) -> tuple[Ints, Ints] | None:
-        """Places of boxes that may meet, each pair once, the lower first; None: more than MOST_PAIRS."""
-        count = len(self.center)
-        broad = np.flatnonzero(self.wide)
-        if len(broad) * count > 4 * MOST_PAIRS:
-            return None
-        found: list[tuple[Ints, Ints]] = []
-        total = 0
-        for place in broad:
-            room = self.extent + self.extent[place]
-            near = np.flatnonzero(np.all(np.abs(self.center - self.center[place]) <= room, axis=1))
-            near = near[(near > place) | ~self.wide[near]]
-            found.append((np.full(len(near), place), near))
-            total += len(near)
-        for step in range(1, len(self.key)):
-            same = np.flatnonzero(self.key[step:] == self.key[:-step])
-            total += len(same)
-            if len(same) == 0 or total > MOST_PAIRS:
-                break
-            found.append((self.owner[same], self.owner[same + step]))
+def _near(regions: _Regions, which: Ints) -> tuple[Ints, Ints] | None:
+    """Pairs of the surfaces `which` whose upright boxes meet, the lower slot first, in order; None: more than
+    MOST_PAIRS."""
+    normal, half = np.abs(regions.normal[which]), regions.half[which]
+    extent = half[:, :1] * normal[:, ::-1] + half[:, 1:] * normal
+    # What _meet says of boxes that just touch does not depend on how their ends are rounded.
+    extent = np.where(regions.round[which][:, None], half[:, :1], extent) + _TOUCHING_M
+    low, high = regions.center[which] - extent, regions.center[which] + extent
+    order = np.argsort(low[:, 0], kind="stable")
+    ends = np.searchsorted(low[order, 0], high[order, 0], side="right")
+    found: list[Ints] = []
+    total = 0
+    for place, end in enumerate(ends.tolist()):
+        own, others = order[place], order[place + 1 : end]
+        found.append(others[(low[others, 1] <= high[own, 1]) & (high[others, 1] >= low[own, 1])])
+        total += len(found[-1])
         if total > MOST_PAIRS:
             return None
-        if not found:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
-        one, other = (np.concatenate(each) for each in zip(*found, strict=True))
-        pair = np.unique(np.minimum(one, other) * count + np.maximum(one, other))
-        pair = pair[pair // count != pair % count]
-        return pair // count, pair % count
+    one, other = which[np.repeat(order, list(map(len, found)))], which[np.concatenate(found)]
+    a, b = np.minimum(one, other), np.maximum(one, other)
+    rising = np.lexsort((b, a))
+    return a[rising], b[rising]
 
 
 def _joined(count: int, a: Ints, b: Ints) -> tuple[Ints, Ints]:
@@ -223,14 +190,14 @@ def _sets(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _Member
     far = which[~regions.reachable[which]]
     if len(reached) == 0:
         return np.asarray(rows[far]), lambda place: (int(far[place]),)
-    grid = _Grid(regions, reached)
-    pairs = grid.pairs()
-    found = None
+    pairs = _near(regions, reached)
     if pairs is not None:
-        a, b = reached[pairs[0]], reached[pairs[1]]
-        meets = _meet(regions, a, b)
-        found = _pair_sets(rows, a[meets], b[meets], which)
-    return found or _cell_sets(rows, grid, reached, far)
+        meets = _meet(regions, *pairs)
+        found = _pair_sets(rows, pairs[0][meets], pairs[1][meets], which)
+        if found is not None:
+            return found
+    sums = np.concatenate((rows[reached].sum(axis=0, keepdims=True), rows[far]))
+    return sums, lambda place: tuple(reached.tolist()) if place == 0 else (int(far[place - 1]),)
 
 
 def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _Members] | None:
@@ -261,24 +228,6 @@ def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _Me
         return tuple(sorted({one, two} | (met[0] & met[1])))
 
     return np.concatenate((sums, rows[alone])), members
-
-
-def _cell_sets(rows: Floats, grid: _Grid, reached: Ints, far: Ints) -> tuple[Floats, _Members]:
-    """All whose boxes lie over a cell of the grid, for each cell, and the wide ones with every cell."""
-    wide = reached[grid.wide]
-    everywhere = rows[wide].sum(axis=0)
-    starts = np.flatnonzero(np.diff(grid.key, prepend=grid.key[:1] - 1)) if len(grid.key) else np.zeros(0, np.int64)
-    owners = reached[grid.owner]
-    sums = np.add.reduceat(rows[owners], starts) + everywhere if len(starts) > 0 else np.asarray(everywhere[None])
-    ends = np.append(starts[1:], len(owners))
-
-    def members(place: int) -> tuple[int, ...]:
-        if place >= len(sums):
-            return (int(far[place - len(sums)]),)
-        here = owners[starts[place] : ends[place]].tolist() if len(starts) > 0 else []
-        return tuple(sorted({*wide.tolist(), *here}))
-
-    return np.concatenate((sums, rows[far])), members
 
 
 class ContactSets:

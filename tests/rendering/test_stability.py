@@ -381,9 +381,9 @@ def crowd(random: np.random.Generator, count: int) -> dict[str, Any]:
     return objects
 
 
-@pytest.mark.parametrize("way", ["pairs", "cells"])
+@pytest.mark.parametrize("way", ["pairs", "whole"])
 def test_whatever_holds_a_point_at_once_is_within_a_set(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    if way == "cells":
+    if way == "whole":
         monkeypatch.setattr(contact_sets, "MOST_PAIRS", 0)
     for seed in range(4):
         random = np.random.default_rng(seed)
