@@ -197,9 +197,9 @@ class Engine:
             raise HapticdError(invalid_reason())
 
         # It holds what its thread uses: the collector of garbage frees what it finds in any order.
-        held = self._servo = ffi.gc(made, lib.hd_servo_free)
-        self._ring = CommandRing(held, self.look_after)
-        self._compiler = Compiler(self.output, lambda: lib.hd_servo_beat(held), self._offload)
+        self._servo = ffi.gc(made, lib.hd_servo_free)
+        self._ring = CommandRing(self._servo, self.look_after)
+        self._compiler = Compiler(self.output, self._offload)
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
     def _output_at(self, rate_hz: float) -> Output:

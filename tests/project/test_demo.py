@@ -25,7 +25,8 @@ from examples.demo.sandpaper import SEGMENT_TICKS, peak_of
 from examples.demo.strikes import strikes_of
 from hapticd.base.core import SAMPLE_DTYPE, Flag
 from hapticd.protocol.events import event_map
-from hapticd.rendering.offline import render_run, simulate_run
+from hapticd.rendering.offline import simulate_run
+from tests.support.rig import Rig
 
 Floats = npt.NDArray[np.float64]
 Kept = Callable[[str, int, npt.NDArray[np.intp]], npt.NDArray[np.bool_]]
@@ -204,9 +205,9 @@ def test_passages_are_those_of_the_daemon_where_the_hand_bounces_and_periods_are
     knots = np.arange(0, tick[-1] + 600, 600)
     x = np.interp(tick, knots, np.cumsum(rng.uniform(-0.009, 0.01, len(knots))))
     y = np.interp(tick, knots, rng.uniform(-0.004, 0.002, len(knots)))
-    scene = {"objects": {"surface": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": COMB}}}
-    run = render_run({"scene": scene}, np.stack([x, y], axis=1), periods=periods)
-    recorded = rendered(run.samples, run.events, (tick - tick[0]) / RATE)
+    rig = Rig({"surface": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": COMB}})
+    samples = rig.render(np.stack([x, y], axis=1), periods=periods)
+    recorded = rendered(samples, rig.events, (tick - tick[0]) / RATE)
     groove, due, direction = passages(recorded, 0.0024)
     events = recorded.reported("groove")
     assert len(groove) == len(events) > 100

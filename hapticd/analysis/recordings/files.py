@@ -27,6 +27,7 @@ MAX_BYTES: Final = 2**29
 MAX_UNPACKED_BYTES: Final = 2**31
 MAX_CHANNELS: Final = 64
 """Of a .wav, or of an array of two dimensions."""
+_UNCLOSED: Final = "is no table of numbers: a quotation mark that is not closed?"
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,23 +153,20 @@ def _csv_columns(text: str, first: int, delimiter: str, width: int, places: Sequ
             low_memory=False,
         )
     except ValueError:
-        raise ValueError(_csv_fault(text, first, delimiter, width, places)) from None
+        raise ValueError(_csv_fault(text, first, delimiter, width, places) or _UNCLOSED) from None
     columns: list[Floats] = [frame[place].to_numpy(np.float64) for place in places]
-    # A quotation mark that is not closed would swallow lines.
-    is_whole = len(frame) == body.strip("\n").count("\n") + 1
+    if len(frame) != body.strip("\n").count("\n") + 1:
+        raise ValueError(_csv_fault(text, first, delimiter, width, places) or _UNCLOSED)
     # A line that lost a cell has its other values in the wrong columns, and none in the last.
-    if frame[width - 1].isna().any():
-        for number, line in _lines(text):
-            told = not line.lstrip().startswith("#") and number >= first
-            if told and (count := len(_cells(line, delimiter))) != width:
-                raise ValueError(f"line {number} has not {width} columns, but {count}")
-    if not is_whole or not all(np.isfinite(column).all() for column in columns):
-        raise ValueError(_csv_fault(text, first, delimiter, width, places))
+    if frame[width - 1].isna().any() or not all(np.isfinite(column).all() for column in columns):
+        fault = _csv_fault(text, first, delimiter, width, places)
+        if fault is not None:
+            raise ValueError(fault)
     return columns
 
 
-def _csv_fault(text: str, first: int, delimiter: str, width: int, places: Sequence[int]) -> str:
-    """What is wrong with the first line from which these columns cannot be read."""
+def _csv_fault(text: str, first: int, delimiter: str, width: int, places: Sequence[int]) -> str | None:
+    """What is wrong with the first line from which these columns cannot be read; None if nothing is."""
     for number, line in _lines(text):
         if number < first or line.lstrip().startswith("#"):
             continue
@@ -180,7 +178,7 @@ def _csv_fault(text: str, first: int, delimiter: str, width: int, places: Sequen
             if value is None or not np.isfinite(value):
                 told = f"line {number} holds something else than numbers, {quoted(cells[place])}"
                 return f"{told} (a sample that is missing?)"
-    return f"is no table of {width} columns: a quotation mark that is not closed?"
+    return None
 
 
 def _text(content: bytes) -> str:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, cast
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.core import MATERIAL_DTYPE, NOISE_DTYPE, CData, ffi, pointer, records
-from hapticd.base.steps import Steps
+from hapticd.base.steps import Steps, finish
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.texture import Autoregressive, Stochastic
@@ -52,10 +52,8 @@ class _Used:
 class Materials:
     """The materials that are used: a record and an index for each, kept as long as anything is made of it."""
 
-    def __init__(self, output: Output, beat: Callable[[], None], effects: Effects | None) -> None:
-        """`beat` is called between the filters that nobody prepared, of which many take seconds."""
+    def __init__(self, output: Output, effects: Effects | None) -> None:
         self.output = output
-        self._beat = beat
         self._effects = effects
         self._places, self._noise_places = Places(), Places()
         self._used: dict[int, _Used] = {}
@@ -162,15 +160,7 @@ class Materials:
 
     def _designed(self, texture: Noise) -> Design:
         found = self._prepared.get((texture, self.output))
-        if found is not None:
-            return found
-        steps = design(texture, self.output)
-        while True:
-            self._beat()
-            try:
-                next(steps)
-            except StopIteration as end:
-                return cast(Design, end.value)
+        return finish(design(texture, self.output)) if found is None else found
 
     def prepare(self, name: str, material: Material) -> Steps[None]:
         """Finds what takes long of a material that is to be compiled under this name: filters, compensated shapes, the

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, TypeAlias, TypeGuard, assert_never
 
 import numpy as np
@@ -88,9 +88,8 @@ def _field_of(item: SceneObject | None) -> _Field | None:
 class Compiler:
     """Keeps the table of one scene up to date. One thread at a time, but for `name_of` and `events_read`."""
 
-    def __init__(self, output: Output, beat: Callable[[], None] = lambda: None, effects: Effects | None = None) -> None:
-        """`beat` is called between the filters that nobody prepared, of which many take seconds. `effects`: what the
-        device plays itself; None: nothing."""
+    def __init__(self, output: Output, effects: Effects | None = None) -> None:
+        """`effects`: what the device plays itself; None: nothing."""
         self._objects = Records("struct hd_object", OBJECT_DTYPE)
         self._places = Places()
         self._slots: dict[str, int] = {}
@@ -103,7 +102,7 @@ class Compiler:
         self._retiring: deque[tuple[int, list[_Owner]]] = deque()
         """Revisions and what they took away, the oldest first."""
         self._read_revision: int | None = None
-        self._materials = Materials(output, beat, effects)
+        self._materials = Materials(output, effects)
         self._walls = PatchedWalls(self._materials)
         self._fields: dict[str, _Field] = {}
         self._changed: set[int] = set()
