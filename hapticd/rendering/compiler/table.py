@@ -27,7 +27,7 @@ from hapticd.config.materials import Material
 from hapticd.config.scene import SURFACE_KINDS, Scene, SceneObject, Surface
 from hapticd.rendering.compiler.materials import Effects, Materials
 from hapticd.rendering.compiler.records import Places, Records, next_version
-from hapticd.rendering.compiler.walls import PatchedWalls, same
+from hapticd.rendering.compiler.walls import PatchedWalls
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.surface_table import SurfaceTable
 
@@ -289,32 +289,30 @@ class Compiler:
         shape, place = _place_of(item)
         material = self._materials.use(item.material)
         slot = self._slots.get(id)
-        held = None if slot is None else self._walls.of(slot)
-        pieces = self._walls.use(item, held) if item.kind == "wall" and item.patches else None
         generation = stamp if former is None else former[1]
         pose_version = surface_version = stamp
-        first = 0
+        first, patched = 0, item if item.kind == "wall" and item.patches else None
         if slot is None:
             slot = self._slots[id] = self._places.take(None if former is None else former[0])
             if slot == len(self._owners):
                 self._owners.append(None)
                 self._objects.reserve(slot + 1)
             self._owners[slot] = (generation, id)
+            self._walls.put(slot, patched)
         else:
+            pieces_change = self._walls.put(slot, patched)
             before = _RECORD.unpack_from(self._objects.memory, slot * _RECORD.size)
             if before[3] == shape:
                 generation = before[0]
                 if before[8:] == place:
                     pose_version = before[1]
-                if before[4] == material and same(held, pieces):
+                if before[4] == material and not pieces_change:
                     surface_version, first = before[2], before[5]
             else:
                 self._retire(slot)
                 self._owners[slot] = (generation, id)
             self._materials.release(before[4])
-        if held is not pieces:
-            self._walls.put(slot, pieces)
-        count = 0 if pieces is None else len(pieces.rows)
+        count = 0 if patched is None else self._walls.count(slot)
         key = (generation, pose_version, surface_version, shape, material, first, count, 0)
         _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, *key, *place)
         self._changed.add(slot)
