@@ -100,8 +100,8 @@ class CompiledScene:
         objects = self.config.scene.objects
         return evaluate(self._compiler.surfaces(), self._compiler.names().__getitem__, lambda: field_ids(objects), loop)
 
-    def gave(self, samples: Samples, events: Events, truth: Floats | None, unstable: Iterable[Problem] = ()) -> Run:
-        """What a run gave, and what of the scene was not displayed as it was meant."""
+    def run_of(self, samples: Samples, events: Events, truth: Floats | None, unstable: Iterable[Problem] = ()) -> Run:
+        """A run that gave this, with what of the scene it did not display as it was meant."""
         objects, materials = self.config.scene.objects, self.config.materials
         return Run(
             samples,
@@ -271,7 +271,7 @@ class Simulation:
         return self.run(duration_s)[1]
 
     def run(self, duration_s: float) -> tuple[Samples, Floats, Events]:
-        """As go_on, with samples, (n,), and events of the same ticks, one at least."""
+        """Samples, (n,), the handle's own motion as of go_on, (n, 4), and events of the ticks to come, one at least."""
         count = max(1, round(duration_s * self._scene.rate_hz))
         samples, truth = np.empty(count, SAMPLE_DTYPE), np.empty((count, 4))
         events = self._recorder.run(
@@ -389,7 +389,7 @@ def render_run(
             found,
         ),
     )
-    return scene.gave(samples, events, None)
+    return scene.run_of(samples, events, None)
 
 
 def simulate(
@@ -430,7 +430,7 @@ def simulate_run(
     lasting_s = _duration(float(way[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
     unstable = scene.stability().problems() if check_stability else ()
     samples, truth, events = Simulation(scene, way.tolist(), operator.interpolation).run(lasting_s)
-    return scene.gave(samples, events, truth, unstable)
+    return scene.run_of(samples, events, truth, unstable)
 
 
 def _operator(

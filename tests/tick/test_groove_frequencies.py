@@ -205,9 +205,9 @@ def test_compensation_follows_the_frequency(compensation: str) -> None:
     rig = Rig({"floor": FLOOR}, materials={"m": comb()}, device=device)
     output = output_of(rig.config, 10_000)
     assert output.dynamics is not None and output.compensation != "off"
-    from hapticd.rendering.compiler.mode_tables import groove_modes
+    from hapticd.rendering.compiler.mode_tables import tabled_grooves
 
-    tuning = groove_modes(rig.config.materials["m"], output)
+    tuning = tabled_grooves(rig.config.materials["m"], output)
     assert tuning is not None
     from hapticd.rendering.compensation import _Band  # the spectra, which tests of compensation hold to mpmath
 

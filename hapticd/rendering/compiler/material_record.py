@@ -15,7 +15,7 @@ from hapticd.config.modes import Mode
 from hapticd.config.texture import FrequencyTable, Grooves
 from hapticd.config.waveform import Waveform
 from hapticd.rendering.compiler.mode_record import Effect, mode_record
-from hapticd.rendering.compiler.mode_tables import groove_modes, tap_modes
+from hapticd.rendering.compiler.mode_tables import tabled_grooves, tabled_tap
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import displayed_wave_rate, touched_by
 
@@ -84,7 +84,7 @@ def _put_tap(
 ) -> None:
     tap, slope = material.tap, 1.0
     assert tap is not None
-    tabled, touched = tap_modes(material, output), touched_by(material, "tap")
+    tabled, touched = tabled_tap(material, output), touched_by(material, "tap")
     if tap.attack_slope_per_s is not None:
         slope = tap.attack_slope_per_s
     elif tap.amplitudes is not None:  # the points give A itself
@@ -132,7 +132,7 @@ def _put_waveform(record: CData, waveform: Waveform, slope: float, coefficient: 
 def _put_groove_mode(
     record: CData, numbers: Numbers, material: Material, table: FrequencyTable | None, output: Output
 ) -> None:
-    mode, tabled = material.groove_mode, groove_modes(material, output)
+    mode, tabled = material.groove_mode, tabled_grooves(material, output)
     assert mode is not None
     record.groove = mode_record(mode if tabled is None else tabled.base, 1.0, 1.0, output)
     if tabled is not None and table is not None:

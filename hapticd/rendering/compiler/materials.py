@@ -42,7 +42,7 @@ class _Used:
     uses: int = 0
     noise: int | None = None
     """Its place among the noises."""
-    heard: tuple[Noise, int, Design] | None = None
+    filters: tuple[Noise, int, Design] | None = None
     """What the noise is made of, the version of that, and its filters."""
     numbers: Numbers = field(default_factory=dict)
     struck: tuple[Mode, ...] = ()
@@ -90,7 +90,7 @@ class Materials:
         self.output = output
         used = sorted(self._used)
         for index in used:
-            self._used[index].heard = None
+            self._used[index].filters = None
             self._compile(index)
         return used
 
@@ -127,10 +127,10 @@ class Materials:
         if isinstance(texture, Stochastic | Autoregressive):
             if used.noise is None:
                 used.noise = self._noise_places.take()
-            if used.heard is None or used.heard[0] != texture:
-                filters = self._designed(texture)
+            if used.filters is None or used.filters[0] != texture:
+                designed = self._designed(texture)
                 self._versions = next_version(self._versions)
-                used.heard = texture, self._versions, filters
+                used.filters = texture, self._versions, designed
                 self._numbers_changed = True
         else:
             self._silence(used)
@@ -155,7 +155,7 @@ class Materials:
     def _silence(self, used: _Used) -> None:
         if used.noise is not None:
             self._noise_places.give(used.noise)
-            used.noise = used.heard = None
+            used.noise = used.filters = None
             self._numbers_changed = True
 
     def _designed(self, texture: Noise) -> Design:
@@ -205,24 +205,24 @@ class Materials:
     def _rebuild_numbers(self) -> None:
         """All noises and their numbers, and those of the materials. A place that is free is silent."""
         self._noises = records(NOISE_DTYPE, self._noise_places.count)
-        heard = {used.noise: used.heard for used in self._used.values()}
+        sounding = {used.noise: used.filters for used in self._used.values()}
         numbers: list[npt.NDArray[np.float64]] = []
         first = 0
         for place, record in enumerate(pointer("struct hd_noise[]", self._noises)):
-            filters, sounding = SILENCE, heard.get(place)
-            if sounding is not None:
-                texture, record.version, filters = sounding
+            designed, made_of = SILENCE, sounding.get(place)
+            if made_of is not None:
+                texture, record.version, designed = made_of
                 record.along_normal = texture.direction == "normal"
                 record.seed = texture.seed
                 record.threshold_m_per_s = texture.threshold_m_per_s
                 if isinstance(texture, Stochastic):
                     record.velocity_gain_per_s = texture.velocity_gain_per_s
                     record.force_gain_m_per_s2_per_n = texture.force_gain_m_per_s2_per_n
-            record.order, record.taps = filters.order, filters.taps
-            record.speed_count, record.force_count = len(filters.speeds), len(filters.forces)
+            record.order, record.taps = designed.order, designed.taps
+            record.speed_count, record.force_count = len(designed.speeds), len(designed.forces)
             record.first = first
-            record.force_per_unit = 0.0 if filters.muted else self.output.effective_mass_kg
-            numbers.append(filters.numbers())
+            record.force_per_unit = 0.0 if designed.muted else self.output.effective_mass_kg
+            numbers.append(designed.numbers())
             first += len(numbers[-1])
         for index, used in self._used.items():
             for key, own in used.numbers.items():

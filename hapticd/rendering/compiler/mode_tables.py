@@ -66,7 +66,7 @@ def _highest(output: Output) -> float:
     return 2.0 * math.pi * DISPLAYABLE * output.carried_hz
 
 
-def groove_modes(material: Material, output: Output) -> TabledModes | None:
+def tabled_grooves(material: Material, output: Output) -> TabledModes | None:
     """Of a material whose grooves have a table of frequencies."""
     texture, modes = material.texture, material.groove_modes
     if not isinstance(texture, Grooves) or texture.frequency_table is None or not modes:
@@ -82,7 +82,7 @@ def groove_modes(material: Material, output: Output) -> TabledModes | None:
     return TabledModes(Mode(decay, low), tail, nodes, numbers)
 
 
-def tap_modes(material: Material, output: Output) -> TabledModes | None:
+def tabled_tap(material: Material, output: Output) -> TabledModes | None:
     """Of a material whose tap has a mode table."""
     if material.tap is None or material.tap.mode_table is None:
         return None
