@@ -25,6 +25,7 @@ from hapticd.recording.simulated import simulate_files
 from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import Rerun, render_run, simulate_run
+from tests.support.rig import Rig
 
 CONFIG = Path(shipped.__path__[0])
 SCENES = sorted(CONFIG.glob("scenes/*.yaml"))
@@ -107,10 +108,10 @@ def test_reports_that_are_rarer_than_ticks(tmp_path: Path, reports: dict[str, An
 def test_missed_periods_are_those_of_the_recording(tmp_path: Path) -> None:
     positions = strokes(0.5)
     periods = np.where(np.arange(len(positions)) % 700 == 699, 30, 1)
-    config = {"scene": {"objects": {"floor": FLOOR}}}
-    run = render_run(config, positions, RATE_HZ, periods=periods)
-    assert (run.samples["flags"] & Flag.SKIPPED).any() and (run.samples["flags"] & Flag.RINGING).any()
-    write(tmp_path / "run.npz", run.samples, config)
+    rig = Rig({"floor": FLOOR}, rate_hz=RATE_HZ)
+    samples = rig.render(positions, periods=periods)
+    assert (samples["flags"] & Flag.SKIPPED).any() and (samples["flags"] & Flag.RINGING).any()
+    write(tmp_path / "run.npz", samples, rig.source)
     assert replay(tmp_path / "run.npz").identical == len(positions)
 
 
