@@ -341,11 +341,6 @@ def _root_mean_square(errors: list[float]) -> float:
     return math.sqrt(sum(error**2 for error in errors) / len(errors))
 
 
-def _at(ringing: Ringing, time_s: _Floats) -> _Floats:
-    value: _Floats = (ringing.gain * np.exp(ringing.pole * time_s)).imag
-    return value
-
-
 def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
     """A bound of the magnitude over all times, and where it is nearly reached.
 
@@ -356,7 +351,8 @@ def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
     for end in sorted({each.end_s for each in sounding}):
         here = [each for each in sounding if each.end_s >= end]
         time = np.linspace(begin, end, _PEAK_SAMPLES)
-        value = np.abs(sum((_at(each, time) for each in here), np.zeros(_PEAK_SAMPLES)))
+        sounds = ((each.gain * np.exp(each.pole * time)).imag for each in here)
+        value = np.abs(sum(sounds, np.zeros(_PEAK_SAMPLES)))
         curvature = sum(abs(each.gain) * abs(each.pole) ** 2 for each in here)
         least = float(value.max())
         bound = min(least + (time[1] - time[0]) ** 2 / 8 * curvature, sum(abs(each.gain) for each in here))

@@ -325,12 +325,8 @@ def _numbers(values: npt.ArrayLike, name: str, columns: int) -> Floats:
 
 def _positions(position_m: npt.ArrayLike, name: str) -> Floats:
     array = _numbers(position_m, name, 2)
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = array.sum()
-    if not np.isfinite(total):  # one pass; the sum of finite numbers may overflow, so look again
-        finite = np.isfinite(array).all(axis=1)
-        if finite.all():
-            return array
+    finite = np.isfinite(array).all(axis=1)
+    if not finite.all():
         first = int(np.argmin(finite))
         raise InvalidError([Problem(f"{name}[{first}]", f"must be finite, is {array[first].tolist()}")])
     return array
