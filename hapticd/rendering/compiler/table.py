@@ -264,12 +264,9 @@ class Compiler:
         if fields_changed:
             table.field_version = self._stamp
             # Correctly rounded however often fields come and go (docs/adr/0005).
-            *force, stiffness, damping = map(math.fsum, zip(_NO_FIELD, *self._fields.values(), strict=True))
-            table.field.force_n, table.field.stiffness_n_per_m, table.field.damping_n_s_per_m = (
-                force,
-                stiffness,
-                damping,
-            )
+            sums = [math.fsum(column) for column in zip(_NO_FIELD, *self._fields.values(), strict=True)]
+            table.field.force_n = sums[:2]
+            table.field.stiffness_n_per_m, table.field.damping_n_s_per_m = sums[2:]
         table.revision = revision
         table.display_force = scene.display.force
         table.display_vibration = scene.display.vibration
