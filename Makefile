@@ -26,7 +26,7 @@ BUILT := $(VENV)/.built
 TOOLS := $(VENV)/.tools
 SETUP := pyproject.toml setup.py hapticd/_version.py $(CONSTRAINTS)
 C_SOURCES := $(wildcard csrc/*/*.c)
-C_FILES := $(wildcard csrc/*/*.[ch] tests/c/*.[ch] tests/model/*.[ch] tests/sanitized/*.[ch] tests/vm/*.[ch] bench/peers/*.[ch])
+C_FILES := $(wildcard csrc/*/*.[ch] tests/c/*.[ch] tests/model/*.[ch] tests/sanitized/*.[ch] tests/vm/*.[ch])
 JOBS := $(shell nproc 2>/dev/null || echo 1)
 
 .DEFAULT_GOAL := help
@@ -201,7 +201,7 @@ test-deb: deb ## lintian on the Debian package; installed, upgraded and purged u
 	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh -d
 
 .PHONY: bench
-bench: tools ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
+bench: tools ## errors and times, as in docs/accuracy.md and docs/benchmarks.md: 15 minutes
 	@$(BIN)/python -m bench --overwrite
 
 .PHONY: man

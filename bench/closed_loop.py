@@ -14,20 +14,16 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 import hapticd
-from bench.plots import Figure, Point, beside, trade
-from bench.report import Advance, Floats, Options, Section, Table, spread
-from bench.tick import FLOOR, Stretch, walls
+from bench.report import Advance, Floats, Options, Section, Table
+from bench.tick import FLOOR
 from hapticd.base.core import EventKind
 from hapticd.config.materials import Mode, shipped_materials
 from hapticd.rendering.offline import render_run, simulate_run
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Canvas
 
 RATES_HZ = (1000.0, 2000.0, 5000.0, 10_000.0)
 PHASES = 16
@@ -232,53 +228,6 @@ def _loop_table(name: str, loop: Loop, delay_periods: int = 0) -> tuple[Table, l
     caption = f"{name}{late} (peaks of the closed form: {force:.2f} N, {1e3 * depth:.2f} mm)"
     heads = ["rate, Hz", "force at ticks, mN", "penetration at ticks, um", "held force, mean over time, mN"]
     return Table(caption, heads, rows), errors
-
-
-def run(options: Options, advance: Advance) -> Section:
-    """Error against the cost of the tick."""
-    loops = {name: LOOPS[name] for name in ("K = 800 N/m, D = 2 N s/m", "K = 2000 N/m, D = 2 N s/m")}
-    stretch = Stretch(walls(1, "plain"), -0.001, estimate=True)
-    stretch.enter()
-    stretch.render(50)
-    rounds = options.few(20, 4)
-    tick_ns = [float(np.median(stretch.timed(options.few(200, 100)))) for _ in range(rounds)]
-    rows = []
-    points: dict[str, list[Point]] = {}
-    for name, loop in loops.items():
-        force, depth = peaks(loop)
-        points[name] = []
-        for index, rate in enumerate(RATES_HZ):
-            e = error(loop, rate)
-            cells = [f"{100 * e.force_n / force:.2f} %", f"{100 * e.penetration_m / depth:.2f} %"]
-            rows.append([f"{name}: {rate:.0f} Hz", *cells, spread(np.array(tick_ns) * rate / 1e6, ".3f")])
-            cost = [each * rate / 1e6 for each in tick_ns]
-            points[name].append(Point(f"{rate / 1000:g} kHz", cost, 100 * e.force_n / force, rate == 10_000.0))
-            advance((len(rows)) / 2 / len(RATES_HZ), f"{name} {index}")
-
-    def draw(canvas: Canvas) -> None:
-        plots = canvas.subplots(1, 2, sharey=True)
-        for axes, (name, found) in zip(plots, points.items(), strict=True):
-            trade(axes, found)
-            axes.set_title(name, fontsize=10)
-            axes.set_xlabel("the tick's own work, ms a second")
-        plots[0].set_ylabel("largest error of the force at a tick, % of its peak")
-        canvas.suptitle("The closed loop over the rate")
-        beside(canvas, plots[0])
-
-    return Section(
-        "The closed loop: error against cost",
-        [
-            "A hand on a wall against the closed form of the continuous loop, as below, and the tick's own work at "
-            f"that rate: {spread(tick_ns, '.0f')} ns warm, the estimator on exact positions among it.",
-            Table(
-                f"Largest error at ticks, of the peak; processor time, ms a second, {rounds} rounds: median (10 to 90 "
-                "%)",
-                ["wall: rate", "force", "penetration", "processor"],
-                rows,
-            ),
-            Figure("loop", "The closed loop: cost against error", draw, (10.0, 4.5)),
-        ],
-    )
 
 
 # ---- What is rendered against references ---------------------------------------------------------------------------

@@ -1,5 +1,4 @@
-"""Wake-up lateness and work of the running servo, beside cyclictest (Debian's rt-tests), in turns; and what the jitter
-of the wake-up does to the phase of each material's mode.
+"""Wake-up lateness and work of the running servo, beside cyclictest (Debian's rt-tests), in turns.
 
     python -m bench.lateness RATE_HZ SECONDS SPIN_US       one run of the servo, as JSON; what the measurement starts
 
@@ -11,39 +10,29 @@ at absolute times of CLOCK_MONOTONIC. cyclictest keeps the processors out of idl
 from __future__ import annotations
 
 import json
-import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.closed_loop import library_modes
 from bench.daemon import DEVICE, SCENE
-from bench.plots import COLOURS, MARKERS, Figure, beside
 from bench.report import ROOT, Advance, Floats, Options, Section, Table, spread, verdict
 from hapticd.base.core import SAMPLE_DTYPE, records
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import load_config
 from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Canvas
-
 RATES_HZ = (1000, 4000, 10_000)
 SPIN_US = {1000: 100.0, 4000: 100.0, 10_000: 50.0}
 """At 10 kHz less than the period: a real-time thread that never sleeps is throttled by the kernel."""
 PRIORITY = 80
 PERCENTILES = (50.0, 99.0, 99.9)
-CHOSEN = "10 kHz, servo"
-"""The default: 10 kHz, no spin."""
 SETTLE_S = 0.2
 """Left out at the start of a run: page faults of the process that has just started."""
 
@@ -53,41 +42,10 @@ class Run:
     """One run: percentiles 50, 99, 99.9 in ns, and periods that were missed."""
 
     lateness_ns: list[float]
-    jitter_ns: list[float]
-    """Of the distance from the median lateness: what is always late by the same is only a delay."""
-    processor: float
-    """The share of one processor that the process took."""
     work_ns: list[float]
     skipped: int
     scheduler: str
     missing: list[str]
-
-
-@dataclass(frozen=True, slots=True)
-class Bare:
-    """The same of cyclictest."""
-
-    lateness_ns: list[float]
-    jitter_ns: list[float]
-    processor: float
-
-
-def jitter_of(lateness: Floats, count: Floats) -> list[float]:
-    """PERCENTILES of the distance from the median, of values [n] that were met so many times [n] each."""
-    distance = np.abs(lateness - weighted(lateness, count, 50.0))
-    return [weighted(distance, count, p) for p in PERCENTILES]
-
-
-def weighted(values: Floats, count: Floats, percentile: float) -> float:
-    """The smallest value that so many of all, each met `count` times, do not exceed."""
-    order = np.argsort(values)
-    below = np.cumsum(count[order])
-    return float(values[order][np.searchsorted(below, percentile / 100 * below[-1] * (1 - 1e-12))])
-
-
-def phase_degrees(frequency_hz: float, time_ns: float) -> float:
-    """How far a vibration turns in that time."""
-    return 360.0 * frequency_hz * time_ns / 1e9
 
 
 def lateness_of(samples: np.ndarray[tuple[int], np.dtype[np.void]], rate_hz: float) -> tuple[Floats, int]:
@@ -109,7 +67,6 @@ def servo(rate_hz: float, seconds: float, spin_us: float) -> Run:
     room = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
     taken = []
     granted = engine.start()
-    begin, used = time.monotonic(), time.process_time()
     try:
         end = time.monotonic() + SETTLE_S + seconds
         while time.monotonic() < end:
@@ -119,15 +76,12 @@ def servo(rate_hz: float, seconds: float, spin_us: float) -> Run:
             if dropped:
                 raise RuntimeError(f"{dropped} samples were dropped")
             taken.append(room[:count].copy())
-        share = (time.process_time() - used) / (time.monotonic() - begin)
     finally:
         engine.stop()
     samples = np.concatenate(taken)[round(SETTLE_S * rate_hz) :]
     late, skipped = lateness_of(samples, rate_hz)
     return Run(
         np.percentile(late, PERCENTILES).tolist(),
-        jitter_of(late, np.ones(len(late))),
-        share,
         np.percentile(samples["work_ns"], PERCENTILES).tolist(),
         skipped,
         granted.scheduler,
@@ -150,53 +104,39 @@ def said_by(arguments: Sequence[str]) -> str:
     return process.stdout
 
 
-def cyclictest(rate_hz: float, seconds: float) -> Bare:
-    """Its latencies."""
+def cyclictest(rate_hz: float, seconds: float) -> list[float]:
+    """Its latencies: PERCENTILES in ns."""
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         path = Path(folder, "cyclictest.json")
         loops = round(rate_hz * (seconds + SETTLE_S))
         arguments = ["-q", "-m", "-N", f"-p{PRIORITY}", "-t1", f"-i{round(1e6 / rate_hz)}", f"-l{loops}"]
-        begin, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run(
             ["cyclictest", *arguments, "-h1000000", f"--json={path}"],
             check=True,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        after, lasted = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic() - begin
         thread = json.loads(path.read_text(encoding="utf-8"))["thread"]["0"]
     bins = sorted((int(latency), int(count)) for latency, count in thread["histogram"].items())
     latency, count = np.array(bins, dtype=np.float64).T
     # Later than the histogram reaches: the worst that was, for the percentiles.
     beyond = int(thread["cycles"]) - float(count.sum())
     latency, count = np.append(latency, thread["max"]), np.append(count, max(beyond, 0.0))
-    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return Bare([weighted(latency, count, p) for p in PERCENTILES], jitter_of(latency, count), used / lasted)
-
-
-@contextmanager
-def busy(count: int) -> Iterator[None]:
-    """So many processes that compute and do nothing else."""
-    with ExitStack() as stack:
-        for _ in range(count):
-            process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-            stack.callback(process.wait)
-            stack.callback(process.kill)
-        yield
+    percentiles: list[float] = np.percentile(latency, PERCENTILES, weights=count, method="inverted_cdf").tolist()
+    return percentiles
 
 
 def _us(values: list[float]) -> str:
     return spread(values, ".1f", 1e-3)
 
 
-def run(options: Options, advance: Advance) -> list[Section]:
-    """On lateness and work; on what the jitter does to phases."""
-    pairs = options.few(options.pairs, 2)
-    seconds = 1.0 if options.quick else options.seconds
+def run(options: Options, advance: Advance) -> Section:
+    """On lateness and work."""
+    pairs, seconds = options.few(6, 2), options.few(3, 1)
     spins = options.few(3, 1)
     have = shutil.which("cyclictest") is not None
     runs: dict[int, list[Run]] = {rate: [] for rate in RATES_HZ}
-    theirs: dict[int, list[Bare]] = {rate: [] for rate in RATES_HZ}
+    theirs: dict[int, list[list[float]]] = {rate: [] for rate in RATES_HZ}
     spun: dict[int, list[Run]] = {rate: [] for rate in RATES_HZ}
     total = len(RATES_HZ) * (pairs * (2 if have else 1) + spins)
     done = 0
@@ -206,28 +146,27 @@ def run(options: Options, advance: Advance) -> list[Section]:
         done += 1
         advance(done / total, what)
 
-    with busy(options.load):
-        for pair in range(pairs):
-            for rate in RATES_HZ:
-                # In turns, and neither always first.
-                for ours in (True, False) if pair % 2 == 0 else (False, True):
-                    if ours:
-                        runs[rate].append(servo_process(rate, seconds, 0.0))
-                        tell(f"servo at {rate} Hz")
-                    elif have:
-                        theirs[rate].append(cyclictest(rate, seconds))
-                        tell(f"cyclictest at {rate} Hz")
-        for _ in range(spins):
-            for rate in RATES_HZ:
-                spun[rate].append(servo_process(rate, seconds, SPIN_US[rate]))
-                tell(f"servo at {rate} Hz with spin")
+    for pair in range(pairs):
+        for rate in RATES_HZ:
+            # In turns, and neither always first.
+            for ours in (True, False) if pair % 2 == 0 else (False, True):
+                if ours:
+                    runs[rate].append(servo_process(rate, seconds, 0.0))
+                    tell(f"servo at {rate} Hz")
+                elif have:
+                    theirs[rate].append(cyclictest(rate, seconds))
+                    tell(f"cyclictest at {rate} Hz")
+    for _ in range(spins):
+        for rate in RATES_HZ:
+            spun[rate].append(servo_process(rate, seconds, SPIN_US[rate]))
+            tell(f"servo at {rate} Hz with spin")
     first = runs[RATES_HZ[0]][0]
     section = Section("The running servo")
     section.parts.append(
         f"Simulated joystick at rest above a wooden floor, "
         f"{'SCHED_FIFO ' + str(PRIORITY) if first.scheduler == 'fifo' else 'no real-time priority'}"
         f"{', not granted: ' + '; '.join(first.missing) if first.missing else ''}; runs of {seconds:g} s, "
-        f"{f'{options.load} busy processes' if options.load else 'no load'} added to what the machine has. "
+        "no load added to what the machine has. "
         "Lateness is wake-up after the deadline, missed periods included; work is from wake-up to the force handed "
         "over: commands and table looked at, device read, velocity estimated, tick, device written, and one reading of "
         "the clock."
@@ -243,85 +182,7 @@ def run(options: Options, advance: Advance) -> list[Section]:
         )
         section.parts.append(_alone("Wake-up lateness, us, without spin", runs, dict.fromkeys(RATES_HZ, 0.0), None))
     section.parts.append(_alone("Wake-up lateness, us, with spin", spun, SPIN_US, 1000.0))
-    return [section, _phases(runs, theirs, spun)]
-
-
-def _phases(runs: dict[int, list[Run]], theirs: dict[int, list[Bare]], spun: dict[int, list[Run]]) -> Section:
-    """Jitter as an error of phase."""
-    groups: dict[str, dict[int, list[Run]] | dict[int, list[Bare]]] = {
-        "servo": runs,
-        "cyclictest": theirs,
-        "servo with spin": spun,
-    }
-    have = {name: group for name, group in groups.items() if group[RATES_HZ[0]]}
-    heads = [f"{rate / 1000:g} kHz, {name}" for rate in RATES_HZ for name in have]
-    late = [
-        [[run.jitter_ns[i] for run in group[rate]] for i in range(3)] for rate in RATES_HZ for group in have.values()
-    ]
-    share = [[100 * run.processor for run in group[rate]] for rate in RATES_HZ for group in have.values()]
-    rows = [
-        [f"jitter {percentile:g} %, us", *(_us(column[index]) for column in late)]
-        for index, percentile in enumerate(PERCENTILES)
-    ]
-    rows.append(["processor, %", *(spread(column, ".1f") for column in share)])
-    turned = []
-    for material, mode in library_modes():
-        cells = []
-        for place, column in enumerate(late):
-            carried = mode.frequency_hz <= 0.4 * RATES_HZ[place // len(have)]
-            degrees = [phase_degrees(mode.frequency_hz, float(np.median(column[i]))) for i in range(2)]
-            cells.append(" / ".join(f"{value:.2g}" for value in degrees) if carried else "-")
-        turned.append([f"{material}, {mode.frequency_hz:.0f} Hz", *cells])
-
-    def draw(canvas: Canvas) -> None:
-        plots = canvas.subplots(1, 2, sharey=True)
-        modes = dict(library_modes())
-        for axes, material in zip(plots, ("wood", "aluminum"), strict=True):
-            hertz = modes[material].frequency_hz
-            points = []
-            for place, column in enumerate(late):
-                # What the rate cannot carry is not displayed.
-                if hertz <= 0.4 * RATES_HZ[place // len(have)]:
-                    error = phase_degrees(hertz, float(np.median(column[1])))
-                    points.append((heads[place], share[place], max(error, 1e-3)))
-            for name, cost, error in points:
-                index = heads.index(name)
-                axes.plot(
-                    [float(np.median(cost))],
-                    [error],
-                    MARKERS[index],
-                    color=COLOURS[index],
-                    markersize=8,
-                    label=f"{name}{' - chosen' if name == CHOSEN else ''}",
-                )
-                if name == CHOSEN:
-                    axes.plot([float(np.median(cost))], [error], "o", ms=16, mfc="none", mec="black")
-            axes.set_xscale("log")
-            axes.set_yscale("log")
-            axes.grid(True, which="major", linewidth=0.4, alpha=0.6)
-            axes.set_xlabel("processor, % of one")
-            axes.set_title(f"{material}, {hertz:.0f} Hz", fontsize=10)
-        plots[0].set_ylabel("99 % of the phase errors are below, degrees")
-        canvas.suptitle("Jitter of the wake-up as an error of phase")
-        beside(canvas, plots[0])
-
-    return Section(
-        "Jitter of the wake-up",
-        [
-            "The same runs as under The running servo (benchmarks.md). A tick is computed for its deadline, so a "
-            "wake-up that is late by the same every time is a delay and no distortion; jitter is the distance of a "
-            "wake-up's lateness from the run's median. The force of that tick acts so much too early or too late, "
-            "which is a phase of 360 f times it in a vibration of f. cyclictest is the floor: a thread that does "
-            "nothing else. Processor: of the whole process, for the servo with the reading of its samples.",
-            Table("Jitter, and what it costs: median over the runs (10 to 90 %)", ["", *heads], rows),
-            Table(
-                "The same as a phase at each material's frequency, degrees: 50 % / 99 % (-: the rate cannot carry it)",
-                ["mode", *heads],
-                turned,
-            ),
-            Figure("jitter", "Jitter as an error of phase against processor time", draw, (10.5, 5.0)),
-        ],
-    )
+    return section
 
 
 def _work(runs: dict[int, list[Run]], spun: dict[int, list[Run]]) -> Table:
@@ -338,11 +199,11 @@ def _work(runs: dict[int, list[Run]], spun: dict[int, list[Run]]) -> Table:
     )
 
 
-def _beside(runs: dict[int, list[Run]], theirs: dict[int, list[Bare]]) -> Table:
+def _beside(runs: dict[int, list[Run]], theirs: dict[int, list[list[float]]]) -> Table:
     rows = []
     for rate in RATES_HZ:
         ours = [run.lateness_ns for run in runs[rate]]
-        for name, found in (("servo", ours), ("cyclictest", [run.lateness_ns for run in theirs[rate]])):
+        for name, found in (("servo", ours), ("cyclictest", theirs[rate])):
             rows.append([f"{rate} Hz, {name}", *(_us([run[i] for run in found]) for i in range(3))])
     return Table(
         f"Wake-up lateness, us, without spin, {len(runs[RATES_HZ[0]])} runs of each in turns: median (10 to 90 %)",
@@ -351,10 +212,10 @@ def _beside(runs: dict[int, list[Run]], theirs: dict[int, list[Bare]]) -> Table:
     )
 
 
-def _ratios(runs: dict[int, list[Run]], theirs: dict[int, list[Bare]]) -> Table:
+def _ratios(runs: dict[int, list[Run]], theirs: dict[int, list[list[float]]]) -> Table:
     rows = []
     for rate in RATES_HZ:
-        ratio = np.array([r.lateness_ns for r in runs[rate]]) / np.array([r.lateness_ns for r in theirs[rate]])
+        ratio = np.array([r.lateness_ns for r in runs[rate]]) / np.array(theirs[rate])
         skipped = sum(run.skipped for run in runs[rate])
         rows.append(
             [

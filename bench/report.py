@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,10 +14,6 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from bench.plots import Figure
-
-PICTURES = "report"
-"""The folder of the figures, beside the pages."""
 ROOT = Path(__file__).resolve().parent.parent
 Floats = npt.NDArray[np.float64]
 Advance = Callable[[float, str], None]
@@ -28,14 +24,6 @@ Advance = Callable[[float, str], None]
 class Options:
     """How much is measured."""
 
-    pairs: int = 6
-    """Paired runs beside cyclictest, at each rate."""
-    seconds: float = 3.0
-    """Length of each of them, and of the runs with spin."""
-    minute_s: float = 20.0
-    """Length of the telemetry run."""
-    load: int = 0
-    """Busy processes beside the lateness runs."""
     quick: bool = False
     """Fewer repetitions everywhere: shows that it runs, not how fast."""
 
@@ -70,61 +58,29 @@ class Table:
 
 @dataclass(slots=True)
 class Section:
-    """What one measurement found: paragraphs, tables and figures, in their order."""
+    """What one measurement found: paragraphs and tables, in their order."""
 
     title: str
-    parts: list[str | Table | Figure] = field(default_factory=list)
+    parts: list[str | Table] = field(default_factory=list)
 
     def body(self) -> str:
-        """The section in Markdown, without its title; its figures lie in PICTURES."""
-        return "\n\n".join(_markdown(part) for part in self.parts)
+        """The section in Markdown, without its title."""
+        return "\n\n".join(part if isinstance(part, str) else part.markdown() for part in self.parts)
 
     def markdown(self) -> str:
         """The whole section in Markdown."""
         return f"## {self.title}\n\n{self.body()}"
 
     def show(self, console: Console) -> None:
-        """The section on the terminal, without its figures."""
+        """The section on the terminal."""
         console.print(f"\n[bold]{self.title}[/bold]")
         for part in self.parts:
-            if not isinstance(part, Figure):
-                console.print(part if isinstance(part, str) else part.rich(), markup=False, highlight=False)
-
-    def draw(self, folder: Path) -> list[Path]:
-        """Draws its figures into a folder; their files."""
-        return [part.save(folder) for part in self.parts if isinstance(part, Figure)]
-
-
-def _markdown(part: str | Table | Figure) -> str:
-    if isinstance(part, Table):
-        return part.markdown()
-    if isinstance(part, Figure):
-        return f"![{part.caption}]({PICTURES}/{part.name}.png)"
-    return part
+            console.print(part if isinstance(part, str) else part.rich(), markup=False, highlight=False)
 
 
 def between(advance: Advance, begin: float, end: float, what: str) -> Callable[[float], None]:
     """Tells progress of a part, 0 to 1, as that of the whole from `begin` to `end`."""
     return lambda part: advance(begin + (end - begin) * part, what)
-
-
-def alternated(
-    rounds: int, runs: Mapping[str, Callable[[], float]], tell: Callable[[float], None]
-) -> dict[str, Floats]:
-    """What each run says in each round, [rounds]: in turns, the first of a round another one each time.
-
-    One round before them is thrown away: it fills the caches. `tell` hears which part is done.
-    """
-    names = list(runs)
-    found = {name: np.empty(rounds) for name in names}
-    for name in names:
-        runs[name]()
-    for index in range(rounds):
-        first = index % len(names)
-        for name in names[first:] + names[:first]:
-            found[name][index] = runs[name]()
-        tell((index + 1) / rounds)
-    return found
 
 
 def spread(values: Sequence[float] | Floats, form: str = ".3g", scale: float = 1.0) -> str:

@@ -79,7 +79,7 @@ def _subscribers(running: Running, seconds: float, readers: int, dead: int) -> d
 def run(options: Options, advance: Advance) -> Section:
     """The table of it."""
     parts = options.few(3, 1)
-    seconds = (3.0 if options.quick else options.minute_s) / parts
+    seconds = options.few(20, 3) / parts
     plans = {"1 subscriber": (1, 0), f"{READERS + 1} subscribers, one dead": (READERS, 1)}
     found: dict[str, list[dict[str, Any]]] = {name: [] for name in plans}
     memory: dict[str, float] = {}

@@ -246,7 +246,7 @@ def completion_command(shell: str) -> None:
 
 def _bench() -> ModuleType:
     """The benchmarks' main module. Raises HapticdError where they are not, or what they need is not."""
-    if not (TREE / "bench" / "peers.py").is_file():
+    if not (TREE / "bench" / "report.py").is_file():
         raise HapticdError(
             "the benchmarks are not installed with hapticd: run this in a source tree, after pip install -e '.[dev]'"
         )

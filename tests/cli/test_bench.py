@@ -31,8 +31,8 @@ def test_an_installed_hapticd_says_where_the_benchmarks_are(
 
 
 def test_quick_figures_do_not_replace_those_of_docs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench.main(["noise", "--quick", "--overwrite"]) == 1
-    told = "bench: --quick measures too little for docs: give another folder with --out, or no --overwrite\n"
+    assert cli.main(["bench", "tick", "--quick", "--overwrite"]) == 1
+    told = "hapticd: --quick measures too little for docs: give another folder with --out, or no --overwrite\n"
     assert capsys.readouterr().err == told
 
 
@@ -43,5 +43,5 @@ def test_a_page_goes_to_a_file_alone(
 ) -> None:
     monkeypatch.setattr(bench, "_measure", lambda *_: pytest.fail("it would measure first"))
     told = special(tmp_path / bench.ACCURACY, kind)
-    assert cli.main(["bench", "noise", "--quick", "--out", str(tmp_path), *overwrite]) == 1
+    assert cli.main(["bench", "rendered", "--quick", "--out", str(tmp_path), *overwrite]) == 1
     assert capsys.readouterr().err == f"hapticd: {told}\n"
