@@ -1,112 +1,19 @@
-"""The command socket: what is answered to everything that can be said, and that nothing changes by mistake."""
+"""The command socket: what is answered to parameters, and that nothing changes by mistake.
+
+Bodies, envelopes and ids stand in tests/protocol/test_messages.py, and at the socket in tests/soak/fuzz_messages.py.
+"""
 
 from __future__ import annotations
 
 import math
-import struct
-from collections.abc import Iterator
 from typing import Any
 
 import msgpack
 import pytest
-import zmq
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from tests.support.daemon_process import Daemon, Wire, running_daemon, wired
+from tests.support.daemon_process import Daemon, Wire
 
 FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}
-
-
-@pytest.fixture(scope="module")
-def beaten() -> Iterator[Daemon]:
-    """One that may be left in any state: tests come in any order, and others need their materials and forces."""
-    with running_daemon() as daemon:
-        yield daemon
-
-
-@pytest.fixture
-def beaten_wire(beaten: Daemon) -> Iterator[Wire]:
-    with wired(beaten) as wire:
-        yield wire
-
-
-def request(**members: Any) -> bytes:
-    return msgpack.packb({"jsonrpc": "2.0", "id": 7, "method": "get_status", **members})  # type: ignore[no-any-return]
-
-
-def nested(depth: int) -> bytes:
-    return b"\x91" * depth + b"\xc0"
-
-
-PARSE_ERRORS = {
-    "empty": b"",
-    "not msgpack": b"\xc1",
-    "truncated": request()[:-3],
-    "trailing bytes": request() + b"\x00",
-    "nested 33 deep": request(params={"x": None})[:-1] + nested(40),
-    "nested 100,000 deep": nested(100_000),
-    "header of 64 million elements": b"\xdd" + struct.pack(">I", 64_000_000),
-    "header of 64 million pairs": b"\xdf" + struct.pack(">I", 64_000_000),
-    "string that claims 4 GB": b"\xdb" + struct.pack(">I", 2**32 - 1) + b"x",
-    "duplicate keys": b"\x84" + request()[1:] + msgpack.packb("id") + msgpack.packb(8),
-    "number as key": msgpack.packb({"jsonrpc": "2.0", 1: 2}),
-    "extension": msgpack.packb({"x": msgpack.ExtType(5, b"abc")}),
-    "timestamp": msgpack.packb({"x": msgpack.Timestamp(1, 2)}),
-    "not UTF-8": b"\x81\xa1x\xa2\xff\xfe",
-    "10 MB": request(params={"x": b"0" * 10_000_000}),
-}
-
-
-@pytest.mark.parametrize("body", PARSE_ERRORS.values(), ids=PARSE_ERRORS.keys())
-def test_bodies_that_cannot_be_read(wire: Wire, body: bytes) -> None:
-    before = wire.result("get_scene")
-    answer = wire.body(body)
-    assert answer["error"]["code"] == -32700, answer
-    assert answer["id"] is None
-    assert "\n" not in answer["error"]["message"]
-    assert wire.result("get_scene") == before
-
-
-INVALID_REQUESTS = {
-    "batch": msgpack.packb([{"jsonrpc": "2.0", "id": 1, "method": "get_status"}]),
-    "number": msgpack.packb(5),
-    "nil": msgpack.packb(None),
-    "no version": msgpack.packb({"id": 7, "method": "get_status"}),
-    "version 1.0": request(jsonrpc="1.0"),
-    "version as number": request(jsonrpc=2.0),
-    "method a number": request(method=3),
-    "no method": msgpack.packb({"jsonrpc": "2.0", "id": 7}),
-    "unknown member": request(extra=1),
-    "id true": request(id=True),
-    "id NaN": request(id=math.nan),
-    "id infinite": request(id=-math.inf),
-    "id a list": request(id=[1]),
-    "id a map": request(id={"a": 1}),
-    "id bytes": request(id=b"x"),
-}
-
-
-@pytest.mark.parametrize("body", INVALID_REQUESTS.values(), ids=INVALID_REQUESTS.keys())
-def test_requests_that_are_none(wire: Wire, body: bytes) -> None:
-    assert wire.body(body)["error"]["code"] == -32600
-
-
-@pytest.mark.parametrize("id", [0, -1, 2**63, -(2**63), 2**64 - 1, 1.5, "", "x" * 1000, "\u00e4", None])
-def test_ids_of_every_legal_type_come_back(wire: Wire, id: object) -> None:
-    answer = wire.body(request(id=id))
-    assert answer["id"] == id
-    assert type(answer["id"]) is type(id)
-    assert "result" in answer
-
-
-def test_params_absent_is_an_empty_map_and_an_array_is_refused(wire: Wire) -> None:
-    assert "result" in wire.body(request())
-    assert "result" in wire.body(request(params={}))
-    for params in ([], [1], None, 3, "x"):
-        answer = wire.body(request(params=params))
-        assert answer["error"]["code"] == -32602
-        assert answer["id"] == 7
 
 
 def wall(**changes: Any) -> dict[str, Any]:
@@ -305,28 +212,6 @@ def test_wait_gives_the_first_tick_with_the_revision(daemon: Daemon, wire: Wire)
     assert later["tick"] > answer["tick"]
 
 
-def test_envelopes(daemon: Daemon, wire: Wire) -> None:
-    good = request()
-    assert len(wire.raw(good)) == 1
-    delimiter, reply = wire.raw(b"", good)
-    assert delimiter == b""
-    assert msgpack.unpackb(reply)["id"] == 7
-    (alone,) = wire.raw(b"")
-    assert msgpack.unpackb(alone)["error"]["code"] == -32700
-    for frames in ((b"x", good), (good, good), (good, b"", b"")):
-        (reply,) = wire.raw(*frames)
-        assert msgpack.unpackb(reply)["error"]["code"] == -32600
-    for frames in ((b"", good, good), (b"", b"", good)):
-        delimiter, reply = wire.raw(*frames)
-        assert delimiter == b""
-        assert msgpack.unpackb(reply)["error"]["code"] == -32600
-    req = Wire(daemon.directory, zmq.REQ)
-    try:
-        assert req.result("get_status")["state"] == "running"
-    finally:
-        req.close()
-
-
 def test_notifications_are_carried_out_and_not_answered(wire: Wire) -> None:
     wire.socket.send(msgpack.packb({"jsonrpc": "2.0", "method": "update_scene", "params": {"objects": {"n": FLOOR}}}))
     wire.socket.send(msgpack.packb({"jsonrpc": "2.0", "method": "nonsense", "params": {}}))
@@ -355,127 +240,3 @@ def test_ring_full_takes_nothing(wire: Wire) -> None:
     error = wire.error("reset", objects=[f"w{i}" for i in range(1000)] * 2)
     assert error["code"] in (-32005, -32602)
     wire.result("set_scene", scene={"objects": {"floor": FLOOR}})
-
-
-scalars = (
-    st.none()
-    | st.booleans()
-    | st.integers(-(2**63), 2**64 - 1)
-    | st.floats()
-    | st.text(max_size=20)
-    | st.binary(max_size=20)
-)
-trees = st.recursive(
-    scalars,
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=10), inner, max_size=4),
-    max_leaves=12,
-)
-METHODS = [
-    "get_status",
-    "get_state",
-    "get_config",
-    "get_scene",
-    "set_scene",
-    "update_scene",
-    "get_materials",
-    "set_materials",
-    "update_materials",
-    "apply",
-    "mark",
-    "play",
-    "reset",
-    "lease",
-    "set_operator",
-    "nonsense",
-]
-NAMES = [
-    "scene",
-    "objects",
-    "materials",
-    "expect_revision",
-    "wait",
-    "mode",
-    "material",
-    "direction",
-    "amplitude_m_per_s2",
-    "waypoints",
-    "gesture",
-    "interpolation",
-    "display",
-    "ramp_s",
-    "kind",
-    "normal",
-    "point_m",
-    "wood",
-    "floor",
-    "stiffness_n_per_m",
-    "tap",
-    "wall",
-    "token",
-]
-keys = st.sampled_from(NAMES) | st.text(max_size=5)
-params = st.recursive(
-    scalars | st.sampled_from(["wood", "wall", "membrane", "spring", [0, 1], [0.0, 0.0]]),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(keys, inner, max_size=4),
-    max_leaves=15,
-)
-
-
-def check_answered(wire: Wire, body: bytes) -> None:
-    """One answer, well formed, whatever was said, and the daemon goes on."""
-    answer = wire.body(body)
-    if "error" in answer:
-        error = answer["error"]
-        assert error["code"] in {-32700, -32600, -32601, -32602, *range(-32007, -32000)}, answer
-        assert isinstance(error["message"], str)
-        assert error["message"]
-        assert "\n" not in error["message"]
-
-
-@settings(max_examples=100)
-@given(body=st.binary(max_size=200))
-def test_fuzz_bytes(beaten: Daemon, body: bytes) -> None:
-    with wired(beaten) as wire:
-        check_answered(wire, body)
-
-
-@pytest.mark.slow
-def test_fuzz_structures(beaten_wire: Wire) -> None:
-    @settings(max_examples=1500)
-    @given(
-        method=st.sampled_from(METHODS) | st.text(max_size=5), params=st.dictionaries(keys, params, max_size=4) | trees
-    )
-    def fuzz(method: str, params: object) -> None:
-        check_answered(beaten_wire, msgpack.packb({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}))
-
-    fuzz()
-    assert beaten_wire.result("get_status")["state"] == "running"
-
-
-@pytest.mark.slow
-def test_fuzz_mutated_requests(beaten_wire: Wire) -> None:
-    seeds = [
-        request(method="update_scene", params={"objects": {"table": FLOOR}}),
-        request(method="set_scene", params={"scene": {"objects": {"table": FLOOR}, "ramp_s": 0.02}}),
-        request(method="play", params={"material": "wood", "direction": [0, 1], "amplitude_m_per_s2": 3}),
-        request(method="update_materials", params={"materials": {"wood": {"tap": {"frequency_hz": 70}}}}),
-    ]
-
-    @settings(max_examples=1500)
-    @given(seed=st.sampled_from(seeds), data=st.data())
-    def fuzz(seed: bytes, data: st.DataObject) -> None:
-        body = bytearray(seed)
-        for _ in range(data.draw(st.integers(1, 4))):
-            place = data.draw(st.integers(0, len(body) - 1))
-            body[place] = data.draw(st.integers(0, 255))
-        # A request whose id was lost to the mutation is a notification: it has no answer to wait for.
-        try:
-            message = msgpack.unpackb(bytes(body), strict_map_key=False)
-        except Exception:
-            message = {"id": 0}
-        if isinstance(message, dict) and "id" not in message:
-            return
-        check_answered(beaten_wire, bytes(body))
-
-    fuzz()
-    assert beaten_wire.result("get_status")["state"] == "running"

@@ -3,7 +3,7 @@
     python -m tests.soak.fuzz_recordings [--runs 20000] [--seed 0]
 
 A recording, a file of the flight recorder and what a killed recording left are changed in their bytes and in what they
-hold: members, directories, headers, lengths, texts. What is read is rendered again, which must say what is wrong, too;
+hold: members, samples, texts. What is read is rendered again, which must say what is wrong, too;
 of parts a file is made, or they stay. The process gets LIMIT_BYTES of memory. The tests do some of each; a file that
 fails is kept and named.
 """
@@ -14,13 +14,11 @@ import argparse
 import io
 import json
 import random
-import re
 import resource
 import shutil
 import struct
 import tempfile
 import time
-import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -155,33 +153,16 @@ def _text(source: random.Random, content: bytes) -> bytes:
     return json.dumps(tree).encode()
 
 
-HEADERS: Final = (
-    (
-        b"(200,)",
-        (b"(200000000000,)", b"(-1,)", b"(201,)", b"(199,)", b"(200,1)", b"()", b"(2**40,)", b"(1e3,)", b"(True,)"),
-    ),
-    (b"'<f8'", (b"'|O'", b"'<f4'", b"'<U9999999'", b"'>f8'", b"'<c16'", b"'|S0'", b"'<M8[ns]'", b"'|V99999999'")),
-    (b"'tick'", (b"'tock'", b"''", b"'time_ns'", b"1", b"b'tick'")),
-    (b"(2,)", (b"(3,)", b"(0,)", b"(99999999,)", b"(-2,)", b"(2,2)")),
-    (b"False", (b"True", b"0", b"[]", b"-" * 5000 + b"1", b"(" * 150, b"{" * 50)),
-    (b"'fortran_order'", (b"'x'", b"'descr'")),
-)
-
-
 def _array(source: random.Random, content: bytes) -> bytes:
-    """A .npy member: its header changed to another that can be read, or its bytes."""
-    if source.random() < 0.4:
+    """A .npy member: its bytes torn, or samples that no servo records."""
+    if source.random() < 0.6:
         return torn(source, content)
     size = struct.unpack("<H", content[8:10])[0]
-    header, data = content[10 : 10 + size], content[10 + size :]
-    for old, new in source.sample(HEADERS, 2):
-        header = header.replace(old, source.choice(new), source.choice((1, 9)))
-    if source.random() < 0.3:
-        records = np.frombuffer(data[: len(data) // SAMPLE_DTYPE.itemsize * SAMPLE_DTYPE.itemsize], SAMPLE_DTYPE).copy()
-        if len(records):
-            _hurt(source, records)
-            data = records.tobytes()
-    return content[:8] + struct.pack("<H", len(header) % 65536) + header + data
+    data = content[10 + size :]
+    records = np.frombuffer(data[: len(data) // SAMPLE_DTYPE.itemsize * SAMPLE_DTYPE.itemsize], SAMPLE_DTYPE).copy()
+    if len(records):
+        _hurt(source, records)
+    return content[: 10 + size] + records.tobytes()
 
 
 def _hurt(source: random.Random, records: np.ndarray) -> None:
@@ -199,34 +180,18 @@ def _hurt(source: random.Random, records: np.ndarray) -> None:
 
 def npz(source: random.Random, form: str = ".npz") -> dict[str, bytes]:
     """A .npz: its archive torn, or put together anew of changed members."""
-    content = whole(form)[form]
-    choice = source.random()
-    if choice < 0.2:
-        return {form: torn(source, content)}
-    if choice < 0.4:
-        return {form: _patched(source, content)}
+    if source.random() < 0.4:
+        return {form: torn(source, whole(form)[form])}
     made = io.BytesIO()
-    with zipfile.ZipFile(made, "w") as new, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that a name is there twice is meant
-        names = list(members(form))
-        plain = (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED)
-        kinds = (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA) if source.random() < 0.05 else plain
-        chosen = source.sample(names, source.choice((1, 1, 2)))
-        for name in names:
-            member, text = members(form)[name]
+    with zipfile.ZipFile(made, "w") as new:
+        chosen = source.sample(list(members(form)), source.choice((1, 1, 2)))
+        for name, (member, text) in members(form).items():
             if name in chosen:
                 if source.random() < 0.15:
                     continue
                 member = _member(source, member, text)
-            kind = source.choice(kinds)
-            new.writestr(
-                name if source.random() < 0.98 else source.choice(("../x.npy", "x.npy", "a/b.npy")), member, kind
-            )
-        if source.random() < 0.1:
-            again = source.choice(names)
-            new.writestr(again, members(form)[again][0])
-    found = made.getvalue()
-    return {form: _patched(source, found) if source.random() < 0.2 else found}
+            new.writestr(name, member, source.choice((zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED)))
+    return {form: made.getvalue()}
 
 
 def flight(source: random.Random) -> dict[str, bytes]:
@@ -236,42 +201,11 @@ def flight(source: random.Random) -> dict[str, bytes]:
 
 def _member(source: random.Random, member: bytes, text: str | None) -> bytes:
     """A changed member; texts are arrays of one long string."""
-    choice = source.random()
-    if choice < 0.005:
-        return member + bytes(source.choice((20_000_000, 100_000_000)))
-    if choice < 0.02:  # a header that is said to be as long as all that follows
-        return b"\x93NUMPY\x02\x00" + struct.pack("<I", source.choice((2**31, 2**32 - 1, 65536))) + bytes(1_000_000)
     if text is None or source.random() < 0.2:
         return _array(source, member)
     made = io.BytesIO()
     np.save(made, np.array(_text(source, text.encode()).decode("utf-8", "replace")))
     return made.getvalue()
-
-
-ZIP_FIELDS: Final = {
-    b"PK\x03\x04": ((4, 2), (6, 2), (8, 2), (14, 4), (18, 4), (22, 4), (26, 2), (28, 2)),
-    b"PK\x01\x02": ((6, 2), (8, 2), (10, 2), (16, 4), (20, 4), (24, 4), (28, 2), (30, 2), (32, 2), (34, 2), (42, 4)),
-    b"PK\x05\x06": ((4, 2), (6, 2), (8, 2), (10, 2), (12, 4), (16, 4), (20, 2)),
-    b"PK\x06\x06": ((4, 8), (24, 8), (32, 8), (40, 8), (48, 8)),
-}
-"""Of local headers, of the directory, and of its end: where fields are, and how long."""
-
-
-def _patched(source: random.Random, content: bytes) -> bytes:
-    """An archive whose headers or directory say something else: flags, methods, checksums, sizes, lengths, places."""
-    found = bytearray(content)
-    for _ in range(source.choice((1, 1, 2, 4))):
-        mark = source.choice((b"PK\x03\x04", b"PK\x01\x02", b"PK\x01\x02", b"PK\x01\x02", b"PK\x05\x06"))
-        places = [match.start() for match in re.finditer(re.escape(mark), content)]
-        if not places:
-            continue
-        place, size = source.choice(ZIP_FIELDS[mark])
-        at = source.choice(places) + place
-        old = int.from_bytes(found[at : at + size], "little")
-        most = 256**size
-        new = source.choice((0, 1, most - 1, most // 2 - 1, old + 1, old - 1, old * 2, 99, source.randrange(most)))
-        found[at : at + size] = (new % most).to_bytes(size, "little")
-    return bytes(found)
 
 
 def left(source: random.Random, form: str) -> dict[str, bytes]:
