@@ -121,21 +121,12 @@ RESULTS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
         ("dump_flight", "file", ""),
     )
 }
+_CHANGED, _FULL, _OFF = (frozenset((-32005, -32006, *more)) for more in ((-32001,), (), (-32003,)))
 ERRORS: Final[dict[str, frozenset[int]]] = {
-    "set_scene": frozenset((-32001, -32005, -32006)),
-    "update_scene": frozenset((-32001, -32005, -32006)),
-    "set_materials": frozenset((-32001, -32005, -32006)),
-    "update_materials": frozenset((-32001, -32005, -32006)),
-    "apply": frozenset((-32001, -32005, -32006)),
-    "get_state": frozenset((-32005, -32006)),
-    "mark": frozenset((-32005, -32006)),
-    "reload": frozenset((-32001, -32005, -32006)),
-    "play": frozenset((-32003, -32005, -32006)),
-    "reset": frozenset((-32005, -32006)),
-    "set_forces": frozenset((-32003, -32005, -32006)),
-    "set_operator": frozenset((-32005, -32006)),
-    "stream_target": frozenset((-32010,)),
-    "stream_force": frozenset((-32010,)),
+    **dict.fromkeys(CHANGES, _CHANGED),
+    **dict.fromkeys(("get_state", "mark", "reset", "set_operator"), _FULL),
+    **dict.fromkeys(("play", "set_forces"), _OFF),
+    **dict.fromkeys(("stream_target", "stream_force"), frozenset((-32010,))),
     "lease": frozenset((-32004, -32007)),
 }
 """What each method may answer beside INVALID_PARAMS."""
@@ -343,27 +334,10 @@ def seeds() -> dict[str, list[bytes]]:
 
 
 WEIGHTS: Final = {
-    "set_scene": 20,
-    "update_scene": 20,
-    "set_materials": 6,
-    "update_materials": 14,
-    "apply": 6,
-    "mark": 6,
-    "get_state": 1,
-    "play": 12,
-    "set_operator": 10,
-    "reset": 6,
-    "stream_target": 4,
-    "stream_force": 4,
-    "set_forces": 5,
-    "lease": 6,
-    "get_scene": 3,
-    "get_config": 3,
-    "no_such": 2,
-    "get_status": 1,
-    "get_materials": 0.5,
-    "reload": 0.7,
-    "dump_flight": 0.05,
+    **{"set_scene": 20, "update_scene": 20, "update_materials": 14, "set_materials": 6, "apply": 6},
+    **{"play": 12, "set_operator": 10, "mark": 6, "reset": 6, "lease": 6, "set_forces": 5},
+    **{"stream_target": 4, "stream_force": 4, "get_scene": 3, "get_config": 3, "no_such": 2},
+    **{"get_state": 1, "get_status": 1, "reload": 0.7, "get_materials": 0.5, "dump_flight": 0.05},
 }
 """Those whose answer is long or takes long come seldom."""
 _METHODS: Final = tuple(WEIGHTS)
@@ -486,20 +460,11 @@ def _torn(source: random.Random, body: bytes) -> bytes:
 
 
 _SPLICES: Final = (
-    b"\xc1",
-    b"\xd6\xff\x00\x00\x00\x01",
-    b"\xc7\x00\x01",
-    b"\xd4\x05x",
-    b"\xdd\xff\xff\xff\xff",
-    b"\xdf\x7f\xff\xff\xff",
-    b"\xc6\xff\xff\xff\xff",
-    b"\xdb\xff\xff\xff\xff",
-    b"\x91" * 40,
-    b"\x81\xa1a" * 40,
-    b"\xa2\xff\xfe",
-    b"\xa3\xed\xa0\x80",
-    b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00",
+    *(b"\xc1", b"\xd6\xff\x00\x00\x00\x01", b"\xc7\x00\x01", b"\xd4\x05x"),
+    *(b"\xdd\xff\xff\xff\xff", b"\xdf\x7f\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xdb\xff\xff\xff\xff"),
+    *(b"\x91" * 40, b"\x81\xa1a" * 40, b"\xa2\xff\xfe", b"\xa3\xed\xa0\x80", b"\xcb\x7f\xf8" + bytes(6)),
 )
+"""Extensions, sizes that are not there, depth, texts that are no UTF-8, a NaN."""
 
 
 def body_of(source: random.Random, quiet: bool, huge: bool) -> tuple[bytes, bool]:
