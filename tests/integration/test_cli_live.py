@@ -438,10 +438,3 @@ def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:
     assert "the daemon stopped" in err and err.count("\n") == 1
     with np.load(target) as archive:
         assert len(archive["samples"]) > 0
-
-
-def test_run_ends_well_and_refuses_a_second(daemon: Daemon) -> None:
-    with command(daemon, "run") as second:
-        _, err = second.communicate(timeout=PATIENCE_S)
-    assert second.returncode == 1
-    assert "another daemon" in err and err.count("\n") == 1

@@ -1,4 +1,7 @@
-"""What a program passes that is wrong: one line that names the argument, from either client, before anything waits."""
+"""What a program passes that is wrong: one line that names the argument, before anything waits.
+
+Asked of the client of coroutines, whose methods the blocking one runs.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ import asyncio
 import inspect
 import math
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ import pytest
 
 import hapticd
 import hapticd.aio
-from hapticd.client.blocking import Client, connect
+from hapticd.client.blocking import connect
 from tests.support.fake_daemon import FakeDaemon, fake_daemon, result
 
 Call = Callable[[Any], Any]
@@ -82,19 +84,7 @@ def test_what_is_wrong_is_named(fake: FakeDaemon, told: str, call: Call) -> None
     with pytest.raises(hapticd.InvalidError) as caught:
         asyncio.run(main())
     assert str(caught.value) == told
-    with connect(fake.directory, 60.0) as client, pytest.raises(hapticd.InvalidError) as caught:
-        blocking(call, client)
-    assert str(caught.value) == told
     assert len(fake.requests) == asked, "nothing was sent"
-
-
-def blocking(call: Call, client: Client) -> None:
-    found = call(client)
-    if inspect.iscoroutine(found):  # of `entered`
-        context = found.cr_frame.f_locals["context"]  # type: ignore[union-attr]
-        found.close()
-        with ExitStack() as stack:
-            stack.enter_context(context)
 
 
 def test_numpy_is_as_good_as_lists(fake: FakeDaemon) -> None:

@@ -173,23 +173,6 @@ def test_a_daemon_that_was_started_anew_knows_of_no_gesture() -> None:
     assert gesture_end(70, "status", status) is None, "its event is still to come"
 
 
-def test_asyncio_waits_for_gestures_too(daemon: Daemon) -> None:
-    async def main() -> None:
-        async with hapticd.aio.connect(daemon.directory, 60.0) as client:
-            with pytest.raises(HapticdError, match="called no set_operator"):
-                await client.wait_gesture()
-            started = (await client.set_operator(SHORT))["tick"]
-            end = await client.wait_gesture()
-            assert (end["started_tick"], end["completed"]) == (started, True)
-            await client.set_operator(LONG)
-            with pytest.raises(TimedOut):
-                await client.wait_gesture(0.01)
-            await client.set_operator(SHORT)
-            assert (await client.wait_gesture(60.0))["completed"]
-
-    asyncio.run(main())
-
-
 # ---- The newest ------------------------------------------------------------------------------------------------------
 
 

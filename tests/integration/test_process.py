@@ -24,7 +24,6 @@ from hapticd.base.core import SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.config.configuration import load_config
 from hapticd.daemon.engine import Engine
 from tests.support.daemon_process import PATIENCE_S, Daemon, Wire, connect, running_daemon, until, wired
-from tests.support.marks import rest_slow
 
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
 
@@ -117,28 +116,10 @@ def test_directory_that_is_a_link_or_open_to_others_is_refused(tmp_path: Path) -
     assert "others may write" in one_line(run_once(directory=tmp_path / "open"))
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    rest_slow(
-        [
-            ("servo: {rate_hz: 1}\n", ["c.yaml:1", "rate_hz", "1000"]),
-            ("servo: {rate_hz: 20000}\n", ["c.yaml:1", "rate_hz", "10000"]),
-            ("servo:\n  rate_hz: 8000\n  rat: 1\n", ["c.yaml:3", "rat"]),
-            (
-                "scene:\n  objects:\n    a: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wod}\n",
-                ["c.yaml:3", "wood"],
-            ),
-            ("a: 1\na: 2\n", ["c.yaml:2", "duplicate"]),
-            ("servo: [\n", ["c.yaml:1:8", "not closed"]),
-        ]
-    ),
-)
-def test_bad_configuration_is_one_line(tmp_path: Path, text: str, words: list[str]) -> None:
+def test_bad_configuration_is_one_line(tmp_path: Path) -> None:
     file = tmp_path / "c.yaml"
-    file.write_text(text)
-    line = one_line(run_once("-c", str(file), directory=tmp_path / "run"))
-    for word in words:
-        assert word in line
+    file.write_text("servo:\n  rate_hz: 8000\n  rat: 1\n")
+    assert "c.yaml:3:3: servo.rat: " in one_line(run_once("-c", str(file), directory=tmp_path / "run"))
 
 
 def test_realtime_required_is_refused_without_rights(tmp_path: Path) -> None:

@@ -9,12 +9,11 @@ Attackers in processes of their own (`tests.soak.attackers`)
 - send messages of parts without end, of empty parts and of 64 MiB, and subscribe to 21 MB of what there is not;
 - ask and never read the answers, ask as fast as it goes, send garbage, and ZMTP that is nearly right;
 - send mutated requests of every method, and look at each answer;
-- change the scene with 64 autoregressive models of order 32 and 1,024 patches, and take them away.
+- change the scene with 64 autoregressive models of order 32 and 512 patches, and take them away.
 
 Beside them one client reads every sample and event, and another one turns the forces off, again and again. Attackers
 yield the processors to whoever else wants them (nice 10), and daemon and clients come first if we have the right: what
 is measured is what the daemon makes of it, not how the kernel shares the processors.
-
 
 Asked: no fault, no sample lost, `force off` answered within 50 ms (p99.9), and memory afterwards within 32 MiB of its
 start, once scene and materials are as they were. Exit code 1 if one of them is missed. Says every ten seconds how it
@@ -80,7 +79,7 @@ def attack(
     found = Found()
     with daemon(rate_hz=rate_hz) as running:
         directory, pid = running.paths.directory, running.pid
-        watcher = Watcher(lambda: connect(directory, timeout_s=PATIENCE_S))
+        watcher = Watcher(directory)
         watcher.start()
         if not watcher.begun.wait(PATIENCE_S):
             raise HapticdError("there is no telemetry")

@@ -99,7 +99,7 @@ def test_processes_give_the_same_bits(workers: int, tmp_path: Path, expected: st
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_killed_worker_changes_nothing(seed: int, tmp_path: Path, expected: str) -> None:
-    """`tests.soak.kill_workers` kills twenty, at any moment of a piece."""
+    """At a random moment."""
     killed: list[int] = []
     with scheduler(WORKER, WORKER) as running, connected(running.address, 2) as client:
         notes: list[str] = []
