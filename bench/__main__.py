@@ -24,7 +24,6 @@ from bench import (
     fit,
     lateness,
     link,
-    marks,
     offline,
     passivity,
     resources,
@@ -41,7 +40,7 @@ from hapticd.cli import main
 
 DOCS = ROOT / "docs"
 ACCURACY, SPEED, DEVICES = "accuracy.md", "benchmarks.md", "devices.md"
-NEEDED = ("distributed", "matplotlib", "mpmath", "pyarrow", "scipy")
+NEEDED = ("distributed", "matplotlib", "pyarrow", "scipy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +53,6 @@ class Measurement:
 
 
 MEASUREMENTS: dict[str, Measurement] = {
-    "rendered": Measurement("what is rendered against closed forms", closed_loop.rendered),
     "loops": Measurement("closed-loop error over the rate", closed_loop.loops),
     "displayed": Measurement("displayed acceleration: compensation off, mass, full", displayed.run),
     "stability": Measurement("stability margins: maps, and 10,000 random walls and corners", stability.run),
@@ -67,7 +65,6 @@ MEASUREMENTS: dict[str, Measurement] = {
     "servo": Measurement("lateness and work beside cyclictest", lateness.run, SPEED),
     "command": Measurement("command round trip beside a bare echo", command.run, SPEED),
     "telemetry": Measurement("ten subscribers, one dead", telemetry.run, SPEED),
-    "marks": Measurement("what marks cost the servo", marks.run, SPEED),
     "streams": Measurement("streamed forces: what is lost, how long one takes, what it costs", streams.run, SPEED),
     "web": Measurement("what the page's server costs", web.run, SPEED),
     "browser": Measurement("the page in a browser: frames, lateness of force, picture and sound", browser.run, SPEED),

@@ -1,4 +1,4 @@
-"""The closed loop against its continuous closed form (error over rate), and what is rendered against references.
+"""The closed loop against its continuous closed form: error over rate.
 
 The loop is `hapticd.simulate` without what is not the hold's doing: no encoder step, no dry friction, no rounding of
 the force, no vibration. A hand draws a mass onto a wall; along the normal
@@ -14,16 +14,12 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-import hapticd
 from bench.report import Advance, Floats, Options, Section, Table
 from bench.tick import FLOOR
-from hapticd.base.core import EventKind
-from hapticd.config.materials import Mode, shipped_materials
-from hapticd.rendering.offline import render_run, simulate_run
+from hapticd.rendering.offline import simulate_run
 
 RATES_HZ = (1000.0, 2000.0, 5000.0, 10_000.0)
 PHASES = 16
@@ -228,174 +224,6 @@ def _loop_table(name: str, loop: Loop, delay_periods: int = 0) -> tuple[Table, l
     caption = f"{name}{late} (peaks of the closed form: {force:.2f} N, {1e3 * depth:.2f} mm)"
     heads = ["rate, Hz", "force at ticks, mN", "penetration at ticks, um", "held force, mean over time, mN"]
     return Table(caption, heads, rows), errors
-
-
-# ---- What is rendered against references ---------------------------------------------------------------------------
-
-
-def library_modes() -> list[tuple[str, Mode]]:
-    """Every mode that a tap or a rupture of the library rings with, by its material."""
-    found = []
-    for name, material in shipped_materials().items():
-        if material.tap is not None:
-            found.append((name, material.tap.mode))
-        if material.rupture is not None:
-            found.append((name, material.rupture.mode))
-    return found
-
-
-def rotor_error(rate_hz: float) -> tuple[float, int, bool]:
-    """Every mode of the library that the rate can carry, over its five decay times, against 40 digits.
-
-    The worst difference over the peak, how many modes there were, and whether each was exactly zero after.
-    """
-    import mpmath  # type: ignore[import-untyped]
-
-    worst, count, silent = 0.0, 0, True
-    mass, slope = 0.05, 256.0
-    with mpmath.workdps(40):
-        for _, mode in library_modes():
-            if mode.frequency_hz > 0.4 * rate_hz:
-                continue
-            count += 1
-            tap = {
-                "attack_slope_per_s": slope,
-                "angular_frequency_rad_per_s": mode.angular_frequency_rad_per_s,
-                "decay_rate_per_s": mode.decay_rate_per_s,
-            }
-            ticks = int(6 / mode.decay_rate_per_s * rate_hz) + 3
-            # Half way between two samples, exactly.
-            path = np.full((ticks + 1, 2), [0.0, -(2.0**-12)])
-            path[0, 1] = 2.0**-12
-            speeds = np.full((ticks + 1, 2), [0.0, -(2.0**-6)])
-            config = _config({"stiffness_n_per_m": 0, "tap": tap}, mass)
-            heard = hapticd.render(config, path, rate_hz, velocity_m_per_s=speeds)["vibration_force_n"][1:, 1]
-            decay, omega = mpmath.mpf(mode.decay_rate_per_s), mpmath.mpf(mode.angular_frequency_rad_per_s)
-            force = mpmath.mpf(mass) * slope * mpmath.mpf(2) ** -6
-            peak_s = mpmath.atan(omega / decay) / omega
-            peak = force * mpmath.exp(-decay * peak_s) * mpmath.sin(omega * peak_s)
-            for tick, value in enumerate(heard):
-                since = (tick + mpmath.mpf(1) / 2) / mpmath.mpf(rate_hz)
-                if abs(since * decay - 5) < 1e-12:
-                    continue  # a tick on the very cut falls on either side of it by rounding
-                if since * decay > 5:
-                    silent &= bool(value == 0)
-                    continue
-                true = force * mpmath.exp(-decay * since) * mpmath.sin(omega * since)
-                worst = max(worst, float(abs(mpmath.mpf(float(value)) - true) / peak))
-    return worst, count, silent
-
-
-def _config(material: dict[str, Any], mass_kg: float) -> dict[str, object]:
-    return {
-        "device": {"effective_mass_kg": mass_kg, "max_force_n": 100},
-        "materials": {"m": material},
-        "scene": {"objects": {"floor": {**FLOOR, "material": "m"}}},
-    }
-
-
-def approach_error(rate_hz: float) -> Floats:
-    """Straight approaches at 0.13 m/s to the seven materials that can be tapped, velocities estimated.
-
-    Worst of: vibration over the peak of the closed form; onset, s; speed at the onset, relative; wall force, relative.
-    """
-    speed, mass, start = 0.13, 0.05, 0.00123
-    worst = np.zeros(4)
-    for name, material in shipped_materials().items():
-        if material.tap is None or material.rupture is not None:
-            continue
-        count = round(0.2 * rate_hz)
-        time_s = np.arange(count) / rate_hz
-        path = np.stack((np.zeros(count), start - speed * time_s), 1)
-        config = _config({}, mass) | {"materials": {}}
-        config["scene"] = {"objects": {"floor": {**FLOOR, "material": name}}}
-        run = render_run(config, path, rate_hz)
-        (event,) = run.events[run.events["kind"] == EventKind.CONTACT]
-        onset_s = start / speed
-        mode = material.tap.mode
-        if mode.frequency_hz > 0.4 * rate_hz:
-            continue
-        since = time_s - onset_s
-        sounds = (since >= 0) & (since <= 5 / mode.decay_rate_per_s)
-        decayed = np.exp(-mode.decay_rate_per_s * since, where=sounds, out=np.zeros(count))
-        form = decayed * np.sin(mode.angular_frequency_rad_per_s * since)
-        coefficient = mass * mode.coefficient(material.tap.amplitude_m_per_s2(speed), material.tap.attack)
-        # The last tick may fall on either side of the cut within rounding.
-        judged = np.abs(since - 5 / mode.decay_rate_per_s) > 1e-9
-        peak = coefficient * np.abs(form).max()
-        vibration = np.abs(run.samples["vibration_force_n"][:, 1] - coefficient * form)[judged].max() / peak
-        depth = np.maximum(0.0, -path[:, 1])
-        wall = material.stiffness_n_per_m * depth
-        moving = -np.diff(path[:, 1], prepend=path[0, 1]) * rate_hz
-        wall = np.where(depth > 0, wall + material.damping_n_s_per_m * moving, 0.0)
-        contact = run.samples["contact_force_n"][:, 1]
-        found = (
-            vibration,
-            abs(event["time_ns"] / 1e9 - event["before_tick_s"] - onset_s),
-            abs(event["speed_m_per_s"] / speed - 1),
-            np.abs(contact - wall).max() / wall.max(),
-        )
-        worst = np.maximum(worst, found)
-    return worst
-
-
-def handle_error(rate_hz: float) -> float:
-    """The simulated handle in free motion against the closed form, largest difference over the way gone."""
-    loop = Loop(0.0)
-    time_s, y, _ = simulated(loop, rate_hz)
-    truth = Continuous(loop)
-    return float(np.abs(y - truth.at(time_s)[0]).max() / loop.start)
-
-
-def rendered(options: Options, advance: Advance) -> Section:
-    """What is rendered, all of it computed anew."""
-    rates = (8000.0, 10_000.0)
-    rotor_rates = (1000.0, 2000.0, 4000.0, 8000.0, 10_000.0)
-    rotors = [rotor_error(rate) for rate in rotor_rates]
-    advance(0.6, "modes")
-    approaches = np.max([approach_error(rate) for rate in rates], axis=0)
-    handle = max(handle_error(rate) for rate in RATES_HZ)
-    return Section(
-        "What is rendered",
-        [
-            "Without quantisation, against references that are computed independently.",
-            Table(
-                "Worst figures",
-                ["quantity", "worst error", "aim", "over"],
-                [
-                    [
-                        "ringing mode, of its peak",
-                        f"{max(worst for worst, _, _ in rotors):.1e}",
-                        "1e-12",
-                        f"all modes of the library that the rate carries, {rotor_rates[0]:.0f} to "
-                        f"{rotor_rates[-1]:.0f} Hz, {sum(count for _, count, _ in rotors)} in all, five decay times; "
-                        f"arbitrary precision",
-                    ],
-                    [
-                        "the same after five decay times",
-                        "exactly 0" if all(silent for _, _, silent in rotors) else "**not 0**",
-                        "0",
-                        "the same",
-                    ],
-                    [
-                        "vibration of a straight approach, of the closed form's peak",
-                        f"{approaches[0]:.1e}",
-                        "1e-6",
-                        "seven materials at 8 and 10 kHz, onset between ticks, speed estimated",
-                    ],
-                    ["time of the onset, s", f"{approaches[1]:.1e}", "", "the same"],
-                    ["speed at the onset, relative", f"{approaches[2]:.1e}", "", "the same"],
-                    ["wall force, of the largest", f"{approaches[3]:.1e}", "exact", "the same"],
-                    [
-                        "motion of the simulated handle, of its way",
-                        f"{handle:.1e}",
-                        "exact",
-                        "a hand that draws it, 1 to 10 kHz; closed form",
-                    ],
-                ],
-            ),
-        ],
-    )
 
 
 def loops(options: Options, advance: Advance) -> Section:

@@ -8,26 +8,20 @@ motion: what `hapticd.render` gives for a tap, held from tick to tick, moves the
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.report import Advance, Floats, Options, Section, Table, between, spread, verdict
+from bench.report import Advance, Floats, Options, Section, Table, between, verdict
 from bench.swept import swept, workers
-from bench.tick import FLOOR, STRETCH, Stretch
 from hapticd.analysis.calibration.verify import AT_TICK, acceleration_on, tap_force
-from hapticd.base.core import Flag
 from hapticd.config.configuration import Compensation, Hand, Sim, load_config
 from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import pole_gain, pole_shape, shape_of
-from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayed_error import FINER, band_error, handle_acceleration, waveform
-from hapticd.rendering.offline import new_world
 
 if TYPE_CHECKING:
     from hapticd.sweeps.measures.sweep_point import SweepPoint
@@ -213,70 +207,6 @@ def _rates(client: Any, tell: Callable[[float], None]) -> Table:
     return Table(caption, ["material", *(f"{rate:.0f} Hz" for rate in rates)], rows)
 
 
-CALLS = 12
-"""Of STRETCH ticks, in which a mode of 67 Hz and 50 ms and its tail both ring."""
-
-
-def _struck(compensation: Compensation | None) -> Stretch:
-    """A wall under the probe; its tap rings, compensated or not, or (None) there is none."""
-    tap = {"attack_slope_per_s": 10, "frequency_hz": 67, "decay_time_s": 0.05}
-    objects = {"wall": {**FLOOR, "material": "it"}}
-    config = load_config(
-        {
-            "device": {"compensation": compensation or "off"},
-            "materials": {"it": {"stiffness_n_per_m": 800, **({"tap": tap} if compensation else {})}},
-            "scene": {"objects": objects},
-        }
-    )
-    compiler = Compiler(output_of(config, RATE_HZ))
-    world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
-    return Stretch(objects, -0.001, world=world)
-
-
-def tail_cost(rounds: int) -> tuple[Floats, Floats]:
-    """ns more a tick than in silence of a ringing mode, [rounds], without and with its tail, in turns."""
-    silent, plain, tailed = _struck(None), _struck("off"), _struck("full")
-    without, with_tail = np.empty(rounds), np.empty(rounds)
-    for index in range(rounds):
-        taken = []
-        for case in (silent, plain, tailed):
-            case.enter()
-            case.render(2)
-            taken.append(float(np.median(case.timed(CALLS))))
-            if bool(case.flags() & Flag.RINGING) != (case is not silent):
-                raise RuntimeError("what should ring does not, or the other way round")
-        without[index], with_tail[index] = taken[1] - taken[0], taken[2] - taken[0]
-    return without, with_tail
-
-
-def compile_ms(repeats: int) -> Floats:
-    """Processor time of choosing one mode's gain and tail for the first time, ms, [repeats * materials]."""
-    taken = []
-    for _ in range(repeats):
-        for mode in modes().values():
-            shape_of.cache_clear()
-            begin = time.process_time()
-            shape_of(mode, held("default"), RATE_HZ, "full")
-            taken.append(1e3 * (time.process_time() - begin))
-    return np.array(taken)
-
-
-def _costs(options: Options) -> Table:
-    rounds = options.few(300, 20)
-    without, with_tail = tail_cost(rounds)
-    tail = with_tail - without
-    rows = [
-        ["a ringing mode", spread(without, ".1f"), "", ""],
-        ["a ringing mode and its tail", spread(with_tail, ".1f"), "", ""],
-        ["its tail, round by round", spread(tail, ".1f"), "10", verdict(float(np.median(tail)), 10.0)],
-    ]
-    caption = (
-        f"ns a tick more than in silence, {rounds} rounds in turns, each the median of {CALLS} calls of {STRETCH} "
-        "ticks (10 to 90 %)"
-    )
-    return Table(caption, ["what rings", "ns a tick", "at most", "reached"], rows)
-
-
 def run(options: Options, advance: Advance) -> Section:
     """All tables of it."""
     with workers() as client:
@@ -298,9 +228,5 @@ def run(options: Options, advance: Advance) -> Section:
         "rows `wall` on the material's own stiffness. It adds what the joystick does besides: dry friction, steps of "
         "the actuator, the force limit. Without friction, steps and a limit it gives these figures.",
         rates,
-        _costs(options),
-        f"Choosing gain and tail of a mode takes {spread(compile_ms(options.few(5, 1)), '.1f')} ms of processor time, "
-        "once.",
     ]
-    advance(1.0, "cost")
     return Section("Displayed acceleration", parts)

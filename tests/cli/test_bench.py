@@ -17,7 +17,7 @@ def test_the_command_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> 
     said = capsys.readouterr().out
     assert all(name in said for name in bench.MEASUREMENTS)
     assert cli.main(["bench", "nothing"]) == 2
-    assert "unknown benchmark nothing; known: rendered," in capsys.readouterr().err
+    assert "unknown benchmark nothing; known: loops," in capsys.readouterr().err
 
 
 def test_an_installed_hapticd_says_where_the_benchmarks_are(
@@ -43,5 +43,5 @@ def test_a_page_goes_to_a_file_alone(
 ) -> None:
     monkeypatch.setattr(bench, "_measure", lambda *_: pytest.fail("it would measure first"))
     told = special(tmp_path / bench.ACCURACY, kind)
-    assert cli.main(["bench", "rendered", "--quick", "--out", str(tmp_path), *overwrite]) == 1
+    assert cli.main(["bench", "loops", "--quick", "--out", str(tmp_path), *overwrite]) == 1
     assert capsys.readouterr().err == f"hapticd: {told}\n"
