@@ -18,9 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import random
-import re
 import socket
 import struct
 import tempfile
@@ -41,6 +39,7 @@ from tests.soak.fuzz_yaml import DEVICES, GESTURES, MATERIALS, OBJECTS, config_t
 from tests.support import fuzzing
 from tests.support.daemon_process import Daemon
 from tests.support.fuzzing import Tree
+from tests.support.processes import memory_kib, scheduled_s
 
 CONNECTIONS: Final = 8
 WINDOW: Final = 128
@@ -798,18 +797,6 @@ class Found:
     """Rounds in which the machine did not let the daemon run for a second."""
 
 
-def memory_mb(process: int) -> float:
-    """Memory of a process that is its own and in use."""
-    told = Path(f"/proc/{process}/smaps_rollup").read_text()
-    return sum(int(kb) for kb in re.findall(r"^Private_\w+: +(\d+) kB", told, re.M)) / 1024
-
-
-def processor_s(process: int) -> float:
-    """Processor time that a process has used."""
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 class Book:
     """What the scene has to be after a round, by what was answered."""
 
@@ -818,7 +805,7 @@ class Book:
         self._revision = 0
         self._bytes: tuple[bytes, ...] = ()
         self._process = process
-        self._looked_s, self._used_s = time.monotonic(), processor_s(process)
+        self._looked_s, self._used_s = time.monotonic(), scheduled_s(process)[0]
         self.changes = 0
         self.stalls = 0
         self.look(None)
@@ -845,7 +832,7 @@ class Book:
         traffic.notified = 0
         self._revision, self._bytes = revision, told
         faults = set(traffic.ask("get_status")["faults"])
-        now_s, used_s = time.monotonic(), processor_s(self._process)
+        now_s, used_s = time.monotonic(), scheduled_s(self._process)[0]
         busy = (used_s - self._used_s) / max(now_s - self._looked_s, 1e-9)
         self._looked_s, self._used_s = now_s, used_s
         if "control" in faults and busy < BUSY:
@@ -889,7 +876,7 @@ def run(source: random.Random, runs: int, progress: Callable[[str], None] = lamb
         found.outcomes = traffic.outcomes
         try:
             book = Book(traffic, daemon.process.pid)
-            began, first_s = time.monotonic(), processor_s(daemon.process.pid)
+            began, first_s = time.monotonic(), scheduled_s(daemon.process.pid)[0]
             memory: float | None = None
             sent, rounds = 0, 0
             while sent < runs:
@@ -910,15 +897,17 @@ def run(source: random.Random, runs: int, progress: Callable[[str], None] = lamb
                     traffic.ask("reload")
                     book.look(None)
                 if rounds == 40:
-                    memory = memory_mb(daemon.process.pid)
+                    memory = memory_kib(daemon.process.pid) / 1024
                 if rounds % 200 == 0:
                     speed = sent / (time.monotonic() - began)
-                    progress(f"{sent} messages, {speed:.0f} a second, memory {memory_mb(daemon.process.pid):.1f} MB")
+                    progress(
+                        f"{sent} messages, {speed:.0f} a second, memory {memory_kib(daemon.process.pid) / 1024:.1f} MB"
+                    )
             found.seconds = time.monotonic() - began
-            found.processor_s = processor_s(daemon.process.pid) - first_s
+            found.processor_s = scheduled_s(daemon.process.pid)[0] - first_s
             found.changes, found.stalls = book.changes, book.stalls
             if memory is not None:
-                found.grown_mb = memory_mb(daemon.process.pid) - memory
+                found.grown_mb = memory_kib(daemon.process.pid) / 1024 - memory
                 assert found.grown_mb < GROWTH_MB, f"the daemon's memory grew by {found.grown_mb:.1f} MB"
             # What lapsed is over when the forces are turned on; nothing else may be left.
             traffic.turn_forces_on()

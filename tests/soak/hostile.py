@@ -37,7 +37,8 @@ from hapticd.client.blocking import Client, connect
 from hapticd.protocol import messages
 from hapticd.protocol.calls import RemoteError
 from tests.soak import attackers
-from tests.soak.under_attack import PATIENCE_S, Found, Measure, Watcher, attacked, memory_mib, scheduled_s
+from tests.soak.under_attack import PATIENCE_S, Found, Measure, Watcher, attacked
+from tests.support.processes import memory_kib, scheduled_s
 
 SETTLE_S = 15.0
 """Longer than the flight recorder remembers."""
@@ -86,7 +87,7 @@ def attack(
         with connect(directory, timeout_s=PATIENCE_S) as client:
             scene, materials = client.get_scene()["scene"], client.get_materials()["materials"]
             time.sleep(settle_s)
-            found.memory_mib = [memory_mib(pid)] * 3
+            found.memory_mib = [memory_kib(pid) / 1024] * 3
             measure = Measure(pid, watcher, found, tell)
             measure.phase(client, "before", min(60.0, seconds / 4), [])
             begin = time.monotonic()
@@ -99,7 +100,7 @@ def attack(
                         found.processor_s = scheduled_s(pid)
                 restore(client, scene, materials)
                 time.sleep(settle_s)
-                found.memory_mib[2] = memory_mib(pid)
+                found.memory_mib[2] = memory_kib(pid) / 1024
                 client.set_forces(True)
                 found.problems += [f"the fault {name} is latched" for name in client.get_status()["faults"]]
             except (HapticdError, OSError, KeyboardInterrupt) as error:

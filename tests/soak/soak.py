@@ -34,7 +34,7 @@ import threading
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -49,6 +49,8 @@ from hapticd.base.merge_patch import merge_patch
 from hapticd.client.blocking import Client, connect
 from hapticd.client.samples import SampleStream
 from tests.soak.visitor import Visit
+from tests.support.daemon_process import Daemon
+from tests.support.processes import descriptors, threads
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -134,13 +136,15 @@ TELEMETRY = ("samples", "event", "status")
 
 # What the daemon may say in its log. Anything else is a finding.
 EXPECTED = (
+    r"configuration: ",
     r"ready: ",
     r"SIGTERM: stopping",
-    r"stopping",
-    r"\d+ periods missed, \d+ times",
+    r"stopp(?:ing|ed)",
+    r"\d+ periods? missed",
     r"overload: .* of a second's periods were missed",
     r"not granted: ",
     r"flight recorder: /",
+    r"process \d+ of user \d+ does not keep up with telemetry: ",
     r"reloaded",
     r"reload: ",
 )
@@ -210,45 +214,15 @@ def look_at(pid: int) -> Look:
         kib(told["VmRSS"]),
         kib(rollup["Pss_Anon"]),
         kib(told["VmLck"]),
-        int(told["Threads"]),
-        len(os.listdir(folder / "fd")),
+        threads(pid),
+        descriptors(pid),
     )
 
 
-class Served:
-    """The daemon in a process of its own, and its log."""
-
-    def __init__(self, name: str, folder: Path, arguments: Sequence[str]) -> None:
-        self.name = name
-        self.log = folder / f"{name}.log"
-        with open(self.log, "wb") as log:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "hapticd", *arguments], stdin=subprocess.DEVNULL, stdout=log, stderr=log
-            )
-
-    def wait_ready(self) -> str:
-        """The line that says so."""
-        deadline = time.monotonic() + 60
-        while True:
-            found = re.search(r"ready: .*", self.log.read_text())
-            if found is not None:
-                return found[0]
-            if self.process.poll() is not None or time.monotonic() > deadline:
-                raise HapticdError(f"the {self.name} does not start: {self.log.read_text().strip()}")
-            time.sleep(0.01)  # another process: its log is what tells
-
-    def stop(self) -> int:
-        self.process.send_signal(signal.SIGTERM)
-        try:
-            return self.process.wait(60)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            return self.process.wait()
-
-    def unexpected(self) -> list[str]:
-        """Lines of its log that nobody expects."""
-        known = re.compile(rf"hapticd: ({'|'.join(EXPECTED)})")
-        return [line for line in self.log.read_text().splitlines() if not known.match(line)]
+def unexpected(log: str) -> list[str]:
+    """Lines of a daemon's log that nobody expects."""
+    known = re.compile(rf"\S+ \S+ hapticd: (?:{'|'.join(EXPECTED)})")
+    return [line for line in log.splitlines() if not known.match(line)]
 
 
 def hapticd(place: Path, *arguments: str) -> list[str]:
@@ -285,9 +259,9 @@ class Counted:
 class Soak:
     """Everything under way. Each party runs in a thread of its own, with connections of its own."""
 
-    def __init__(self, folder: Path, daemon: Served, seed: int) -> None:
+    def __init__(self, folder: Path, daemon: Daemon, seed: int) -> None:
         self.folder, self.daemon, self.seed = folder, daemon, seed
-        self.place = folder / "run"
+        self.place = daemon.directory
         self.began = time.monotonic()
         self.stop = threading.Event()
         self.failures: list[str] = []
@@ -684,7 +658,7 @@ def judge(soak: Soak, warm_up_s: float, before: Look, after: Look) -> dict[str, 
     return found
 
 
-def _settled(before: Look, daemon: Served) -> Look:
+def _settled(before: Look, daemon: Daemon) -> Look:
     """The daemon when everybody has left; what is closed last has half a minute."""
     deadline = time.monotonic() + 30
     while True:
@@ -722,19 +696,6 @@ def draw(seen: Sequence[Seen], warm_up_s: float, path: Path) -> None:
 # ---- The order of it -------------------------------------------------------------------------------------------------
 
 
-@contextlib.contextmanager
-def served(folder: Path, rate_hz: float) -> Iterator[Served]:
-    """A daemon; it is stopped at the end."""
-    config = folder / "daemon.yaml"
-    config.write_text(json.dumps({"servo": {"rate_hz": rate_hz}, "materials": MATERIALS, "scene": SCENE}))
-    daemon = Served("daemon", folder, ["--runtime-dir", str(folder / "run"), "run", "-c", str(config)])
-    try:
-        print(daemon.wait_ready(), flush=True)
-        yield daemon
-    finally:
-        daemon.stop()
-
-
 def _progress(one: Seen, soak: Soak, total_s: float) -> str:
     done = soak.counted.done
     return (
@@ -754,17 +715,21 @@ def run(total_s: float, rate_hz: float, warm_up_s: float, seed: int, out: Path) 
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="hapticd-soak-") as name:
         folder = Path(name)
-        with served(folder, rate_hz) as daemon:
+        config = folder / "daemon.yaml"
+        config.write_text(json.dumps({"servo": {"rate_hz": rate_hz}, "materials": MATERIALS, "scene": SCENE}))
+        daemon = Daemon(folder / "run", "-c", str(config))
+        try:
+            daemon.wait_ready()
             soak = Soak(folder, daemon, seed)
             before = look_at(daemon.process.pid)
             with soak.client() as client:
                 granted = client.get_status()["realtime"]
                 soak.prepare(client)
-                threads = [
+                parties = [
                     threading.Thread(target=soak.run_party, args=party, name=party[0])
                     for party in soak.parties().items()
                 ]
-                for thread in threads:
+                for thread in parties:
                     thread.start()
                 next_look, next_told = LOOK_S, TELL_S
                 try:
@@ -784,14 +749,16 @@ def run(total_s: float, rate_hz: float, warm_up_s: float, seed: int, out: Path) 
                 finally:
                     lasted_s = soak.elapsed_s()
                     soak.stop.set()
-                    for thread in threads:
+                    for thread in parties:
                         thread.join()
-                status = client.get_status()
+                status: Any = client.call("get_status", {"detail": True})
             after = _settled(before, daemon)
             grown = judge(soak, warm_up_s, before, after)
-        if daemon.process.returncode:
-            soak.fail("daemon", f"ended with {daemon.process.returncode}")
-        for line in daemon.unexpected():
+        finally:
+            code = daemon.stop()
+        if code:
+            soak.fail("daemon", f"ended with {code}")
+        for line in unexpected(daemon.said()):
             soak.fail("daemon's log", line)
     draw(soak.seen, warm_up_s, out / "soak.png")
     found = {

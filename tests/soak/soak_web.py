@@ -31,6 +31,8 @@ from typing import Any
 import aiohttp
 import msgpack
 
+from tests.support.processes import descriptors, memory_kib, threads
+
 LOOK_S = 10.0
 PAGES = 4
 PAGE_S = (2.0, 12.0)
@@ -83,20 +85,8 @@ async def page(address: str, cookie: str, lasts_s: float, how: str) -> None:
 # ---- What is looked at -----------------------------------------------------------------------------------------------
 
 
-def memory_kib(pid: int) -> int:
-    """What the process has for itself alone."""
-    text = Path(f"/proc/{pid}/smaps_rollup").read_text()
-    return sum(
-        int(line.split()[1]) for line in text.splitlines() if line.startswith(("Private_Clean", "Private_Dirty"))
-    )
-
-
 def look(pid: int) -> dict[str, int]:
-    return {
-        "memory_kib": memory_kib(pid),
-        "threads": len(list(Path(f"/proc/{pid}/task").iterdir())),
-        "descriptors": len(list(Path(f"/proc/{pid}/fd").iterdir())),
-    }
+    return {"memory_kib": memory_kib(pid), "threads": threads(pid), "descriptors": descriptors(pid)}
 
 
 class Soak:

@@ -22,6 +22,7 @@ from bench.report import ROOT, Table
 from hapticd.base.errors import HapticdError
 from hapticd.client.blocking import Client, connect
 from hapticd.protocol.calls import RemoteError
+from tests.support.processes import descriptors, memory_kib
 
 OFF_EVERY_S = 0.02
 TELL_EVERY_S = 10.0
@@ -31,23 +32,6 @@ BEGIN_S = 30.0
 NOT_BEGUN = "has not begun"
 COUNTED = re.compile(r"([\d,]+) (.+)")
 """How an attacker says what it did."""
-
-
-def memory_mib(process: int) -> float:
-    """Memory of a process that is its own and in use."""
-    told = Path(f"/proc/{process}/smaps_rollup").read_text()
-    return sum(int(kb) for kb in re.findall(r"^Private_\w+: +(\d+) kB", told, re.M)) / 1024
-
-
-def scheduled_s(process: int) -> tuple[float, float]:
-    """How long its threads had a processor, and how long they waited for one."""
-    told = [each.read_text().split() for each in Path(f"/proc/{process}/task").glob("*/schedstat")]
-    return sum(int(each[0]) for each in told) / 1e9, sum(int(each[1]) for each in told) / 1e9
-
-
-def descriptors(process: int) -> int:
-    """How many it has."""
-    return len(os.listdir(f"/proc/{process}/fd"))
 
 
 class Watcher(threading.Thread):
@@ -248,7 +232,7 @@ class Measure:
             with contextlib.suppress(RemoteError):  # the cause of a fault lasts; it is counted
                 client.set_forces(True)
             if now >= look:
-                found.memory_mib[1] = max(found.memory_mib[1], memory := memory_mib(self._pid))
+                found.memory_mib[1] = max(found.memory_mib[1], memory := memory_kib(self._pid) / 1024)
                 found.descriptors = max(found.descriptors, descriptors(self._pid))
                 if self._watcher.failed is not None:
                     raise HapticdError(f"who reads the samples: {self._watcher.failed}")

@@ -662,9 +662,10 @@ def test_a_box_that_is_moved_again_and_again_is_followed() -> None:
             last = samples
 
 
-def test_a_thin_box_is_held_by_the_same_face_after_a_stall() -> None:
+@pytest.mark.parametrize("thing", [box((0, 0), (0.02, 0.0005)), skin((0, 0), 0.02)], ids=["box", "membrane"])
+def test_what_is_thin_is_held_from_the_same_side_after_a_stall(thing: dict[str, object]) -> None:
     """Periods were missed, longer than the ramp: it comes in again, from the side that it was pressed from."""
-    rig = Rig({"it": box((0, 0), (0.02, 0.0005))}, materials=MATERIALS)
+    rig = Rig({"it": thing}, materials=MATERIALS)
     rig.render(down(0.001, 0.001, -0.001, 1e-5))
     before = rig.render(still(0.001, -0.001, 100))
     samples = rig.render(still(0.001, -0.001, 400), periods=[5000] + [1] * 399)
