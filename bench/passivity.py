@@ -158,10 +158,8 @@ class Energy(NamedTuple):
 class Given:
     """What a run gave to the hand."""
 
-    seen_j: float
-    """The largest sum over one contact, over the positions reported."""
     true_j: float
-    """The same over the handle's own positions."""
+    """The largest sum over one contact, over the handle's own positions."""
     energy: Energy
     """What the observer says."""
     speed_m_per_s: float
@@ -206,7 +204,6 @@ def simulated(case: Case, passivity: Mode) -> Given:
     force = samples["force_n"]  # nothing rings
     touched = (samples["flags"] & Flag.CONTACT) != 0
     return Given(
-        given_j(force, samples["position_m"], touched),
         given_j(force, truth[:, :2], touched, case.age),
         energy_of(state),
         float(np.hypot(*truth[:, 2:].T).max()),

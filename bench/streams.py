@@ -6,20 +6,16 @@ samples, whatever the counters say. Its time is the sender's CLOCK_MONOTONIC bef
 the servo woke up, its deadline and its lateness.
 
     python -m bench.streams --send ENDPOINT COUNT FILE      the sender; its times go into FILE
-    python -m bench.streams --flood ENDPOINT                sends as fast as it goes, until it is killed
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
-import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +23,7 @@ import numpy.typing as npt
 import zmq
 
 from bench.daemon import Running, call, daemon, dealer
-from bench.report import ROOT, Advance, Options, Section, Table, spread, verdict
+from bench.report import ROOT, Advance, Options, Section, Table, verdict
 from bench.resources import cpu_s
 from bench.samples import SampleReader
 from hapticd.base.errors import HapticdError
@@ -65,20 +61,6 @@ def send(endpoint: str, count: int, file: str) -> None:
             socket.send(streams.write("force", seq, *forces_n[seq % POINTS]))
         call(socket, "get_status")  # it has come to all of them
     np.save(file, times)
-
-
-def flood(endpoint: str) -> None:
-    """Streams without pause, until it is killed."""
-    with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
-        socket.connect(endpoint)
-        seq = 0
-        while True:
-            socket.send(streams.write("force", seq, 0.0, CIRCLE_N))
-            seq += 1
-
-
-def _process(*words: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, "-m", "bench.streams", *words], cwd=ROOT)
 
 
 # ---- What is measured ------------------------------------------------------------------------------------------------
@@ -151,8 +133,8 @@ def minute(running: Running, client: zmq.Socket[bytes], seconds: float) -> Minut
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         file = os.path.join(folder, "sent.npy")
         used_s, since_s = _python_s(running.pid)
-        process = _process("--send", running.paths.command_endpoint, str(count), file)
-        if process.wait() != 0:
+        words = ["-m", "bench.streams", "--send", running.paths.command_endpoint, str(count), file]
+        if subprocess.run([sys.executable, *words], cwd=ROOT, check=False).returncode != 0:
             raise HapticdError("the sender failed")
         used_s, since_s = (b - a for a, b in zip((used_s, since_s), _python_s(running.pid), strict=True))
         sent_ns: Times = np.load(file)
@@ -169,52 +151,6 @@ def minute(running: Running, client: zmq.Socket[bytes], seconds: float) -> Minut
     )
 
 
-def killed(running: Running, client: zmq.Socket[bytes]) -> float:
-    """From the SIGKILL of a sender to the first tick whose force is zero, ms."""
-    reader = SampleReader(running.paths.telemetry_endpoint)
-    process = _process("--send", running.paths.command_endpoint, "1000000", os.devnull)
-    try:
-        while not _counted(client)["active"]:
-            time.sleep(0.01)
-        time.sleep(0.3)
-    finally:
-        at_ns = time.monotonic_ns()
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    time.sleep(TIMEOUT_S + 2 * RAMP_S)
-    samples = reader.until(int(str(call(client, "get_status")["tick"])))
-    after = samples[samples["time_ns"] > at_ns]
-    zero = after["time_ns"][np.flatnonzero((after["force_n"] == 0).all(axis=1))[0]]
-    return float(zero - at_ns) / 1e6
-
-
-@contextlib.contextmanager
-def flooding(running: Running) -> Iterator[None]:
-    """Somebody streams without pause meanwhile."""
-    process = _process("--flood", running.paths.command_endpoint)
-    try:
-        with dealer(running.paths.command_endpoint) as client:
-            before = _counted(client)["received"]
-            while _counted(client)["received"] == before:
-                time.sleep(0.01)
-        yield
-    finally:
-        process.kill()
-        process.wait()
-
-
-def round_trips(client: zmq.Socket[bytes], seconds: float) -> npt.NDArray[np.float64]:
-    """Of `get_status`, us, one every 2 ms."""
-    taken = []
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        begin = time.perf_counter_ns()
-        call(client, "get_status")
-        taken.append((time.perf_counter_ns() - begin) / 1e3)
-        time.sleep(0.002)
-    return np.array(taken)
-
-
 # ---- The section -----------------------------------------------------------------------------------------------------
 
 
@@ -224,25 +160,10 @@ def _percentiles(values: npt.NDArray[np.float64]) -> list[str]:
 
 def run(options: Options, advance: Advance) -> Section:
     """The tables of it."""
-    seconds, kills, floods = options.few(60, 3), options.few(20, 3), options.few(5, 1)
+    seconds = options.few(60, 3)
     with daemon(rate_hz=RATE_HZ) as running, dealer(running.paths.command_endpoint) as client:
         found = minute(running, client, seconds)
-        advance(0.7, "a minute")
-        ends = []
-        for index in range(kills):
-            ends.append(killed(running, client))
-            advance(0.7 + 0.2 * (index + 1) / kills, "senders killed")
-        asked: dict[str, list[npt.NDArray[np.float64]]] = {"nobody streams": [], "a flood": []}
-        before = _counted(client)
-        flooded_s = 0.0
-        for _ in range(floods):
-            asked["nobody streams"].append(round_trips(client, options.few(3, 1)))
-            with flooding(running):
-                begin = time.monotonic()
-                asked["a flood"].append(round_trips(client, options.few(3, 1)))
-                flooded_s += time.monotonic() - begin
-        flooded = _counted(client)["received"] - before["received"]
-        status = call(client, "get_status")
+    advance(1.0, "a minute")
     counted = found.counted
     p99 = float(np.percentile(found.latency_us, 99))
     return Section(
@@ -283,21 +204,9 @@ def run(options: Options, advance: Advance) -> Section:
             ),
             f"A message takes {found.command_us:.1f} us of a processor in the daemon, the waking up of the thread that "
             f"serves commands included: {found.command_us * PER_S / 1e4:.1f} % of one at {PER_S:,} a second.",
-            f"A sender that is killed by SIGKILL: the force is zero {spread(ends, '.1f')} ms later ({kills} times; "
-            f"{1e3 * TIMEOUT_S:g} ms of time-out, and {1e3 * RAMP_S:g} ms of ramp at most).",
-            Table(
-                f"`get_status`, us, beside a sender that streams without pause "
-                f"({flooded / max(flooded_s, 1e-9):,.0f} messages a second were read of it); faults: "
-                f"{', '.join(status['faults']) or 'none'}",  # type: ignore[arg-type]
-                ["", "p50", "p99", "p99.9", "worst"],
-                [[name, *_percentiles(np.concatenate(each))] for name, each in asked.items()],
-            ),
         ],
     )
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "--send":
-        send(sys.argv[2], int(sys.argv[3]), sys.argv[4])
-    else:
-        flood(sys.argv[2])
+    send(sys.argv[2], int(sys.argv[3]), sys.argv[4])

@@ -59,8 +59,6 @@ ROUNDED: Final = 1.000001
 MOVING: Final = 10.0
 """Allowed in a tick that takes a command while the hand moves, as a multiple: the second order of its way, on flanks,
 edges and discs, and of a noise that ends the change of its level within the tick."""
-MOST_LEFT_OUT: Final = 0.5
-"""Of all ticks; a machine that stalls for longer than the ramp leaves out more."""
 _BY_ITSELF: Final = (EventKind.CONTACT, EventKind.RELEASE, EventKind.GROOVE, EventKind.PUNCTURE)
 ROOM: Final = 256
 """Events of one tick."""
