@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.features import strokes
 from bench.report import Advance, Options, Section, Table, spread, verdict
-from bench.tick import FLOOR, MATERIALS, RATE_HZ, STRETCH, Motion, Stretch
+from bench.tick import FLOOR, MATERIALS, RATE_HZ, STRETCH, Motion, Stretch, measured
 from hapticd.base.core import CData, Flag
 from hapticd.base.yaml_source import load_bytes
 from hapticd.config.configuration import load_config
@@ -99,17 +99,9 @@ def _measure(
     scenes: Mapping[str, Stretch], wanted: Flag, rounds: int, times: int, advance: Advance
 ) -> dict[str, list[float]]:
     """ns a tick of each scene, by round."""
-    taken: dict[str, list[float]] = {name: [] for name in scenes}
-    for index in range(rounds):
-        for name, scene in scenes.items():
-            repeats = max(1, times * 64 * STRETCH // len(scene.motion.path_m))
-            scene.enter()
-            scene.render(max(1, repeats // 20))
-            taken[name].append(float(np.median(scene.timed(repeats))))
-            if scene.flags() & Flag.CONTACT != wanted:
-                raise RuntimeError(f"{name}: the scene is not what it is said to be ({scene.flags()!r})")
-        advance((index + 1) / rounds, "objects")
-    return taken
+    ticks = times * 64 * STRETCH
+    flags = dict.fromkeys(scenes, wanted)
+    return measured(scenes, flags, Flag.CONTACT, rounds, ticks, lambda part: advance(part, "objects"))
 
 
 def _touched(options: Options, advance: Advance) -> Table:

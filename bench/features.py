@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bench.report import Advance, Options, Section, Table, spread, verdict
-from bench.tick import RATE_HZ, STRETCH, Motion, Stretch
+from bench.tick import RATE_HZ, STRETCH, Motion, Stretch, measured
 from hapticd.base.core import Flag
 
 STIFFNESS, DAMPING = 800.0, 1.0
@@ -176,23 +176,15 @@ CASES: Mapping[str, tuple[Mapping[str, object], Motion, str | None]] = {
 def _features(options: Options, advance: Advance) -> Table:
     scenes = {name: Stretch(_objects(item), motion, materials=MATERIALS) for name, (item, motion, _) in CASES.items()}
     rounds, times = options.few(30, 4), options.few(40, 4)
-    taken: dict[str, list[float]] = {name: [] for name in CASES}
-    for index in range(rounds):
-        for name, scene in scenes.items():
-            # As many ticks of each, however long the motion is.
-            repeats = times * len(STEADY.path_m) // len(scene.motion.path_m)
-            scene.enter()
-            scene.render(max(1, repeats // 20))
-            taken[name].append(float(np.median(scene.timed(repeats))))
-            if not scene.flags() & Flag.CONTACT:
-                raise RuntimeError(f"{name}: is not touched")
-        advance((index + 1) / rounds, "features")
+    ticks = times * len(STEADY.path_m)
+    touched = dict.fromkeys(CASES, Flag.CONTACT)
+    taken = measured(scenes, touched, Flag.CONTACT, rounds, ticks, lambda part: advance(part, "features"))
     rows = []
     for name, (_, _, bare) in CASES.items():
         more = "" if bare is None else spread(np.subtract(taken[name], taken[bare]), ".1f")
         rows.append([name, spread(taken[name], ".1f"), more])
     return Table(
-        f"ns a tick, {rounds} rounds in turns, each of {times * len(STEADY.path_m)} ticks: median (10 to 90 %)",
+        f"ns a tick, {rounds} rounds in turns, each of {ticks} ticks: median (10 to 90 %)",
         ["surface", "ns a tick", "more than the bare wall"],
         rows,
     )

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from bench.report import Advance, Options, Section, Table, spread
+from bench.report import Advance, Options, Section, Table, between, spread
 from bench.swept import swept, workers
-from bench.tick import MATERIALS, RATE_HZ, STRETCH, Stretch, walls
+from bench.tick import MATERIALS, RATE_HZ, STRETCH, Stretch, measured, walls
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.base.yaml_source import Json
 from hapticd.config.configuration import load_config
@@ -290,15 +290,9 @@ def _cost(options: Options, advance: Advance) -> Table:
     rows = []
     for place, (name, pressed) in enumerate({"wall out of reach": False, "wall in contact": True}.items()):
         scenes = {mode: _stretch(mode, pressed) for mode in ("off", "observe", "control")}
-        taken: dict[str, list[float]] = {mode: [] for mode in scenes}
-        for index in range(rounds):
-            for mode, scene in scenes.items():
-                scene.enter()
-                scene.render(20)
-                taken[mode].append(float(np.median(scene.timed(calls))))
-                if scene.flags() & Flag.CONTACT != (Flag.CONTACT if pressed else Flag(0)):
-                    raise RuntimeError(f"{name}: the scene is not what it is said to be ({scene.flags()!r})")
-            advance((place + (index + 1) / rounds) / 2, "cost")
+        wanted = dict.fromkeys(scenes, Flag.CONTACT if pressed else Flag(0))
+        tell = between(advance, place / 2, (place + 1) / 2, "cost")
+        taken = measured(scenes, wanted, Flag.CONTACT, rounds, calls * STRETCH, tell)
         more = [np.subtract(taken[mode], taken["off"]) for mode in ("observe", "control")]
         rows.append(
             [name, *(spread(values, ".1f") for values in taken.values()), *(spread(each, ".1f") for each in more)]

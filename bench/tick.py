@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,8 @@ RATE_HZ = 10_000.0
 STRETCH = 128
 """Ticks a call: 14 KiB of samples and 4 KiB of motion."""
 STEP_M = 20e-6
+Tell = Callable[[float], None]
+"""Hears which part is done."""
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "plain"}
 MATERIALS: Mapping[str, object] = {
@@ -169,6 +171,26 @@ class Stretch:
         return Flag(int(np.bitwise_and.reduce(self._samples["flags"])))
 
 
+def measured(
+    scenes: Mapping[str, Stretch], wanted: Mapping[str, Flag], mask: Flag, rounds: int, ticks: int, tell: Tell
+) -> dict[str, list[float]]:
+    """ns a tick of each scene by round, in turns: medians over so many ticks. `wanted`: its flags, of those in `mask`.
+
+    Raises RuntimeError for a scene that is not what it is said to be.
+    """
+    taken: dict[str, list[float]] = {name: [] for name in scenes}
+    for index in range(rounds):
+        for name, scene in scenes.items():
+            repeats = max(1, ticks // len(scene.motion.path_m))
+            scene.enter()
+            scene.render(max(1, repeats // 10))
+            taken[name].append(float(np.median(scene.timed(repeats))))
+            if scene.flags() & mask != wanted[name]:
+                raise RuntimeError(f"{name}: the scene is not what it is said to be ({scene.flags()!r})")
+        tell((index + 1) / rounds)
+    return taken
+
+
 def _ticks(options: Options, advance: Advance) -> Table:
     cases: dict[str, tuple[Stretch, Flag, float | None]] = {
         "empty scene": (Stretch({}, 0.01), Flag(0), 30.0),
@@ -190,17 +212,15 @@ def _ticks(options: Options, advance: Advance) -> Table:
         ),
     }
     rounds, calls = options.few(40, 6), options.few(200, 50)
-    medians: dict[str, list[float]] = {name: [] for name in cases}
-    overhead = []
-    for index in range(rounds):
-        for name, (case, wanted, _) in cases.items():
-            case.enter()
-            case.render(20)
-            medians[name].append(float(np.median(case.timed(calls))))
-            if case.flags() & (Flag.CONTACT | Flag.RINGING) != wanted:
-                raise RuntimeError(f"{name}: the scene is not what it is said to be ({case.flags()!r})")
-        overhead.append(float(np.median(cases["empty scene"][0].empty_call(calls))))
-        advance((index + 1) / rounds, "scenes")
+    medians = measured(
+        {name: case for name, (case, _, _) in cases.items()},
+        {name: wanted for name, (_, wanted, _) in cases.items()},
+        Flag.CONTACT | Flag.RINGING,
+        rounds,
+        calls * STRETCH,
+        lambda part: advance(part, "scenes"),
+    )
+    overhead = [float(np.median(cases["empty scene"][0].empty_call(calls))) for _ in range(rounds)]
     rows = [
         [
             name,
