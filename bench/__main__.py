@@ -58,7 +58,7 @@ MEASUREMENTS: dict[str, Measurement] = {
     "stability": Measurement("stability margins: maps, and 10,000 random walls and corners", stability.run),
     "passivity": Measurement("passivity observer and controller: energy given to the hand, cost", passivity.run),
     "fit": Measurement("taps fitted to synthetic recordings: errors, and coverage of the intervals", fit.run),
-    "tick": Measurement("work per tick, the estimator, subnormal numbers", tick.run, SPEED),
+    "tick": Measurement("work per tick, and the estimator", tick.run, SPEED),
     "features": Measurement("what each feature of a surface adds to a tick", features.run, SPEED),
     "crowd": Measurement("1 to 10,000 objects, and compiling them", crowd.run, SPEED),
     "offline": Measurement("render and simulate, ticks a second", offline.run, SPEED),
