@@ -83,7 +83,7 @@ def run(daemon: hapticd.Client, path: Path, answer_of: Callable[[tuple[float, fl
             trial = len(procedure.answers) + 1
             daemon.mark(f"trial {trial}", {"stiffness_n_per_m": [*walls]})
             answer = answer_of((present(daemon, walls[0]), present(daemon, walls[1])))
-            procedure.answer(difference, "correct" if answer == stiffer else "wrong")
+            procedure.answer(difference, answer == stiffer)
             table.writerow([trial, difference, stiffer, answer, answer == stiffer])
             file.flush()
     return procedure
