@@ -12,7 +12,7 @@ from typing import Any
 
 import griffe
 
-MADE_BY = ("_method(", "_block(", "_subscription(", "_sent(", "_like(")
+MADE_BY = ("_method(", "_block(", "_subscription(", "_like(")
 KINDS = {
     inspect.Parameter.POSITIONAL_ONLY: griffe.ParameterKind.positional_only,
     inspect.Parameter.POSITIONAL_OR_KEYWORD: griffe.ParameterKind.positional_or_keyword,

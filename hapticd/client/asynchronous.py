@@ -9,8 +9,7 @@ import asyncio
 import math
 import os
 from collections.abc import Awaitable, Callable, Coroutine, Generator
-from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import zmq
 import zmq.asyncio
@@ -23,9 +22,6 @@ from hapticd.client.methods import Response, Wait
 from hapticd.protocol import calls
 from hapticd.protocol.calls import TIMEOUT_S
 from hapticd.system.paths import RuntimePaths
-
-if TYPE_CHECKING:
-    from hapticd.client.record import Daemon
 
 T = TypeVar("T")
 
@@ -160,5 +156,5 @@ class Client(methods.Client):
         task = asyncio.create_task(work(wait), name=name)
         return end
 
-    def _blocking(self) -> AbstractContextManager[Daemon]:
+    def _blocking(self) -> blocking.Client:
         return blocking.Client(self.paths.directory, self.timeout_s)

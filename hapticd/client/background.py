@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from hapticd.base import arguments, wording
 from hapticd.base.errors import HapticdError
+from hapticd.client.base import in_background
 from hapticd.client.record import Daemon, RecordSummary, ended_early, record
 from hapticd.protocol.calls import MissedPeriods, TelemetryLoss
 
@@ -37,13 +38,12 @@ class Recorder:
         self._stop = threading.Event()
         self._begun = threading.Event()
         """The first sample was taken, or nothing will come of it."""
-        self._done: Future[RecordSummary] = Future()
-        self._thread = threading.Thread(target=self._run, name="hapticd-record", daemon=True)
+        self._done: Future[RecordSummary] | None = None
 
     @property
     def result(self) -> RecordSummary:
         """What was recorded. Raises HapticdError while the block still runs, and where nothing was."""
-        if not self._done.done():
+        if self._done is None or not self._done.done():
             raise HapticdError(f"{self.path}: is not finished: the result is there after the block")
         return self._done.result()
 
@@ -55,7 +55,8 @@ class Recorder:
 
     def begin(self) -> None:
         """Returns once the first sample was taken. Raises what keeps the recording from beginning."""
-        self._thread.start()
+        self._done = in_background("hapticd-record", self._record)
+        self._done.add_done_callback(lambda _: self._begun.set())
         self._begun.wait()
         if self._done.done():
             self._done.result()
@@ -64,10 +65,9 @@ class Recorder:
         """Records what the daemon has rendered by now, and finishes the file; returns what is to be warned of. Raises
         HapticdError where the recording ended before, or the file is not where it was to be."""
         self._stop.set()
-        if self._thread.ident is None:  # it never began
+        if self._done is None:
             raise HapticdError(f"{self.path}: was not recorded")
-        self._thread.join()
-        result = self.result
+        result = self._done.result()
         if ended_early(result.ended_because) is not None:
             raise HapticdError(f"{result.ended_because}; {result.file} holds what came before")
         found: list[Warning] = []
@@ -78,22 +78,10 @@ class Recorder:
             found.append(MissedPeriods(f"{result.file}: {result.warning}"))
         return found
 
-    def _run(self) -> None:
-        try:
-            with self._connect() as client:
-                made = record(
-                    client,
-                    self.path,
-                    overwrite=self._overwrite,
-                    notes=self._notes,
-                    stop=self._stop,
-                    progress=self._progress,
-                )
-            self._done.set_result(made)
-        except BaseException as error:
-            self._done.set_exception(error)
-        finally:
-            self._begun.set()
+    def _record(self) -> RecordSummary:
+        with self._connect() as client:
+            overwrite, notes, stop = self._overwrite, self._notes, self._stop
+            return record(client, self.path, overwrite=overwrite, notes=notes, stop=stop, progress=self._progress)
 
     def _progress(self, recorded_s: float) -> None:
         if recorded_s > 0:

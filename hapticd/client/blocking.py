@@ -14,20 +14,17 @@ import threading
 import time
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
-from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, Self, TypeVar
+from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar
 
 import zmq
 
 from hapticd.base import arguments
 from hapticd.client import methods, streams
-from hapticd.client.base import connect_commands
+from hapticd.client.base import connect_commands, in_background
 from hapticd.client.methods import Response, Wait
 from hapticd.protocol import calls
 from hapticd.protocol.calls import TIMEOUT_S
 from hapticd.system.paths import RuntimePaths
-
-if TYPE_CHECKING:
-    from hapticd.client.record import Daemon
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -114,28 +111,19 @@ class _OnThread(methods.Client):
 
     def _start(self, name: str, work: Callable[[Wait], Coroutine[Any, Any, None]]) -> Callable[[], Awaitable[None]]:
         stop = threading.Event()
-        failed: list[BaseException] = []
 
         async def wait(seconds: float) -> bool:
             return stop.wait(seconds)
 
-        def body() -> None:
-            try:
-                run(work(wait))
-            except BaseException as error:
-                failed.append(error)
+        done = in_background(name, lambda: run(work(wait)))
 
         async def end() -> None:
             stop.set()
-            thread.join()
-            if failed:
-                raise failed[0]
+            done.result()
 
-        thread = threading.Thread(target=body, name=name, daemon=True)
-        thread.start()
         return end
 
-    def _blocking(self) -> AbstractContextManager[Daemon]:
+    def _blocking(self) -> Client:
         return Client(self.paths.directory, self.timeout_s)
 
 
@@ -158,7 +146,7 @@ def _like(method: F, described: Callable[..., Any]) -> F:
     """`method` with the name, the parameters and the documentation of the coroutine that it runs."""
     made: Any = method
     signature = inspect.signature(described)
-    result = signature.return_annotation.replace("AsyncIterator", "Iterator").replace("Awaitable[None]", "None")
+    result = signature.return_annotation.replace("AsyncIterator", "Iterator")
     made.__signature__ = signature.replace(return_annotation=result)
     made.__annotations__ = {**described.__annotations__, "return": result}
     made.__name__, made.__qualname__, made.__doc__ = described.__name__, described.__qualname__, described.__doc__
@@ -188,15 +176,6 @@ def _subscription(
 ) -> Callable[Concatenate[Client, P], Subscription[T]]:
     def method(self: Client, /, *args: P.args, **kwargs: P.kwargs) -> Subscription[T]:
         return Subscription(described(self._client, *args, **kwargs))
-
-    return _like(method, described)
-
-
-def _sent(
-    described: Callable[Concatenate[streams.Stream, P], Awaitable[None]],
-) -> Callable[Concatenate[Stream, P], None]:
-    def method(self: Stream, /, *args: P.args, **kwargs: P.kwargs) -> None:
-        described(self._stream, *args, **kwargs)
 
     return _like(method, described)
 
@@ -284,31 +263,14 @@ class Client:
     telemetry = _subscription(methods.Client.telemetry)
 
     def stream(self) -> Stream:
-        return Stream(self._client.stream())
+        self._client._refuse_closed()
+        return Stream(self._client._sender, None)
 
     stream = _like(stream, methods.Client.stream)
 
 
-class Stream:
+class Stream(streams.Stream[None]):
     """Targets and forces, in `with daemon.stream() as stream`. For any thread."""
-
-    def __init__(self, stream: streams.Stream) -> None:
-        self._stream = stream
-
-    @property
-    def unsent(self) -> int:
-        """Messages of this client that were dropped on our side, as the daemon did not read those before in time."""
-        return self._stream.unsent
-
-    target = _sent(streams.Stream.target)
-    force = _sent(streams.Stream.force)
-
-    def __enter__(self) -> Self:
-        run(self._stream.__aenter__())
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
-        run(self._stream.__aexit__(kind, error, trace))
 
 
 class Subscription(Generic[T]):

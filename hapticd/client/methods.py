@@ -21,6 +21,7 @@ import zmq
 
 from hapticd.base import arguments
 from hapticd.base.errors import HapticdError
+from hapticd.client import streams
 from hapticd.client.base import warn
 from hapticd.client.sources import (
     Interpolation,
@@ -31,7 +32,6 @@ from hapticd.client.sources import (
     patch_tree,
     scene_tree,
 )
-from hapticd.client.streams import Sender, Stream
 from hapticd.protocol import calls, messages, places
 from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning, ForcesOff, RemoteError, TimedOut, Topic
 from hapticd.protocol.places import ALIVE
@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from hapticd.client.samples import SampleBatch
 
 T = TypeVar("T")
+Stream: TypeAlias = streams.Stream[streams.AlreadySent]
 Response: TypeAlias = object | RemoteError
 Wait: TypeAlias = Callable[[float], Awaitable[bool]]
 """Waits for so many seconds, or until the work is to end: then true."""
@@ -74,7 +75,7 @@ class Client(ABC):
         self.timeout_s = timeout_s
         self._closed = False
         self._ids = itertools.count(1)
-        self._sender = Sender(place, timeout_s)
+        self._sender = streams.Sender(place, timeout_s)
         self._subscriptions: set[Subscription[Any]] = set()
         self._operator_tick: int | None = None
         """At which the last operator was set here."""
@@ -413,7 +414,7 @@ class Client(ABC):
         (ForcesOff).
         """
         self._refuse_closed()
-        return Stream(self._sender, self._in_thread)
+        return Stream(self._sender, streams.AlreadySent())
 
     # ---- Telemetry ---------------------------------------------------------------------------------------------------
 
@@ -522,35 +523,25 @@ class Subscription(Generic[T]):
             raise messages.WireError(messages.Code.INVALID_REQUEST, f"telemetry {topic}: not a map")
         return self._convert(topic, message)
 
-    async def _take_in_time(self) -> T | None:
-        """As `_take`. Raises DaemonNotRunning where the daemon is silent."""
-        try:
-            return await self._take(self._timeout_s)
-        except zmq.Again:
-            raise await self._client._in_thread(places.no_telemetry, self._client.paths, self._timeout_s) from None
-
-    async def _begin(self) -> None:
-        """Waits for the first message of a daemon."""
-        if not self._ready:
-            item = await self._take_in_time()
-            self._first = None if self._on_demand else item
-
-    def _kept(self) -> T | None:
+    async def _item(self, left_s: Callable[[], float]) -> T | None:
+        """The next item; `left_s`: how long to wait for each message. None: it was closed. Raises zmq.Again."""
         item, self._first = self._first, None
-        return item
-
-    @asynccontextmanager
-    async def _asked(self) -> AsyncIterator[None]:
-        """Of a subscription to the newest: what came since the last item is dropped, and the next is asked for."""
+        if item is not None:
+            return item
         with suppress(zmq.Again):
-            while self._on_demand:
+            while self._on_demand:  # what came since the last item is dropped
                 await self._client._receive(self._socket, 0.0)
         self._set(zmq.SUBSCRIBE, self._on_demand)
         try:
-            yield
+            while item is None and not self.closed:
+                item = await self._take(left_s())
+            return item
         finally:
             if not self.closed:
                 self._set(zmq.UNSUBSCRIBE, self._on_demand)
+
+    async def _silence(self) -> DaemonNotRunning:
+        return await self._client._in_thread(places.no_telemetry, self._client.paths, self._timeout_s)
 
     async def receive(self, timeout_s: float) -> T | None:
         """The next item, or None where none comes within `timeout_s`, in seconds. 0: only what has come already.
@@ -559,13 +550,9 @@ class Subscription(Generic[T]):
         where the daemon is silent.
         """
         deadline_s = time.monotonic() + arguments.seconds("timeout_s", timeout_s, zero=True)
-        if (item := self._kept()) is not None:
-            return item
-        async with self._asked():
-            with suppress(zmq.Again):
-                while item is None:
-                    item = await self._take(max(0.0, deadline_s - time.monotonic()))
-        return item
+        with suppress(zmq.Again):
+            return await self._item(lambda: max(0.0, deadline_s - time.monotonic()))
+        return None
 
     def __aiter__(self) -> Self:
         return self
@@ -573,17 +560,23 @@ class Subscription(Generic[T]):
     async def __anext__(self) -> T:
         if self.closed:
             raise StopAsyncIteration
-        await self._begin()
-        if (item := self._kept()) is not None:
-            return item
-        async with self._asked():
-            while not self.closed:
-                if (item := await self._take_in_time()) is not None:
-                    return item
-        raise StopAsyncIteration
+        await self.__aenter__()
+        try:
+            item = await self._item(lambda: self._timeout_s)
+        except zmq.Again:
+            raise await self._silence() from None
+        if item is None:
+            raise StopAsyncIteration
+        return item
 
     async def __aenter__(self) -> Self:
-        await self._begin()
+        """Waits for the first message of a daemon."""
+        if not self._ready:
+            try:
+                item = await self._take(self._timeout_s)
+            except zmq.Again:
+                raise await self._silence() from None
+            self._first = None if self._on_demand else item
         return self
 
     async def __aexit__(self, *error: object) -> None:

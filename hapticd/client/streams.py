@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Generator, Mapping
-from contextlib import suppress
-from typing import Any, Final, Self
+from collections.abc import Generator, Mapping
+from typing import Any, Final, Generic, Self, TypeVar
 
 import zmq
 
@@ -21,6 +20,8 @@ from hapticd.protocol import calls, messages, places, streams
 from hapticd.protocol.calls import ForcesOff, RemoteError
 from hapticd.protocol.streams import MOST, Kind
 from hapticd.system.paths import RuntimePaths
+
+Sent = TypeVar("Sent")
 
 ASK_EVERY_S: Final = 0.5
 """One message of each kind in so long has an id: its answer says what is wrong."""
@@ -133,8 +134,8 @@ class Sender:
         return id
 
 
-class _Sent:
-    """What was sent already; whoever awaits it lets others run."""
+class AlreadySent:
+    """What was sent already; whoever awaits it lets other tasks run."""
 
     def __await__(self) -> Generator[Any, None, None]:
         from asyncio import sleep  # which a blocking client does without
@@ -142,16 +143,15 @@ class _Sent:
         return sleep(0).__await__()
 
 
-_ALREADY_SENT: Final = _Sent()
+class Stream(Generic[Sent]):
+    """Targets and forces, in `with daemon.stream() as stream`, with asyncio in `async with`. For any thread.
 
+    A message is sent when the method is called. With asyncio it may be awaited, which lets other tasks run.
+    """
 
-class Stream:
-    """Targets and forces, in `async with daemon.stream() as stream`. A message is sent when the method is called: to
-    await it lets other tasks run, and is not needed."""
-
-    def __init__(self, sender: Sender, in_thread: Callable[[Callable[[], None]], Coroutine[Any, Any, None]]) -> None:
-        """`in_thread` calls what blocks."""
-        self._sender, self._in_thread = sender, in_thread
+    def __init__(self, sender: Sender, sent: Sent) -> None:
+        """`sent`: what `target` and `force` return."""
+        self._sender, self._sent = sender, sent
         self._pushed = False
         """Whether a force was streamed, which has to end."""
 
@@ -160,34 +160,41 @@ class Stream:
         """Messages of this client that were dropped on our side, as the daemon did not read those before in time."""
         return self._sender.unsent
 
-    def target(self, x: float, y: float) -> Awaitable[None]:
+    def target(self, x: float, y: float) -> Sent:
         """Where the simulated hand wants to be, m. Raises DaemonNotRunning, and RemoteError for a message before."""
         most = MOST["target"]
         self._sender.send("target", arguments.within("x", x, most, "m"), arguments.within("y", y, most, "m"))
-        return _ALREADY_SENT
+        return self._sent
 
-    def force(self, fx: float, fy: float) -> Awaitable[None]:
+    def force(self, fx: float, fy: float) -> Sent:
         """A force that is added to the rendered one, N. Raises DaemonNotRunning, and RemoteError for a message
         before."""
         most = MOST["force"]
         self._sender.send("force", arguments.within("fx", fx, most, "N"), arguments.within("fy", fy, most, "N"))
         self._pushed = True
-        return _ALREADY_SENT
+        return self._sent
 
-    async def __aenter__(self) -> Self:
-        await self._in_thread(self._sender.open)
+    def __enter__(self) -> Self:
+        self._sender.open()
         return self
 
-    async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
-        if error is None:
-            self._end()
-            await self._in_thread(self._sender.settle)
-        else:
-            with suppress(HapticdError):  # what went wrong in the block is reported
-                self._end()
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
+        try:
+            if self._pushed:
+                self._pushed = False
+                self._sender.send("force", 0.0, 0.0)
+            if error is None:
+                self._sender.settle()
+        except HapticdError:
+            if error is None:  # else what went wrong in the block is reported
+                raise
 
-    def _end(self) -> None:
-        """Ends the force of this stream. Raises as `Sender.send`."""
-        if self._pushed:
-            self._pushed = False
-            self._sender.send("force", 0.0, 0.0)
+    async def __aenter__(self) -> Self:
+        from asyncio import to_thread
+
+        return await to_thread(self.__enter__)
+
+    async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
+        from asyncio import to_thread
+
+        await to_thread(self.__exit__, kind, error, trace)

@@ -75,7 +75,7 @@ def encode_request(id: int, method: str, params: Mapping[str, object] | None) ->
         if len(body) > messages.MAX_BODY:
             raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {messages.MAX_BODY})")
         if params:
-            messages.decode(body)
+            messages.check_ours(body)
     except (messages.WireError, NotEncodableError) as error:
         arguments.plain((), params)  # says where
         raise HapticdError(f"{method}: {error}") from None
