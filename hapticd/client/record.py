@@ -9,10 +9,9 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self, cast
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -102,10 +101,6 @@ class Messages(Protocol):
     """A subscription to telemetry."""
 
     def receive(self, timeout_s: float) -> tuple[Topic, dict[str, object]] | None: ...
-    def __enter__(self) -> Self: ...
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None: ...
 
 
 class Daemon(Protocol):
@@ -118,7 +113,7 @@ class Daemon(Protocol):
     def get_config(self) -> ConfigResult: ...
     def get_scene(self) -> SceneResult: ...
     def get_materials(self) -> MaterialsResult: ...
-    def telemetry(self, *topics: Topic) -> Messages: ...
+    def telemetry(self, *topics: Topic) -> AbstractContextManager[Messages]: ...
 
 
 def record(
@@ -156,19 +151,10 @@ def record(
         # Told again where the disk was full, and the end gave way to what else is in the file.
         writer.finish(lambda: {"recording": session.account(ended)})
         account = session.account(ended)
+        clocks = {name: moment_of(account[name]) for name in ("started", "ended")}
+        summed = {each.name: account[each.name] for each in fields(RecordSummary) if each.name in account}
         return RecordSummary(
-            os.fspath(recording_path(target)),
-            writer.count,
-            account["duration_s"],
-            writer.event_count,
-            account["lost"],
-            account["dropped"],
-            tuple(account["missing_revisions"]),
-            account["missed_periods"],
-            moment_of(account["started"]),
-            moment_of(account["ended"]),
-            ended,
-            session.warning(account),
+            **summed | clocks, file=os.fspath(recording_path(target)), warning=session.warning(account)
         )
 
 
@@ -333,9 +319,9 @@ class _Scenes:
         self._rate_hz = 0.0
 
     @property
-    def missing(self) -> list[int]:
+    def missing(self) -> tuple[int, ...]:
         """Revisions that samples were rendered with, and nobody said what they are."""
-        return sorted(self._used - self._known)
+        return tuple(sorted(self._used - self._known))
 
     def begin(self) -> dict[str, Any]:
         """Status, scene and materials at the start."""

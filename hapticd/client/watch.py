@@ -10,7 +10,7 @@ import json
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import zip_longest
 from typing import Any, Final, TypeAlias, cast
@@ -35,7 +35,6 @@ HALF_VIEW_M: Final = 0.08
 """Half the height of the plane that is shown at least."""
 
 _BAR: Final = 12
-_SOLID, _SKIN = "░", "─\\│/"
 # Shown by other means: what is touched, and a counter.
 _QUIET_EVENTS: Final = frozenset(("release", "overrun"))
 
@@ -54,7 +53,6 @@ class View:
         self._clock: deque[tuple[int, int]] = deque(maxlen=60)
         self._lateness: deque[int] = deque(maxlen=60)
         self._events: deque[tuple[str, Text]] = deque(maxlen=EVENT_LINES)
-        self._punctured: set[str] = set()
         self._largest_n = 1.0
         self._half_m = HALF_VIEW_M
         self._background: tuple[object, list[str]] | None = None
@@ -74,7 +72,6 @@ class View:
     def _feed_state(self, state: State) -> None:
         if self._clock and state["tick"] < self._clock[-1][0]:
             self._clock.clear()  # another daemon, or the same started again
-            self._punctured.clear()
             self.scene_revision = None
         self._clock.append((state["tick"], state["time_ns"]))
         self._lateness.append(state["lateness_ns"])
@@ -87,10 +84,6 @@ class View:
 
     def _feed_event(self, event: Mapping[str, Any]) -> None:
         kind = event["event"]
-        if kind == "puncture":
-            self._punctured.add(event["object"])
-        elif kind == "contact":
-            self._punctured.discard(event["object"])  # what is open is not touched: it has healed
         if kind not in _QUIET_EVENTS:
             if kind in ("revision", "groove") and self._events and self._events[-1][0] == kind:
                 self._events.pop()  # of a stream of updates or grooves the newest tells all
@@ -104,8 +97,7 @@ class View:
 
     def set_scene(self, scene: Mapping[str, object], revision: int) -> None:
         """Takes the scene that is drawn."""
-        if revision != self.scene_revision:
-            self._background = None
+        self._background = None
         self.scene, self.scene_revision = dict(scene), revision
 
     # ---- out -----------------------------------------------------------------------------------------------
@@ -148,17 +140,16 @@ class View:
         x, y = (1e3 * value for value in state["position_m"])
         vx, vy = (1e3 * value for value in state["velocity_m_per_s"])
         fx, fy = state["force_n"]
-        scale = _nice(self._largest_n)
         contact, vibration = math.hypot(*state["contact_force_n"]), math.hypot(*state["vibration_force_n"])
         touching = ", ".join(state["touching"])
         late_us = [value / 1e3 for value in self._lateness]
         rows = [
             ("position", f"{x:+8.3f} {y:+8.3f} mm", ""),
             ("velocity", f"{vx:+8.1f} {vy:+8.1f} mm/s", ""),
-            ("force x", f"{signed_bar(fx, scale, _BAR)} {fx:+.2f} N", "cyan"),
-            ("force y", f"{signed_bar(fy, scale, _BAR)} {fy:+.2f} N", "cyan"),
-            ("contact", f"{bar(contact, scale, _BAR)}  {contact:.2f} N", "green"),
-            ("vibration", f"{bar(vibration, scale, _BAR)}  {vibration:.2f} N", "green"),
+            ("force x", f"{signed_bar(fx, self._largest_n, _BAR)} {fx:+.2f} N", "cyan"),
+            ("force y", f"{signed_bar(fy, self._largest_n, _BAR)} {fy:+.2f} N", "cyan"),
+            ("contact", f"{bar(contact, self._largest_n, _BAR)}  {contact:.2f} N", "green"),
+            ("vibration", f"{bar(vibration, self._largest_n, _BAR)}  {vibration:.2f} N", "green"),
             ("touching", touching or "nothing", "bold" if touching else ""),
             ("", "", ""),
             ("rate", "" if self.rate_hz is None else f"{self.rate_hz:,.0f} Hz", ""),
@@ -180,10 +171,9 @@ class View:
     def _picture(self, columns: int, rows: int) -> list[Text]:
         # A character is about twice as high as wide.
         cell_m = 2 * self._half_m / max(1, 2 * min(rows, columns // 2))
-        key = (columns, rows, cell_m, self.scene_revision, frozenset(self._punctured))
+        key = (columns, rows, cell_m)
         if self._background is None or self._background[0] != key:
-            cells = draw_scene(self.scene, columns, rows, cell_m, self._punctured)
-            self._background = (key, ["".join(row) for row in cells])
+            self._background = (key, draw_scene(self.scene, columns, rows, cell_m))
         drawn = self._background[1]
         lines = [Text.assemble((line, "dim")) for line in drawn]
         if self.state is not None:
@@ -269,59 +259,36 @@ def signed_bar(value: float, scale: float, width: int) -> str:
     return f"{left[::-1]}│{right}"
 
 
-def _nice(value: float) -> float:
-    """The next of 1, 2, 5, 10, ..."""
-    exponent = 10.0 ** math.floor(math.log10(value))
-    return next((step * exponent for step in (1, 2, 5) if value <= step * exponent), 10 * exponent)
-
-
-def draw_scene(
-    scene: Mapping[str, Any], columns: int, rows: int, cell_m: float, punctured: Iterable[str] = ()
-) -> list[list[str]]:
-    """The plane in characters, rows from the top: solids shaded, membranes as lines, punctured ones with a
-    hole.
+def draw_scene(scene: Mapping[str, Any], columns: int, rows: int, cell_m: float) -> list[str]:
+    """The plane in characters, rows from the top: solids shaded, membranes as lines.
 
     The origin is in the middle; a character is `cell_m` wide and twice as high.
     """
-    x = (np.arange(columns) + 0.5 - columns / 2) * cell_m
-    y = (rows / 2 - np.arange(rows) - 0.5) * 2 * cell_m
-    solid = np.zeros((rows, columns), bool)
+    x = ((np.arange(columns) + 0.5 - columns / 2) * cell_m)[None, :]
+    y = ((rows / 2 - np.arange(rows) - 0.5) * 2 * cell_m)[:, None]
     cells: npt.NDArray[np.str_] = np.full((rows, columns), " ")
-    skins = []
-    objects: Mapping[str, Mapping[str, Any]] = scene.get("objects") or {}
-    for name, thing in objects.items():
-        kind = thing.get("kind")
-        if kind == "wall":
-            (px, py), (nx, ny) = thing["point_m"], thing["normal"]
-            solid |= (x[None, :] - px) * nx + (y[:, None] - py) * ny < 0
-        elif kind == "box":
-            (cx, cy), (width, height), angle = thing["center_m"], thing["size_m"], thing.get("angle_rad", 0.0)
-            along = (x[None, :] - cx) * math.cos(angle) + (y[:, None] - cy) * math.sin(angle)
-            across = (y[:, None] - cy) * math.cos(angle) - (x[None, :] - cx) * math.sin(angle)
-            # What is thinner than a character is drawn as one.
-            solid |= (abs(along) < max(width / 2, cell_m / 2)) & (abs(across) < max(height / 2, cell_m))
-        elif kind == "disc":
-            (cx, cy), radius = thing["center_m"], thing["radius_m"]
-            solid |= np.hypot(x[None, :] - cx, y[:, None] - cy) < max(radius, cell_m)
-        elif kind == "membrane":
-            skins.append((name, thing))
-    cells[solid] = _SOLID
-    broken = frozenset(punctured)
-    for name, thing in skins:
-        (cx, cy), (nx, ny), half = thing["center_m"], thing["normal"], thing["width_m"] / 2
-        length = math.hypot(nx, ny) or 1.0
-        tx, ty = ny / length, -nx / length
-        # Slope on the screen, where a character is twice as high: 0 along the rows, 2 along the columns.
-        angle = math.atan2(-ty / 2, tx) % math.pi
-        mark = _SKIN[round(angle / (math.pi / 4)) % 4]
-        steps = np.linspace(-half, half, max(3, int(2 * half / cell_m * 2)))
-        column = np.floor((cx + steps * tx) / cell_m + columns / 2).astype(int)
-        row = np.floor(rows / 2 - (cy + steps * ty) / (2 * cell_m)).astype(int)
-        shown = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        if name in broken:
-            shown &= np.abs(steps) > half / 3
-        cells[row[shown], column[shown]] = mark
-    return cast("list[list[str]]", cells.tolist())
+
+    def slab(center: Sequence[float], size: Sequence[float], angle: float) -> npt.NDArray[np.bool_]:
+        """Cells of a rectangle; what is thinner than a character is drawn as one."""
+        right, up = x - center[0], y - center[1]
+        along = right * math.cos(angle) + up * math.sin(angle)
+        across = up * math.cos(angle) - right * math.sin(angle)
+        return (abs(along) < max(size[0] / 2, cell_m / 2)) & (abs(across) < max(size[1] / 2, cell_m))
+
+    for thing in (scene.get("objects") or {}).values():
+        match thing.get("kind"):
+            case "wall":
+                (px, py), (nx, ny) = thing["point_m"], thing["normal"]
+                cells[(x - px) * nx + (y - py) * ny < 0] = "░"
+            case "box":
+                cells[slab(thing["center_m"], thing["size_m"], thing.get("angle_rad", 0.0))] = "░"
+            case "disc":
+                cx, cy = thing["center_m"]
+                cells[np.hypot(x - cx, y - cy) < max(thing["radius_m"], cell_m)] = "░"
+            case "membrane":
+                nx, ny = thing["normal"]
+                cells[slab(thing["center_m"], (thing["width_m"], 0.0), math.atan2(-nx, ny))] = "─"
+    return ["".join(row) for row in cells]
 
 
 # ---- the loop ----------------------------------------------------------------------------------------------

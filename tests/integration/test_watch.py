@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -168,24 +169,6 @@ def test_a_probe_outside_widens_the_picture() -> None:
     assert any("●" in line for line in drawn(view(position_m=[0.0, -0.3])))
 
 
-def test_a_punctured_membrane_has_a_hole_until_it_is_touched_again() -> None:
-    shown = view()
-    whole = sum(line.count("─") for line in drawn(shown)[:-5])
-    shown.feed("event", event("puncture", object="skin", depth_m=0.004))
-    assert 0 < sum(line.count("─") for line in drawn(shown)[:-5]) < whole
-    shown.feed("event", contact("skin"))
-    assert sum(line.count("─") for line in drawn(shown)[:-5]) == whole
-
-
-@pytest.mark.parametrize(
-    ("normal", "mark"), [([0, 1], "─"), ([0, -2], "─"), ([1, 0], "│"), ([-1, 0.5], "/"), ([1, 0.5], "\\")]
-)
-def test_membranes_lean_as_they_do(normal: list[float], mark: str) -> None:
-    skin = {"kind": "membrane", "center_m": [0, 0], "normal": normal, "width_m": 0.1, "material": "x"}
-    cells = draw_scene({"objects": {"skin": skin}}, 40, 20, 0.004)
-    assert {cell for row in cells for cell in row} == {" ", mark}
-
-
 @given(
     st.floats(-10, 10),
     st.floats(-10, 10),
@@ -199,20 +182,32 @@ def test_any_scene_can_be_drawn(x: float, y: float, nx: float, ny: float, width:
         "wall": {"kind": "wall", "point_m": [x, y], "normal": [nx, ny]},
         "skin": {"kind": "membrane", "center_m": [x, y], "normal": [nx, ny], "width_m": width},
     }
-    cells = draw_scene({"objects": objects}, size, size, 0.004, ["skin"])
+    cells = draw_scene({"objects": objects}, size, size, 0.004)
     assert len(cells) == size and {len(row) for row in cells} == {size}
+
+
+def plane(objects: dict[str, dict[str, Any]], columns: int, rows: int, cell_m: float) -> npt.NDArray[np.str_]:
+    """The scene in single characters."""
+    return np.array([list(row) for row in draw_scene({"objects": objects}, columns, rows, cell_m)])
+
+
+def test_membranes_are_lines_that_lean_as_they_do() -> None:
+    for normal, shape in (([0, 1], (1, 10)), ([-2, 0], (5, 2))):
+        skin = {"kind": "membrane", "center_m": [0.0, 0.004], "normal": normal, "width_m": 0.04, "material": "x"}
+        rows, columns = np.nonzero(plane({"skin": skin}, 40, 20, 0.004) == "─")
+        assert (np.ptp(rows) + 1, np.ptp(columns) + 1) == shape
 
 
 def test_walls_are_shaded_where_they_are_solid() -> None:
     wall = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [1.0, 0.0]}
-    cells = np.array(draw_scene({"objects": {"wall": wall}}, 10, 4, 0.01))
+    cells = plane({"wall": wall}, 10, 4, 0.01)
     assert (cells[:, :5] == "░").all() and (cells[:, 5:] == " ").all()
 
 
 def test_boxes_and_discs_are_drawn_where_they_are() -> None:
     box = {"kind": "box", "center_m": [-0.02, 0.01], "size_m": [0.02, 0.004], "angle_rad": math.pi / 2}
     disc = {"kind": "disc", "center_m": [0.02, -0.01], "radius_m": 0.008}
-    cells = np.array(draw_scene({"objects": {"box": box, "disc": disc}}, 80, 40, 0.001))
+    cells = plane({"box": box, "disc": disc}, 80, 40, 0.001)
     x = (np.arange(80) - 39.5) * 0.001
     y = (19.5 - np.arange(40)) * 0.002
     upright = (abs(x[None, :] + 0.02) < 0.002) & (abs(y[:, None] - 0.01) < 0.01)
@@ -390,9 +385,9 @@ def test_into_a_pipe_it_prints_lines(daemon: Daemon) -> None:
     process = subprocess.Popen(arguments(daemon), stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True)
     assert process.stdout is not None and process.stderr is not None
     with process:
-        # An event of before, the daemon's first revision, may still be on its way.
-        first = next(line for line in process.stdout if not line.startswith("revision"))
-        assert first.startswith("tick ") and "position" in first and "forces on" in first
+        # An event of before, the daemon's first revision or a busy machine's overload, may still be on its way.
+        first = next(line for line in process.stdout if line.startswith("tick "))
+        assert "position" in first and "forces on" in first
         with connect(daemon.directory) as client:
             revision = client.set_scene(SCENE | {"objects": {}})["revision"]
         while process.stdout.readline() != f"revision {revision}\n":
