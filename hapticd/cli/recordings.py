@@ -61,7 +61,7 @@ def record_command(file: str, duration_s: float | None, notes: dict[str, str], o
     the end. If an earlier recording into FILE was killed, the command says so; `hapticd recover FILE` recovers it.
     """
     from hapticd.client.record import record
-    from hapticd.recording.output import check_target
+    from hapticd.recording.recording import check_target
     from hapticd.recording.recovery import partial_files_beside
 
     check_target(file, overwrite)
@@ -161,7 +161,7 @@ def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool
 
     Ends with 1 if they differ from the recorded ones in any bit.
     """
-    from hapticd.recording.output import check_target
+    from hapticd.recording.recording import check_target
     from hapticd.recording.replay import replay
 
     if output is not None:

@@ -25,7 +25,7 @@ from hapticd.protocol.calls import DaemonNotRunning, Topic
 from hapticd.protocol.places import has_ended, no_telemetry
 from hapticd.protocol.results import ConfigResult, MaterialsResult, SceneResult, Status
 from hapticd.recording.missed_periods import MOST_GAPS, gaps_of, missed_periods, missed_text, share
-from hapticd.recording.output import recording_into, recording_path
+from hapticd.recording.recording import recording_into, recording_path
 from hapticd.recording.writer import DiskFullError, RecordingWriter, Samples
 from hapticd.system.paths import RuntimePaths
 

@@ -3,14 +3,13 @@
 Writing:
 
     writer          the samples and events of one recording: partial files, notes, the end, a full disk
-    output          where a recording goes; a target of another form is exported at the end
     export          .mcap for the tools of robotics, .csv for everything else
     event_columns   events as columns, and back
     recovery        files of what killed recordings left
 
 Reading:
 
-    recording       `hapticd.load`: a recording as its user sees it
+    recording       `hapticd.load`: a recording as its user sees it; where one goes, and an export at its end
     reader          what a .npz holds; what is wrong in a damaged one
     missed_periods  periods without a tick, counted from samples
 

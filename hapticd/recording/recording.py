@@ -1,4 +1,5 @@
-"""A recording as its reader sees it: `hapticd.load`.
+"""A recording as its reader sees it, `hapticd.load`, and where one goes that is written: into a .npz. A target of
+another form is exported at the end, from the .npz beside it.
 
 recording = hapticd.load("tap.npz")          # of `hapticd record`, `simulate` or the flight recorder
 recording.samples["force_n"]                 # (n, 2), numpy
@@ -9,7 +10,8 @@ recording.to_pandas()
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -101,7 +103,7 @@ class Recording:
     @property
     def ended_because(self) -> str | None:
         """Why it ended early; None where it did not."""
-        reason = self._about.get("ended_because", self._about.get("ended"))
+        reason = self._about.get("ended_because")
         return reason if isinstance(reason, str) else None
 
     @property
@@ -181,3 +183,42 @@ def load(path: str | os.PathLike[str]) -> Recording:
     Raises HapticdError (one line) where the file is none.
     """
     return Recording(os.fspath(arguments.path("path", path)), *read(path))
+
+
+# ---- Where one goes --------------------------------------------------------------------------------------------------
+
+
+def recording_path(target: str | os.PathLike[str]) -> Path:
+    """The .npz of a recording into `target`. Raises HapticdError for an ending of another form."""
+    path = Path(target)
+    if path.suffix.lower() == ".npz":
+        return path
+    files_of(path)
+    return path.with_suffix(".npz")
+
+
+def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
+    """As `check_saved`, also for the .npz of an export. Raises HapticdError."""
+    check_saved(target, overwrite)
+    check_new(recording_path(target), overwrite)
+
+
+@contextmanager
+def recording_into(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator[RecordingWriter]:
+    """The writer of a recording, which is to be finished in the block.
+
+    Raises HapticdError: as `check_target` does before anything is written, and at the end where another file had
+    appeared at the target, which says where the recording is.
+    """
+    check_target(target, overwrite)
+    recording = recording_path(target)
+    with RecordingWriter(recording, overwrite) as writer:
+        yield writer
+    if writer.displaced:
+        raise HapticdError(displaced(recording, writer.target))
+    if recording != Path(target):
+        try:
+            load(recording).save(target, overwrite)
+        except (HapticdError, MemoryError) as error:
+            why = error if isinstance(error, HapticdError) else f"{target}: takes more memory than there is"
+            raise HapticdError(f"{why}; the recording is in {recording}") from None

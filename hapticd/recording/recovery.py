@@ -15,8 +15,8 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import one_line
-from hapticd.recording.output import recording_path
 from hapticd.recording.reader import READING_ERRORS
+from hapticd.recording.recording import recording_path
 from hapticd.recording.writer import NOTES_ENDING, RecordingWriter
 
 _DAMAGED: Final = "is damaged, and left as it is"

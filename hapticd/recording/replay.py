@@ -37,8 +37,7 @@ from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES
 from hapticd.protocol.events import event_map
 from hapticd.recording.missed_periods import rates_of
-from hapticd.recording.output import recording_into, recording_path
-from hapticd.recording.recording import Recording, load
+from hapticd.recording.recording import Recording, load, recording_into, recording_path
 from hapticd.recording.writer import Samples
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import Rerun

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import asdict
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
 
@@ -15,25 +15,9 @@ from hapticd.base.yaml_source import load_path
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.protocol.events import event_map
-from hapticd.recording.output import recording_into
+from hapticd.recording.recording import recording_into
 from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.offline import Run, simulate_run
-
-
-class SimulationResult(TypedDict):
-    """What was simulated."""
-
-    file: str | None
-    """Where it was written to, if it was."""
-    ticks: int
-    duration_s: float
-    events: int
-    event_counts: dict[str, int]
-    """How many there were of each kind of event."""
-    largest_force_n: float
-    """Largest magnitude of the command."""
-    undisplayable: list[dict[str, object]]
-    warnings: list[dict[str, str]]
 
 
 def simulate_files(
@@ -45,9 +29,9 @@ def simulate_files(
     *,
     overwrite: bool = False,
     notes: Mapping[str, str] | None = None,
-) -> SimulationResult:
+) -> dict[str, Any]:
     """Runs a scene or a configuration with the simulated joystick, into a file if one is named; without a rate at its
-    own.
+    own. Returns what `simulate --json` prints; `largest_force_n` is the largest magnitude of the command.
 
     Raises HapticdError or InvalidError for what cannot be read, run or written, before anything is run for a file that
     is there already and not to be replaced.
@@ -80,13 +64,8 @@ def _write(writer: RecordingWriter, config: Config, run: Run, notes: Mapping[str
     events = (event_map(event, run.objects.get((int(event["slot"]), int(event["generation"])))) for event in run.events)
     writer.write_all(texts, [{"revision": 1}], run.samples, events)
     ticks = len(run.samples)
-    about = {
-        "ticks": ticks,
-        "duration_s": ticks / run.rate_hz,
-        "events": len(run.events),
-        "missed_periods": 0,
-        "notes": dict(notes),
-    }
+    held = {"ticks": ticks, "duration_s": ticks / run.rate_hz, "events": len(run.events)}
+    about = {**held, "missed_periods": 0, "notes": dict(notes)}
     writer.finish({"recording": about}, {} if run.truth is None else {"truth": run.truth})
 
 

@@ -18,7 +18,7 @@ import hapticd
 from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.cli import main
-from hapticd.recording.output import recording_into
+from hapticd.recording.recording import recording_into
 from hapticd.recording.writer import RecordingWriter
 from tests.recording.test_writer import EVENTS, MARKS, some
 from tests.support.special_files import KINDS, refused, special, untouched

@@ -19,8 +19,7 @@ from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, records
 from hapticd.base.errors import HapticdError
 from hapticd.protocol.events import event_map
 from hapticd.recording.event_columns import EVENT_MEMBERS, NO_TIME, columns_of, dtype_of, rows_of
-from hapticd.recording.output import check_target, recording_into
-from hapticd.recording.recording import load
+from hapticd.recording.recording import check_target, load, recording_into
 from hapticd.recording.writer import DiskFullError, RecordingWriter
 from tests.support.special_files import KINDS, refused, special, untouched
 
