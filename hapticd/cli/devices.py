@@ -124,7 +124,7 @@ def dump_command(device: str, output: str, duration_s: float, overwrite: bool, a
     """Record what DEVICE reports (its path, or VENDOR:PRODUCT in hex), with its report descriptor: for a bug report,
     or to be played with `device: {kind: replay}`. Move the handle meanwhile."""
     from hapticd.hid.discovery import find
-    from hapticd.hid.replay import Recording, record, text_of
+    from hapticd.hid.replay import Recording, record, save
 
     check_new(output, overwrite)
     item = _one(device, find(), f"are {device}")
@@ -133,7 +133,7 @@ def dump_command(device: str, output: str, duration_s: float, overwrite: bool, a
         reports = record(fd, duration_s)
     finally:
         os.close(fd)
-    write_whole(output, text_of(Recording(item.name, item.vendor, item.product, item.descriptor, reports)), overwrite)
+    save(output, Recording(item.name, item.vendor, item.product, item.descriptor, reports), overwrite)
     found = {"file": output, "device": item.to_dict(), "reports": len(reports)}
     print_result(found, as_json, f"{wording.count(len(reports), 'report')} of {item} in {output}")
 

@@ -104,25 +104,20 @@ class HidrawDevice:
 
     @property
     def path(self) -> str:
-        """The node."""
         return self._path
 
     def fileno(self) -> int:
-        """The node's file descriptor."""
         return self._fd
 
     def write(self, report: bytes) -> None:
-        """Sends an output report."""
         if self._hidapi.write(report) != len(report):
             raise DeviceError(f"{self._path}: output report {report[0]} is refused: {_last(self._hidapi)}")
 
     def send_feature(self, report: bytes) -> None:
-        """Sends a feature report."""
         if self._hidapi.send_feature_report(report) != len(report):
             raise DeviceError(f"{self._path}: feature report {report[0]} is refused: {_last(self._hidapi)}")
 
     def get_feature(self, report_id: int, length: int) -> bytes:
-        """Asks for a feature report."""
         try:
             return bytes(self._hidapi.get_feature_report(report_id, length))
         except OSError:
@@ -136,7 +131,6 @@ class HidrawDevice:
             raise DeviceError(f"{self._path}: the device is gone") from None
 
     def close(self) -> None:
-        """Closes the node."""
         self._hidapi.close()
         os.close(self._fd)
 

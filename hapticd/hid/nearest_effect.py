@@ -128,12 +128,12 @@ def _multiples(scale: Scale, longest: float) -> npt.NDArray[np.int64]:
 def _times(longest: float, numbers: Numbers) -> _Times:
     durations, attacks = _multiples(numbers.duration, longest), _multiples(numbers.attack_time, longest)
     duration, attack = (grid.ravel() for grid in np.meshgrid(durations, attacks, indexing="ij"))
-    end_s, attack_s = numbers.duration.quantities(duration), numbers.attack_time.quantities(attack)
+    end_s, attack_s = numbers.duration.quantity(duration), numbers.attack_time.quantity(attack)
     fade_time = numbers.fade_time
     # The longest fade that begins after the attack.
     counts = np.floor((end_s - attack_s) * fade_time.counts_per_unit + fade_time.zero_counts + 1e-6)
     fade = np.clip(counts, fade_time.least - 1, fade_time.most).astype(np.int64)
-    fade_from_s = np.maximum(end_s - fade_time.quantities(fade), attack_s)
+    fade_from_s = np.maximum(end_s - fade_time.quantity(fade), attack_s)
     sound = (end_s > 0.0) & (attack_s >= 0.0) & (attack_s < end_s) & (fade >= fade_time.least)
     return _Times(duration[sound], attack[sound], fade[sound], attack_s[sound], fade_from_s[sound], end_s[sound])
 

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Final
+from typing import Any, Final, TypeVar
 
-import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.core import CData, HidMeaning, HidQuantity, Status, ffi, lib
 from hapticd.base.errors import HapticdError
 from hapticd.hid.signs import Signs
+
+Counts = TypeVar("Counts", float, npt.NDArray[Any])
 
 STILL_M_PER_COUNT: Final = 1e-15
 """A handle with one axis: its other one moves by nothing that matters."""
@@ -164,13 +165,9 @@ class Scale:
         """The nearest number within its limits."""
         return min(max(round(quantity * self.counts_per_unit + self.zero_counts), self.least), self.most)
 
-    def quantity(self, counts: int) -> float:
-        """What a number stands for."""
+    def quantity(self, counts: Counts) -> Counts:
+        """What a number stands for, or each of many."""
         return (counts - self.zero_counts) / self.counts_per_unit
-
-    def quantities(self, counts: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """As `quantity`, of many."""
-        return (counts.astype(np.float64) - self.zero_counts) / self.counts_per_unit
 
 
 @dataclass(frozen=True, slots=True)

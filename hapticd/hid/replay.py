@@ -50,8 +50,8 @@ class Recording:
         return all(before[1] != after[1] for before, after in pairwise(self.reports))
 
 
-def text_of(recording: Recording) -> str:
-    """What the file of a recording holds."""
+def save(path: str | os.PathLike[str], recording: Recording, overwrite: bool) -> None:
+    """Writes a recording. Raises HapticdError."""
     head = {
         "recording": VERSION,
         "name": recording.name,
@@ -60,12 +60,7 @@ def text_of(recording: Recording) -> str:
         "descriptor": recording.descriptor.hex(),
     }
     lines = [json.dumps([round(time_s, 6), report.hex()]) for time_s, report in recording.reports]
-    return "\n".join([json.dumps(head), *lines, ""])
-
-
-def save(path: str | os.PathLike[str], recording: Recording) -> None:
-    """Writes a recording, in place of a file that is there. Raises HapticdError."""
-    write_whole(os.fspath(path), text_of(recording), overwrite=True)
+    write_whole(path, "\n".join([json.dumps(head), *lines, ""]), overwrite)
 
 
 def load(path: str | os.PathLike[str]) -> Recording:
@@ -144,15 +139,12 @@ class ReplayDevice:
 
     @property
     def path(self) -> str:
-        """The recording."""
         return self._replay.path
 
     def fileno(self) -> int:
-        """The end that stands for a hidraw node."""
         return self._ours.fileno()
 
     def write(self, report: bytes) -> None:
-        """Takes a report."""
         try:
             self._ours.send(report)
         except OSError as error:
@@ -170,7 +162,6 @@ class ReplayDevice:
         return b""
 
     def close(self) -> None:
-        """Ends the thread."""
         self._closing.close()
         self._thread.join()
         self._wake.close()

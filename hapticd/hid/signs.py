@@ -4,9 +4,7 @@ is given and what it reports."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final
 
 from hapticd.base.core import SignsProblem, SignsState, lib
@@ -19,18 +17,14 @@ ENOUGH: Final = 0.1
 """A pulse ends early once the handle has moved by this part."""
 _STEPS: Final = 2.0
 """Of the encoder: less is no motion either."""
-
-
-_SEEN: Final[Mapping[SignsProblem, str]] = MappingProxyType(
-    {
-        SignsProblem.REVERSED: "a force along {axis} moves the handle the other way",
-        SignsProblem.SWAPPED: "a force along {axis} moves the handle along {other}",
-        SignsProblem.STILL: "the handle did not move when it was pushed along {axis}",
-        SignsProblem.UNCERTAIN: "the handle did not clearly follow when it was pushed along {axis}",
-        SignsProblem.MOVING: "the handle does not come to rest",
-        SignsProblem.CONTACT: "the handle touches an object of the scene",
-    }
-)
+_SEEN: Final[dict[SignsProblem, str]] = {
+    SignsProblem.REVERSED: "a force along {axis} moves the handle the other way",
+    SignsProblem.SWAPPED: "a force along {axis} moves the handle along {other}",
+    SignsProblem.STILL: "the handle did not move when it was pushed along {axis}",
+    SignsProblem.UNCERTAIN: "the handle did not clearly follow when it was pushed along {axis}",
+    SignsProblem.MOVING: "the handle does not come to rest",
+    SignsProblem.CONTACT: "the handle touches an object of the scene",
+}
 _log = logging.getLogger("hapticd")
 CORRECT: Final = (
     "run `hapticd devices calibrate` to find device.hid.force_axes, or set device.hid.signs: trust to skip the check"

@@ -42,7 +42,7 @@ def path(tmp_path: Path) -> str:
 
 def test_as_it_was_written(path: str) -> None:
     recording = moving()
-    save(path, recording)
+    save(path, recording, False)
     assert load(path) == recording
     assert recording.on_change
     assert not Recording("", 0, 0, b"", ((0.0, b"a"), (0.1, b"a"))).on_change
@@ -134,7 +134,7 @@ def read_all(device: ReplayDevice) -> list[bytes]:
 
 
 def test_played_once(path: str) -> None:
-    save(path, moving())
+    save(path, moving(), False)
     source = replay_source(Replay(path=path, speed=10.0), Hid())
     opened = source()
     assert read_all(opened.device) == [data for _, data in moving().reports]  # type: ignore[arg-type]
@@ -145,7 +145,7 @@ def test_played_once(path: str) -> None:
 
 
 def test_played_for_ever_and_closed_meanwhile(path: str) -> None:
-    save(path, moving(3))
+    save(path, moving(3), False)
     device = ReplayDevice(load(path), Replay(path=path, loop=True, speed=50.0))
     found = [os.read(device.fileno(), 4096) for _ in range(7)]
     assert [struct.unpack("<BhhB", data)[2] for data in found] == [0, 1, 2, 0, 1, 2, 0]
@@ -154,7 +154,7 @@ def test_played_for_ever_and_closed_meanwhile(path: str) -> None:
 
 
 def test_a_recording_of_what_cannot_be_driven(path: str) -> None:
-    save(path, Recording("mouse", 1, 2, bytes(Joystick(without=frozenset({0x73}))), ((0.0, b"\x01"),)))
+    save(path, Recording("mouse", 1, 2, bytes(Joystick(without=frozenset({0x73}))), ((0.0, b"\x01"),)), False)
     with pytest.raises(DeviceError) as caught:
         replay_source(Replay(path=path), Hid())
     assert str(caught.value) == "the device cannot be driven: its report descriptor has no Set Constant Force"
@@ -178,7 +178,7 @@ def test_an_engine_follows_a_recording(path: str, monkeypatch: pytest.MonkeyPatc
         return (waited < 400 or seen.wait(60)) and wait_until(self, when)
 
     monkeypatch.setattr(ReplayDevice, "_wait_until", until_seen)
-    save(path, moving(400))
+    save(path, moving(400), False)
     config = {
         "servo": {"realtime": "off", "rate_hz": 1000},
         "device": {"kind": "replay", "replay": {"path": path}, "hid": {"travel_m": 0.05}},

@@ -16,9 +16,8 @@ import yaml
 from hapticd.base.core import ffi, lib
 from hapticd.config.hid import Hid
 from hapticd.config.modes import Mode
-from hapticd.hid.descriptor.layout import layout_of
+from hapticd.hid.descriptor.layout import AXES, layout_of
 from hapticd.hid.descriptor.parser import parse
-from hapticd.hid.descriptor.usages import AXES
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.nearest_effect import nearest_effect
 from hapticd.hid.offload import effect_messages

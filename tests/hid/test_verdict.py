@@ -21,7 +21,7 @@ from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.discovery import Found
 from hapticd.hid.drivers.pid_plan import periodic_problem
 from hapticd.hid.plan import DeviceError
-from hapticd.hid.replay import Recording, text_of
+from hapticd.hid.replay import Recording, save
 from hapticd.hid.sources import open_hid
 from hapticd.hid.verdict import verdict_of
 from tests.support.hid_descriptors import (
@@ -254,7 +254,7 @@ def test_a_recording_is_judged_as_the_device(
     """`run` itself refuses in one line, before anything is opened; `check` counts it."""
     reason, descriptor, _ = CASES[name]
     recording, config = tmp_path / "stick.jsonl", tmp_path / "config.yaml"
-    recording.write_text(text_of(Recording("Stick", 1, 2, descriptor, ((0.0, bytes(7)),))))
+    save(recording, Recording("Stick", 1, 2, descriptor, ((0.0, bytes(7)),)), False)
     device = {"kind": "replay", "replay": {"path": str(recording)}}
     config.write_text(json.dumps({"device": device}))
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "run"))

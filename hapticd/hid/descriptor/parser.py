@@ -239,12 +239,8 @@ _LOCAL: Final = {
     0x0: "Usage",
     0x1: "Usage Minimum",
     0x2: "Usage Maximum",
-    0x3: "Designator Index",
-    0x4: "Designator Minimum",
-    0x5: "Designator Maximum",
-    0x7: "String Index",
-    0x8: "String Minimum",
-    0x9: "String Maximum",
+    **dict.fromkeys((0x3, 0x4, 0x5), "Designator"),
+    **dict.fromkeys((0x7, 0x8, 0x9), "String"),
     0xA: "Delimiter",
 }
 _NAMES: Final[tuple[dict[int, str], ...]] = (_MAIN, _GLOBAL, _LOCAL, {})
@@ -343,11 +339,9 @@ class _Parser:
             case "Logical Maximum":
                 state.logical_max = number
             case "Physical Minimum":
-                state.physical_min = number
-                state.physical_of = None
+                state.physical_min, state.physical_of = number, None
             case "Physical Maximum":
-                state.physical_max = number
-                state.physical_of = None
+                state.physical_max, state.physical_of = number, None
             case "Unit Exponent":
                 state.unit_exponent = value - 16 if 8 <= value <= 15 else number.signed
             case "Unit":
