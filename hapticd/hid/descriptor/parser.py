@@ -182,18 +182,19 @@ class _Number:
 
 @dataclass(slots=True)
 class _Globals:
+    numbers: dict[str, _Number] = dataclasses.field(default_factory=dict)
+    """By the names of their items; what was not given is 0."""
     usage_page: int = 0
-    logical_min: _Number = dataclasses.field(default_factory=_Number)
-    logical_max: _Number = dataclasses.field(default_factory=_Number)
-    physical_min: _Number = dataclasses.field(default_factory=_Number)
-    physical_max: _Number = dataclasses.field(default_factory=_Number)
     physical_of: tuple[int, int] | None = None
     """The logical range of the field that the physical one was given for; None until there is one."""
-    unit_exponent: int = 0
-    unit: int = 0
-    report_size: int = 0
-    report_id: int = 0
-    report_count: int = 0
+
+    def number(self, name: str) -> _Number:
+        return self.numbers.get(name, _Number())
+
+    def range(self, which: str) -> tuple[int, int]:
+        """From "Logical" or "Physical" Minimum to Maximum."""
+        least, most = self.number(f"{which} Minimum").signed, self.number(f"{which} Maximum")
+        return least, most.signed if least < 0 else most.raw
 
 
 @dataclass(slots=True)
@@ -310,54 +311,32 @@ class _Parser:
     def take(self, at: int, name: str, number: _Number) -> None:
         """One item."""
         state, value = self._global, number.raw
+        if name in _MAIN.values():
+            self._end_locals(at)
         match name:
             case "Input" | "Output" | "Feature":
-                self._end_locals(at)
                 self._add_field(at, name, value)
-                self._local = _Locals()
             case "Collection":
-                self._end_locals(at)
                 if len(self._path) >= MAX_DEPTH:
                     raise _error(at, name, f"more than {MAX_DEPTH} are nested")
                 first = self._local.usages[0].complete().first if self._local.usages else 0
                 collection = Collection(len(self._collections), first, value)
                 self._collections.append(collection)
                 self._path = (*self._path, collection)
-                self._local = _Locals()
             case "End Collection":
-                self._end_locals(at)
                 if not self._path:
                     raise _error(at, name, "no collection is open")
                 self._path = self._path[:-1]
-                self._local = _Locals()
             case "Usage Page":
                 if value > 0xFFFF:
                     self._skip(at, name, f"{value:#x} has more than 16 bits: taken for {value & 0xFFFF:#x}")
                 state.usage_page = value & 0xFFFF
-            case "Logical Minimum":
-                state.logical_min = number
-            case "Logical Maximum":
-                state.logical_max = number
-            case "Physical Minimum":
-                state.physical_min, state.physical_of = number, None
-            case "Physical Maximum":
-                state.physical_max, state.physical_of = number, None
-            case "Unit Exponent":
-                state.unit_exponent = value - 16 if 8 <= value <= 15 else number.signed
-            case "Unit":
-                state.unit = value
-            case "Report Size":
-                state.report_size = value
-            case "Report ID":
-                if not 1 <= value <= 255:
-                    raise _error(at, name, f"{value} is no report id; they go from 1 to 255")
-                state.report_id = value
-            case "Report Count":
-                state.report_count = value
+            case "Report ID" if not 1 <= value <= 255:
+                raise _error(at, name, f"{value} is no report id; they go from 1 to 255")
             case "Push":
                 if len(self._pushed) >= MAX_DEPTH:
                     raise _error(at, name, f"more than {MAX_DEPTH} are nested")
-                self._pushed.append(dataclasses.replace(state))
+                self._pushed.append(dataclasses.replace(state, numbers=dict(state.numbers)))
             case "Pop":
                 if not self._pushed:
                     raise _error(at, name, "nothing was pushed")
@@ -369,13 +348,16 @@ class _Parser:
                 if bool(value) == self._local.in_set:
                     raise _error(at, name, f"{'another' if value else 'no'} set is open")
                 self._local.in_set, self._local.has_preferred = bool(value), False
-            case "unknown main item":
+            case "unknown main item" | "unknown local item" | "reserved item" | "long item":
                 self._skip(at, name, "skipped")
-                self._local = _Locals()
-            case "unknown local item" | "reserved item" | "long item":
-                self._skip(at, name, "skipped")
+            case "Designator" | "String":
+                pass  # where a hand is, and words
             case _:
-                pass  # designators and strings: where a hand is, and words
+                state.numbers[name] = number
+                if name in ("Physical Minimum", "Physical Maximum"):
+                    state.physical_of = None
+        if name in _MAIN.values() or name == "unknown main item":
+            self._local = _Locals()
 
     def _skip(self, at: int, name: str, what: str) -> None:
         """Notes what Linux does not mind either."""
@@ -429,18 +411,20 @@ class _Parser:
 
     def _add_field(self, at: int, name: str, value: int) -> None:
         state, kind = self._global, _KINDS[name]
-        report = (kind, state.report_id)
+        report = (kind, state.number("Report ID").raw)
+        size, count = state.number("Report Size").raw, state.number("Report Count").raw
+        exponent = state.number("Unit Exponent")
         offset = self._bits.setdefault(report, 0)
-        bits = state.report_size * state.report_count
+        bits = size * count
         if offset + bits > 8 * MAX_REPORT_BYTES:
             raise _error(at, name, f"the report becomes longer than {MAX_REPORT_BYTES} bytes")
         if bits == 0:
             return
         self._bits[report] = offset + bits
-        logical = _range(state.logical_min, state.logical_max)
+        logical = state.range("Logical")
         if logical[0] > logical[1] and not value & IS_CONSTANT:
             raise _error(at, name, f"its logical minimum {logical[0]} lies above its maximum {logical[1]}")
-        physical = _range(state.physical_min, state.physical_max)
+        physical = state.range("Physical")
         state.physical_of = state.physical_of or logical
         stale = physical != (0, 0) and state.physical_of != logical
         if physical == (0, 0):
@@ -448,24 +432,19 @@ class _Parser:
         self._fields.append(
             ReportField(
                 kind=kind,
-                report_id=state.report_id,
+                report_id=report[1],
                 bit_offset=offset,
-                bit_size=state.report_size,
-                count=state.report_count,
+                bit_size=size,
+                count=count,
                 usages=tuple(usage.complete() for usage in self._local.usages),
                 logical_min=logical[0],
                 logical_max=logical[1],
                 physical_min=physical[0],
                 physical_max=physical[1],
                 is_physical_stale=stale,
-                unit=state.unit,
-                unit_exponent=state.unit_exponent,
+                unit=state.number("Unit").raw,
+                unit_exponent=exponent.raw - 16 if 8 <= exponent.raw <= 15 else exponent.signed,
                 flags=value,
                 path=self._path,
             )
         )
-
-
-def _range(least: _Number, most: _Number) -> tuple[int, int]:
-    low = least.signed
-    return low, most.signed if low < 0 else most.raw
