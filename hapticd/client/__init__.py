@@ -6,8 +6,7 @@
     sources         scenes, patches and operators that are given as files or models
     streams         the connection over which a client streams targets and forces
     samples         batches of samples as numpy arrays, and what was lost on the way
-    record          records a running daemon into a file
-    background      a recording by a thread, while a block of code runs
+    record          records a running daemon into a file, also while a block of code runs
     flight_summary  what a file of the flight recorder holds
     watch           the live view of `hapticd watch`
     base            how a socket is connected, which line a warning is about

@@ -55,8 +55,7 @@ from hapticd.system.paths import RuntimePaths
 
 if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
-    from hapticd.client.background import Recorder
-    from hapticd.client.record import Daemon
+    from hapticd.client.record import Daemon, Recorder
     from hapticd.client.samples import SampleBatch
 
 T = TypeVar("T")
@@ -391,7 +390,7 @@ class Client(ABC):
         (unless `overwrite`) or cannot be written, and at its end where the recording ended before. Warns
         (MissedPeriods) at its end where the servo missed too many periods.
         """
-        from hapticd.client.background import Recorder
+        from hapticd.client.record import Recorder
 
         recorder = Recorder(self._blocking, path, overwrite, notes)
         try:

@@ -35,6 +35,8 @@ HALF_VIEW_M: Final = 0.08
 """Half the height of the plane that is shown at least."""
 
 _BAR: Final = 12
+_IN_LINE: Final = ("tick", "position", "force x", "force y", "touching", "rate", "lateness", "missed", "faults")
+"""What a line has of the view."""
 # Shown by other means: what is touched, and a counter.
 _QUIET_EVENTS: Final = frozenset(("release", "overrun"))
 
@@ -106,7 +108,10 @@ class View:
         """The whole view, `height` lines of at most `width` columns."""
         rows = max(1, height - EVENT_LINES - 2)
         columns = max(1, width - PANEL_WIDTH - 1)
-        panel = self._panel()
+        panel = [
+            Text.assemble((f"{label:<11}", "dim"), (f"{bar}{value}", style))
+            for label, bar, value, style in self._rows()
+        ]
         lines = [self._headline(width)]
         for picture, about in zip_longest(self._picture(columns, rows), panel[:rows], fillvalue=Text()):
             lines.append(Text.assemble(picture, " ", about))
@@ -133,40 +138,34 @@ class View:
         left = f" hapticd {status['version']}  {status['device']}  {wording.si(status['rate_hz'], 'Hz')}"
         return Text.assemble((left.ljust(max(0, width - len(right))), "reverse"), (right, style))
 
-    def _panel(self) -> list[Text]:
+    def _rows(self) -> Iterator[tuple[str, str, str, str]]:
+        """What is known of the state: label, bar, value and style of each."""
         state, status = self.state, self.status
         if state is None:
-            return []
+            return
         x, y = (1e3 * value for value in state["position_m"])
         vx, vy = (1e3 * value for value in state["velocity_m_per_s"])
-        fx, fy = state["force_n"]
-        contact, vibration = math.hypot(*state["contact_force_n"]), math.hypot(*state["vibration_force_n"])
-        touching = ", ".join(state["touching"])
-        late_us = [value / 1e3 for value in self._lateness]
-        rows = [
-            ("position", f"{x:+8.3f} {y:+8.3f} mm", ""),
-            ("velocity", f"{vx:+8.1f} {vy:+8.1f} mm/s", ""),
-            ("force x", f"{signed_bar(fx, self._largest_n, _BAR)} {fx:+.2f} N", "cyan"),
-            ("force y", f"{signed_bar(fy, self._largest_n, _BAR)} {fy:+.2f} N", "cyan"),
-            ("contact", f"{bar(contact, self._largest_n, _BAR)}  {contact:.2f} N", "green"),
-            ("vibration", f"{bar(vibration, self._largest_n, _BAR)}  {vibration:.2f} N", "green"),
-            ("touching", touching or "nothing", "bold" if touching else ""),
-            ("", "", ""),
-            ("rate", "" if self.rate_hz is None else f"{self.rate_hz:,.0f} Hz", ""),
-            ("lateness", f"{late_us[-1]:.0f} us, worst seen {max(late_us):.0f}", ""),
-            ("work", f"{state['work_ns']} ns", ""),
-            ("tick", f"{state['tick']:,}", ""),
-            ("revision", f"{state['revision']:,}", ""),
-        ]
+        yield "position", "", f"{x:+8.3f} {y:+8.3f} mm", ""
+        yield "velocity", "", f"{vx:+8.1f} {vy:+8.1f} mm/s", ""
+        for axis, force in zip("xy", state["force_n"], strict=True):
+            yield f"force {axis}", signed_bar(force, self._largest_n, _BAR), f" {force:+.2f} N", "cyan"
+        for label, vector in (("contact", state["contact_force_n"]), ("vibration", state["vibration_force_n"])):
+            force = math.hypot(*vector)
+            yield label, bar(force, self._largest_n, _BAR), f"  {force:.2f} N", "green"
+        touching, late_us = ", ".join(state["touching"]), [value / 1e3 for value in self._lateness]
+        yield "touching", "", touching or "nothing", "bold" if touching else ""
+        yield "rate", "", "" if self.rate_hz is None else f"{self.rate_hz:,.0f} Hz", ""
+        yield "lateness", "", f"{late_us[-1]:.0f} us, worst seen {max(late_us):.0f}", ""
+        yield "work", "", f"{state['work_ns']} ns", ""
+        yield "tick", "", f"{state['tick']:,}", ""
+        yield "revision", "", f"{state['revision']:,}", ""
         if status is not None:
             skipped, faults = status["counters"]["skipped"], ", ".join(status["faults"])
-            times = wording.count(status["counters"]["overruns"], "time") if skipped else ""
-            rows.append(("missed", wording.count(skipped, "period"), "yellow" if skipped else ""))
-            rows.append(("", times, ""))
-            rows.append(("faults", faults or "none", "bold red" if faults else ""))
+            times = f", {wording.count(status['counters']['overruns'], 'time')}" if skipped else ""
+            yield "missed", "", wording.count(skipped, "period") + times, "yellow" if skipped else ""
+            yield "faults", "", faults or "none", "bold red" if faults else ""
             if status["lease_s"] is not None:
-                rows.append(("lease", f"{status['lease_s']:.1f} s left", ""))
-        return [Text.assemble((f"{label:<11}", "dim"), (value, style)) for label, value, style in rows]
+                yield "lease", "", f"{status['lease_s']:.1f} s left", ""
 
     def _picture(self, columns: int, rows: int) -> list[Text]:
         # A character is about twice as high as wide.
@@ -187,26 +186,9 @@ class View:
 
     def line(self) -> str:
         """The state as one plain line."""
-        state, status = self.state, self.status
-        if state is None:
-            return "no state yet"
-        x, y = (1e3 * value for value in state["position_m"])
-        fx, fy = state["force_n"]
-        parts = [
-            f"tick {state['tick']:,}",
-            f"position {x:+.3f} {y:+.3f} mm",
-            f"force {fx:+.3f} {fy:+.3f} N",
-            f"touching {', '.join(state['touching']) or 'nothing'}",
-        ]
-        if self.rate_hz is not None:
-            parts.append(f"rate {self.rate_hz:,.0f} Hz")
-        parts.append(f"lateness {max(self._lateness) / 1e3:.0f} us at worst")
-        if status is not None:
-            parts.append(f"{wording.count(status['counters']['skipped'], 'period')} missed")
-            parts.append(f"forces {status['forces']}")
-            if status["faults"]:
-                parts.append(f"faults {', '.join(status['faults'])}")
-        return "  ".join(parts)
+        values = {label: value for label, _, value, _ in self._rows()}
+        parts = [f"{label} {' '.join(values[label].split())}" for label in _IN_LINE if values.get(label)]
+        return "  ".join(parts if self.status is None else [*parts, f"forces {self.status['forces']}"])
 
 
 # ---- pieces of text ----------------------------------------------------------------------------------------
@@ -309,15 +291,15 @@ def watch(
             for line in _lines(client, messages, as_json, lasts_s):
                 console.file.write(line + "\n")
                 console.file.flush()
-        else:
-            try:
-                if _draw(client, messages, console, lasts_s):
-                    return
-            except OSError:
-                if console.file.isatty():
-                    raise
-            # Whose controlling terminal it is not is sent no SIGHUP.
-            raise HapticdError("the terminal is gone")
+            return
+        try:
+            if _draw(client, messages, console, lasts_s):
+                return
+        except OSError:
+            if console.file.isatty():
+                raise
+        # Whose controlling terminal it is not is sent no SIGHUP.
+        raise HapticdError("the terminal is gone")
 
 
 _Item: TypeAlias = tuple[Topic, dict[str, object]]

@@ -25,7 +25,6 @@ import pytest
 import hapticd
 from hapticd.base.core import SAMPLE_DTYPE, Flag
 from hapticd.base.errors import HapticdError
-from hapticd.client import background
 from hapticd.client.blocking import Client
 from hapticd.client.record import RecordSummary, record
 from hapticd.config.configuration import Overruns, default_config, load_config
@@ -512,7 +511,7 @@ def test_a_block_with_too_many_missed_periods_is_warned_of(
     def busy(*arguments: Any, **options: Any) -> RecordSummary:
         return replace(record(*arguments, **options), warning="38 of 148 periods were missed")
 
-    monkeypatch.setattr(background, "record", busy)
+    monkeypatch.setattr("hapticd.client.record.record", busy)
     with (
         pytest.warns(hapticd.MissedPeriods, match=r"run\.npz: 38 of 148 periods were missed$") as warned,
         connect(daemon.directory) as client,

@@ -125,8 +125,7 @@ def test_it_shows_what_matters() -> None:
         "rate       10,000 Hz",
         "12 us",
         "300 ns",
-        "missed     9 periods",
-        "           7 times",
+        "missed     9 periods, 7 times",
         "faults     lease",
         "lease      2.0 s left",
     ):
