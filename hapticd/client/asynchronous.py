@@ -112,13 +112,6 @@ class Client(methods.Client):
         finally:
             del self._waiting[id]
 
-    async def _send(self, body: bytes) -> None:
-        try:
-            async with asyncio.timeout(self.timeout_s):
-                await self._opened().send(body)
-        except TimeoutError:
-            raise zmq.Again from None
-
     async def _disconnect(self) -> None:
         if self._reader is not None:
             self._reader.cancel()

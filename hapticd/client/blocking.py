@@ -88,10 +88,6 @@ class _OnThread(methods.Client):
                 self._socket = None
                 raise
 
-    async def _send(self, body: bytes) -> None:
-        with self._lock:
-            (self._socket or self._open()).send(body)
-
     async def _disconnect(self) -> None:
         with self._lock:
             if self._socket is not None:
@@ -233,7 +229,6 @@ class Client:
 
     close = _method(methods.Client.close)
     call = _method(methods.Client.call)
-    notify = _method(methods.Client.notify)
     get_status = _method(methods.Client.get_status)
     get_state = _method(methods.Client.get_state)
     state = _method(methods.Client.state)

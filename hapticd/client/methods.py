@@ -103,10 +103,6 @@ class Client(ABC):
         """Sends a call and returns its answer. Raises zmq.Again after `timeout_s`."""
 
     @abstractmethod
-    async def _send(self, body: bytes) -> None:
-        """Sends what has no answer. Raises zmq.Again after `timeout_s`."""
-
-    @abstractmethod
     async def _disconnect(self) -> None:
         """Closes the connection for calls."""
 
@@ -160,13 +156,6 @@ class Client(ABC):
         except zmq.Again:
             raise await self._in_thread(places.no_answer, self.paths, self.timeout_s) from None
         return calls.result_of(response, params)
-
-    async def notify(self, method: str, params: Mapping[str, object] | None = None) -> None:
-        """Has a method carried out without an answer: nobody learns whether it was."""
-        try:
-            await self._send(messages.notification(method, params))
-        except zmq.Again:
-            raise await self._in_thread(places.no_answer, self.paths, self.timeout_s) from None
 
     async def _change(
         self, method: str, params: dict[str, object], expect_revision: int | None, wait: bool

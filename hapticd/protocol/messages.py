@@ -288,11 +288,6 @@ def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> 
     return encode(message)
 
 
-def notification(method: str, params: Mapping[str, object] | None = None) -> bytes:
-    """The body of a call that nobody answers."""
-    return encode({"jsonrpc": "2.0", "method": method, "params": params or {}})
-
-
 def result_reply(id: Id, result: object) -> bytes | Encoded:
     """The body that answers call `id` with its result; it may be encoded already, and so may a map's members."""
     if isinstance(result, Encoded) and len(result.parts) == 1:

@@ -9,9 +9,8 @@ from __future__ import annotations
 import glob
 import os
 import shlex
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import one_line
@@ -22,14 +21,11 @@ from hapticd.recording.writer import NOTES_ENDING, RecordingWriter
 _DAMAGED: Final = "is damaged, and left as it is"
 
 
-@dataclass(frozen=True, slots=True)
-class Recovered:
-    """What became of what lay there."""
+class Recovered(NamedTuple):
+    """What became of what lay there: files that were made of it; why of others none was, a line each."""
 
-    files: list[Path] = field(default_factory=list)
-    """Made of it."""
-    problems: list[str] = field(default_factory=list)
-    """What was not made a file of, and why, a line each."""
+    files: list[Path]
+    problems: list[str]
 
 
 def _parts(recording: Path) -> list[Path]:
@@ -57,7 +53,7 @@ def recover(target: str | os.PathLike[str]) -> Recovered:
     Those of processes that still record are let alone, and so is what cannot be read. Raises HapticdError for a target
     of another ending.
     """
-    recording, recovered = recording_path(target), Recovered()
+    recording, recovered = recording_path(target), Recovered([], [])
     for part in _parts(recording):
         result = _recover(recording, part)
         if isinstance(result, Path):

@@ -177,7 +177,9 @@ def _replay(recorded: Recording) -> Replay:
     revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist()), rate_hz))
     known = [revision.number for revision in revisions]
     rates_hz = rates_of(samples, texts["changes"], rate_hz)
-    is_known = np.isin(samples["revision"], known) & (samples["tick"] >= _complete_from(texts))
+    # The flight recorder says from which tick on every command is in its file; `hapticd record` has them all.
+    complete_from = int((texts.get("flight") or {}).get("complete_from", 0))
+    is_known = np.isin(samples["revision"], known) & (samples["tick"] >= complete_from)
     stretches, settled = _stretches(samples, rates_hz, is_known, texts)
     link_hz = (status.get("connection") or {}).get("link_hz")
 
@@ -258,12 +260,6 @@ def _left_out_text(left_out: Mapping[str, int]) -> str:
 def _difference(between: npt.NDArray[np.float64]) -> Difference:
     square = (between**2).sum(axis=1)
     return Difference(float(np.sqrt(square.max())), float(np.sqrt(square.mean())))
-
-
-def _complete_from(texts: Mapping[str, Any]) -> int:
-    """The tick from which on every command is in the file; of what `hapticd record` wrote, all are."""
-    flight = texts.get("flight")
-    return int(flight.get("complete_from", 0)) if isinstance(flight, dict) else 0
 
 
 def _doubts(device: Device, revisions: list[_Revision]) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgpack
 
+from hapticd.base.codec import encode
 from hapticd.protocol import messages
 from hapticd.protocol.messages import Code, Request
 from hapticd.system.paths import runtime_paths
@@ -30,7 +31,7 @@ def test_calls_wait_for_a_daemon_in_their_order_and_messages_of_streams_do_not()
         try:
             _call(relay, 1)
             _call(relay, 2)
-            assert not relay.notify(messages.notification("stream_target", {"seq": 0}))
+            assert not relay.notify(encode({"jsonrpc": "2.0", "method": "stream_target", "params": {"seq": 0}}))
             await asyncio.sleep(0)
             _call(relay, 3)
             assert len(relay) == 3
@@ -39,7 +40,7 @@ def test_calls_wait_for_a_daemon_in_their_order_and_messages_of_streams_do_not()
                     found = [await answers.get() for _ in range(3)]
                 assert [each["result"]["params"]["text"] for each in found] == ["1", "2", "3"]
                 assert [request["id"] for request in daemon.requests] == [1, 2, 3]
-                assert relay.notify(messages.notification("mark", {"text": "now"}))
+                assert relay.notify(encode({"jsonrpc": "2.0", "method": "mark", "params": {"text": "now"}}))
         finally:
             await relay.close()
 
