@@ -10,14 +10,13 @@ import math
 import threading
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from hapticd.base.core import CData, HidQuantity, Status, ffi, invalid_reason, lib
 from hapticd.base.errors import HapticdError
 from hapticd.config.materials import Material, Tap
 from hapticd.config.modes import Mode
-from hapticd.hid.device_texts import offload_text
 from hapticd.hid.nearest_effect import NearestEffect, most_n, nearest_effect, streamed_error
 from hapticd.hid.plan import Message, Periodic, Scale, Value
 
@@ -48,9 +47,6 @@ class Offloaded:
     streamed_error_percent: float
     refused: str | None
     """Why it is streamed; None: the device plays it."""
-
-    def __str__(self) -> str:
-        return offload_text(asdict(self))
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,7 +103,7 @@ class Recording:
     @property
     def ended_because(self) -> str | None:
         """Why it ended early; None where it did not."""
-        reason = self._about.get("ended_because")
+        reason = self._about.get("ended_because", self._about.get("ended"))
         return reason if isinstance(reason, str) else None
 
     @property

@@ -132,6 +132,22 @@ def test_what_is_encoded_is_decoded(tree: object) -> None:
     assert repr(messages.decode(codec.encode(tree))) == repr(tree)
 
 
+@given(
+    st.recursive(
+        SCALARS,
+        lambda inner: st.lists(inner) | st.dictionaries(st.text() | st.binary() | INTEGERS, inner),
+        max_leaves=10,
+    )
+)
+def test_a_client_refuses_of_its_own_what_the_daemon_would(tree: object) -> None:
+    def checked(body: bytes) -> object:
+        messages.check_ours(body)
+        return messages.decode_trusted(body)
+
+    body = msgpack.packb(tree)
+    assert outcome(checked, body) == outcome(messages.decode, body)
+
+
 @given(TREES, st.data())
 def test_a_damaged_message_decodes_as_the_specification_says(tree: object, data: st.DataObject) -> None:
     body = bytearray(msgpack.packb(tree))

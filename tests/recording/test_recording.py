@@ -116,10 +116,11 @@ def test_without_pandas_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         recording.to_pandas()
 
 
-def test_what_a_file_does_not_say(tmp_path: Path) -> None:
-    """Of one that was killed and recovered, nobody counted missed periods."""
-    recording = hapticd.load(write(tmp_path / "run.npz", {"ticks": 20}))
-    assert (recording.ended, recording.ended_because, recording.started, recording.notes) == (None, None, None, {})
+@pytest.mark.parametrize("ended", [None, "stopped"])
+def test_files_of_before_are_read(tmp_path: Path, ended: str | None) -> None:
+    """`recording.ended` was the reason, nothing said how many periods were missed."""
+    recording = hapticd.load(write(tmp_path / "run.npz", {"ticks": 20, "ended": ended}))
+    assert (recording.ended, recording.ended_because, recording.started, recording.notes) == (None, ended, None, {})
     assert recording.missed_periods == 0
 
 
