@@ -9,12 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base import wording
+from hapticd.base.core import Flag
 
 MOST_GAPS: Final = 1000
 """Gaps that a recording lists; the ticks of its samples show all of them."""
-
-SKIPPED: Final = 1
-"""The flag of a tick before which periods were missed (hapticd.base.core.Flag, which loads the core)."""
 
 
 def missed_periods(
@@ -33,7 +31,7 @@ def missed_periods(
     steps = np.diff(ticks, prepend=first[0])
     elapsed = np.rint(np.diff(times, prepend=first[1]) * (np.asarray(rate_hz) * 1e-9))
     # Ticks that a device's reports lead are not periods apart: where nothing was missed, nothing is counted.
-    counted = (samples["flags"] & SKIPPED != 0) | (steps > 1)
+    counted = (samples["flags"] & Flag.SKIPPED != 0) | (steps > 1)
     if before is None:
         counted[0] = False
     return int(np.maximum(elapsed - steps, 0.0)[counted].sum())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hapticd.base.core import SAMPLE_DTYPE, Flag, records
-from hapticd.recording.missed_periods import SKIPPED, gaps_of, missed_periods, rates_of, share
+from hapticd.recording.missed_periods import gaps_of, missed_periods, rates_of, share
 
 RATE_HZ = 3000.0
 
@@ -18,10 +18,6 @@ def samples(periods: list[int], rate_hz: float = RATE_HZ) -> np.ndarray:
     made["time_ns"] = np.rint(np.cumsum(periods) * (1e9 / rate_hz)) + 10**15
     made["flags"] = np.where(np.array(periods) > 1, Flag.SKIPPED, 0)
     return made
-
-
-def test_the_flag_is_that_of_the_core() -> None:
-    assert SKIPPED == Flag.SKIPPED
 
 
 def test_each_period_without_a_tick_counts() -> None:
