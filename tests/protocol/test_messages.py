@@ -10,7 +10,7 @@ from typing import Any
 
 import msgpack
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hapticd.base import codec
@@ -139,7 +139,9 @@ def test_what_is_encoded_is_decoded(tree: object) -> None:
         max_leaves=10,
     )
 )
-def test_a_client_refuses_of_its_own_what_the_daemon_would(tree: object) -> None:
+@example({b"": None})
+@example({b"x" * 300: None})
+def test_a_client_refuses_what_the_daemon_would(tree: object) -> None:
     def checked(body: bytes) -> object:
         messages.check_ours(body)
         return messages.decode_trusted(body)
