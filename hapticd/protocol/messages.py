@@ -35,8 +35,8 @@ _OFTEN: Final = 64
 
 # Up to this size a header can claim at most this many elements, which is cheap enough to try.
 _SMALL: Final = 4096
-# The bytes that can open a map or an array, and those that can open an extension. They also occur inside
-# strings and numbers, so that counting them bounds the structure from above.
+# The bytes that can open a map or an array, up to 255 bytes, and an extension. They also occur inside strings and
+# numbers, so that counting them bounds the structure from above.
 _OPENERS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
 _BYTES: Final = b"\xc4"
 _EXTENSIONS: Final = bytes([0xC7, 0xC8, 0xC9, *range(0xD4, 0xD9)])
@@ -146,7 +146,7 @@ def _is_flat(body: bytes) -> bool:
 
 def check_ours(body: bytes) -> None:
     """Raises as `decode` does, for a body that was packed here: a short one costs half as much."""
-    # Bytes may be a key, which only `decode` refuses: a short one is opened by _BYTES.
+    # A key may be bytes, which only `decode` refuses.
     if _is_flat(body) and _BYTES not in body:
         try:
             msgpack.unpackb(body, max_bin_len=0, ext_hook=_extension)
