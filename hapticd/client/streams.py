@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Generator, Mapping
+from contextlib import nullcontext, suppress
 from typing import Any, Final, Generic, Self, TypeVar
 
 import zmq
@@ -179,15 +180,9 @@ class Stream(Generic[Sent]):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
-        try:
-            if self._pushed:
-                self._pushed = False
-                self._sender.send("force", 0.0, 0.0)
-            if error is None:
-                self._sender.settle()
-        except HapticdError:
-            if error is None:  # else what went wrong in the block is reported
-                raise
+        self._end_force(error)
+        if error is None:
+            self._sender.settle()
 
     async def __aenter__(self) -> Self:
         from asyncio import to_thread
@@ -197,4 +192,13 @@ class Stream(Generic[Sent]):
     async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
         from asyncio import to_thread
 
-        await to_thread(self.__exit__, kind, error, trace)
+        self._end_force(error)  # at once, whatever the threads are busy with
+        if error is None:
+            await to_thread(self._sender.settle)
+
+    def _end_force(self, error: BaseException | None) -> None:
+        """Raises as `Sender.send`, unless something went wrong in the block, which is reported."""
+        if self._pushed:
+            self._pushed = False
+            with nullcontext() if error is None else suppress(HapticdError):
+                self._sender.send("force", 0.0, 0.0)
