@@ -12,9 +12,10 @@
  *   hd_operator        the path of the hand: waypoints, cut into segments
  *   hd_gesture_end     the event at the end of such a path
  *   hd_hid             a HID device: what the servo calls
- *   hd_hid_connection  what the files of a HID device share: mailboxes and threads
- *   hd_hid_control     connected, disconnected; what is known of a connection
+ *   hd_hid_connection  what the files of a HID device share: mailboxes and threads; how a connection ends
+ *   hd_hid_control     made, connected, disconnected; its counters
  *   hd_hid_mailboxes   the servo's side: the newest position, the newest force
+ *   hd_hid_interval    the time between two positions
  *   hd_hid_reader      the thread that reads reports
  *   hd_hid_writer      the thread that writes reports
  *   hd_report          reports: positions read from them, forces put into them

@@ -1,10 +1,11 @@
 /* A HID device, from the inside: two mailboxes that the servo uses without a system call, and while connected a thread
  * at the far end of each.
  *
- *   hd_hid_control.c    control: connects, disconnects, tells how the device is
- *   hd_hid_mailboxes.c  what the servo calls
- *   hd_hid_reader.c     poll, drain to the newest report, publish its position with the time at which poll returned
- *   hd_hid_writer.c     take the newest force, compose, write what has changed; renew in time
+ *   hd_hid_control.c     control: connects, disconnects, tells how the device is
+ *   hd_hid_mailboxes.c   what the servo calls
+ *   hd_hid_reader.c      poll, drain to the newest report, publish its position with the time at which poll returned
+ *   hd_hid_writer.c      take the newest force, compose, write what has changed; renew in time
+ *   hd_hid_connection.c  what those threads and control do alike: end a connection, free it, tell control
  *
  *                +---------- servo ----------+
  *     positions  |                           |  forces
@@ -46,6 +47,7 @@
 #include "base/hd_triple.h"
 #include "device/hd_effects.h"
 #include "device/hd_hid.h"
+#include "device/hd_hid_interval.h"
 
 enum hd_phase { HD_PHASE_IDLE = 0, HD_PHASE_WRITING = 1, HD_PHASE_GIVEN_UP = 2 };
 enum hd_end { HD_END_NOT = 0, HD_END_NOW = 1, HD_END_ORDERLY = 2, HD_END_FAILED = 3 };
@@ -141,16 +143,10 @@ struct hd_hid {
     struct hd_holders holders;
 
     alignas(HD_CACHE_LINE) struct hd_reading seen; /* the servo's own, from here on */
-    int64_t seen_ns;                               /* of the last report, as the estimator was told */
-    int64_t seen_arrival_ns;
-    uint64_t seen_number;
+    struct hd_hid_interval seen_interval;
     uint32_t seen_connection;
     uint32_t seen_arrivals;
-    uint32_t seen_on_change;
     struct hd_hid_signs seen_signs;
-    double usual_s;   /* between two reports */
-    int64_t usual_ns; /* with usual_number, of a device that reports what changes: learned from up to here */
-    uint64_t usual_number;
 };
 
 /* hd_hid_reader.c and hd_hid_writer.c: the threads, as pthread_create takes them. */
@@ -161,7 +157,7 @@ void *hd_hid_writer_main(void *connection);
  * that what changes is not its doing. 0, or the errno of what ends the connection. */
 int hd_hid_drain(struct hd_connection *connection, int64_t now_ns, int watching);
 
-/* hd_hid_control.c. Makes an eventfd readable. */
+/* hd_hid_connection.c. Makes an eventfd readable. */
 void hd_hid_signal(int fd);
 /* The connection is over, by the errno of what a thread met; the first one counts. */
 void hd_connection_fail(struct hd_connection *connection, int error);

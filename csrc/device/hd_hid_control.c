@@ -1,5 +1,5 @@
-/* A HID device, on the control side: made, connected over a hidraw node by two threads, and disconnected; and what is
- * known of a connection. hd_hid_connection.h draws the whole. */
+/* A HID device, on the control side: made, connected over a hidraw node by two threads, and disconnected; and its
+ * counters. hd_hid_connection.h draws the whole. */
 #include "device/hd_hid_connection.h"
 
 #include <errno.h>
@@ -17,37 +17,6 @@
 #include "device/hd_last_report.h"
 
 #define HD_PARTING_NS 500000000 /* for what is written at the end, unless hd_hid_set_parting says otherwise */
-
-/* ---- What both threads do, too ----------------------------------------------------------------------------------- */
-
-void hd_hid_signal(int fd) {
-    const uint64_t one = 1;
-    /* Refused only where the count is at its end: then it is readable anyway. */
-    while (write(fd, &one, sizeof one) < 0 && errno == EINTR) {
-    }
-}
-
-void hd_connection_fail(struct hd_connection *connection, int error) {
-    struct hd_hid *hid = connection->hid;
-    if (hd_atomic_u32_replace(&connection->end, HD_END_NOT, HD_END_FAILED)) {
-        hd_atomic_u32_store_relaxed(&hid->error, (uint32_t)error);
-        hd_atomic_u32_store_release(&hid->connected, 0);
-        hd_hid_signal(connection->end_fd);
-        hd_hid_signal(hid->event_fd);
-    }
-}
-
-void hd_connection_free(struct hd_connection *connection) {
-    const int fds[3] = {connection->fd, connection->end_fd, connection->left_fd};
-    for (int i = 0; i < 3; i++) {
-        if (fds[i] >= 0) {
-            close(fds[i]);
-        }
-    }
-    free(connection);
-}
-
-/* ---- Control ----------------------------------------------------------------------------------------------------- */
 
 struct hd_hid *hd_hid_new(void) {
     struct hd_hid *hid = NULL;
@@ -309,11 +278,6 @@ int hd_hid_wait(struct hd_hid *hid, int64_t timeout_ns) {
 }
 
 void hd_hid_wake(struct hd_hid *hid) {
-    hd_hid_signal(hid->event_fd);
-}
-
-void hd_hid_suspect(struct hd_hid *hid) {
-    hd_atomic_u32_store_release(&hid->reset, 1);
     hd_hid_signal(hid->event_fd);
 }
 
