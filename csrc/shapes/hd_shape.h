@@ -22,6 +22,10 @@
  *   rendering/surface_properties.py    _round, if it is round
  *   client/watch.py                    draw_scene: how `hapticd watch` draws it
  *   analysis/check.py                  a limit of its own, as _gone_through of a disc
+ *   sweeps/measures/onset.py           _height_of: from where the handle is let fall on it
+ *
+ * The page, in hapticd/web/static/: scene_view/geometry.js (its case in each switch), shapes.js (how it is drawn and
+ * named), arrange.js and grips.js (what it is called, how it is moved), editor/placement.js, words.js and try_it.js.
  *
  * Documents: docs/materials.md, protocol.md, stability.md and glossary.md list the shapes, and `make docs-tables`
  * writes their tables of keys. Tests: tests/c/test_index.c has its distance from the definition. */
