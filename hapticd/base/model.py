@@ -248,7 +248,7 @@ _PLAINER: Final = {
     "union_tag_not_found": "Field required",
 }
 """Where pydantic's message has words of Python."""
-_WITHOUT_VALUE: Final = frozenset({"missing", "too_long", "too_short", "union_tag_invalid", "union_tag_not_found"})
+_WITHOUT_VALUE: Final = frozenset({"missing", "too_long", "too_short", "union_tag_not_found"})
 """Kinds of faults whose message says the value already, or that have none."""
 
 
@@ -265,6 +265,8 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         path = (*path, "kind")
     text = _PLAINER.get(kind, details["msg"].removeprefix("Input ").replace("Tuple", "List"))
+    if kind == "union_tag_invalid":
+        text, value = f"should be one of {context['expected_tags']}", context["tag"]
     return path, text if kind in _WITHOUT_VALUE else f"{text}, is {shown(value)}{_meant(value)}"
 
 

@@ -52,7 +52,7 @@ SLIPS = {
     "another key that is nearly one": (floor("normal", "normals"), "normals: unknown key; did you mean normal?"),
     "a kind that is nearly one": (
         f"objects:\n  honey: {HONEY.replace('s,', 's_,')}\n",
-        "tag 'viscous_' found using 'kind' does not match any of the expected tags: 'wall', ",
+        "should be one of 'wall', ",
     ),
     "a material that is nearly one": (floor("glass", "Glas"), 'unknown material "Glas"; did you mean glass?'),
     "a choice that is nearly one": ("servo: {realtime: prefered}\n", "should be 'required', 'preferred' or 'off', is "),

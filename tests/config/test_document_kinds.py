@@ -142,7 +142,7 @@ def test_faults_of_a_scene_alone_are_told_where_they_are_in_the_file(
     [
         (
             "{kind: tapp, object: floor, speed_m_per_s: 0.1}",
-            "tag 'tapp' found using 'kind' does not match any of the expected tags: 'tap', 'stroke', 'puncture'",
+            "should be one of 'tap', 'stroke', 'puncture', is \"tapp\"",
         ),
         ("{kind: tap, object: flor, speed_m_per_s: 0.1}", 'has the id "flor"; did you mean floor?'),
         ("{kind: tap, object: floor, sped_m_per_s: 0.1}", "unknown key; did you mean speed_m_per_s?"),

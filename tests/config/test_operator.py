@@ -89,7 +89,7 @@ def test_waypoints_are_taken_as_they_are() -> None:
             [
                 (
                     "gesture.kind",
-                    "tag 'tab' found using 'kind' does not match any of the expected tags: 'tap', 'stroke', 'puncture'",
+                    "should be one of 'tap', 'stroke', 'puncture', is \"tab\"",
                 )
             ],
         ),

@@ -170,7 +170,7 @@ def test_the_fault_of_a_tap_is_not_told_twice() -> None:
         (
             {"kind": "groves"},
             "kind",
-            "tag 'groves' found using 'kind' does not match any of the expected tags: 'grooves', ",
+            "should be one of 'grooves', ",
         ),
         (without(GEOMETRY, "width_m"), "width_m", "Field required"),
         ({**GEOMETRY, "display": "depth"}, "display", "should be 'vibration', 'geometry' or 'damping', is "),

@@ -167,7 +167,7 @@ def test_without_a_simulated_hand_no_target_is_taken_and_forces_are() -> None:
 def test_a_device_with_a_hand_of_its_own_takes_forces_and_no_targets(tmp_path: Path) -> None:
     """A replay is driven as a HID device is. With an id the reason is said; each of them is counted."""
     path = str(tmp_path / "stick.jsonl")
-    save(path, Recording("stick", 0x1209, 0x5AFF, bytes(Joystick()), ((0.0, struct.pack("<BhhB", 1, 0, 0, 0)),)))
+    save(path, Recording("stick", 0x1209, 0x5AFF, bytes(Joystick()), ((0.0, struct.pack("<BhhB", 1, 0, 0, 0)),)), False)
     config = {"servo": {"realtime": "off"}, "device": {"kind": "replay", "replay": {"path": path}}}
     engine = Engine(load_config(config))
     methods = Methods(engine)

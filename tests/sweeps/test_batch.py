@@ -159,7 +159,7 @@ def test_tables_and_page(tree: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "5 materials: " in printed.out and "1 refused" in printed.out
     lines = printed.out.splitlines()
     assert lines[0].split() == ["rank", "material", "verdict", "fits", "recordings", "reasons"]
-    assert lines[5].split()[:4] == ["5", "felt", "refused", "tap"]
+    assert lines[6].split()[:4] == ["5", "felt", "refused", "tap"]
     with open("out/ranking.csv", newline="") as file:
         ranking = list(csv.DictReader(file))
     assert len(ranking) == 6 and ranking[-1]["material"] == "felt" and ranking[-1]["file"] == ""

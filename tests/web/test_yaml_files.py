@@ -44,7 +44,7 @@ def test_a_configuration_gives_materials_and_scene_and_leaves_out_the_rest() -> 
             "scene:\n  objects:\n    a: {kind: wal}\n",
             3,
             "scene.objects.a.kind",
-            "tag 'wal' found using 'kind'",
+            "should be one of 'wall'",
         ),
         (
             "materials:\n  a: {stiffness_n_per_m: -1}\n",
