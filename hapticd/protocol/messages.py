@@ -35,11 +35,13 @@ _OFTEN: Final = 64
 
 # Up to this size a header can claim at most this many elements, which is cheap enough to try.
 _SMALL: Final = 4096
-# The bytes that can open a map or an array, up to 255 bytes, and an extension. They also occur inside strings and
-# numbers, so that counting them bounds the structure from above.
+# The bytes that can open a map or an array, and an extension. They also occur inside strings and numbers, so that
+# counting them bounds the structure from above.
 _OPENERS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
-_BYTES: Final = b"\xc4"
 _EXTENSIONS: Final = bytes([0xC7, 0xC8, 0xC9, *range(0xD4, 0xD9)])
+# What opens bytes of up to 255, which may be a key, and the type of a time (and the number -1).
+_BYTES: Final = b"\xc4"
+_TIME: Final = b"\xff"
 
 _MEMBERS: Final = frozenset(("jsonrpc", "id", "method", "params"))
 
@@ -146,8 +148,8 @@ def _is_flat(body: bytes) -> bool:
 
 def check_ours(body: bytes) -> None:
     """Raises as `decode` does, for a body that was packed here: a short one costs half as much."""
-    # A key may be bytes, which only `decode` refuses.
-    if _is_flat(body) and _BYTES not in body:
+    # Keys of bytes and times, which msgpack itself unpacks, are refused by `decode` alone.
+    if _is_flat(body) and _BYTES not in body and _TIME not in body:
         try:
             msgpack.unpackb(body, max_bin_len=0, ext_hook=_extension)
         except ValueError:

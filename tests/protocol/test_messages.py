@@ -134,11 +134,14 @@ def test_what_is_encoded_is_decoded(tree: object) -> None:
 
 @given(
     st.recursive(
-        SCALARS,
+        SCALARS | st.builds(msgpack.Timestamp, st.integers(-(2**63), 2**63 - 1), st.integers(0, 10**9 - 1)),
         lambda inner: st.lists(inner) | st.dictionaries(st.text() | st.binary() | INTEGERS, inner),
         max_leaves=10,
     )
 )
+@example({"data": msgpack.Timestamp(1)})
+@example({"data": msgpack.Timestamp(1, 1)})
+@example({"data": msgpack.Timestamp(-1)})
 @example({b"": None})
 @example({b"x" * 300: None})
 def test_a_client_refuses_what_the_daemon_would(tree: object) -> None:
