@@ -471,8 +471,7 @@ class StrokeFit:
         sums of squares compare. FitError where no interval says anything."""
         from scipy.optimize import least_squares
 
-        if len(windows.used) == 0:
-            raise FitError(f"{self.name}: the strikes follow one another within half a cycle: stroke more slowly")
+        self._check_rings(windows)
 
         def left(at: Floats) -> Floats:
             return windows.solved(Mode(math.exp(at[0]), math.exp(at[1])))[1].ravel()
@@ -483,6 +482,11 @@ class StrokeFit:
         return Mode(math.exp(found[0]), math.exp(found[1]))
 
     # ---- What comes of it
+
+    def _check_rings(self, windows: _FreeRinging) -> None:
+        """FitError where no interval says anything."""
+        if len(windows.used) == 0:
+            raise FitError(f"{self.name}: the strikes follow one another within half a cycle: stroke more slowly")
 
     def _grouped(self) -> list[Group]:
         count = max(1, len(self._onsets) // STRIKES_IN_GROUP)
@@ -535,6 +539,7 @@ class StrokeFit:
     def modelled(self, mode: Mode) -> ModelledStroke:
         """The stroke by a mode. FitError where that explains too little."""
         windows = self._windows(mode, self._onsets)
+        self._check_rings(windows)
         left = windows.solved(mode)[1]
         model = np.full(len(self._seen), np.nan)
         here = windows.index[windows.held]
