@@ -198,6 +198,9 @@ def texture(
     coarse = material.texture
     if not isinstance(coarse, Stochastic | Autoregressive):
         raise ValueError("needs a material with a stochastic or an autoregressive texture")
+    if isinstance(coarse, Autoregressive):
+        # The means of the stroke may be nearer to another model, and that one's level is none of this spectrum.
+        coarse = coarse.model_copy(update={"models": (_nearest(coarse, speed_m_per_s, force_n),)})
     random = np.random.default_rng(stylus.seed)
     time, place, speed, force = _stroke(speed_m_per_s, force_n, stylus, hand, random)
     count = len(time)

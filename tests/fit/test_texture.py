@@ -52,6 +52,20 @@ def test_the_truth_is_found(peak_hz: float, mean_hz: float) -> None:
     assert not any("moves" in warning for fit in fits for warning in fit.warnings)
 
 
+def test_a_stroke_between_two_models_has_spectrum_and_level_of_one() -> None:
+    models = [
+        {"speed_m_per_s": speed, "force_n": 1.0, "coefficients": [-0.5, 0.2], "rms_m_per_s2": level}
+        for speed, level in ((0.05, 1.0), (0.15, 5.0))
+    ]
+    noise = {"kind": "autoregressive", "rate_hz": 2500.0, "models": models}
+    material = validate_materials({"grit": {"stiffness_n_per_m": 800.0, "texture": noise}})["grit"]
+    recordings = [texture(material, 0.1, 1.0, Stylus(seed=seed, noise_rms=0.0)) for seed in range(6)]
+    levels = [
+        float(np.std(each.acceleration_m_per_s2)) for each in recordings if each.acceleration_m_per_s2 is not None
+    ]
+    assert len(levels) == 6 and max(levels) < 1.1 * min(levels)
+
+
 @pytest.mark.slow
 def test_a_frequency_that_moves_with_speed_is_told() -> None:
     slow, fast = sandpaper(140.0, 190.0), sandpaper(180.0, 230.0)
