@@ -206,7 +206,7 @@ def owned(paths: RuntimePaths) -> Iterator[Owned]:
                 "directory with --runtime-dir"
             ) from None
         except OSError as error:
-            raise HapticdError(f"runtime directory {paths.directory}: {error.filename}: {error.strerror}") from None
+            raise HapticdError(f"{error.filename or paths.directory}: {error.strerror}") from None
         for path in (paths.telemetry, paths.command):
             stack.callback(mine.remove, path)
         yield mine
