@@ -268,13 +268,11 @@ def _bench() -> ModuleType:
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Where the report and its figures go [default: docs of the source tree, of a whole run].",
+    help="Where the pages go [default: docs of the source tree, of a whole run].",
 )
-@click.option(
-    "--overwrite", is_flag=True, help="Replace the pages and figures that are there; of a part, its sections of them."
-)
+@click.option("--overwrite", is_flag=True, help="Replace the pages that are there; of a part, its sections of them.")
 def bench_command(names: tuple[str, ...], list_names: bool, quick: bool, out: Path | None, overwrite: bool) -> int:
-    """Measure NAMES, or everything: what each part costs, and how wrong it is, beside other ways to do the same.
+    """Measure NAMES, or everything: what each part costs, or how wrong it is.
 
     A whole run says at its end how long it took. Works in a source tree, where the benchmarks are.
     """
