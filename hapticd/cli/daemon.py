@@ -240,9 +240,12 @@ def _mode(text: str) -> dict[str, float]:
     """The keys and numbers of `--mode`."""
     try:
         pairs = [part.split("=") for part in text.split(",")]
-        return {key.strip(): float(number) for key, number in pairs}
+        mode = {key.strip(): float(number) for key, number in pairs}
+        if len(mode) < len(pairs):
+            raise ValueError
     except ValueError:
-        raise click.BadParameter(f"{text}: write it as frequency_hz=200,decay_time_s=0.01") from None
+        raise click.BadParameter(f"{text}: write it as frequency_hz=200,decay_time_s=0.01, each key once") from None
+    return mode
 
 
 @click.command("play", short_help="Strike a material's tap, or a mode.")

@@ -125,6 +125,7 @@ def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str]
         (["play", "--amplitude", "1"], "needs a MATERIAL or --mode"),
         (["play", "wood", "--mode", "frequency_hz=1", "--amplitude", "1"], "not both"),
         (["play", "--mode", "frequency_hz", "--amplitude", "1"], "write it as frequency_hz=200"),
+        (["play", "--mode", "a=1,a=2", "--amplitude", "1"], "each key once"),
         (["play", "--mode", "a=1e", "--amplitude", "1"], "write it as"),
         (["play", "wood"], "--amplitude"),
         (["play", "wood", "--amplitude", "-1"], "x>=0"),
