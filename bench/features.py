@@ -146,7 +146,7 @@ def _objects(item: Mapping[str, object]) -> dict[str, object]:
 
 
 STEADY_WALL, WAVING_WALL, SHORT_STROKES = "bare wall", "bare wall, waving", "bare wall, short strokes"
-CASES: Mapping[str, tuple[Mapping[str, object], Motion, str | None]] = {
+SURFACE_CASES: Mapping[str, tuple[Mapping[str, object], Motion, str | None]] = {
     STEADY_WALL: (_wall("bare"), STEADY, None),
     WAVING_WALL: (_wall("bare"), WAVING, None),
     SHORT_STROKES: (_wall("bare"), OFF_RAMP, None),
@@ -174,13 +174,15 @@ CASES: Mapping[str, tuple[Mapping[str, object], Motion, str | None]] = {
 
 
 def _features(options: Options, advance: Advance) -> Table:
-    scenes = {name: Stretch(_objects(item), motion, materials=MATERIALS) for name, (item, motion, _) in CASES.items()}
+    scenes = {
+        name: Stretch(_objects(item), motion, materials=MATERIALS) for name, (item, motion, _) in SURFACE_CASES.items()
+    }
     rounds, times = options.few(30, 4), options.few(40, 4)
     ticks = times * len(STEADY.path_m)
-    touched = dict.fromkeys(CASES, Flag.CONTACT)
+    touched = dict.fromkeys(SURFACE_CASES, Flag.CONTACT)
     taken = measured(scenes, touched, Flag.CONTACT, rounds, ticks, lambda part: advance(part, "features"))
     rows = []
-    for name, (_, _, bare) in CASES.items():
+    for name, (_, _, bare) in SURFACE_CASES.items():
         more = "" if bare is None else spread(np.subtract(taken[name], taken[bare]), ".1f")
         rows.append([name, spread(taken[name], ".1f"), more])
     return Table(

@@ -43,7 +43,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.cli.failure import tell
 from hapticd.cli.streams import guarded
 
-_ORDER: Final = (
+_COMMANDS_BY_MODULE: Final = (
     ("daemon", "run status reload scene material apply play force reset operator mark"),
     ("recordings", "watch record recover export flight replay simulate"),
     ("displayed", "check"),
@@ -59,7 +59,7 @@ _ORDER: Final = (
     ("machine", "doctor install-service stop-device completion"),
 )
 """The modules and the commands in them, in the order in which a person meets these."""
-_HOMES: Final = {name: module for module, names in _ORDER for name in names.split()}
+_HOMES: Final = {name: module for module, names in _COMMANDS_BY_MODULE for name in names.split()}
 
 
 class _LazyGroup(click.Group):

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 DEFAULT_FORCE_N: Final = 1.0
 TAKE_HOLD_S: Final = 5.0
 """To take the handle, where nobody is asked."""
-_ACCELEROMETER: Final = "Recording of an accelerometer on the handle (.npz or .csv: time_s, acceleration_m_per_s2)"
-_FREE: Final = "Let go of the handle, in the middle."
-_HELD: Final = "Hold the handle in the middle as it will be used."
+_ACCELEROMETER_HELP: Final = "Recording of an accelerometer on the handle (.npz or .csv: time_s, acceleration_m_per_s2)"
+_LET_GO_TEXT: Final = "Let go of the handle, in the middle."
+_TAKE_HOLD_TEXT: Final = "Hold the handle in the middle as it will be used."
 
 
 @click.command("check", short_help="Check what can be displayed, and what may oscillate.")
@@ -136,7 +136,7 @@ def _set_row(margin: Margin) -> tuple[str, ...]:
 @output_option("Write the device section there, too.")
 @overwrite_option
 @click.option("--plot", type=click.Path(), metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
-@click.option("--accelerometer", type=click.Path(), metavar="FILE", help=f"{_ACCELEROMETER}.")
+@click.option("--accelerometer", type=click.Path(), metavar="FILE", help=f"{_ACCELEROMETER_HELP}.")
 @click.option("--axis", type=click.Choice(["x", "y"]), default="x", show_default=True, help="The axis that is driven.")
 @click.option(
     "--force-n",
@@ -183,7 +183,7 @@ def calibrate_command(
     def ask(held: bool) -> None:
         if asks:
             drive = f"It will move for half a minute with up to {force_n:g} N. Ready?"
-            click.confirm(f"{_HELD if held else _FREE} {drive}", abort=True, err=True)
+            click.confirm(f"{_TAKE_HOLD_TEXT if held else _LET_GO_TEXT} {drive}", abort=True, err=True)
         elif held and config.device.kind != "sim":
             time.sleep(TAKE_HOLD_S)
 
@@ -224,7 +224,7 @@ def _ask_for(recording: str, asks: bool) -> None:
 
 @click.command("verify", short_help="Measure how materials are displayed.")
 @config_option
-@click.option("--recording", type=click.Path(), metavar="FILE", help=f"{_ACCELEROMETER}; a real device needs one.")
+@click.option("--recording", type=click.Path(), metavar="FILE", help=f"{_ACCELEROMETER_HELP}; a real device needs one.")
 @click.option(
     "--scale",
     type=Finite(-1e6, 1e6),

@@ -26,7 +26,7 @@ from hapticd.cli.common import (
     stopped_by_signals,
 )
 
-_EXPORTED = "(.npz; .csv and .mcap are exported from the .npz beside it)"
+_EXPORT_HELP = "(.npz; .csv and .mcap are exported from the .npz beside it)"
 
 
 @click.command("watch", short_help="Show what happens, live.")
@@ -152,7 +152,7 @@ def flight_command(file: str | None, overwrite: bool, as_json: bool) -> None:
 
 @click.command("replay", short_help="Render a recording again, and compare.")
 @click.argument("file", type=click.Path(dir_okay=False))
-@output_option(f"Where what was rendered goes {_EXPORTED}.")
+@output_option(f"Where what was rendered goes {_EXPORT_HELP}.")
 @overwrite_option
 @json_option
 def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool) -> int:
@@ -181,7 +181,7 @@ def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool
     shell_complete=names.operators,
     help="What the hand does (YAML or CSV), or a shipped operator's name  [default: of a shipped scene, its own]",
 )
-@output_option(f"Where the samples go {_EXPORTED}  [default: nowhere, the summary alone is printed]")
+@output_option(f"Where the samples go {_EXPORT_HELP}  [default: nowhere, the summary alone is printed]")
 @for_option("as long as the operator")
 @click.option(
     "--rate",

@@ -34,7 +34,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 _Truth = dict[str, float]
 """The figures that recordings are made of."""
 ENDING: Final = ".npz"
-MATERIALS: Final = {"tap": "wood", "grooves": "comb", "texture": "sandpaper_100", "puncture": "cellophane"}
+MATERIAL_BY_KIND: Final = {"tap": "wood", "grooves": "comb", "texture": "sandpaper_100", "puncture": "cellophane"}
 """The kinds of recordings, and what is recorded by default."""
 TAP_SPEEDS: Final = (0.08, 0.11, 0.14, 0.17, 0.2, 0.23, 0.26, 0.29, 0.32, 0.35)
 PUNCTURE_SPEEDS: Final = (0.03, 0.05, 0.08, 0.12)
@@ -76,7 +76,7 @@ _stylus_options: Final = options(
 
 
 @click.command("synthesize", short_help="Make recordings whose truth is known.")
-@click.argument("kind", type=click.Choice(list(MATERIALS)), metavar="KIND")
+@click.argument("kind", type=click.Choice(list(MATERIAL_BY_KIND)), metavar="KIND")
 @output_option("Write the recording there; several get numbers.", f"FILE{ENDING}", required=True)
 @click.option(
     "--material",
@@ -124,7 +124,7 @@ def synthesize_command(
     if kind not in STROKES_S and (forces or duration_s is not None):
         raise click.UsageError("--force and --duration are of strokes: of grooves and texture")
     materials: Mapping[str, Material] = config_of(configs).materials
-    name = name or MATERIALS[kind]
+    name = name or MATERIAL_BY_KIND[kind]
     if name not in materials:
         known = known_names(name, materials)
         raise HapticdError(f"unknown material {quoted(name)}; {known}; a material of your own is given with -c FILE")

@@ -40,8 +40,8 @@ _SMALL: Final = 4096
 _OPENERS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
 _EXTENSIONS: Final = bytes([0xC7, 0xC8, 0xC9, *range(0xD4, 0xD9)])
 # What opens bytes of up to 255, which may be a key, and the type of a time (and the number -1).
-_BYTES: Final = b"\xc4"
-_TIME: Final = b"\xff"
+_OPENS_BYTES: Final = b"\xc4"
+_TYPE_OF_TIMES: Final = b"\xff"
 
 _MEMBERS: Final = frozenset(("jsonrpc", "id", "method", "params"))
 
@@ -149,7 +149,7 @@ def _is_flat(body: bytes) -> bool:
 def check_ours(body: bytes) -> None:
     """Raises as `decode` does, for a body that was packed here: a short one costs half as much."""
     # Keys of bytes and times, which msgpack itself unpacks, are refused by `decode` alone.
-    if _is_flat(body) and _BYTES not in body and _TIME not in body:
+    if _is_flat(body) and _OPENS_BYTES not in body and _TYPE_OF_TIMES not in body:
         try:
             msgpack.unpackb(body, max_bin_len=0, ext_hook=_extension)
         except ValueError:
