@@ -23,9 +23,15 @@
  *   client/watch.py                    draw_scene: how `hapticd watch` draws it
  *   analysis/check.py                  a limit of its own, as _gone_through of a disc
  *   sweeps/measures/onset.py           _height_of: from where the handle is let fall on it
+ *   experiment/trial_scenes.py         the text that lists the shapes
  *
- * The page, in hapticd/web/static/: scene_view/geometry.js (its case in each switch), shapes.js (how it is drawn and
- * named), arrange.js and grips.js (what it is called, how it is moved), editor/placement.js, words.js and try_it.js.
+ * The page, in hapticd/web/static/, where nothing warns of one that is missing:
+ *
+ *   scene_view/geometry.js                     its case in each switch
+ *   scene_view/surface_point.js, contacts.js   contact point and feature
+ *   scene_view/shapes.js, picture.js           how it is drawn and named
+ *   scene_view/arrange.js, grips.js            what it is called, how it is moved
+ *   editor/placement.js, words.js, try_it.js   how it is made and tried
  *
  * Documents: docs/materials.md, protocol.md, stability.md and glossary.md list the shapes, and `make docs-tables`
  * writes their tables of keys. Tests: tests/c/test_index.c has its distance from the definition. */

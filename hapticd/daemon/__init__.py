@@ -33,7 +33,8 @@ Questions, and where to begin:
     How does a scene reach the servo?
         methods (_set_scene), then engine, which has rendering/compiler/table rewrite what changed and publishes it.
     Why did a request get an error?
-        refusal (MethodError) is the error of the answer; methods (_refusals) makes it of what others raise.
+        refusal (MethodError) is the error of the answer; methods (_refusals) makes it of what others raise. Faults of
+        keys and values are put into words by base/model (_fault).
     Where does a sample go?
         telemetry drains it; publisher sends it; flight_recorder keeps it.
     What ends the force?

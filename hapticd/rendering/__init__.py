@@ -39,10 +39,13 @@ Questions, and where to begin:
 
     How does a scene become a table?
         compiler/table (Compiler).
+    How does `frequency_hz` become what a tick advances?
+        config/modes (ModeKeys.mode) makes it 2 pi f, compiler/material_record finds the mode of a tap or groove,
+        compiler/mode_record makes it the rotor of one period, which csrc/tick/hd_mode.c advances.
     Why is a mode silent, or lower than it should be?
         displayability (displayed_mode) decides; undisplayable() lists what it did.
     Why is a scene called unsafe?
-        scene_stability (evaluate): contact_sets finds the set, stability (Loop) its margin.
+        contact_sets (margins) gives the verdict of each set, by the limits and eigenvalues of stability.
     What is rendered offline, and how does it differ from the daemon?
         offline (render_run): the same tick, time from 0, no faults of timing.
 """
