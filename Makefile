@@ -141,46 +141,40 @@ PYTEST_ALL = -n $(shell expr $(JOBS) + 1) --dist worksteal
 SECOND_RUN = PYTHONDONTWRITEBYTECODE= $(BIN)/python tests/second_run.py
 
 .PHONY: test
-test: tools ## C tests and pytest without what is slow: about four minutes on two processors
+test: tools ## C tests and pytest without what is long or slow: a minute and a half on two processors
+	@$(MAKE) --no-print-directory -j$(JOBS) c-build
+	@$(SECOND_RUN) $(C_TESTS) -- $(PYTEST_ALL) -m 'not slow and not long'
+
+.PHONY: test-long
+test-long: tools ## the same and the long tests, as CI runs them: about four minutes
 	@$(MAKE) --no-print-directory -j$(JOBS) c-build
 	@$(SECOND_RUN) $(C_TESTS) -- $(PYTEST_ALL) -m 'not slow'
-
-# Unit tests but for those of whole fields that take long, and the commands against a real daemon; C tests beside them.
-QUICK_NOT := analysis/* fit/* *fuzz* *calibrat* cli/test_fit hid/test_descriptor hid/test_offload base/test_threads \
-	recording/test_reading* rendering/test_closed_loop rendering/test_displayed* rendering/test_filter_design rendering/test_stability* \
-	daemon/test_reliability tick/test_velocity tick/test_noise* tick/test_reach tick/test_sandpaper
-QUICK := tests tests/integration/test_cli_live.py --ignore=tests/integration $(QUICK_NOT:%=--ignore-glob='tests/%*')
-
-.PHONY: quick
-quick: tools ## the tests that take a minute at most: C tests, most of the unit tests, the commands against a daemon
-	@$(MAKE) --no-print-directory -j$(JOBS) c-build
-	@$(SECOND_RUN) $(C_TESTS) -- $(PYTEST_ALL) -q -m 'not slow' $(QUICK)
 
 .PHONY: test-browser
 test-browser: tools ## the page opens in Chromium, and samples come
 	@HAPTICD_BROWSER=required $(SECOND_RUN) -- -q tests/web/test_page.py::test_the_page_opens_and_samples_come
 
-# A missing browser, compiler or library of a client in another language fails this run; `make test` skips its tests. Those
+# A missing browser, compiler or library of a client in another language fails this run; `make test-long` skips its tests. Those
 # marked `alone` take all processors: they run in one process, after the others.
 .PHONY: test-slow
 test-slow: export HAPTICD_BROWSER = required
 test-slow: export HAPTICD_CLIENTS = required
-test-slow: tools ## the tests that make test leaves out: an hour
+test-slow: tools ## the tests that make test-long leaves out: an hour
 	@failed=0; \
 		$(SECOND_RUN) -- -n $(JOBS) --dist worksteal --durations=60 -m 'slow and not alone' || failed=1; \
 		$(SECOND_RUN) -- --durations=30 -m alone || failed=1; \
 		exit $$failed
 
 .PHONY: test-newest
-test-newest: ## make test with the newest version of every dependency, in an environment of its own
+test-newest: ## make test-long with the newest version of every dependency, in an environment of its own
 	@rm -rf build/newest
-	@$(MAKE) --no-print-directory test VENV=build/newest CONSTRAINTS=
+	@$(MAKE) --no-print-directory test-long VENV=build/newest CONSTRAINTS=
 
 .PHONY: test-pythons
-test-pythons: tools ## make test with every Python of this machine from 3.11 on, each in an environment of its own
+test-pythons: tools ## make test-long with every Python of this machine from 3.11 on, each in an environment of its own
 	@failed=0; for python in $$($(BIN)/python packaging/try_wheel.py --list); do \
 		echo "$$($$python --version) ($$python)"; \
-		$(MAKE) --no-print-directory test PYTHON=$$python VENV=build/python-$$(basename $$python) || failed=1; \
+		$(MAKE) --no-print-directory test-long PYTHON=$$python VENV=build/python-$$(basename $$python) || failed=1; \
 	done; exit $$failed
 
 .PHONY: test-vm
@@ -260,9 +254,9 @@ container-test: tools ## packaging/Containerfile built and run to a first tap: n
 # ---- What CI runs, and what is run by hand ------------------------------------------------------------------------
 
 .PHONY: check
-check: tools ## what .ci/run does, but for the fresh user: lint, C tests under three sanitizers, make test, the page in Chromium
+check: tools ## what .ci/run does, but for the fresh user: lint, C tests under three sanitizers, make test-long, the page in Chromium
 	@$(MAKE) --no-print-directory -j$(JOBS) --output-sync=target lint tsan asan ubsan
-	@$(MAKE) --no-print-directory test
+	@$(MAKE) --no-print-directory test-long
 	@$(MAKE) --no-print-directory test-browser
 
 VERIFIED = warnings analyze msan rtsan jitter verify-model rtsan-daemon tsan-daemon verify-units wheel-test test-slow test-vm \

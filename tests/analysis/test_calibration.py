@@ -66,6 +66,7 @@ def quantised(position: Floats) -> Floats:
     return np.round(position / STEP_M) * STEP_M
 
 
+@pytest.mark.long
 def test_a_linear_device_by_scipy() -> None:
     """Zero-order hold of the state-space form, by scipy; friction, which is not there, comes out as none."""
     rate, mass, damping, stiffness = 2000.0, 0.07, 4.0, 400.0
@@ -144,6 +145,7 @@ def integrated(force: Floats, rate_hz: float, mass: float, damping: float, frict
     return np.array(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("stiffness", "friction"), rest_slow([(0.0, 0.08), (500.0, 0.1)]))
 def test_dry_friction_by_small_steps(stiffness: float, friction: float) -> None:
     rate, mass, damping = 1000.0, 0.05, 1.0
@@ -156,6 +158,7 @@ def test_dry_friction_by_small_steps(stiffness: float, friction: float) -> None:
     assert found.stiffness_n_per_m == pytest.approx(stiffness, rel=0.01)
 
 
+@pytest.mark.long
 def test_a_delay_is_told_from_damping() -> None:
     rate, mass, damping, late = 2000.0, 0.05, 0.5, 7
     force, bursts = drive_force(rate, [6, 9, 14, 20, 30, 45, 70], 0.7)

@@ -428,6 +428,7 @@ def test_times_that_are_rounded_too_far_are_refused(tmp_path: Path) -> None:
     assert load(path).rate_hz == 5000
 
 
+@pytest.mark.long
 def test_a_clock_may_wander_and_a_position_is_none(tmp_path: Path) -> None:
     time_s = np.arange(20_000) / RATE_HZ
     wandering = time_s + 2e-3 * np.sin(2 * np.pi * 0.3 * time_s)
@@ -512,6 +513,7 @@ def test_a_yaml_that_is_wrong_is_told(tmp_path: Path, beside: str, told: str) ->
     assert told in str(error.value)
 
 
+@pytest.mark.long
 def test_damaged_files_are_read_or_refused_in_one_line(tmp_path: Path) -> None:
     """Damage of many kinds: what is read is whole and finite, all else is told; nothing else happens."""
     chance = random.Random(7)

@@ -53,6 +53,7 @@ def folder() -> Iterator[Path]:
         yield Path(made)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("most", rest_slow([1, 4, 2, 3, 6, 9], fast=2))
 def test_a_daemon_without_threads_does_not_start_and_says_so(folder: Path, most: int) -> None:
     done = limited(most, folder, "run")
@@ -70,6 +71,7 @@ def test_a_client_without_threads_is_one_line(folder: Path, words: list[str]) ->
     assert done.stderr.startswith("hapticd: the system refuses another thread: ") and done.stderr.count("\n") == 1
 
 
+@pytest.mark.long
 def test_what_needs_no_thread_goes_on(folder: Path) -> None:
     done = limited(1, folder, "simulate", "comb", "--for", "0.01s", "-o", str(folder / "a.npz"))
     assert (done.returncode, done.stderr) == (0, "")

@@ -26,7 +26,7 @@ def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
 ONE_PARSER = pytest.mark.parametrize(
     "parser", rest_slow(reversed(PARSERS)), ids=lambda parser: parser.__name__, indirect=True
 )
-"""Of a test that takes long: `make test` has it with the parser that is used, `make test-slow` with both."""
+"""Of a test that takes long: CI has it with the parser that is used, `make test-slow` with both."""
 
 
 def refusal(text: str | bytes) -> Problem:
@@ -219,6 +219,7 @@ json_values = st.recursive(
 )
 
 
+@pytest.mark.long
 @ONE_PARSER
 @given(json_values)
 def test_json_means_the_same_as_yaml(value: Json) -> None:
@@ -232,6 +233,7 @@ def only_refused(content: bytes) -> None:
         assert str(error).isprintable()
 
 
+@pytest.mark.long
 @ONE_PARSER
 @settings(max_examples=300)
 @given(st.binary(max_size=60))
@@ -280,6 +282,7 @@ FRAGMENTS += [
 FRAGMENTS += ["\\", "@", "`", "=", "\x85", "\ufeff", "\u2028", "\xe9"]
 
 
+@pytest.mark.long
 @ONE_PARSER
 @settings(max_examples=500)
 @given(st.lists(st.sampled_from(FRAGMENTS), max_size=25).map("".join))

@@ -33,6 +33,7 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("hid.yaml").write_text(HID)
 
 
+@pytest.mark.long
 def test_calibrate_writes_the_section(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["calibrate", "-c", "sim.yaml", "-o", "found.yaml", "--plot", "response.png"]
     assert main(arguments) == 0

@@ -190,6 +190,7 @@ CONTENT = st.dictionaries(
 )
 
 
+@pytest.mark.long
 @given(CONTENT)
 def test_printed_yaml_is_read_back(content: dict[str, object]) -> None:
     assert load_text(yaml_text(content), "printed").data == content
@@ -295,6 +296,7 @@ PRINTING = ["--help", "check --json", "check", "check --help", "--version", "sch
 """A command for each way in which something is printed: by click, by rich, as JSON."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", rest_slow(PRINTING, fast=2))
 @pytest.mark.parametrize(("kind", "why"), [("pipe", "Broken pipe"), ("full", "No space left on device")])
 def test_output_that_nobody_takes_is_one_line(command: str, kind: str, why: str) -> None:
@@ -318,6 +320,7 @@ def test_errors_that_nobody_takes_change_no_exit_code(kind: str, command: str, c
     assert process.returncode == code
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["schema", "status"])
 def test_nothing_that_can_be_written_to(command: str) -> None:
     words = [sys.executable, "-m", "hapticd", command]

@@ -478,6 +478,7 @@ def test_a_thinned_line_keeps_its_extremes() -> None:
 # ---- Recordings whose truth is known, through the command line -------------------------------------------------------
 
 
+@pytest.mark.long
 def test_synthetic_recordings_are_fitted_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

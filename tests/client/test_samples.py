@@ -79,6 +79,7 @@ def test_a_daemon_that_starts_again_loses_nothing() -> None:
     assert (stream.restarts, stream.lost, stream.dropped) == (1, 0, 0)
 
 
+@pytest.mark.long
 @given(st.lists(st.sampled_from(["sent", "dropped", "lost"]), min_size=1, max_size=60))
 def test_every_tick_is_received_dropped_or_lost(fates: list[str]) -> None:
     """Of ticks before the last one that arrives; the ring's total comes with every batch, as the daemon sends it."""

@@ -459,6 +459,7 @@ def sections(inner: st.SearchStrategy[Json]) -> st.SearchStrategy[dict[str, Json
     )
 
 
+@pytest.mark.long
 @settings(max_examples=100)
 @given(sections(json_values) | st.dictionaries(words, json_values))
 def test_any_data_is_taken_or_refused(data: dict[str, Json]) -> None:

@@ -428,6 +428,7 @@ def test_a_stroke_presses_as_asked(press: float) -> None:
     assert passes == [1, -1, 1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stiffness", [100.0, 600.0, 2000.0])
 @pytest.mark.parametrize("speed", [0.005, 0.05, 0.3])
 def test_a_puncture_breaks_through(speed: float, stiffness: float) -> None:

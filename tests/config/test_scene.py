@@ -380,6 +380,7 @@ objects = st.one_of(
 )
 
 
+@pytest.mark.long
 @given(
     st.fixed_dictionaries(
         {"objects": st.dictionaries(names, objects, max_size=4)},

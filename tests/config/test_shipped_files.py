@@ -45,6 +45,7 @@ def test_unknown_names() -> None:
         file_of("comb.yaml", "scenes")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", shipped("scenes"))
 def test_a_shipped_scene_is_simulated_by_its_name(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", name, "-o", "by_name.csv", "--for", "2ms", "--json"]) == 0

@@ -227,6 +227,7 @@ def test_into_the_corner() -> None:
     )
 
 
+@pytest.mark.long
 def test_the_fields() -> None:
     run = run_of("fields")
     position, velocity = handle(run)

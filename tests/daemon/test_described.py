@@ -216,6 +216,7 @@ def test_every_kind_of_event_is_described() -> None:
     assert [each["properties"]["event"]["const"] for each in kinds] == [kind.name.lower() for kind in EventKind]
 
 
+@pytest.mark.long
 def test_an_error_has_a_code_of_the_method(wire: Wire) -> None:
     method = next(each for each in OPENRPC["methods"] if each["name"] == "set_scene")
     named = {reference["$ref"].rpartition("/")[2] for reference in method["errors"]}

@@ -357,6 +357,7 @@ SCENARIOS: dict[str, Callable[[list[str], World], None]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(SCENARIOS))
 def test_row(name: str, world: World) -> None:
     SCENARIOS[name](ROWS[name], world)

@@ -155,6 +155,7 @@ def freed_memory_is_overwritten() -> Iterator[None]:
     mallopt(perturb, 0)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("freed_memory_is_overwritten")
 def test_engine_that_is_dropped_without_a_stop_ends_its_thread() -> None:
     """The collector of garbage frees the simulation and the hand's path before the servo: its thread uses both until it

@@ -53,6 +53,7 @@ def test_procedures_have_at_most_their_trials() -> None:
     assert {cell.cell: cell.trials for cell in report.cells} == {"one": 20, "two": 15}
 
 
+@pytest.mark.long
 def test_what_the_rate_cannot_carry_is_named_with_its_stimuli() -> None:
     assert check_study(_study(PAIRS), FAST).undisplayable == ()
     found = check_study(_study(PAIRS), SLOW).undisplayable
@@ -99,6 +100,7 @@ def test_what_is_correct_is_said(study: str, correct: str | None) -> None:
     assert check_study(_study(study), FAST).correct == correct
 
 
+@pytest.mark.long
 def test_chance_is_what_the_study_names_as_in_the_analysis() -> None:
     for named in (None, 0.4):
         analysis = {} if named is None else {"chance": named}
@@ -146,6 +148,7 @@ def test_participants_that_differ_spread_the_power() -> None:
     assert power_of_proportion(unlike, 1 / 3, 28).power != power_of_proportion(alike, 1 / 3, 28).power
 
 
+@pytest.mark.long
 def test_the_command_prints_all_of_it_and_says_by_its_code_what_cannot_be_shown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -79,6 +79,7 @@ def test_marks_hold_numbers_alone(tmp_path: Path) -> None:
         assert all(type(value) is int for value in data.values())
 
 
+@pytest.mark.long
 def test_any_client_reads_the_codes_of_a_session_on_a_daemon(tmp_path: Path) -> None:
     """Every code of a session reaches another client in its order."""
     servo = tmp_path / "servo.yaml"

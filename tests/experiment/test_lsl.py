@@ -146,6 +146,7 @@ def test_every_sample_arrives_once_in_order_with_the_daemons_times_and_numbers(
     assert got[:, 10].max() > 0.0
 
 
+@pytest.mark.long
 def test_the_streams_say_what_is_in_them(lsl: Any, daemon: Daemon) -> None:
     with running_lsl(daemon):
         samples, events = opened(lsl, "hapticd samples").info(), opened(lsl, "hapticd events").info()
@@ -161,6 +162,7 @@ def test_the_streams_say_what_is_in_them(lsl: Any, daemon: Daemon) -> None:
     assert samples.source_id() != events.source_id()
 
 
+@pytest.mark.long
 def test_codes_of_a_session_come_with_the_numbers_of_their_trials(
     lsl: Any, daemon: Daemon, client: Client, tmp_path: Path
 ) -> None:
@@ -210,6 +212,7 @@ def test_outlets_that_end_have_sent_what_the_daemon_did_before(
     assert not any(thread.name == "hapticd-lsl" for thread in threading.enumerate())
 
 
+@pytest.mark.long
 def test_a_session_has_outlets_while_it_runs(lsl: Any, daemon: Daemon, tmp_path: Path) -> None:
     """A person at a terminal who leaves when the first trial is ready."""
     arguments = ["experiment", "run", "okamura1998_puncture", "--participant", "P07", "--text", "--lsl"]
@@ -228,6 +231,7 @@ def test_a_session_has_outlets_while_it_runs(lsl: Any, daemon: Daemon, tmp_path:
     inlet.close_stream()
 
 
+@pytest.mark.long
 def test_it_ends_with_what_it_sent(lsl: Any, daemon: Daemon) -> None:
     with running_lsl(daemon) as process:
         opened(lsl, "hapticd samples")
@@ -238,6 +242,7 @@ def test_it_ends_with_what_it_sent(lsl: Any, daemon: Daemon) -> None:
         assert "hapticd: 'hapticd samples' and 'hapticd events' are there\n" in told
 
 
+@pytest.mark.long
 def test_a_daemon_that_goes_away_ends_it_in_one_line(lsl: Any, tmp_path: Path) -> None:
     config = tmp_path / "servo.yaml"
     config.write_text(f"servo: {{rate_hz: {RATE_HZ}, realtime: off, overruns: {{threshold: 1}}}}\n")
@@ -254,6 +259,7 @@ def test_without_a_daemon_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert capsys.readouterr().err == f"hapticd: no daemon at {tmp_path}; start one with: hapticd run\n"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("raised", "right"),
     [("ImportError", "pip install 'hapticd[lsl]'"), ("RuntimeError", "github.com/sccn/liblsl/releases")],
@@ -274,6 +280,7 @@ def test_without_pylsl_or_its_library_it_names_what_to_install(
     assert run.stderr.count("\n") == 1 and right in run.stderr
 
 
+@pytest.mark.long
 def test_outlets_that_cannot_begin_keep_a_session_from_beginning(tmp_path: Path) -> None:
     config = tmp_path / "servo.yaml"
     config.write_text(f"servo: {{rate_hz: {RATE_HZ}, realtime: off, overruns: {{threshold: 1}}}}\n")
@@ -283,6 +290,7 @@ def test_outlets_that_cannot_begin_keep_a_session_from_beginning(tmp_path: Path)
             raise AssertionError("there are no outlets")
 
 
+@pytest.mark.long
 def test_a_simulated_session_offline_has_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["okamura1998_tapping", "--participant", "simulated:A", "--offline", "--lsl", "-o", str(tmp_path)]
     assert main(["experiment", "run", *arguments]) == 2

@@ -73,6 +73,7 @@ def _secrets(study: str) -> tuple[set[str], set[float]]:
     return {name for name in names if len(name) > 3}, numbers
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("study", PAPER)
 def test_the_participant_is_sent_no_name_and_no_number_of_a_material(
     study: str, tmp_path: Path, start: Callable[..., Running]
@@ -112,6 +113,7 @@ def test_a_demo_has_a_daemon_of_its_own_and_ends_it(tmp_path: Path) -> None:
     assert about["stage"]["device"] == "sim"
 
 
+@pytest.mark.long
 def test_the_participants_address_lets_nobody_into_the_experimenters_page(
     tmp_path: Path, start: Callable[..., Running]
 ) -> None:
@@ -146,6 +148,7 @@ REFUSED: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.long
 def test_a_signal_gives_new_addresses_after_the_first_ones_were_used(
     tmp_path: Path, start: Callable[..., Running]
 ) -> None:
@@ -166,6 +169,7 @@ def test_a_signal_gives_new_addresses_after_the_first_ones_were_used(
     assert [asyncio.run(opens(again[who])) for who in ("participant", "experimenter")] == [200, 200]
 
 
+@pytest.mark.long
 def test_the_participants_page_may_ask_for_nothing_of_the_scene(tmp_path: Path, start: Callable[..., Running]) -> None:
     running, told = start(*run_study(tmp_path, PAPER[0])), []
 
@@ -210,6 +214,7 @@ def test_a_session_that_was_stopped_goes_on_to_its_end_with_the_pages(
     assert rows["doing"] == "over" and rows["done"] == 5
 
 
+@pytest.mark.long
 def test_a_participant_whose_page_dies_feels_nothing_and_the_trial_begins_again(
     daemon: Daemon, tmp_path: Path, start: Callable[..., Running]
 ) -> None:

@@ -79,6 +79,7 @@ def test_memory_stays_flat_over_a_session(tmp_path: Path) -> None:
     assert min(traced[-16:]) - min(traced[16:32]) < 64 * 250
 
 
+@pytest.mark.long
 def test_permuting_names_changes_nothing(tmp_path: Path) -> None:
     """Stimuli, levels, cells and conditions under other names, the wrong ones at that: the same answers."""
     plan = planned({**STUDY, "repetitions": 2})
@@ -106,6 +107,7 @@ def test_permuting_names_changes_nothing(tmp_path: Path) -> None:
     assert _answers(tmp_path / "named", plan) == _answers(tmp_path / "renamed", renamed)
 
 
+@pytest.mark.long
 def test_permuting_what_is_displayed_changes_the_answers(tmp_path: Path) -> None:
     """The names stay, and both surfaces become the same: nothing is told apart any more but by noise."""
     plan = planned({**STUDY, "repetitions": 4})

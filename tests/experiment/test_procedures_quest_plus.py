@@ -28,6 +28,7 @@ def quest_plus(**more: object) -> QuestPlus:
     return QuestPlus(QuestPlusParameters(**{**given, **more}))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape, scale", [("weibull", "log10"), ("weibull", "linear"), ("cumulative_normal", "linear")])
 def test_the_posterior_is_that_of_questplus(shape: str, scale: str) -> None:
     """On the same answers, and the next level is the same."""

@@ -78,6 +78,7 @@ def test_a_thousand_observers(rule: Rule, guess: float, target: float) -> None:
     assert np.mean(proportions) == pytest.approx(target, abs=0.025)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rule", TARGETS)
 def test_levels_converge_at_the_rules_proportion(rule: Rule) -> None:
     """Small steps and many trials: positive answers at the levels visited become the target proportion (Levitt, 1971).

@@ -220,6 +220,7 @@ MEMBRANE = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m":
 DISC = {"kind": "disc", "center_m": [0, 0], "radius_m": 0.008, "material": "wood"}
 
 
+@pytest.mark.long
 def test_a_handle_is_clear_inside_nothing_and_behind_no_membrane(tmp_path: Path) -> None:
     cases = [
         (WALL, (0.0, 0.001), True), (WALL, (0.0, -0.02), False),
@@ -380,6 +381,7 @@ def test_wrong_answers_in_a_row_end_the_test(pattern: str, answered: int, becaus
 # ---- With a daemon -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_session_on_a_daemon_arms_with_no_force_and_at_one_tick(tmp_path: Path) -> None:
     """Between two trials the command is zero before the scene changes, and stays so until the forces come on."""
     with (
@@ -424,6 +426,7 @@ def test_a_session_on_a_daemon_arms_with_no_force_and_at_one_tick(tmp_path: Path
     assert not any("steel" in json.dumps(mark["data"]) for mark in recorded.marks)
 
 
+@pytest.mark.long
 def test_another_client_that_changes_the_scene_is_found_before_the_forces_come_on(tmp_path: Path) -> None:
     with (
         running_daemon("-c", str(_config(tmp_path))) as daemon,
@@ -442,6 +445,7 @@ def test_another_client_that_changes_the_scene_is_found_before_the_forces_come_o
     assert len(_records(tmp_path, "stage_lost")) == 1
 
 
+@pytest.mark.long
 def test_a_stop_by_somebody_else_is_found_and_no_forces_come_without_a_lease(tmp_path: Path) -> None:
     with (
         running_daemon("-c", str(_config(tmp_path))) as daemon,

@@ -30,6 +30,7 @@ def test_six_studies_ship_each_with_a_sentence() -> None:
     assert all(each.shows.endswith("?") or each.shows.endswith(".") for each in described("experiments"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_the_default_device_shows_all_of_it_and_no_name_tells(name: str) -> None:
     report = check_study(load_study(name), load_config({}))

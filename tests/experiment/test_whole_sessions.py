@@ -69,6 +69,7 @@ def _by_hand(root: Path) -> dict[tuple[str, str], list[list[str]]]:
     return found
 
 
+@pytest.mark.long
 def test_rankings_from_the_hand_to_the_analysis(ranked: Path) -> None:
     """Mean ranks and Kendall's W (by its definition from the sums of squares of ranks) of each cell of four sets."""
     listed = next(each for each in analyze([ranked]).tables if each.name == "rankings")
@@ -141,6 +142,7 @@ def test_what_has_no_session_left_to_run_starts_no_daemon_and_no_page(ranked: Pa
     assert str(result.exception).startswith(f"{session}: this session exists; if it is not over, go on with")
 
 
+@pytest.mark.long
 def test_a_study_that_was_changed_since_is_told(
     ranked: Path, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -154,6 +156,7 @@ def test_a_study_that_was_changed_since_is_told(
     assert f"{changed}: was changed since the session in {data}" in other.output + capfd.readouterr().err
 
 
+@pytest.mark.long
 def test_what_cannot_be_displayed_is_told_before_a_session(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     study = tmp_path / "stiff.yaml"
     study.write_text(

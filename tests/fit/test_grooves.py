@@ -131,6 +131,7 @@ def test_few_samples_in_a_cycle_are_told() -> None:
     assert any("5.0 samples in a cycle" in warning for warning in fit_grooves(recordings).warnings)
 
 
+@pytest.mark.long
 def test_recordings_of_two_combs_are_refused() -> None:
     with pytest.raises(FitError, match="other grooves"):
         fit_grooves([*strokes(comb(), 1, duration_s=0.6)[:2], *strokes(comb(0.0025), 2, duration_s=0.6)[:1]])

@@ -109,6 +109,7 @@ def test_grooves_come_back() -> None:
     loop(material_of(texture=ridges), lambda material, seed: stroked(material, seed, 1.0), fit_grooves, figures)
 
 
+@pytest.mark.long
 def test_punctures_come_back() -> None:
     rupture = {"depth_m": 0.005, "amplitude_m_per_s2": 38.0, "frequency_hz": 200.0, "decay_rate_per_s": 330.0}
     loop(material_of(rupture=rupture), ruptured, fit_puncture, {**rupture, "stiffness_n_per_m": STIFFNESS})

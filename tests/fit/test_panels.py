@@ -262,6 +262,7 @@ def test_grooves() -> None:
     assert [len(row) for row in page.rows] == [3, 3, 3, 3]
 
 
+@pytest.mark.long
 def test_textures() -> None:
     """Noise through the stochastic filter itself, in its direct form by scipy."""
     from scipy.signal import lfilter

@@ -48,6 +48,7 @@ def test_the_truth_is_found(depth_m: float) -> None:
     assert middle("decay_rate_per_s") == pytest.approx(330.0, rel=0.02)
 
 
+@pytest.mark.long
 def test_the_material_loads_and_comes_back() -> None:
     fit = fit_puncture(punctures(membrane(), 3))
     again = validate_materials({"skin": fit.material()})["skin"]
@@ -56,6 +57,7 @@ def test_the_material_loads_and_comes_back() -> None:
     assert second.stiffness_n_per_m.value == pytest.approx(fit.stiffness_n_per_m.value, rel=0.01)
 
 
+@pytest.mark.long
 def test_no_puncture_is_an_answer() -> None:
     drawn = puncture(membrane(), 0.05, ruptures=False)
     with pytest.raises(FitError, match="no puncture here"):
@@ -143,6 +145,7 @@ def in_contact(recording: Recording) -> Recording:
     return dataclasses.replace(recording, **{name: getattr(recording, name)[first:] for name in columns})
 
 
+@pytest.mark.long
 def test_a_recording_that_begins_in_contact_is_told() -> None:
     begun = [in_contact(each) for each in punctures(membrane(), 5)]
     fit = fit_puncture(begun)
@@ -150,6 +153,7 @@ def test_a_recording_that_begins_in_contact_is_told() -> None:
     assert sum("begins in contact" in warning for warning in fit.warnings) == len(begun)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("others_hz", "told"), [((90.0, 517.0), "the others with 3[78]"), ((470.0,), "one mode accounts")]
 )
@@ -183,6 +187,7 @@ def test_what_is_told_of_a_puncture_that_is_left_out_is_no_reason(heard: Callabl
     assert not any("begins in contact" in warning for warning in fit.warnings)
 
 
+@pytest.mark.long
 def test_few_samples_in_a_cycle_are_told() -> None:
     slow = [puncture(membrane(), speed, Stylus(seed=k, rate_hz=1000.0)) for k, speed in enumerate(SPEEDS)]
     assert any("5.0 samples in a cycle" in warning for warning in fit_puncture(slow).warnings)
@@ -202,6 +207,7 @@ def test_one_puncture_has_no_interval() -> None:
         fit_puncture([puncture(membrane(), 0.05)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [

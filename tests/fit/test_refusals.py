@@ -262,6 +262,7 @@ LONG: Final = {("grooves", "acceleration in mm/s^2"), ("grooves", "acceleration 
 """Fitted to the end before they are refused: a second each. Those of the other kinds show the same."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "damage", "told"),
     [

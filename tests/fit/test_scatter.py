@@ -70,6 +70,7 @@ def rupture(index: int, frequency_hz: float) -> Recording:
     return Recording(f"rupture {index}", RATE_HZ, acceleration, force, way, None, None, Source("", ""))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("scatter", "quality"), [(0.01, "good"), (0.07, "fair"), (0.2, "poor")])
 def test_ruptures_that_ring_at_different_frequencies_are_a_reason(scatter: float, quality: str) -> None:
     fit = fit_puncture([rupture(index, 200 * float(np.exp(scatter * sign))) for index, sign in enumerate(MIXED[:6])])

@@ -35,6 +35,7 @@ def test_a_line_is_found_at_any_frequency_with_its_share(hz: float) -> None:
     assert line.share == pytest.approx(0.04, rel=0.25)
 
 
+@pytest.mark.long
 def test_noise_and_ringing_have_no_lines() -> None:
     """A chance of one in a thousand each; and one mode struck at random times."""
     assert sum(bool(spectral_lines(noise(2.0, seed), RATE)) for seed in range(120)) <= 2

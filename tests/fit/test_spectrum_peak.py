@@ -100,6 +100,7 @@ def stroke(density: Density, loudness: float, place: tuple[float, float], seed: 
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("autoregressive", [False, True])
 def test_a_texture_without_a_peak_says_so_in_the_material(autoregressive: bool) -> None:
     strokes = [

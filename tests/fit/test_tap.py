@@ -223,6 +223,7 @@ def test_synthetic_taps_begin_at_their_onsets_and_come_at_their_speeds() -> None
 # ---- Taps ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SEVEN)
 def test_the_seven_materials_are_recovered(name: str) -> None:
     fits: list[tuple[TapFit, TapTruth]] = []
@@ -369,6 +370,7 @@ def test_weak_taps_soon_after_strong_ones_are_told_from_bounces_by_their_way(pre
     assert off(fit.slope_per_s, truth.slope_per_s) < 0.02
 
 
+@pytest.mark.long
 def test_a_second_mode_is_told_and_offered() -> None:
     recording, truth = made("delrin", noise_rms=0.005)
     time_s = np.arange(len(samples_of(recording))) / recording.rate_hz
@@ -416,6 +418,7 @@ def ceramic(ratios: Floats, first_hz: float = 1100.0, second_hz: float = 2900.0)
     return Recording("ceramic", rate_hz, heard + 9.81, None, None, None, speeds, Source("", ""))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "ratios",
     [np.ones(12), pytest.param(np.tile([0.8, 1.25], 6), marks=pytest.mark.slow)],
@@ -478,6 +481,7 @@ def test_an_amplitude_that_is_no_line_has_its_own_law(bent: Callable[[Floats], F
     assert fit.choices["amplitude"].startswith("a power law of exponent" if kind == "power" else "a table of")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", rest_slow(SEVEN, fast=2))
 def test_what_is_fitted_rendered_and_fitted_again_is_the_same(name: str) -> None:
     recording, _ = made(name)
@@ -526,6 +530,7 @@ def test_a_sensor_answers_as_its_differential_equation_does(order: int) -> None:
     assert by_time[1:-1] == pytest.approx((value[2:] - value[:-2]) * 2e6, rel=1e-3, abs=1.0)
 
 
+@pytest.mark.long
 def test_steel_behind_a_known_filter_comes_back() -> None:
     recording, truth = made("steel", filter_hz=3000.0)
     assert off(fit_tap([recording]).slope_per_s, truth.slope_per_s) > 0.08
@@ -564,6 +569,7 @@ def near(since: Floats, mode: Mode) -> Floats:
     return 0.4 * np.exp(-mode.decay_rate_per_s * later) * np.sin(1.4 * mode.angular_frequency_rad_per_s * later)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "shape"), rest_slow([("glass", pulse), ("wood", push), ("wood", near), ("glass", push)], fast=3)
 )
@@ -625,6 +631,7 @@ def test_frequency_and_decay_that_follow_the_speed_are_a_table() -> None:
     assert steady.mode_table is None and steady.mode.frequency_hz == fit.frequency_hz.value
 
 
+@pytest.mark.long
 def test_a_decay_that_follows_the_speed_alone_leaves_the_frequency_as_it_is() -> None:
     fit = fit_tap(moving(lambda v: 200.0, lambda v: 0.004 + 0.01 * v))
     assert fit.modes is not None
@@ -635,6 +642,7 @@ def test_a_decay_that_follows_the_speed_alone_leaves_the_frequency_as_it_is() ->
         steady.material(mode_table=True)
 
 
+@pytest.mark.long
 def test_a_long_rest_has_no_taps_in_its_noise() -> None:
     recording, truth = made("glass")
     random = np.random.default_rng(3)
@@ -712,6 +720,7 @@ def events(shape: Floats, rate_hz: float = 25_000.0) -> list[Recording]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("shape", "told"),
     [
@@ -735,6 +744,7 @@ def test_taps_at_one_speed_are_refused() -> None:
     assert "all 6 taps have about one speed" in refused(recording)
 
 
+@pytest.mark.long
 def test_clipped_taps_are_left_out_and_all_of_them_refused() -> None:
     recording, truth = made(full_scale_m_per_s2=110.0)
     fit = fit_tap([recording])
@@ -756,6 +766,7 @@ def test_a_tap_too_weak_for_its_noise_is_left_out() -> None:
     assert off(fit.slope_per_s, truth.slope_per_s) < 0.02
 
 
+@pytest.mark.long
 def test_a_coarse_converter_is_not_taken_for_clipping() -> None:
     recording, truth = made("wood", noise_rms=0.0)
     step = np.abs(samples_of(recording)).max() / 2**11
@@ -769,6 +780,7 @@ def test_a_rate_too_low_for_the_frequency_is_refused() -> None:
     assert "less than 2.05 times" in refused(recording)
 
 
+@pytest.mark.long
 def test_units_off_by_a_thousand_are_refused() -> None:
     recording, _ = made()
     assert "in mm/s" in refused(dataclasses.replace(recording, speed_m_per_s=1e3 * SPEEDS))

@@ -169,6 +169,7 @@ SPOILT: list[tuple[Callable[[Recording], dict[str, object]], str]] = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("changed", "reason"), SPOILT)
 def test_refusals_say_why(changed: Callable[[Recording], dict[str, object]], reason: str) -> None:
     spoilt = [dataclasses.replace(each, **changed(each)) for each in strokes(sandpaper(160.0, 210.0), 1, 2.0)]

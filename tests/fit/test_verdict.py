@@ -54,6 +54,7 @@ def test_a_verdict_in_words() -> None:
     assert doubts.warnings == ["as good with it", "a: softer by 1 mm", "b: softer by 1 mm", "hum"]
 
 
+@pytest.mark.long
 def test_the_material_keeps_the_verdict() -> None:
     """Of what a later fit replaces, the verdict goes, too."""
     truth = validate_materials({"film": {"stiffness_n_per_m": 500.0, "rupture": RUPTURE}})["film"]

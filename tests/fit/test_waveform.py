@@ -77,6 +77,7 @@ def explained(found: WaveformFit, shape: Callable[[Floats], Floats], width_s: fl
 # ---- What is found ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("shape", "rate_hz", "width_s"),
     rest_slow([(push, 1000.0, 0.01), (thud, 1000.0, 0.01), (push, 5000.0, 0.006), (thud, 5000.0, 0.006)]),
@@ -99,6 +100,7 @@ def test_the_waveform_is_the_curve_that_was_recorded(
     assert found.verdict.startswith("good: a waveform explains ")
 
 
+@pytest.mark.long
 def test_the_waveform_begins_at_the_contact() -> None:
     """Hum lies over the seven samples of rest, and over what comes after the pulse."""
     width_s, random = 0.0045, np.random.default_rng(4)
@@ -120,6 +122,7 @@ def test_the_waveform_begins_at_the_contact() -> None:
     assert explained(found, push, width_s) > 0.98
 
 
+@pytest.mark.long
 def test_a_waveform_that_is_not_over_begins_at_the_contact() -> None:
     """What lasts longer than a waveform may leaves the level of the rest open."""
     random = np.random.default_rng(8)
@@ -147,6 +150,7 @@ def held(found: WaveformFit, shape: Callable[[Floats], Floats], width_s: float) 
     return float(np.mean(np.abs(off)[1:-1] <= np.array(found.deviations)[1:-1]))
 
 
+@pytest.mark.long
 def test_intervals_hold_what_lies_between_the_samples() -> None:
     """A steep rise of 2.5 samples with next to no noise."""
     found = waveform_of(recorded(thud, noise=0.01)[0])
@@ -169,6 +173,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(shape: Callable[[Floats],
     assert np.mean(curves) >= 0.95 - 2 * float(np.std(curves)) / 10
 
 
+@pytest.mark.long
 def test_the_rendered_tap_is_the_recorded_one() -> None:
     recording, _ = recorded(thud, 0.008)
     found = waveform_of(recording)
@@ -221,6 +226,7 @@ def test_the_equations_are_those_of_the_curve() -> None:
     assert equations.solved(without=0)[1:-1] == pytest.approx(left, abs=1e-9)
 
 
+@pytest.mark.long
 def test_taps_that_saturate_get_a_table() -> None:
     recording, _ = recorded(power=0.5)
     found = waveform_of(recording)
@@ -233,6 +239,7 @@ def test_taps_that_saturate_get_a_table() -> None:
     assert found.verdict.startswith("good: ")
 
 
+@pytest.mark.long
 def test_a_tap_that_is_another_is_left_out_and_told() -> None:
     recording, _ = recorded()
     samples = recording.acceleration_m_per_s2
@@ -267,6 +274,7 @@ def test_a_waveform_of_the_minority_of_the_taps_is_not_good() -> None:
     assert isinstance(told, list) and len(told) == gone
 
 
+@pytest.mark.long
 def test_taps_that_push_downwards_are_turned() -> None:
     recording, _ = recorded(lambda x: -push(x))
     found = waveform_of(recording)
@@ -274,6 +282,7 @@ def test_taps_that_push_downwards_are_turned() -> None:
     assert "the taps push downwards: the acceleration is taken with its sign turned" in found.warnings
 
 
+@pytest.mark.long
 def test_two_samples_of_rest_are_enough() -> None:
     recording, onsets_s = recorded(noise=0.02)
     assert recording.acceleration_m_per_s2 is not None
@@ -288,6 +297,7 @@ def test_two_samples_of_rest_are_enough() -> None:
     assert explained(found, push, 0.01) > 0.98
 
 
+@pytest.mark.long
 def test_a_pulse_that_is_not_over_is_faded_out_and_told() -> None:
     recording, _ = recorded(lambda x: (1 - np.exp(-3 * np.maximum(x, 0))) * np.exp(-np.maximum(x, 0) / 5), noise=0.02)
     found = waveform_of(recording)
@@ -301,6 +311,7 @@ def test_a_pulse_that_is_not_over_is_faded_out_and_told() -> None:
     assert found.deviations[-2] > 0.2
 
 
+@pytest.mark.long
 def test_what_is_no_waveform_is_refused_in_a_line() -> None:
     few, _ = recorded(speeds=SPEEDS[:2])
     with pytest.raises(FitError, match="2 taps are too few: needs 3"):
@@ -345,6 +356,7 @@ def test_where_neither_fits_the_reason_is_that_of_the_mode() -> None:
     assert str(caught.value) == str(by_mode.value)
 
 
+@pytest.mark.long
 def test_the_command_writes_a_waveform(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording, _ = recorded()
     file = str(tmp_path / "pulses.npz")

@@ -383,6 +383,7 @@ def test_refused(descriptor: bytes, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.long
 def test_every_truncation_is_refused() -> None:
     whole = bytes(Joystick())
     for length in range(len(whole)):
@@ -468,6 +469,7 @@ field_parts = st.tuples(
 )
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(st.lists(field_parts, min_size=1, max_size=12))
 def test_made_up_descriptors_against_hid_tools(parts: list[_Part]) -> None:
@@ -497,6 +499,7 @@ def check(found: Descriptor) -> None:
     assert all(bits <= 8 * MAX_REPORT_BYTES for bits in ends.values())
 
 
+@pytest.mark.long
 @settings(max_examples=500, deadline=None)
 @given(st.binary(max_size=200))
 def test_random_bytes(descriptor: bytes) -> None:
@@ -531,6 +534,7 @@ def mutated(source: random.Random, descriptor: bytes) -> bytes:
     return bytes(data)
 
 
+@pytest.mark.long
 def test_mutated_descriptors() -> None:
     source = random.Random(1)
     read = 0

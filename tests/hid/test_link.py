@@ -48,6 +48,7 @@ def test_a_tap_behind_a_link_is_its_closed_form_held(name: str, link_hz: float) 
     assert 1.5 / link_hz < delay_s < 2.5 / link_hz + 1e-4
 
 
+@pytest.mark.long
 def test_without_a_link_little_is_left() -> None:
     for name in ("wood", "steel", "cellophane"):
         found = link.struck_error(name, shipped_materials()[name], None)
@@ -61,6 +62,7 @@ def test_what_is_above_the_link_is_silent() -> None:
     assert link.stroked_error("sandpaper_400", 500.0) is None
 
 
+@pytest.mark.long
 def test_walls_become_unstable_when_their_lateness_undoes_the_damping() -> None:
     """K times the mean age of the force against the damping of hand and handle; dry friction allows a little more."""
     sim = Sim()
@@ -70,6 +72,7 @@ def test_walls_become_unstable_when_their_lateness_undoes_the_damping() -> None:
         assert bound < link.stiffest(link_hz) < 1.5 * bound
 
 
+@pytest.mark.long
 def test_the_page_has_what_is_computed() -> None:
     text = (ROOT / "docs" / "devices.md").read_text()
     rows = [line for line in text.splitlines() if line.startswith("| 1000 Hz |")]

@@ -195,6 +195,7 @@ DEVICES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", DEVICES)
 @settings(max_examples=25)
 @given(angle=st.floats(0, 2 * math.pi), part=st.floats(0.02, 3.0))

@@ -55,6 +55,7 @@ class Bench:
         return self.stick.force() == (0.0, 0.0) and not self.stick.effects and not self.stick.enabled
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("signed", [True, False])
 @pytest.mark.parametrize(("x", "y", "swap"), list(product((1, -1), (1, -1), (False, True))))
 def test_what_it_finds_makes_the_device_right(x: int, y: int, swap: bool, signed: bool) -> None:

@@ -282,6 +282,7 @@ def test_a_record_that_is_none(record: Path, key: str, value: object) -> None:
         load(record)
 
 
+@pytest.mark.long
 @given(
     st.binary(max_size=200)
     | st.recursive(

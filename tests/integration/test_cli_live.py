@@ -257,6 +257,7 @@ def test_ids_with_typos(shell: Shell) -> None:
     assert "did you mean wood?" in shell.fails("play", "woood", "--amplitude", "1")
 
 
+@pytest.mark.long
 def test_the_scene_of_the_readme_runs_and_checks_everywhere(
     tmp_path: Path, shell: Shell, daemon: Daemon, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -272,6 +273,7 @@ def test_the_scene_of_the_readme_runs_and_checks_everywhere(
         assert list(client.get_scene()["scene"]["objects"]) == ["floor", "honey"]
 
 
+@pytest.mark.long
 def test_run_says_which_configuration_it_took(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "hapticd" / "config.yaml"
     path.parent.mkdir()
@@ -372,6 +374,7 @@ def test_record_refuses_before_it_records(shell: Shell) -> None:
     assert "there is no folder no" in shell.fails("record", "no/run.npz")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("number", "options", "code"),
     [(signal.SIGINT, [], 0), (signal.SIGTERM, [], 0), (signal.SIGINT, ["--for", "1h"], 130)],
@@ -398,6 +401,7 @@ def test_an_interrupted_recording_is_kept(
     assert os.listdir(tmp_path) == ["run.npz"]
 
 
+@pytest.mark.long
 def test_an_interrupt_ends_a_recording_that_a_script_put_in_the_background(daemon: Daemon, tmp_path: Path) -> None:
     """The shell has it ignore interrupts; who sends it one means it."""
     target = tmp_path / "run.npz"

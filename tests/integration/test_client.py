@@ -530,6 +530,7 @@ def test_a_blocking_call_that_would_pause_is_a_defect() -> None:
         client_module.run(asyncio.sleep(0))
 
 
+@pytest.mark.long
 def test_problems_of_an_error() -> None:
     assert str(RemoteError(-32602, "m", [{"where": "a.b", "problem": "is wrong"}, {"where": "", "problem": "x"}])) == (
         "a.b: is wrong; x"

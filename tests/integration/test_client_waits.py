@@ -219,6 +219,7 @@ def test_asyncio_has_the_newest_too(daemon: Daemon) -> None:
     asyncio.run(main())
 
 
+@pytest.mark.long
 def test_a_closed_subscription_to_the_newest_has_no_more(client: Client) -> None:
     states = client.states(newest=True)
     assert states.receive(60.0) is not None

@@ -130,6 +130,7 @@ def terminal(request: pytest.FixtureRequest, folder: Path) -> Iterator[Terminal]
     terminal.close()
 
 
+@pytest.mark.long
 def test_a_key_completes(terminal: Terminal) -> None:
     """The command that stands there after the key is a function that shows its arguments; the completion asks the
     program of that name."""
@@ -141,6 +142,7 @@ def test_a_key_completes(terminal: Terminal) -> None:
         terminal.until(PROMPT)
 
 
+@pytest.mark.long
 def test_a_key_in_vain_says_nothing(terminal: Terminal) -> None:
     for line in IN_VAIN:
         terminal.type(f"{line}\t\t#\r")  # the sign keeps the line as it was where nothing was added
@@ -230,6 +232,7 @@ def offered(*words: str) -> list[str]:
     return [item.value for item in found]
 
 
+@pytest.mark.long
 def test_names_of_a_daemon(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(names, "_PATIENCE_S", 60.0)
     config = tmp_path / "config.yaml"

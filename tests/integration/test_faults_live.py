@@ -72,6 +72,7 @@ def clocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Clocks:
     return made
 
 
+@pytest.mark.long
 def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path, clocks: Clocks) -> None:
     config = with_config(tmp_path, f"scene: {json.dumps({'objects': PUSH})}\n")
     with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
@@ -160,6 +161,7 @@ def written(client: Client, count: int) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.long
 def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Path) -> None:
     # So long that the second fault is soon after the first, however slow we are.
     scene = f"flight: {{keep: 2, seconds: 60}}\nscene: {json.dumps({'objects': PUSH})}\n"
@@ -202,6 +204,7 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         assert flights(daemon) == ["flight-000002-asked.npz", "flight-000003-asked.npz"]
 
 
+@pytest.mark.long
 def test_folders_that_are_missing_are_made_and_can_be_entered(tmp_path: Path) -> None:
     inner = tmp_path / "outer" / "inner"
     config = with_config(tmp_path, f"flight: {{directory: {inner}}}\n")
@@ -211,6 +214,7 @@ def test_folders_that_are_missing_are_made_and_can_be_entered(tmp_path: Path) ->
     assert [path.stat().st_mode & 0o777 for path in (inner.parent, inner)] == [0o770, 0o750]
 
 
+@pytest.mark.long
 def test_a_disk_that_takes_no_more_is_told_and_changes_nothing(tmp_path: Path) -> None:
     """The limit of a file's size stands for a disk that is full."""
     with running_daemon("-c", str(with_config(tmp_path, ""))) as daemon:
@@ -265,6 +269,7 @@ def through(client: Client) -> set[str]:
         return arrived([[0, 0, 0.01], [0.3, 0, -0.02]], lambda y: y < -0.015)
 
 
+@pytest.mark.long
 def test_reload_takes_scene_and_materials_and_keeps_what_is_open(tmp_path: Path) -> None:
     config = with_config(tmp_path, f"scene: {{ramp_s: 1, objects: {{skin: {SKIN}}}}}\n")
     with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
@@ -329,6 +334,7 @@ def is_a(value: object, kinds: list[str]) -> bool:
     return not isinstance(value, bool) and any(isinstance(value, KINDS[kind]) for kind in kinds)  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 def test_a_client_of_protocol_1_0_works(tmp_path: Path) -> None:
     with running_daemon("-c", str(with_config(tmp_path, ""))) as daemon, wired(daemon) as wire:
         for exchange in FIRST["conversation"]:
@@ -367,6 +373,7 @@ def test_events_have_the_members_that_a_client_of_protocol_1_0_reads() -> None:
         assert set(members) <= event_map(event, "x").keys()
 
 
+@pytest.mark.long
 def test_a_first_configuration_of_ones_own_is_taken_by_a_reload(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -383,6 +390,7 @@ def test_a_first_configuration_of_ones_own_is_taken_by_a_reload(
             client.reload()
 
 
+@pytest.mark.long
 def test_an_object_that_is_not_there_is_guessed_at() -> None:
     with running_daemon() as daemon, connect(daemon.directory) as client:
         client.set_scene({"objects": PUSH})

@@ -199,6 +199,7 @@ def test_killed_at_random_moments_under_load() -> None:
     assert 2 * pushed > KILLS
 
 
+@pytest.mark.long
 def test_killed_in_the_first_moments() -> None:
     """At the first reports that a daemon sends: either nothing was let through, or a record stops it. And the next one
     finds what was left and ends in good order, without a record."""
@@ -232,6 +233,7 @@ def test_killed_in_the_first_moments() -> None:
             stick.close()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", [signal.SIGABRT, signal.SIGSEGV])
 def test_a_fault_of_the_process_stops_the_joystick_before_it_ends(fault: signal.Signals) -> None:
     with moved() as (nursery, stick):

@@ -97,6 +97,7 @@ def test_kill_of_a_client_without_a_lease_changes_nothing(daemon: Daemon, wire: 
         assert client.get_scene()["scene"]["objects"]["push"]["force_n"] == [0.0, 0.25]
 
 
+@pytest.mark.long
 def test_second_holder_is_refused_and_a_token_survives_a_reconnection(daemon: Daemon, wire: Wire) -> None:
     token = wire.result("lease", duration_s=30)["token"]
     with wired(daemon) as other:
@@ -111,6 +112,7 @@ def test_second_holder_is_refused_and_a_token_survives_a_reconnection(daemon: Da
     assert wire.error("lease", duration_s=1, token=token)["code"] == -32007
 
 
+@pytest.mark.long
 def test_after_a_lapse_commands_say_so_and_the_scene_is_still_there(daemon: Daemon, wire: Wire) -> None:
     scene = wire.result("get_scene")["scene"]
     with connect(daemon.directory) as client, client.telemetry("event") as events, client.samples() as samples:

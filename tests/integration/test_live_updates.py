@@ -6,6 +6,7 @@ import threading
 
 import msgpack
 import numpy as np
+import pytest
 
 from tests.support.daemon_process import connect, running_daemon, wired
 
@@ -16,6 +17,7 @@ RAMP_TICKS = 200  # at the 10 kHz of the daemon
 EVERY = 100  # of them is a play, and one a reset of another object
 
 
+@pytest.mark.long
 def test_updates_lose_nothing_and_step_nothing() -> None:
     with running_daemon() as daemon, wired(daemon) as wire:
         wire.result("set_scene", scene={"objects": {"floor": FLOOR, "far": {**FLOOR, "point_m": [0, -0.06]}}})
@@ -84,6 +86,7 @@ def test_updates_lose_nothing_and_step_nothing() -> None:
             assert np.any(ringing != 0.0)
 
 
+@pytest.mark.long
 def test_every_answer_is_msgpack_with_the_same_form() -> None:
     with running_daemon() as daemon, wired(daemon) as wire:
         (frame,) = wire.raw(msgpack.packb({"jsonrpc": "2.0", "id": "a", "method": "get_scene"}))

@@ -70,6 +70,7 @@ def test_a_flood_of_files_is_a_line_a_second(daemon: Daemon) -> None:
         assert len(lines_of(daemon, before, "flight recorder: ")) <= took_s + 2
 
 
+@pytest.mark.long
 def test_methods_are_the_only_kinds() -> None:
     """A client cannot think of more kinds of lines than there are methods and codes."""
     with running_daemon() as running, wired(running) as wire:
@@ -80,6 +81,7 @@ def test_methods_are_the_only_kinds() -> None:
         assert len(lines_of(running, 0, "notification ")) <= 2 * len(_METHODS)
 
 
+@pytest.mark.long
 def test_every_one_is_counted(tmp_path: Path) -> None:
     with running_daemon() as running, wired(running) as wire:
         flood(wire, FLOODS['notification "set_forces"'], 500)

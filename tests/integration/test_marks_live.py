@@ -188,6 +188,7 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("params", "where"), REFUSED.values(), ids=REFUSED.keys())
 def test_what_is_applied_is_all_or_nothing(wire: Wire, params: dict[str, Any], where: list[str]) -> None:
     scene, materials = wire.result("get_scene"), wire.result("get_materials")

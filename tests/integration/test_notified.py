@@ -40,6 +40,7 @@ def next_of(heard: socket.socket, wanted: str) -> str:
             return message
 
 
+@pytest.mark.long
 def test_ready_alive_and_stopping(monkeypatch: pytest.MonkeyPatch) -> None:
     with tempfile.TemporaryDirectory(prefix="hapticd-test-") as parent, manager(Path(parent)) as heard:
         monkeypatch.setenv("NOTIFY_SOCKET", str(Path(parent) / "notify"))
@@ -72,6 +73,7 @@ def test_ready_alive_and_stopping(monkeypatch: pytest.MonkeyPatch) -> None:
         assert not any(b"READY" in message for message in left)
 
 
+@pytest.mark.long
 def test_a_daemon_that_does_not_start_is_never_ready(monkeypatch: pytest.MonkeyPatch) -> None:
     with tempfile.TemporaryDirectory(prefix="hapticd-test-") as parent, manager(Path(parent)) as heard:
         monkeypatch.setenv("NOTIFY_SOCKET", str(Path(parent) / "notify"))
@@ -83,6 +85,7 @@ def test_a_daemon_that_does_not_start_is_never_ready(monkeypatch: pytest.MonkeyP
             heard.recv(65536)
 
 
+@pytest.mark.long
 def test_memory_that_is_never_both_writable_and_executable() -> None:
     """MemoryDenyWriteExecute of the units, by the kernel's own switch."""
     if ctypes.CDLL(None, use_errno=True).prctl(PR_GET_MDWE, 0, 0, 0, 0) < 0:

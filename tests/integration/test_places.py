@@ -172,6 +172,7 @@ def test_commands_say_warnings_on_stderr_with_line_and_column(
     assert json.loads(capsys.readouterr().out)["warnings"][0]["problem"] == SILENT
 
 
+@pytest.mark.long
 def test_of_several_files_the_one_is_named_that_the_place_is_in(
     daemon: Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

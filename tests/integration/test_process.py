@@ -57,6 +57,7 @@ def from_whole_on(data: np.ndarray) -> np.ndarray:
     return data[whole:]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signal_fades_the_force_and_exits_with_0(number: int) -> None:
     with running_daemon() as daemon, wired(daemon) as wire:
@@ -78,6 +79,7 @@ def test_signal_fades_the_force_and_exits_with_0(number: int) -> None:
         assert not (daemon.directory / "hapticd.telemetry").exists()
 
 
+@pytest.mark.long
 def test_second_daemon_is_refused_with_a_clear_line_and_the_first_goes_on() -> None:
     with running_daemon() as daemon:
         line = one_line(run_once(directory=daemon.directory))
@@ -87,6 +89,7 @@ def test_second_daemon_is_refused_with_a_clear_line_and_the_first_goes_on() -> N
             assert wire.result("get_status")["state"] == "running"
 
 
+@pytest.mark.long
 def test_stale_socket_files_do_not_stop_the_restart() -> None:
     with running_daemon() as daemon:
         daemon.process.send_signal(signal.SIGKILL)
@@ -100,6 +103,7 @@ def test_stale_socket_files_do_not_stop_the_restart() -> None:
         daemon.process = again.process
 
 
+@pytest.mark.long
 def test_permissions_of_the_runtime_directory() -> None:
     with running_daemon() as daemon:
         assert os.stat(daemon.directory).st_mode & 0o777 == 0o700
@@ -107,6 +111,7 @@ def test_permissions_of_the_runtime_directory() -> None:
             assert os.stat(daemon.directory / name).st_mode & 0o777 == 0o660
 
 
+@pytest.mark.long
 def test_directory_that_is_a_link_or_open_to_others_is_refused(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir(mode=0o700)
     (tmp_path / "link").symlink_to(tmp_path / "real")
@@ -116,12 +121,14 @@ def test_directory_that_is_a_link_or_open_to_others_is_refused(tmp_path: Path) -
     assert "others may write" in one_line(run_once(directory=tmp_path / "open"))
 
 
+@pytest.mark.long
 def test_bad_configuration_is_one_line(tmp_path: Path) -> None:
     file = tmp_path / "c.yaml"
     file.write_text("servo:\n  rate_hz: 8000\n  rat: 1\n")
     assert "c.yaml:3:3: servo.rat: " in one_line(run_once("-c", str(file), directory=tmp_path / "run"))
 
 
+@pytest.mark.long
 def test_realtime_required_is_refused_without_rights(tmp_path: Path) -> None:
     """As an ordinary user, or as root with the rights taken away."""
     config = tmp_path / "c.yaml"
@@ -170,6 +177,7 @@ def without_rights(directory: Path, memlock: int) -> Iterator[tuple[Wire, list[s
             process.kill()  # where the test has failed, nobody else ends it
 
 
+@pytest.mark.long
 def test_default_runs_without_rights_and_says_what_it_did_not_get(tmp_path: Path) -> None:
     with without_rights(tmp_path / "run", 65536) as (wire, lines):
         status = wire.result("get_status")
@@ -182,6 +190,7 @@ def test_default_runs_without_rights_and_says_what_it_did_not_get(tmp_path: Path
     assert status["state"] == "running"
 
 
+@pytest.mark.long
 def test_scene_that_outgrows_the_locked_memory_is_rendered_and_told(tmp_path: Path) -> None:
     with without_rights(tmp_path / "run", 6 * 2**20) as (wire, _):
         status = wire.result("get_status")
@@ -249,6 +258,7 @@ def test_a_process_that_was_stopped_is_not_overloaded(tmp_path: Path) -> None:
         assert wire.result("get_status")["faults"] == []
 
 
+@pytest.mark.long
 def test_a_daemon_that_was_started_on_a_terminal_ends_with_it(tmp_path: Path) -> None:
     """And one that was not takes SIGHUP for a reload, as other tests have it."""
     ours, theirs = pty.openpty()
@@ -296,6 +306,7 @@ def test_control_plane_that_hangs_fades_the_force() -> None:
         engine.stop()
 
 
+@pytest.mark.long
 def test_client_killed_in_mid_request_and_ten_at_once() -> None:
     with running_daemon() as daemon:
         # Half a ZMTP greeting, and half a message, from sockets that then vanish.
@@ -336,6 +347,7 @@ def test_client_killed_in_mid_request_and_ten_at_once() -> None:
             assert {f"o{n}" for n in range(10)} <= set(objects)
 
 
+@pytest.mark.long
 def test_client_that_does_not_read_its_answers_stops_nobody() -> None:
     with running_daemon() as daemon, wired(daemon) as wire:
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
@@ -364,6 +376,7 @@ def test_a_daemon_whose_lock_was_removed_keeps_its_directory() -> None:
             assert wire.result("get_status")["state"] == "running"
 
 
+@pytest.mark.long
 def test_a_daemon_removes_only_what_is_its_own() -> None:
     with running_daemon() as daemon:
         with wired(daemon) as wire:
@@ -376,6 +389,7 @@ def test_a_daemon_removes_only_what_is_its_own() -> None:
             assert (daemon.directory / name).read_text() == "another's"
 
 
+@pytest.mark.long
 def test_the_end_overtakes_reloads_whose_files_never_come(tmp_path: Path) -> None:
     """Each takes ten seconds: one after the other, they would take longer than this waits."""
     config = tmp_path / "c.yaml"

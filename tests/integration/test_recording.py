@@ -87,6 +87,7 @@ def wait_until_it_records(client: Client, target: Path, process: subprocess.Pope
                 return
 
 
+@pytest.mark.long
 def test_what_a_daemon_rendered_is_rendered_again_bit_for_bit(daemon: Daemon, tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     with connect(daemon.directory) as client:
@@ -189,6 +190,7 @@ def test_the_configuration_goes_round(daemon: Daemon) -> None:
     assert config.device.sim.hand == default_config().device.sim.hand
 
 
+@pytest.mark.long
 def test_what_a_killed_recording_left_is_told_by_the_next(daemon: Daemon, tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     with connect(daemon.directory) as client, recording(daemon, target) as process:
@@ -554,6 +556,7 @@ def test_a_block_of_asyncio_is_recorded(daemon: Daemon, tmp_path: Path) -> None:
 # ---- The flight recorder -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_file_of_the_flight_recorder_is_rendered_again(tmp_path: Path) -> None:
     """The scene changes within the seconds that are kept, under the hand; the file has what was there before."""
     config = tmp_path / "quiet.yaml"

@@ -365,6 +365,7 @@ TOLD = json.loads((ROOT / "tests" / "data" / "conversation-1.1.json").read_text(
 KINDS = {"integer": int, "boolean": bool, "string": str, "nil": type(None)}
 
 
+@pytest.mark.long
 def test_a_client_that_streams_is_understood_byte_by_byte(wire: Wire) -> None:
     """What it says is frozen, and so is what it reads."""
     before = {kind: counted(wire, kind) for kind in TOLD["counted"]}

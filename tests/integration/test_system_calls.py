@@ -147,6 +147,7 @@ def test_a_filter_refuses() -> None:
     assert done.stdout == "refused\ntaken\n", done.stderr
 
 
+@pytest.mark.long
 def test_the_daemon(tmp_path: Path) -> None:
     with (
         service("hapticd.service", "ready: sim", "--runtime-dir", str(tmp_path / "run"), "run"),
@@ -158,6 +159,7 @@ def test_the_daemon(tmp_path: Path) -> None:
             next(states)
 
 
+@pytest.mark.long
 def test_the_page_server() -> None:
     """It lets somebody in, passes a call on, and ends."""
     with running_daemon() as daemon:

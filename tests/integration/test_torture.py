@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import random
 
+import pytest
+
 from tests.soak import torture_live
 
 
+@pytest.mark.long
 def test_no_command_moves_the_force_faster_than_the_ramp() -> None:
     found = torture_live.run(random.Random(105), 250)
     assert found.changed > 0

@@ -168,6 +168,7 @@ def test_a_probe_outside_widens_the_picture() -> None:
     assert any("●" in line for line in drawn(view(position_m=[0.0, -0.3])))
 
 
+@pytest.mark.long
 @given(
     st.floats(-10, 10),
     st.floats(-10, 10),
@@ -352,6 +353,7 @@ class Terminal:
             return self.process.wait(PATIENCE_S), self.process.stderr.read()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_on_a_terminal(daemon: Daemon, number: int, code: int) -> None:
     with connect(daemon.directory) as client, Terminal(arguments(daemon)) as terminal:
@@ -380,6 +382,7 @@ def test_a_daemon_that_goes_away_is_waited_for(daemon: Daemon, quiet_config: str
         assert terminal.end(signal.SIGINT) == (130, b"")
 
 
+@pytest.mark.long
 def test_into_a_pipe_it_prints_lines(daemon: Daemon) -> None:
     process = subprocess.Popen(arguments(daemon), stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True)
     assert process.stdout is not None and process.stderr is not None
@@ -396,6 +399,7 @@ def test_into_a_pipe_it_prints_lines(daemon: Daemon) -> None:
         assert process.stderr.read() == ""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("options", [[], ["--json"]], ids=["lines", "json"])
 def test_into_a_pipe_it_ends_by_itself(daemon: Daemon, options: list[str]) -> None:
     done = subprocess.run(
@@ -410,6 +414,7 @@ def test_into_a_pipe_it_ends_by_itself(daemon: Daemon, options: list[str]) -> No
         assert all("tick" in line for line in lines)
 
 
+@pytest.mark.long
 def test_on_a_terminal_it_ends_by_itself(daemon: Daemon) -> None:
     with Terminal(arguments(daemon, "--for", "300ms")) as terminal:
         terminal.read_until("hapticd")
@@ -417,6 +422,7 @@ def test_on_a_terminal_it_ends_by_itself(daemon: Daemon) -> None:
     assert (code, said) == (0, b"")
 
 
+@pytest.mark.long
 def test_it_ends_with_its_terminal(daemon: Daemon) -> None:
     with Terminal(arguments(daemon)) as terminal:
         terminal.read_until("hapticd")

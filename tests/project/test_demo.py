@@ -306,6 +306,7 @@ def few_missed(name: str, _: int, number: npt.NDArray[np.intp]) -> npt.NDArray[n
     return (number % 14 != 0) | (name == "sandpaper_100")
 
 
+@pytest.mark.long
 def test_the_demo_of_a_whole_recording_ends_with_0(run_demo: RunDemo) -> None:
     machine = Machine(all_kept)
     code, output = run_demo(machine)
@@ -313,6 +314,7 @@ def test_the_demo_of_a_whole_recording_ends_with_0(run_demo: RunDemo) -> None:
     assert len(machine.performances) == len(set(machine.performances)) == 10
 
 
+@pytest.mark.long
 def test_where_nothing_can_be_seen_the_demo_says_so_in_one_line_and_ends_with_0(
     run_demo: RunDemo,
 ) -> None:
@@ -329,6 +331,7 @@ def test_where_nothing_can_be_seen_the_demo_says_so_in_one_line_and_ends_with_0(
     assert "the machine missed 4,312 of 81,000 periods" in line and "hapticd doctor" in line
 
 
+@pytest.mark.long
 def test_taps_of_several_repetitions_count_together(run_demo: RunDemo) -> None:
     def seen_by_turns(name: str, time: int, number: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
         """One half of the taps the first time, the other half the second time."""
@@ -341,6 +344,7 @@ def test_taps_of_several_repetitions_count_together(run_demo: RunDemo) -> None:
     assert machine.performances.count("wood") == 2
 
 
+@pytest.mark.long
 def test_a_wrong_figure_ends_with_1_beside_parts_that_cannot_be_seen(
     run_demo: RunDemo,
 ) -> None:
@@ -352,6 +356,7 @@ def test_a_wrong_figure_ends_with_1_beside_parts_that_cannot_be_seen(
     assert "not enough seen: " in output
 
 
+@pytest.mark.long
 def test_too_little_without_a_missed_period_ends_with_1(run_demo: RunDemo, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(taps, "WANTED", 27)  # twice 13 are there
     code, output = run_demo(Machine(all_kept))
@@ -366,6 +371,7 @@ def test_a_landing_without_a_tap_is_wrong_however_many_periods_are_missed(run_de
     assert code == 1 and "wrong: wood: the hand landed 2" in output and "times without a tap" in output
 
 
+@pytest.mark.long
 def test_a_disturbed_performance_is_repeated_and_then_given_up(run_demo: RunDemo) -> None:
     def lost(*_: Any) -> npt.NDArray[np.bool_]:
         raise Disturbed("7 samples were lost on their way")

@@ -25,6 +25,7 @@ from hapticd.recording.replay import replay
 from tests.soak import fuzz_messages, fuzz_recordings, fuzz_yaml, fuzz_zmtp
 
 
+@pytest.mark.long
 def test_messages() -> None:
     found = fuzz_messages.run(random.Random(101), 400)
     assert {0, -32700, -32600, -32602} <= found.outcomes.keys(), "some kind of message was not among them"
@@ -41,11 +42,13 @@ def test_documents(kind: str, runs: int) -> None:
     assert found.outcomes["refused"] > 0
 
 
+@pytest.mark.long
 def test_reloads() -> None:
     outcomes = fuzz_yaml.run_reloads(random.Random(103), 20, lambda _: None)
     assert outcomes["refused"] == 20
 
 
+@pytest.mark.long
 def test_recordings() -> None:
     outcomes, _, most = fuzz_recordings.run(random.Random(104), 150)
     assert most < fuzz_recordings.LIMIT_BYTES

@@ -41,6 +41,7 @@ def test_every_module_that_is_run_and_every_target_is_there(text: Path) -> None:
     assert set(named) <= there
 
 
+@pytest.mark.long
 def test_every_file_of_the_core_that_is_named_is_there() -> None:
     there = {path.name for path in SOURCES}
     named = {

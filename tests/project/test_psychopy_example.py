@@ -110,6 +110,7 @@ def test_it_ends_when_the_window_is_closed(daemon: Daemon) -> None:
     assert screen.changes == ["cross"]
 
 
+@pytest.mark.long
 def test_without_psychopy_it_says_so_in_one_line(daemon: Daemon, tmp_path: Path) -> None:
     """A module that fails as Python does where there is none."""
     (tmp_path / "psychopy.py").write_text("raise ImportError\n")

@@ -31,6 +31,7 @@ def steps() -> list[str]:
 # ---- The workflow ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_workflow_is_valid_by_the_published_schema(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.github-workflows"]
     done = subprocess.run([*command, WORKFLOW], capture_output=True, text=True)
@@ -40,6 +41,7 @@ def test_the_workflow_is_valid_by_the_published_schema(tmp_path: Path) -> None:
     assert subprocess.run([*command, wrong], capture_output=True).returncode == 1
 
 
+@pytest.mark.long
 def test_cibuildwheel_would_build_one_wheel_for_each_architecture() -> None:
     command = [sys.executable, "-m", "cibuildwheel", "--print-build-identifiers", "--platform", "linux"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
@@ -61,6 +63,7 @@ def test_files_that_the_workflow_names_are_there() -> None:
     assert all((ROOT / name).is_file() for name in named)
 
 
+@pytest.mark.long
 def test_a_version_tag_is_that_of_the_package() -> None:
     def check(*tag: str) -> tuple[int, str]:
         command = [sys.executable, ROOT / "packaging" / "version_tag.py", *tag]

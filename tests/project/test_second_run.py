@@ -37,6 +37,7 @@ def binary(folder: Path, name: str, script: str) -> str:
     return str(path)
 
 
+@pytest.mark.long
 def test_a_test_that_passes_the_second_time_is_named(tmp_path: Path) -> None:
     (tmp_path / "test_once.py").write_text(FAILS_ONCE)
     code, lines = second_run(tmp_path, "--", "-n", "2")
@@ -44,6 +45,7 @@ def test_a_test_that_passes_the_second_time_is_named(tmp_path: Path) -> None:
     assert lines[-1] == "needed a second run: test_once.py::test_fails_once"
 
 
+@pytest.mark.long
 def test_a_test_that_fails_twice_fails_the_run(tmp_path: Path) -> None:
     (tmp_path / "test_once.py").write_text(FAILS_ONCE)
     (tmp_path / "test_twice.py").write_text(FAILS)
@@ -65,6 +67,7 @@ def test_a_failure_of_an_earlier_run_is_not_run_again(tmp_path: Path) -> None:
     assert lines[-1] == "needed a second run: test_once.py::test_fails_once"
 
 
+@pytest.mark.long
 def test_no_tests_and_tests_that_cannot_be_collected_fail_the_run(tmp_path: Path) -> None:
     assert second_run(tmp_path, "--", "-q")[0] == 5
     (tmp_path / "test_broken.py").write_text("import no_such_module\n")

@@ -127,6 +127,7 @@ def test_any_bytes_decode_as_the_specification_says(body: bytes) -> None:
     assert outcome(messages.decode, body) == outcome(reference, body)
 
 
+@pytest.mark.long
 @given(TREES)
 def test_what_is_encoded_is_decoded(tree: object) -> None:
     assert repr(messages.decode(codec.encode(tree))) == repr(tree)
@@ -153,6 +154,7 @@ def test_a_client_refuses_what_the_daemon_would(tree: object) -> None:
     assert outcome(checked, body) == outcome(messages.decode, body)
 
 
+@pytest.mark.long
 @given(TREES, st.data())
 def test_a_damaged_message_decodes_as_the_specification_says(tree: object, data: st.DataObject) -> None:
     body = bytearray(msgpack.packb(tree))
@@ -161,6 +163,7 @@ def test_a_damaged_message_decodes_as_the_specification_says(tree: object, data:
     assert outcome(messages.decode, bytes(body)) == outcome(reference, bytes(body))
 
 
+@pytest.mark.long
 @given(TREES, st.integers(0, 200))
 def test_a_message_in_the_long_form_decodes_alike(tree: object, pad: int) -> None:
     """Bodies over 4 KiB, or with many containers, go another way through the decoder."""
@@ -334,6 +337,7 @@ def test_notifications() -> None:
     assert not caught.value.silent  # not a notification, just broken
 
 
+@pytest.mark.long
 @given(TREES)
 def test_any_tree_is_a_request_or_an_error(tree: object) -> None:
     try:

@@ -33,6 +33,7 @@ def a_recording(target: Path, samples: np.ndarray, events: list[dict[str, object
     return hapticd.load(target)
 
 
+@pytest.mark.long
 def test_mcap_is_what_its_own_reader_expects(tmp_path: Path) -> None:
     given = some(12_000)
     given["tick"] += np.uint64(2**53)

@@ -151,6 +151,7 @@ def test_archives_of_numpy_and_of_earlier_versions_are_read(tmp_path: Path, save
     assert (again.events, again.texts) == (recording.events, recording.texts)
 
 
+@pytest.mark.long
 def test_a_simulation_has_truth_and_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     command = [

@@ -57,6 +57,7 @@ def test_the_handle_before_the_onset_is_the_closed_form(rate_hz: float) -> None:
     assert force[~before].all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("loop", rest_slow(LOOPS.values()), ids=LOOPS)
 def test_error_falls_with_the_first_order_of_the_period(loop: Loop) -> None:
     errors = [error(loop, rate) for rate in RATES_HZ]
@@ -66,6 +67,7 @@ def test_error_falls_with_the_first_order_of_the_period(loop: Loop) -> None:
         assert values == sorted(values, reverse=True), name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stiffness", rest_slow([400.0, 800.0, 2000.0]))
 def test_a_held_force_is_half_a_period_old(stiffness: float) -> None:
     """K T/2 of negative damping explains the first order: what is left falls with the second, and is far smaller."""
@@ -75,6 +77,7 @@ def test_a_held_force_is_half_a_period_old(stiffness: float) -> None:
     assert left[-1] < 0.02 * error(loop, RATES_HZ[-1]).penetration_m
 
 
+@pytest.mark.long
 def test_reports_one_tick_old_make_it_three_halves() -> None:
     loop = Loop(800.0)
     for rate in RATES_HZ:

@@ -639,6 +639,7 @@ def content(table: Any, compiler: Compiler, of: Scene) -> Iterator[tuple[str, ob
             )
 
 
+@pytest.mark.long
 def test_any_sequence_of_updates_ends_where_a_fresh_start_does() -> None:
     rng = random.Random(11)
     curves = [[[0.1, 5]], [[0.1, 5], [0.2, 7], [0.5, 8]]]

@@ -168,6 +168,7 @@ def struck(mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Compens
     return per_unit * force
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("grip", rest_slow(GRIPS))
 @pytest.mark.parametrize("compensation", ["off", "mass", "full"])
 @pytest.mark.parametrize("rate_hz", rest_slow([10_000.0, 2000.0]))
@@ -182,6 +183,7 @@ def test_spectra_agree_with_the_motion(grip: str, compensation: Compensation, ra
         assert displayed_error(mode, held(grip), rate_hz, compensation) == pytest.approx(measured, abs=0.002), name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("grip", GRIPS)
 def test_what_is_required(grip: str) -> None:
     """At most 13 % at 10 kHz, for every material; the soft ones, which have room for a tail, within 5 %."""
@@ -246,6 +248,7 @@ def sounding(shape_mode: Ringing, tail: Ringing | None, time: Floats) -> Floats:
     return np.asarray(total)
 
 
+@pytest.mark.long
 def test_no_force_beyond_the_bound() -> None:
     """Random modes, devices and rates: brute force over onsets within the tick finds nothing above the peak told,
     and that is at most 2."""
@@ -500,6 +503,7 @@ def replace_start(config: dict[str, Any]) -> Any:
     return load_config(config).device.sim.model_copy(update={"start_m": (0.0, 0.0)})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("grip", GRIPS)
 @pytest.mark.parametrize("name", rest_slow(["wood", "delrin", "steel"]))
 def test_the_simulated_handle_feels_it(name: str, grip: str) -> None:

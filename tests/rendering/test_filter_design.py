@@ -156,6 +156,7 @@ def test_the_mean_agrees_with_its_closed_form(peak: float, mean: float, rate: fl
 fraction = st.floats(0, 0.5, exclude_min=True, exclude_max=True) | st.floats(-7, 0).map(lambda x: 0.499 * 10**x)
 
 
+@pytest.mark.long
 @settings(max_examples=50, deadline=None)
 @given(peak=fraction, mean=fraction, rate=st.sampled_from(RATES))
 def test_any_pair_gives_a_sound_filter_that_reports_itself(peak: float, mean: float, rate: float) -> None:
@@ -211,6 +212,7 @@ def test_met() -> None:
 stable = st.lists(st.floats(-0.95, 0.95), max_size=32)
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(reflection=st.lists(st.floats(-0.9, 0.9), max_size=10), ladder=st.booleans(), seed=st.integers(0, 999))
 def test_spectrum_is_that_of_the_lattice_in_time(reflection: list[float], ladder: bool, seed: int) -> None:
@@ -265,6 +267,7 @@ def exact_reflection(coefficients: Sequence[float]) -> list[float] | None:
     return found
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(
     pairs=st.lists(st.tuples(st.floats(0.05, 0.995), st.floats(0.01, 3.13)), max_size=16),

@@ -81,6 +81,7 @@ def ages(rate_hz: float, interval_s: float, age_s: float, frame_s: float, frames
     return times, source
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("interval", "age", "frame", "frames"),
     rest_slow(
@@ -183,6 +184,7 @@ def roots(stiffness: float, damping: float, dynamics: Dynamics, period_s: float,
     return float(np.abs(np.roots(np.polyadd(whole, np.polymul(numerator.ravel(), gain)))).max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delays", [0, 1, 4])
 def test_the_spectral_radius_is_that_of_the_transfer_function(delays: int) -> None:
     random = np.random.default_rng(delays)
@@ -233,6 +235,7 @@ def test_the_held_limit_is_where_the_radius_passes_one() -> None:
     assert roots(500.0 * factor * 1.002, 0.0, HANDLE, 1e-3, 1) > 1.0
 
 
+@pytest.mark.long
 def test_what_is_safe_is_linearly_stable() -> None:
     for index in range(60):
         trial = draw(np.random.default_rng((5, index)))
@@ -381,6 +384,7 @@ def crowd(random: np.random.Generator, count: int) -> dict[str, Any]:
     return objects
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("way", ["pairs", "whole"])
 def test_whatever_holds_a_point_at_once_is_within_a_set(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if way == "whole":

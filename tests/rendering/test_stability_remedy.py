@@ -74,6 +74,7 @@ def lowered(source: dict[str, Any], margin: Margin, part: float = 0.99) -> dict[
     return source | {"materials": materials}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seeds", [range(15), pytest.param(range(15, 120), marks=pytest.mark.slow)])
 def test_what_is_told_is_safe(seeds: range) -> None:
     told = 0

@@ -1,4 +1,4 @@
-"""Which of a test's many cases `make test` runs."""
+"""Which of a test's many cases `make test` and CI run."""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ from hapticd.sweeps.study import load_sweep
 from tests.support.marks import rest_slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("file", rest_slow(sorted(STUDIES.glob("*.yaml"))), ids=lambda file: file.stem)
 def test_a_study_of_the_bench_is_valid_and_has_its_points(file: Any) -> None:
     found = load_sweep(file)

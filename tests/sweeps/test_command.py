@@ -43,6 +43,7 @@ def ran(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     return code, printed.out, printed.err
 
 
+@pytest.mark.long
 def test_the_boundary_of_a_free_handle_is_that_of_colgate_and_schenkel(tmp_path: Path) -> None:
     """K = 2 b/T (Colgate and Schenkel 1997), for a wall without damping."""
     rates = [1000.0, 2500.0]

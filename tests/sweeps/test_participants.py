@@ -83,6 +83,7 @@ def test_rows_are_the_same_bits_from_threads_and_from_processes_and_more_are_onl
     assert CliRunner().invoke(cli, ["experiment", "analyze", str(tmp_path / "threads")]).exit_code == 0
 
 
+@pytest.mark.long
 def test_a_folder_that_was_not_finished_is_written_again_from_the_row(tmp_path: Path) -> None:
     file, root = study_file(tmp_path), tmp_path / "data"
     words = ["--offline", "--participant", "simulated:A", "--count", "2", "--threads", "-o", str(root)]
@@ -98,6 +99,7 @@ def test_a_folder_that_was_not_finished_is_written_again_from_the_row(tmp_path: 
     assert events.read_bytes() == expected and other.exists()
 
 
+@pytest.mark.long
 def test_a_folder_of_which_the_disk_may_know_nothing_is_written_again(tmp_path: Path) -> None:
     """After a loss of power: files are there, and may be empty, but the list of those on disk does not have them."""
     file, root = study_file(tmp_path), tmp_path / "data"
@@ -140,6 +142,7 @@ def test_a_participant_is_known_by_all_that_its_session_depends_on(change: dict[
     assert Participants(study_of(STUDY), 1, 1, LABELS[1:]).ids.tolist() == first.ids.tolist()[1:]
 
 
+@pytest.mark.long
 def test_a_row_counts_what_its_log_says() -> None:
     row = row_of(study_of(STUDY), LABELS[0], 1, 1)
     records = records_of(row)

@@ -33,6 +33,7 @@ def ran(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     return code, printed.out, printed.err
 
 
+@pytest.mark.long
 def test_figures_and_page_are_written_beside_the_table(
     folder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -121,6 +122,7 @@ def test_before_a_point_is_computed_nothing_is_drawn(
     assert code == 1 and "no point has been computed yet" in err and len(err.splitlines()) == 1
 
 
+@pytest.mark.long
 def test_a_study_whose_points_have_no_result_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Every point is a fault: a map of crosses, no traceback."""
     keys = {"vary": {RATE: [1000, 2000], STIFFNESS: [100, 200]}, "measure": [{"displayed_error": {"material": "m"}}]}

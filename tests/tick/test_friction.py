@@ -174,6 +174,7 @@ def test_pressed_less_it_slides_and_lifted_off_it_forgets() -> None:
     assert not again["contact_force_n"][:, 0].any()
 
 
+@pytest.mark.long
 def test_held_open_loop_for_an_hour_the_force_does_not_move() -> None:
     """3.6 million ticks at mu F_n - 1 %: bit for bit the same force; with a trembling hand the place stays, too."""
     rig = Rig({"floor": FLOOR}, rate_hz=1000, materials=MATERIALS)
@@ -251,6 +252,7 @@ def pulled(share: float, hand_n_per_m: float = 300.0) -> tuple[list[list[float]]
     return [[0, 0, 0.001], [1, 0, -deep], [2, 0, -deep], [8, along, -deep]], normal, pull
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("sim", "within"), [(EXACT, 1e-9), ({}, 0.06)], ids=["exact", "joystick"])
 def test_pulled_with_one_percent_less_it_stays_for_an_hour(sim: Mapping[str, object], within: float) -> None:
     """Simulated, 3.6 million ticks. The joystick's own dry friction of 0.05 N takes its part of the pull."""

@@ -371,6 +371,7 @@ def resting(grip: str, encoder_m: float, from_m: float, to_m: float) -> tuple[in
     return strikes, run.truth[30_000:, 0], float(run.samples["contact_force_n"][-1, 1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("encoder_m", [0.0, 20e-6])
 @pytest.mark.parametrize("grip", GRIPS)
 def test_a_hand_at_rest_is_struck_once_at_most(grip: str, encoder_m: float) -> None:

@@ -80,6 +80,7 @@ def same(one: Rig, other: Rig, path: Points, periods: npt.ArrayLike | None = Non
     return len(one.of(EventKind.CONTACT))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("at", [(0.0, 0.0), pytest.param((9.7, -9.9), marks=pytest.mark.slow)])
 def test_ten_thousand_objects_change_nothing_of_the_few_that_are_met(at: tuple[float, float]) -> None:
     """Twelve that overlap around the probe; 10,000 elsewhere, of all sizes, and walls in all directions."""

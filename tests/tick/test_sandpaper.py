@@ -521,6 +521,7 @@ def test_models_that_swing_every_20_samples_stay_within_6_times_their_rms() -> N
     assert np.mean(power) == pytest.approx(1, abs=0.02)
 
 
+@pytest.mark.long
 def test_a_material_that_becomes_another_every_20_ticks_stays_within_6_times_its_rms() -> None:
     """The ramp is 20 ticks, so that it is never at rest."""
     rng = np.random.default_rng(4)
@@ -645,6 +646,7 @@ def part(path: Stroke, start: int, stop: int) -> Stroke:
     return Stroke(path.position_m[start:stop], path.velocity_m_per_s[start:stop])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("texture", [SANDPAPER, autoregressive(MODELS)], ids=["stochastic", "autoregressive"])
 def test_updates_of_others_every_tick_do_not_touch_it(texture: dict[str, object]) -> None:
     """Objects, other sandpapers and fields come, change and go; noises get other places in the table."""

@@ -368,6 +368,7 @@ def test_friction_holds_what_it_can(force: float) -> None:
     assert joystick.v == pytest.approx(0.1 / 0.05 * 1e-3, rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_resting_handle_breaks_away_in_time() -> None:
     """The reference leaves at speed u: k u t + b_h u = c is when it moves."""
     u, c = 0.05, 0.37
@@ -791,6 +792,7 @@ def test_a_path_of_many_short_segments() -> None:
             assert fine.x == pytest.approx(coarse.x, abs=1e-5)
 
 
+@pytest.mark.long
 def test_nothing_decays_into_subnormal_numbers() -> None:
     for device in (
         Device(hand_stiffness_n_per_m=300, hand_damping_n_s_per_m=5, start_m=(0.01, -0.02)),

@@ -124,6 +124,7 @@ def test_estimate_is_the_middle_of_the_exact_set_of_a_window(
         assert width[newest, 0] <= (least[1] - least[0]) / 2 + 1e-6 * speed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("speed", rest_slow([0.004, 0.001, 0.02, 0.05]))
 def test_runs_of_equal_positions_lose_nothing(speed: float) -> None:
     # Of a run only the ends are kept, and a run may be cut within: so the set must lie between those of two
@@ -158,6 +159,7 @@ def test_error_at_constant_speed() -> None:
     assert np.max(errors) < 0.10
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("deceleration", rest_slow([3.0, 1.0, 10.0]))
 def test_deceleration_biases_little(deceleration: float) -> None:
     rng = np.random.default_rng(3)
@@ -298,6 +300,7 @@ def test_axes_are_independent_and_mirror_images_agree(seed: int) -> None:
     assert np.array_equal(-mirrored, velocity) and np.array_equal(mirrored_width, width)
 
 
+@pytest.mark.long
 def test_a_million_samples_do_not_drift() -> None:
     time, interval = regular(1_000_000)
     turns = np.abs((0.1 * time[:, None] + [0.0, 0.013]) % 0.2 - 0.1)  # a triangle, 0.1 m/s both ways
