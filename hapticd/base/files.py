@@ -6,17 +6,19 @@ no device, no pipe, no folder. A link stays, and its end is written.
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
-from itertools import chain, count
+from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO, Final
 
 from hapticd.base.errors import HapticdError
 
+_NO_HARD_LINKS: Final = frozenset((errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL))
 _NEW_FILE_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 _NOT_REGULAR: Final = {
     stat.S_IFBLK: "a block device",
@@ -107,12 +109,38 @@ def create(path: Path, mode: int = 0o666, buffering: int = -1) -> BinaryIO:
 def give_name(part: Path, target: Path, overwrite: bool) -> Path:
     """Renames a finished file to `target`; where it is: NAME-2.ENDING and so on where the name is taken, with
     `overwrite` by what is no regular file. Raises OSError; then `part` is as it was."""
-    place = target
-    if not overwrite or _not_regular(target) is not None:
-        numbered = (target.with_name(f"{target.stem}-{number}{target.suffix}") for number in count(2))
-        place = next(name for name in chain([target], numbered) if not os.path.lexists(name))
-    os.replace(part, place)
-    return place
+    for number in count(1):
+        place = target if number == 1 else target.with_name(f"{target.stem}-{number}{target.suffix}")
+        try:
+            _rename(part, place, overwrite and number == 1)
+            return place
+        except FileExistsError:
+            continue
+    raise AssertionError("count() has no end")
+
+
+def _rename(part: Path, place: Path, overwrite: bool) -> None:
+    """Raises FileExistsError where the name is taken, also since just now."""
+    if overwrite and _not_regular(place) is None:
+        os.replace(part, place)
+        return
+    try:
+        # A link is refused where the name is taken; a rename would replace what has it.
+        os.link(part, place, follow_symlinks=False)
+    except OSError as error:
+        if error.errno not in _NO_HARD_LINKS:
+            raise
+        # This file system has no hard links: an empty file holds the name for the rename.
+        create(place).close()
+        try:
+            os.replace(part, place)
+        except OSError:
+            place.unlink()
+            raise
+    else:
+        # The file has its name; that the hidden one stays does no harm, and whoever fails here must not undo the other.
+        with suppress(OSError):
+            part.unlink()
 
 
 def displaced(wanted: str | os.PathLike[str], place: str | os.PathLike[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from pathlib import Path
@@ -13,7 +14,13 @@ from hapticd.base.files import check_new, whole_file, write_whole
 from tests.support.special_files import KINDS, refused, special, untouched
 
 
-def test_a_name_that_is_taken_is_not_taken_over(tmp_path: Path) -> None:
+@pytest.mark.parametrize("links", [True, False])
+def test_a_name_that_is_taken_is_not_taken_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EPERM, "no hard links here")
+
+    if not links:
+        monkeypatch.setattr(os, "link", refuse)
     target = tmp_path / "a.yaml"
     write_whole(target, "1", overwrite=False)
     for number in (2, 3):
@@ -55,9 +62,18 @@ def test_what_is_no_regular_file_is_refused_and_left(tmp_path: Path, kind: str, 
             assert str(caught.value) == refused(place, kind)
 
 
+@pytest.mark.parametrize("links", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(tmp_path: Path, kind: str) -> None:
+def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, links: bool
+) -> None:
     """Also with `overwrite`, which is about that name alone."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EPERM, "no hard links here")
+
+    if not links:
+        monkeypatch.setattr(os, "link", refuse)
     for name in "ab":
         target, told = tmp_path / f"{name}.yaml", f"what was written is in {tmp_path}/{name}-3.yaml"
         with pytest.raises(HapticdError, match=told), whole_file(target, overwrite=True) as file:
