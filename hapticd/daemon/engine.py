@@ -171,7 +171,6 @@ class Engine:
         self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
         self._marks = Marks()
         self._changes: deque[Change] = deque(maxlen=CHANGES)
-        self._dropped = ffi.new("uint64_t *")
         self._touched = ffi.new("struct hd_touched[]", lib.HD_TOUCHED_MAX)
         settings = ffi.new("struct hd_servo_config *")
         settings.rate_hz = servo.rate_hz
@@ -610,7 +609,8 @@ class Engine:
                 yield self._changes.popleft()
 
     def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Moves samples into `room` (SAMPLE_DTYPE); how many, and the running total of those dropped."""
+        """Moves samples into `room` (SAMPLE_DTYPE); how many, and the running total of those dropped. For one
+        thread at a time, also beside one that reads events."""
         return self._read(lib.hd_servo_read_samples, "struct hd_sample[]", SAMPLE_DTYPE, room)
 
     def read_events(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
@@ -619,7 +619,7 @@ class Engine:
 
     def touching(self) -> list[str]:
         """The ids of what is touched, at most 1024, by the servo's own account: no event is needed for it. For the
-        thread that reads samples and events, after these."""
+        thread that reads samples, after these."""
         count = lib.hd_servo_read_touched(self._servo, self._touched)
         names = (self.name_of(record.slot, record.generation) for record in self._touched[0:count])
         return sorted(name for name in names if name is not None)
@@ -633,8 +633,9 @@ class Engine:
     ) -> tuple[int, int]:
         if room.dtype != dtype:
             raise ValueError(f"room for records of {dtype}, not {room.dtype}")
-        count = read(self._servo, pointer(ctype, room), len(room), self._dropped)
-        return int(count), int(self._dropped[0])
+        dropped = ffi.new("uint64_t *")  # its own: samples and events may be read at the same time
+        count = read(self._servo, pointer(ctype, room), len(room), dropped)
+        return int(count), int(dropped[0])
 
 
 def source_of(device: Device) -> Source:

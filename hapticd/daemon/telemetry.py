@@ -81,12 +81,15 @@ class Telemetry:
             rate_hz=lambda: engine.rate_hz,
         )
         self._samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
+        self._others = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
+        """Takes turns with `_samples`: those that are being sent stay as they are meanwhile."""
         self._events = records(EVENT_DTYPE, 1024)
         self._held = 0
         self._newest: npt.NDArray[np.void] | None = None
         self._dropped = 0
         self._reading = threading.Lock()
-        """Held while samples that are not sent yet, or the newest one, are used."""
+        """Held while samples are read, or the newest one is used; not while they are sent: a thread that serves
+        commands may wait for it."""
 
     def wake(self) -> None:
         """Ends the wait for the next message, so that `run` looks whether it is to stop. For any thread."""
@@ -181,13 +184,15 @@ class Telemetry:
 
     def _send_samples(self) -> None:
         with self._reading:
-            batch = self._samples[: self._held]
-            self._held = 0
-            if len(batch) and self._publisher.wants("samples"):
-                data = batch.view(np.uint8).data
-                self._publisher.publish("samples", _samples_head(int(batch["tick"][0]), self._dropped, len(data)), data)
-            if len(batch) and self._flight is not None:
-                self._flight.keep_samples(batch)
+            batch, dropped = self._samples[: self._held], self._dropped
+            if len(batch) == 0:
+                return
+            self._samples, self._others, self._held = self._others, self._samples, 0
+        if self._publisher.wants("samples"):
+            data = batch.view(np.uint8).data
+            self._publisher.publish("samples", _samples_head(int(batch["tick"][0]), dropped, len(data)), data)
+        if self._flight is not None:
+            self._flight.keep_samples(batch)
 
     def _send_changes(self) -> None:
         for change in self._engine.read_changes():
@@ -197,9 +202,12 @@ class Telemetry:
                 self._flight.keep_change(change)
 
     def _send_state(self) -> None:
+        if not self._publisher.wants("state"):
+            return
         with self._reading:
-            if self._newest is not None and self._publisher.wants("state"):
-                self._send("state", self._state(self._newest[0]))
+            state = None if self._newest is None else self._state(self._newest[0])
+        if state is not None:
+            self._send("state", state)
 
     def _state(self, sample: np.void) -> dict[str, object]:
         state = sample_map(sample)
