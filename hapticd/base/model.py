@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import islice
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, TypeVar, Union, cast, get_args, get_origin
 
@@ -151,22 +150,22 @@ def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
     return found
 
 
-def in_parts(
-    given: Mapping[str, object], size: int, parse: Callable[[dict[str, object]], Mapping[str, T]], where: Path
+def entry_by_entry(
+    given: Mapping[str, object], parse: Callable[[dict[str, object]], Mapping[str, T]], where: Path
 ) -> Steps[dict[str, T]]:
-    """What `parse` makes of a mapping, which stands at `where`: of `size` entries at a time, with a pause after each.
+    """What `parse` makes of a mapping, which stands at `where`: of one entry at a time, with a pause after each:
+    pydantic tells all faults of a call at once, and one entry alone may have thousands.
 
     Raises InvalidError with the faults of all; after MAX_FAULTS the rest is not read.
     """
     found: dict[str, T] = {}
     problems: list[Problem] = []
-    rest = iter(given.items())
-    while part := dict(islice(rest, size)):
+    for key, value in given.items():
         if len(problems) >= MAX_FAULTS:
             problems.append(Problem(path_text(where), "the rest was not looked at"))
             break
         try:
-            found |= parse(part)
+            found |= parse({key: value})
         except InvalidError as error:
             problems += error.problems
         yield
@@ -215,25 +214,32 @@ def plain(data: object) -> Json:
 
 
 _SCALARS: Final = frozenset({NoneType, bool, int, float, str})
+"""Asked of values before anything else is: waypoints and samples have hundreds of thousands."""
 
 
 def _plain(data: object, path: Path) -> object:
-    if type(data) in _SCALARS or isinstance(data, bool | int | float | str):
-        return data
-    if isinstance(data, list | tuple | Mapping) and len(path) == MAX_DEPTH:
-        raise _not_plain(path[:3], f"nested deeper than {MAX_DEPTH} levels")
     if isinstance(data, list | tuple):
-        return [_plain(value, (*path, index)) for index, value in enumerate(data)]
-    if isinstance(data, Mapping):
+        _check_depth(path)
+        return [value if type(value) in _SCALARS else _plain(value, (*path, index)) for index, value in enumerate(data)]
+    if data is None or isinstance(data, bool | int | float | str | Model):
+        return data
+    if isinstance(data, dict | Mapping):  # a dict is found much sooner than a Mapping is
+        _check_depth(path)
         for key in data:
             if not isinstance(key, str):
                 raise _not_plain(path, f"keys are strings, this one is {shown(key)}")
-        return {str(key): _plain(value, (*path, str(key))) for key, value in data.items()}
-    if isinstance(data, Model):
-        return data
+        return {
+            str(key): value if type(value) in _SCALARS else _plain(value, (*path, str(key)))
+            for key, value in data.items()
+        }
     if hasattr(data, "tolist"):
         return _plain(data.tolist(), path)
     raise _not_plain(path, f"is not plain data: {shown(data)}")
+
+
+def _check_depth(path: Path) -> None:
+    if len(path) == MAX_DEPTH:
+        raise _not_plain(path[:3], f"nested deeper than {MAX_DEPTH} levels")
 
 
 def _not_plain(path: Path, problem: str) -> InvalidError:

@@ -31,8 +31,8 @@ from hapticd.base.model import (
     Name,
     Stiffness,
     check_count,
+    entry_by_entry,
     faults_of,
-    in_parts,
     one_of_two,
     problems_of,
     refuse_many_keys,
@@ -381,7 +381,7 @@ def material_steps(data: object, root: Path = ()) -> Steps[dict[str, Material]]:
     if not isinstance(data, dict):
         return _parsed(data, root)
     check_count(data, MAX_MATERIALS, (*root, "materials"))
-    return (yield from in_parts(data, 1, lambda part: _parsed(part, root), (*root, "materials")))
+    return (yield from entry_by_entry(data, lambda part: _parsed(part, root), (*root, "materials")))
 
 
 def _parsed(data: object, root: Path) -> dict[str, Material]:

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from pydantic import ConfigDict, Field, Strict, ValidationError, model_validator
 
 from hapticd.base.errors import InvalidError, Problem, known_names, quoted
-from hapticd.base.model import Coordinate, Model, Name, faults_of, plain
+from hapticd.base.model import Coordinate, Model, Name, at_most, faults_of, plain
 from hapticd.base.yaml_source import MAX_BYTES, Document, Json, Marks, load_bytes, one_line, read_file, text_of
 from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.config.modes import given, one_of
@@ -166,7 +166,12 @@ class OperatorParams(Model):
 
     # Of many thousands that are faulty the first alone is reported: the rest would take seconds.
     waypoints: (
-        Annotated[tuple[Waypoint, ...], Strict(False), Field(min_length=1, max_length=MAX_WAYPOINTS, fail_fast=True)]
+        Annotated[
+            tuple[Waypoint, ...],
+            Strict(False),
+            Field(min_length=1, max_length=MAX_WAYPOINTS, fail_fast=True),
+            at_most(MAX_WAYPOINTS),
+        ]
         | None
     ) = Field(
         default=None,

@@ -14,7 +14,6 @@ from hapticd.base import arguments
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.base.model import (
     MAX_FAULTS,
-    MOST_KEYS,
     Damping,
     Model,
     Name,
@@ -22,8 +21,8 @@ from hapticd.base.model import (
     Stiffness,
     at_most,
     check_count,
+    entry_by_entry,
     faults_of,
-    in_parts,
     plain,
     problems_of,
     refuse_many_keys,
@@ -371,7 +370,7 @@ def validate_scene(data: object, root: Path = ()) -> Scene:
 
 
 def scene_steps(data: object, root: Path = ()) -> Steps[Scene]:
-    """As validate_scene, with a pause after each MOST_KEYS objects."""
+    """As validate_scene, with a pause after each object."""
     given = data.get("objects", {}) if isinstance(data, dict) else None
     if not isinstance(data, dict) or not isinstance(given, dict):
         return _parsed(data, root)
@@ -383,8 +382,8 @@ def scene_steps(data: object, root: Path = ()) -> Steps[Scene]:
     except InvalidError as error:
         problems += error.problems
     try:
-        objects = yield from in_parts(
-            given, MOST_KEYS, lambda part: _parsed({"objects": part}, root).objects, (*root, "objects")
+        objects = yield from entry_by_entry(
+            given, lambda part: _parsed({"objects": part}, root).objects, (*root, "objects")
         )
     except InvalidError as error:
         problems += error.problems

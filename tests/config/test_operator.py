@@ -137,7 +137,7 @@ def test_a_hopeless_list_is_not_answered_at_length() -> None:
     with pytest.raises(InvalidError) as error:
         parse_operator({"waypoints": [["x", "y", "z"]] * MAX_WAYPOINTS})
     assert len(error.value.problems) == 3
-    with pytest.raises(InvalidError, match="at most 100000 items"):
+    with pytest.raises(InvalidError, match="at most 100000 entries"):
         parse_operator({"waypoints": [[time_s, 0, 0] for time_s in [0] * (MAX_WAYPOINTS + 1)]})
 
 
