@@ -40,6 +40,8 @@ PASSIVITY_BRAKE: Final = 0.1
 
 _SAME_PERIOD: Final = 1e-6
 _NO_FIELD: Final = (0.0,) * 4
+_QUANTUM: Final = 1 << 1074
+"""Every double is a whole number of 1/_QUANTUM."""
 _Place: TypeAlias = tuple[float, float, float, float, float, float]
 _Owner: TypeAlias = tuple[int, int]
 """Slot and generation: what an event says of its object."""
@@ -85,6 +87,11 @@ def _field_of(item: SceneObject | None) -> _Field | None:
     return None
 
 
+def _quanta(value: float) -> int:
+    numerator, denominator = value.as_integer_ratio()
+    return numerator * (_QUANTUM // denominator)
+
+
 class Compiler:
     """Keeps the table of one scene up to date. One thread at a time, but for `name_of` and `events_read`."""
 
@@ -105,6 +112,8 @@ class Compiler:
         self._materials = Materials(output, effects)
         self._walls = PatchedWalls(self._materials)
         self._fields: dict[str, _Field] = {}
+        self._field_sums = [0, 0, 0, 0]
+        """In 1/_QUANTUM: exact however often fields come and go (docs/adr/0005), without asking the others."""
         self._changed: set[int] = set()
         self.touched: dict[int, None] = {}
         """The slots of surfaces that the last update put there, or of whose materials it changed one."""
@@ -250,7 +259,10 @@ class Compiler:
             before, field = self._fields.pop(id, None), _field_of(item)
             if field is not None:
                 self._fields[id] = field
-            fields_changed |= field != before
+            if field != before:
+                fields_changed = True
+                for place, (new, old) in enumerate(zip(field or _NO_FIELD, before or _NO_FIELD, strict=True)):
+                    self._field_sums[place] += _quanta(new) - _quanta(old)
         self._mark_made_of(self._materials.turn_to(materials))
         for id in ids:
             item = objects.get(id)
@@ -263,8 +275,7 @@ class Compiler:
             self._materials.write(table)
         if fields_changed:
             table.field_version = self._stamp
-            # Correctly rounded however often fields come and go (docs/adr/0005).
-            sums = [math.fsum(column) for column in zip(_NO_FIELD, *self._fields.values(), strict=True)]
+            sums = [total / _QUANTUM for total in self._field_sums]
             table.field.force_n = sums[:2]
             table.field.stiffness_n_per_m, table.field.damping_n_s_per_m = sums[2:]
         table.revision = revision
