@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import islice
 from typing import TypeAlias
 
 import yaml
@@ -39,6 +40,9 @@ _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _LONGEST_NUMBER = 400
 """Characters; what is longer is a text."""
+_TAG_DIRECTIVE = re.compile("(?:^|[\n\r\x85\u2028\u2029])%TAG")
+_MOST_TAG_DIRECTIVES = 16
+"""Looking for one more takes libyaml as long as there are many."""
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -153,6 +157,10 @@ def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.Bas
     bad = _UNPRINTABLE.search(text)
     if bad:
         raise _refusal(name, *_line_column(text[: bad.start()]), f"control character {quoted(bad.group())}")
+    tag = next(islice(_TAG_DIRECTIVE.finditer(text), _MOST_TAG_DIRECTIVES, None), None)
+    if tag:
+        where = _line_column(text[: tag.end() - len("%TAG")])
+        raise _refusal(name, *where, f"more than {_MOST_TAG_DIRECTIVES} %TAG directives; none is needed here")
     try:
         return _build(loader(text), name)
     except yaml.MarkedYAMLError as error:
