@@ -30,6 +30,7 @@ from hapticd.base.model import (
     Model,
     Name,
     Stiffness,
+    at_most,
     check_count,
     entry_by_entry,
     faults_of,
@@ -127,7 +128,13 @@ class Tap(AimedKeys):
         default=None, description="Amplitude per approach speed."
     )
     amplitudes: (
-        Annotated[tuple[TapPoint, ...], Strict(False), Field(min_length=1, max_length=MAX_TAP_POINTS)] | None
+        Annotated[
+            tuple[TapPoint, ...],
+            Strict(False),
+            Field(min_length=1, max_length=MAX_TAP_POINTS),
+            at_most(MAX_TAP_POINTS),
+        ]
+        | None
     ) = Field(default=None, description="Instead of the slope: [approach speed in m/s, amplitude in m/s^2], rising.")
     attack: Attack = Field(
         default="coefficient",
@@ -273,13 +280,14 @@ class FitVerdict(Model):
         tuple[Reason, ...],
         Strict(False),
         Field(max_length=MAX_REASONS),
+        at_most(MAX_REASONS),
     ] = Field(default=(), description="Why it is not good.")
 
 
 class Provenance(Model):
     """Where the figures of a material come from; nothing that is rendered."""
 
-    files: Annotated[tuple[ProvenanceFile, ...], Strict(False)] = Field(
+    files: Annotated[tuple[ProvenanceFile, ...], Strict(False), at_most(MAX_PROVENANCE_FILES)] = Field(
         min_length=1, max_length=MAX_PROVENANCE_FILES, description="The recordings."
     )
     date: Annotated[str, StringConstraints(pattern=r"^[0-9]{4}-[0-9]{2}-[0-9]{2}$"), AfterValidator(_a_day)] = Field(

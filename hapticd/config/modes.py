@@ -16,7 +16,7 @@ from typing import Annotated, Final, Literal, TypeAlias
 from pydantic import ConfigDict, Field, Strict
 from pydantic.config import JsonDict
 
-from hapticd.base.model import CheckedTogether, one_of_two
+from hapticd.base.model import CheckedTogether, at_most, one_of_two
 
 Attack: TypeAlias = Literal["coefficient", "first_peak"]
 Direction: TypeAlias = Literal["tangent", "normal"]
@@ -185,13 +185,13 @@ def around(points: Sequence[float], value: float) -> tuple[int, int, float]:
 class ModeTable(CheckedTogether):
     """Frequency and decay time of a tap over the approach speed."""
 
-    speeds_m_per_s: Annotated[tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False)] = Field(
-        min_length=1, max_length=MAX_POINTS, description="Approach speeds, rising."
+    speeds_m_per_s: Annotated[tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False), at_most(MAX_POINTS)] = (
+        Field(min_length=1, max_length=MAX_POINTS, description="Approach speeds, rising.")
     )
-    frequencies_hz: Annotated[tuple[Frequency, ...], Strict(False)] = Field(
+    frequencies_hz: Annotated[tuple[Frequency, ...], Strict(False), at_most(MAX_POINTS)] = Field(
         min_length=1, max_length=MAX_POINTS, description="A frequency for each speed."
     )
-    decay_times_s: Annotated[tuple[DecayTime, ...], Strict(False)] = Field(
+    decay_times_s: Annotated[tuple[DecayTime, ...], Strict(False), at_most(MAX_POINTS)] = Field(
         min_length=1, max_length=MAX_POINTS, description="A decay time for each speed."
     )
 

@@ -20,7 +20,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Final, Literal, Self, TypeAlias
+from typing import Annotated, Final, Literal, Self, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -220,11 +220,14 @@ class Operator:
         return gesture_waypoints(self.gesture, target, grip, reference_m)
 
 
-def parse_operator(data: Mapping[str, object]) -> Operator:
-    """An operator from the params of `set_operator` or any mapping, numpy arrays and tuples included.
+def operator_of(params: Mapping[str, object]) -> Operator:
+    """An operator from the params of `set_operator`. Raises InvalidError with every fault, of waypoints with that of
+    the first."""
+    return _parse(Document(cast(Json, params)))
 
-    Raises InvalidError with every fault.
-    """
+
+def parse_operator(data: Mapping[str, object]) -> Operator:
+    """As operator_of, from any mapping, numpy arrays and tuples included."""
     return _parse(Document(plain(data)))
 
 

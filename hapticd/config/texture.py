@@ -90,15 +90,24 @@ WITHOUT_MODE: Final[JsonDict] = {
 class FrequencyTable(CheckedTogether):
     """The frequency of a groove's strikes over tangential speed and normal force."""
 
-    speeds_m_per_s: Annotated[tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False)] = Field(
-        min_length=1, max_length=MAX_POINTS, description="Tangential speeds, rising."
+    speeds_m_per_s: Annotated[tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False), at_most(MAX_POINTS)] = (
+        Field(min_length=1, max_length=MAX_POINTS, description="Tangential speeds, rising.")
     )
-    forces_n: Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], Strict(False)] = Field(
+    forces_n: Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], Strict(False), at_most(MAX_POINTS)] = Field(
         min_length=1, max_length=MAX_POINTS, description="Normal forces, rising."
     )
     frequencies_hz: Annotated[
-        tuple[Annotated[tuple[Frequency, ...], Strict(False), Field(min_length=1, max_length=MAX_POINTS)], ...],
+        tuple[
+            Annotated[
+                tuple[Frequency, ...],
+                Strict(False),
+                Field(min_length=1, max_length=MAX_POINTS),
+                at_most(MAX_POINTS),
+            ],
+            ...,
+        ],
         Strict(False),
+        at_most(MAX_POINTS),
     ] = Field(min_length=1, max_length=MAX_POINTS, description="A list for each speed: a frequency for each force.")
 
     def cross_faults(self) -> list[str]:

@@ -24,7 +24,7 @@ from hapticd.base.model import MAX_FAULTS, Model, problems_of
 from hapticd.base.steps import Steps, finish
 from hapticd.config.configuration import Config
 from hapticd.config.materials import Materials
-from hapticd.config.operator import Target, parse_operator
+from hapticd.config.operator import Target, operator_of
 from hapticd.config.scene import (
     Scene,
     SceneObject,
@@ -488,7 +488,7 @@ class Methods:
                 Code.NO_OPERATOR,
                 f"set_operator moves the simulated joystick's hand; this device is of kind {engine.config.device.kind}",
             )
-        operator = parse_operator(params)
+        operator = operator_of(params)
         engine.beat()
         grip = grip_of(engine.config.device.sim)
         reference_m = self.streams.target_m or self._reference_m

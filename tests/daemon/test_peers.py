@@ -356,8 +356,8 @@ def test_who_has_most_connections_makes_room_for_another(path: Path, monkeypatch
     came = iter(owners)
 
     class Told(Peer):
-        def __init__(self, sock: socket.socket, uid: int, pid: int, bounds: zmtp.Bounds) -> None:
-            super().__init__(sock, *next(came), bounds)
+        def __init__(self, sock: socket.socket, uid: int, pid: int, parser: zmtp.Parser) -> None:
+            super().__init__(sock, *next(came), parser)
 
     monkeypatch.setattr(peers, "Peer", Told)
     made = Router(listening(path), replace(router.LIMITS, connections=10))

@@ -254,7 +254,7 @@ def validated(**texture: object) -> Material:
         (
             {"table": {"speeds_m_per_s": [0.01 * i for i in range(17)], "forces_n": [1], "frequencies_hz": [[1]] * 17}},
             ".frequency_table.speeds_m_per_s",
-            "at most 16 items",
+            "at most 16 entries",
         ),
     ],
 )

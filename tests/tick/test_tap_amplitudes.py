@@ -161,7 +161,7 @@ def test_a_table_stays_when_the_numbers_of_a_noise_grow_beside_it() -> None:
         ({"amplitudes": 5}, "m.tap.amplitudes: should be a list, is 5"),
         (
             {"amplitudes": [[0.001 * (i + 1), 1] for i in range(257)]},
-            "should have at most 256 items",
+            "must hold at most 256 entries, holds 257",
         ),
     ],
 )
