@@ -84,9 +84,27 @@ class Model(BaseModel):
             return super().model_validate(obj, **options)
 
     @classmethod
+    def model_validate_json(cls, json_data: str | bytes | bytearray, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate_json(json_data, **options)
+
+    @classmethod
+    def model_validate_strings(cls, obj: Any, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate_strings(obj, **options)
+
+    @classmethod
     def parsed(cls, data: object) -> Self:
         """For readers of documents, which report faults where they stand: raises ValidationError."""
         return super().model_validate(data)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise _fixed(name)
+
+    def __delattr__(self, name: str) -> None:
+        raise _fixed(name)
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: object) -> None:
@@ -130,6 +148,10 @@ def _invalid() -> Iterator[None]:
         yield
     except ValidationError as error:
         raise InvalidError(problems_of(error)) from None
+
+
+def _fixed(name: str) -> InvalidError:
+    return InvalidError([Problem(path_text((name,)), "cannot be changed: model_copy(update=...) makes another one")])
 
 
 def problems_of(error: ValidationError, root: Path = ()) -> list[Problem]:
