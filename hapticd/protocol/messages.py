@@ -327,8 +327,3 @@ def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
 def too_long(size: int) -> bytes:
     """The answer to a body of more than MAX_BODY bytes that nobody kept."""
     return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY))
-
-
-def close_envelope(delimited: bool, body: bytes) -> list[bytes]:
-    """The frames after the identity of an answer, in the form of the question."""
-    return [b"", body] if delimited else [body]

@@ -81,8 +81,3 @@ def read(body: bytes) -> Streamed | None:
         return None
     seq, middle, x, second, y = rest.unpack_from(body, begin)
     return Streamed(form.kind, seq, x, y) if middle == form.middle and second == _FLOAT else None
-
-
-def is_stream(body: bytes) -> bool:
-    """Whether a body begins as one that `write` gives: it is worth nothing once it is late."""
-    return body.startswith((_TARGET.head, _FORCE.head))

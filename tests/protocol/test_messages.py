@@ -380,8 +380,3 @@ def test_bodies_are_json_rpc() -> None:
 )
 def test_envelopes(frames: list[bytes], opened: tuple[bool, bytes | None]) -> None:
     assert messages.open_envelope(frames) == opened
-
-
-def test_the_reply_keeps_the_form() -> None:
-    assert messages.close_envelope(False, b"x") == [b"x"]
-    assert messages.close_envelope(True, b"x") == [b"", b"x"]
