@@ -230,6 +230,8 @@ class Methods:
         while (state := self._read_state()) is None:
             if monotonic_ns() >= until_ns:
                 raise MethodError(Code.WAIT_TIMED_OUT, f"no tick was rendered within {STATE_WAIT_S:g} s")
+            self._engine.beat()
+            self._engine.look_after()
             time.sleep(_LOOK_S)  # nothing tells when the first tick is over
         return state
 
