@@ -41,7 +41,7 @@ MISTAKES = {
         "left: {kind: box",
         "left: {kind: bx",
         "left: {kind: bx",
-        "tag 'bx' found",
+        "should be one of 'wall'",
     ),
     "unknown material among the levels": (
         PAIRS,

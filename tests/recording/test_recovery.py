@@ -106,7 +106,7 @@ def test_what_cannot_get_its_name_is_kept(tmp_path: Path, monkeypatch: pytest.Mo
         raise PermissionError(errno.EACCES, "Permission denied")
 
     target = tmp_path / "a run.npz"
-    monkeypatch.setattr(os, "replace", refuse)
+    monkeypatch.setattr(os, "link", refuse)
     with pytest.raises(HapticdError) as caught, RecordingWriter(target) as writer:
         writer.begin({"scene": {"objects": {}}}, {"notes": {}})
         writer.write(noisy(20_000, 0))
