@@ -55,6 +55,7 @@ def error_by_scipy(config: Config, strike: Strike) -> float:
     return float(np.linalg.norm(one - other) / np.linalg.norm(other))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("strike", [WOOD, STEEL], ids=["wood", "steel"])
 def test_the_simulated_handle(strike: Strike) -> None:
     config = config_of()
@@ -186,6 +187,7 @@ def recording_of(config: Config, played: Played, rate_hz: float, scale: float = 
     return Recording("felt.csv", 99.0 + time_s, scale * (np.interp(time_s, grid, acceleration) + hiss))
 
 
+@pytest.mark.long
 def test_a_recording_says_what_the_handle_did() -> None:
     """The strikes of a light grip, where the onset that fits best is the onset."""
     grip = {"mass_kg": 0.005, "stiffness_n_per_m": 20, "damping_n_s_per_m": 0.3}

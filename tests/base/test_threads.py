@@ -64,6 +64,7 @@ def test_a_daemon_without_threads_does_not_start_and_says_so(folder: Path, most:
     assert not (folder / "run" / "hapticd.command").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", [["status"], ["record", "a.npz"]])
 def test_a_client_without_threads_is_one_line(folder: Path, words: list[str]) -> None:
     done = limited(2, folder, *(str(folder / word) if "." in word else word for word in words))

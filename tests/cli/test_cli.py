@@ -231,6 +231,7 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert sum(1 for _ in csv.reader(file)) == 101
 
 
+@pytest.mark.long
 def test_simulate_without_a_file_prints_what_happened(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", "comb", "--for", "100ms"]) == 0
     assert re.fullmatch(r"comb: 1,000 ticks in 0\.100 s, .*, largest force .* m?N\n", capsys.readouterr().out)

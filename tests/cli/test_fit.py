@@ -436,6 +436,7 @@ class Checked(HTMLParser):
         assert self.open.pop() == tag
 
 
+@pytest.mark.long
 def test_a_page_holds_its_pictures_and_nothing_from_elsewhere() -> None:
     text = drawn("r.html", page()).decode()
     checked = Checked()
@@ -456,6 +457,7 @@ def test_a_page_holds_its_pictures_and_nothing_from_elsewhere() -> None:
         assert told in text
 
 
+@pytest.mark.long
 def test_a_picture_shows_all_panels() -> None:
     width, height = size_of(drawn("r.PNG", page()))
     assert min(width, height) > 800

@@ -133,6 +133,7 @@ def test_every_fault_is_named(params: Mapping[str, object], expected: list[tuple
     assert faults(error) == expected
 
 
+@pytest.mark.long
 def test_a_hopeless_list_is_not_answered_at_length() -> None:
     with pytest.raises(InvalidError) as error:
         parse_operator({"waypoints": [["x", "y", "z"]] * MAX_WAYPOINTS})
@@ -334,6 +335,7 @@ def test_a_gesture_beyond_the_end_of_a_surface(kind: str) -> None:
         gesture(replace(skin, half_m=0.005), kind="tap", speed_m_per_s=0.2, at_m=-0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("damping", [1.0, 3.0, 5.0, 2 * math.sqrt(300 * 0.05), 9.0, 20.0])
 def test_settling(damping: float) -> None:
     """Against a step-by-step integration of M e'' + b e' + k e = 0 with e(0) = 1, e'(0) = -b/M."""

@@ -321,6 +321,7 @@ def test_pieces() -> None:
     assert list(zip(*plain.stretches(), strict=True)) == [(-math.inf, "wood")]
 
 
+@pytest.mark.long
 @given(st.lists(st.integers(-1000, 1000), min_size=2, max_size=12, unique=True), st.randoms(use_true_random=False))
 def test_any_order_of_patches_gives_the_same_pieces(edges: list[int], random: Random) -> None:
     edges = sorted(edges)

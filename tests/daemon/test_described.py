@@ -83,6 +83,7 @@ def test_the_meta_schemas_are_those_that_were_published() -> None:
         assert hashlib.sha256(file.read_bytes()).hexdigest() in listed, file.name
 
 
+@pytest.mark.long
 def test_the_openrpc_document_is_one() -> None:
     meta, dialect = metaschema("openrpc.json"), metaschema("json-schema-tools.json")
     registry: Registry[Any] = Registry().with_resources(
@@ -211,6 +212,7 @@ def test_telemetry_is_as_described(sent: dict[str, list[Any]], topic: str) -> No
         assert [error.message for error in check.iter_errors(message)] == [], message
 
 
+@pytest.mark.long
 def test_every_kind_of_event_is_described() -> None:
     kinds = ASYNCAPI["components"]["messages"]["event"]["payload"]["oneOf"]
     assert [each["properties"]["event"]["const"] for each in kinds] == [kind.name.lower() for kind in EventKind]

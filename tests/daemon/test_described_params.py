@@ -211,6 +211,7 @@ def compare(daemon: Daemon, method: str, count: int) -> Counter[str]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_a_few_random_messages(daemon: Daemon, method: str) -> None:
     compare(daemon, method, 25)

@@ -254,6 +254,7 @@ def test_a_daemon_that_goes_away_ends_it_in_one_line(lsl: Any, tmp_path: Path) -
         assert told.splitlines()[-1] == "hapticd: the daemon stopped"
 
 
+@pytest.mark.long
 def test_without_a_daemon_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--runtime-dir", str(tmp_path), "lsl"]) == 1
     assert capsys.readouterr().err == f"hapticd: no daemon at {tmp_path}; start one with: hapticd run\n"

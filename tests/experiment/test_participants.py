@@ -278,6 +278,7 @@ def test_noise_and_criterion_are_set_by_the_soft_materials_of_table_2_alone() ->
     assert used.criterion == pytest.approx(found.x[1], abs=0.03)
 
 
+@pytest.mark.long
 def test_the_paper_s_order_is_that_of_the_model() -> None:
     """Soft pairs are told apart better than hard ones, in expectation over the noise.
 

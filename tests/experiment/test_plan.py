@@ -200,6 +200,7 @@ def test_a_difference_applied_is_the_other_document(old: Mapping[str, Any], new:
     assert found == new
 
 
+@pytest.mark.long
 def test_a_long_list_makes_each_stimulus_once() -> None:
     """10,000 listed trials of two levels, whichever are written: a cell each, and two stimuli in all of the plan."""
     document = yaml.safe_load(LISTED)

@@ -88,6 +88,7 @@ def test_rankings_from_the_hand_to_the_analysis(ranked: Path) -> None:
         assert agreement == pytest.approx(spread / most)
 
 
+@pytest.mark.long
 def test_simulated_participants_rank_by_what_they_feel(ranked: Path) -> None:
     """Wood is felt as softer than steel by nearly seven times the noise: it is never before it."""
     every = [each for rankings in _by_hand(ranked).values() for each in rankings]
@@ -176,6 +177,7 @@ def test_a_demo_at_the_terminal_has_no_hand(ranked: Path, tmp_path: Path) -> Non
     assert "--text has no hand for the simulated joystick of --demo" in result.output
 
 
+@pytest.mark.long
 def test_no_trial_begins_after_the_time_of_the_test(tmp_path: Path) -> None:
     """On the simulated hand's clock, on which a trial of three intervals takes several seconds."""
     study = tmp_path / "ranking.yaml"

@@ -123,6 +123,7 @@ def test_strikes_are_looked_for_again_with_the_mode_that_was_found() -> None:
     assert fit.decay_time_s.value == pytest.approx(0.008, rel=0.02)
 
 
+@pytest.mark.long
 def test_few_samples_in_a_cycle_are_told() -> None:
     recordings = [
         grooves(comb(), speed, force, Stylus(seed=k, rate_hz=1000.0), Hand(), 0.02)
@@ -137,6 +138,7 @@ def test_recordings_of_two_combs_are_refused() -> None:
         fit_grooves([*strokes(comb(), 1, duration_s=0.6)[:2], *strokes(comb(0.0025), 2, duration_s=0.6)[:1]])
 
 
+@pytest.mark.long
 def test_sandpaper_is_no_comb() -> None:
     noise = {"kind": "stochastic", "peak_hz": 160.0, "mean_hz": 210.0, "velocity_gain_per_s": 24.0}
     grit = validate_materials({"grit": {"stiffness_n_per_m": 800.0, "texture": noise}})["grit"]

@@ -195,6 +195,7 @@ def by_speed(recording: Recording) -> Recording:
     return dataclasses.replace(recording, speed_m_per_s=column, tangential_position_m=None)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "change", "place"),
     [

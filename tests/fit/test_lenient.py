@@ -97,6 +97,7 @@ BAD: Final = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "damage", "told"), rest_slow(BAD, fast=3))
 def test_a_bad_file_is_left_out_and_the_rest_fitted_as_without_it(
     kind: str, damage: object, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

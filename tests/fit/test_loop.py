@@ -51,6 +51,7 @@ def through_yaml(fit: TapFit, recording: Recording, table: bool) -> Material:
     return validate_materials(data["materials"])["m"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["wood", "acrylic", "delrin", "glass", "cast_iron"])
 def test_taps_come_back(name: str) -> None:
     truth = shipped_materials()[name]
@@ -66,6 +67,7 @@ def test_taps_come_back(name: str) -> None:
         assert fit.decay_time_s.value == pytest.approx(truth.tap.mode.decay_time_s, rel=0.01)
 
 
+@pytest.mark.long
 def test_a_table_comes_back() -> None:
     points = [[0.05, 30.0], [0.2, 60.0], [0.4, 70.0]]
     tap = {"amplitudes": points, "frequency_hz": 120.0, "decay_time_s": 0.008}

@@ -117,6 +117,7 @@ def test_glitches_of_the_force_are_no_puncture() -> None:
         fit_puncture([pressed(way_m, force, seed=seed) for seed in range(2)])
 
 
+@pytest.mark.long
 def test_a_force_that_stays_is_told() -> None:
     """A needle rubs in what it went through."""
     way_m = way((0, -0.002), (0.6, 0.016))
@@ -128,6 +129,7 @@ def test_a_force_that_stays_is_told() -> None:
     assert any("30 % of the force is left" in warning for warning in fit.warnings)
 
 
+@pytest.mark.long
 def test_a_soft_touch_is_told() -> None:
     way_m = way((0, -0.002), (0.6, 0.016))
     struck_s, deep = 0.007 / 0.03, np.maximum(way_m, 0)

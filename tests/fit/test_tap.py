@@ -343,6 +343,7 @@ def test_bounces_are_left_out() -> None:
     assert off(fit.slope_per_s, truth.slope_per_s) < 0.02
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pressed", [False, True])
 def test_weak_taps_soon_after_strong_ones_are_told_from_bounces_by_their_way(pressed: bool) -> None:
     speeds = np.array([0.4, 0.3, 0.2, 0.1, 0.05, 0.35, 0.12, 0.25, 0.15, 0.06])
@@ -452,6 +453,7 @@ def test_a_knock_with_other_modes_than_the_rest_is_left_out_and_told() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("bent", "kind"),
     [
@@ -513,6 +515,7 @@ def test_what_is_fitted_rendered_and_fitted_again_is_the_same(name: str) -> None
 # ---- A sensor that is known ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_a_sensor_answers_as_its_differential_equation_does(order: int) -> None:
     sensor = Sensor(filter_hz=3000, filter_order=order, mounting_hz=8000, mounting_damping=0.1)
@@ -618,6 +621,7 @@ def moving(hertz: Callable[[float], float], decay_s: Callable[[float], float]) -
     return files
 
 
+@pytest.mark.long
 def test_frequency_and_decay_that_follow_the_speed_are_a_table() -> None:
     fit = fit_tap(moving(lambda v: 200 * (1 + 0.3 * v), lambda v: 0.004 + 0.01 * v))
     assert fit.modes is not None and fit.verdict.startswith("good: ")
@@ -653,6 +657,7 @@ def test_a_long_rest_has_no_taps_in_its_noise() -> None:
     assert off(fit.slope_per_s, truth.slope_per_s) < 0.02
 
 
+@pytest.mark.long
 def test_the_second_mode_has_intervals_and_a_table() -> None:
     def other(since: Floats, mode: Mode) -> Floats:
         later = np.maximum(since, 0.0)
@@ -678,6 +683,7 @@ def test_the_second_mode_has_intervals_and_a_table() -> None:
         fit.material("first_peak", two_modes=True)
 
 
+@pytest.mark.long
 def test_the_table_is_of_the_lines_that_are_nearest() -> None:
     # A(v) of straight lines with a corner, on the table's own speeds: nothing is averaged away.
     speeds = np.repeat([0.1, 0.2, 0.3, 0.4], 3)
@@ -799,6 +805,7 @@ def test_what_is_missing_is_named() -> None:
     assert "2 taps are too few" in refused(made(speeds=np.array([0.1, 0.3]))[0])
 
 
+@pytest.mark.long
 def test_what_only_looks_like_taps_is_refused() -> None:
     recording, _ = made()
     assert "the force is 0 throughout" in refused(dataclasses.replace(recording, force_n=np.zeros(25_000)))

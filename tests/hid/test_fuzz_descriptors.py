@@ -40,6 +40,7 @@ def test_what_they_begin_from_is_driven() -> None:
     assert refused == [fuzz.DEVICES.index(fuzz.known.XBOX_ONE_S)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", [False, True])
 def test_the_command_says_what_the_driver_does(
     command: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -33,6 +33,7 @@ def staircase_error(mode: Mode, frame_s: float) -> float:
     return math.sqrt(min(left) / (wave(time_s) ** 2).sum())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "link_hz"), [("wood", 1000.0), ("wood", 250.0), ("delrin", 500.0), ("acrylic", 1000.0)]
 )
@@ -56,6 +57,7 @@ def test_without_a_link_little_is_left() -> None:
         assert found[1] < 0.01
 
 
+@pytest.mark.long
 def test_what_is_above_the_link_is_silent() -> None:
     for name, link_hz, silent in (("steel", 1000.0, True), ("wood", 250.0, False), ("acrylic", 250.0, True)):
         assert (link.struck_error(name, shipped_materials()[name], link_hz) is None) == silent

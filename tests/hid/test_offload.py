@@ -157,6 +157,7 @@ def test_extreme_modes_and_devices() -> None:
                 assert found is None or (0.0 <= found.error <= 1.0 + 1e-9 and found.duration_s <= LONGEST_S)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cycles_per_frame", [0.01, 0.067, 0.2, 0.39])
 def test_what_a_held_sine_is_off(cycles_per_frame: float) -> None:
     """Against a sine that is drawn and held, at the delay that suits it best."""

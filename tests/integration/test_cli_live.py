@@ -101,6 +101,7 @@ def test_the_runtime_directory_may_come_from_the_environment(
     assert "sim at 1 kHz" in capsys.readouterr().out
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("arguments", [["status"], ["scene", "get"], ["watch"], ["watch", "--json"]])
 def test_a_full_disk_ends_what_prints_in_one_line(daemon: Daemon, arguments: list[str]) -> None:
     words = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), *arguments]
@@ -125,6 +126,7 @@ def test_a_scene_goes_round(shell: Shell) -> None:
     assert "in force from tick" in shell("scene", "set", "scene.yaml", "--wait")
 
 
+@pytest.mark.long
 def test_the_standard_input_is_a_file(daemon: Daemon) -> None:
     with command(daemon, "scene", "set", "-", "--json") as process:
         out, err = process.communicate(SCENE, PATIENCE_S)
@@ -369,6 +371,7 @@ def test_record_csv(shell: Shell) -> None:
     assert Path("run.events.csv").exists()
 
 
+@pytest.mark.long
 def test_record_refuses_before_it_records(shell: Shell) -> None:
     assert "must end in .npz, .csv or .mcap" in shell.fails("record", "run.mat")
     assert "there is no folder no" in shell.fails("record", "no/run.npz")

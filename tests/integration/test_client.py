@@ -525,6 +525,7 @@ def test_the_blocking_client_may_be_used_while_an_event_loop_runs(fake: FakeDaem
     asyncio.run(cell())
 
 
+@pytest.mark.long
 def test_a_blocking_call_that_would_pause_is_a_defect() -> None:
     with pytest.raises(RuntimeError, match="has paused"):
         client_module.run(asyncio.sleep(0))

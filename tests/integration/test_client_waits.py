@@ -200,6 +200,7 @@ def test_the_newest_batch_is_newer_than_its_asking_and_warns_of_nothing(client: 
         assert second.lost == second.first_tick - (first.first_tick + len(first)) > 0
 
 
+@pytest.mark.long
 def test_asyncio_has_the_newest_too(daemon: Daemon) -> None:
     async def main() -> None:
         async with hapticd.aio.connect(daemon.directory, 60.0) as client:

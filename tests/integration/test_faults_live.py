@@ -129,6 +129,7 @@ def test_setting_the_clock_changes_nothing(tmp_path: Path, clocks: Clocks) -> No
         client.lease(0, lease)
 
 
+@pytest.mark.long
 def test_nothing_goes_by_the_time_of_day() -> None:
     """The daemon's own sources; what a library does with it is tested above. clock.py only tells it to recordings
     and to the logs of experiments' sessions."""
@@ -289,6 +290,7 @@ def test_reload_takes_scene_and_materials_and_keeps_what_is_open(tmp_path: Path)
         assert client.reload() == {"revision": before + 1, "margins": {}}  # nothing has changed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -363,6 +365,7 @@ def test_a_client_of_protocol_1_0_works(tmp_path: Path) -> None:
         assert FIRST["samples"].items() <= forms.items()
 
 
+@pytest.mark.long
 def test_events_have_the_members_that_a_client_of_protocol_1_0_reads() -> None:
     from hapticd.base.core import EVENT_DTYPE, EventKind, records
     from hapticd.protocol.events import event_map

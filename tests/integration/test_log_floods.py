@@ -60,6 +60,7 @@ def test_a_flood_is_a_line_a_second(daemon: Daemon, line: str) -> None:
         assert counted(told) <= times
 
 
+@pytest.mark.long
 def test_a_flood_of_files_is_a_line_a_second(daemon: Daemon) -> None:
     before = len(daemon.said().splitlines())
     with wired(daemon) as wire:

@@ -144,6 +144,7 @@ def test_materials_are_set_whole_and_others_stay(wire: Wire) -> None:
     wire.result("update_materials", materials={"soft": None, "hard": None})
 
 
+@pytest.mark.long
 def test_materials_and_scene_are_one_change(wire: Wire) -> None:
     revision = wire.result("get_scene")["revision"]
     answer = wire.result("apply", materials={"soft": SOFT}, scene={"objects": {"floor": WALL}}, wait=True)

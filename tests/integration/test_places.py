@@ -159,6 +159,7 @@ def test_waypoints_beyond_the_stops_are_told(wire: Wire) -> None:
     assert "warnings" not in wire.result("set_operator", waypoints=[[0, 0, 0.02]])
 
 
+@pytest.mark.long
 def test_commands_say_warnings_on_stderr_with_line_and_column(
     daemon: Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -149,6 +149,7 @@ def test_play_and_reset_answer_with_their_tick(wire: Wire) -> None:
     assert wire.result("reset")["tick"] >= second["tick"]
 
 
+@pytest.mark.long
 def test_ring_full_takes_nothing(wire: Wire) -> None:
     wire.result("set_scene", scene={"objects": {f"w{i}": {**FLOOR, "point_m": [0, -0.05]} for i in range(1000)}})
     assert "tick" in wire.result("reset", objects=[f"w{i}" for i in range(1000)])

@@ -535,6 +535,7 @@ def test_what_goes_wrong_in_a_block_is_what_is_told_and_the_recording_is_kept(da
     assert len(hapticd.load(tmp_path / "late-2.npz").samples) > 0
 
 
+@pytest.mark.long
 def test_a_block_of_asyncio_is_recorded(daemon: Daemon, tmp_path: Path) -> None:
     async def run() -> tuple[int, int]:
         async with hapticd.aio.connect(daemon.directory, timeout_s=PATIENCE_S) as client:

@@ -89,8 +89,9 @@ def test_a_force_is_felt_and_ends_when_none_comes(wire: Wire) -> None:
     before = counted(wire)
     last = led_to(wire, "force", 0.5, -0.25, lambda state: state["force_n"] == pytest.approx([0.5, -0.25]))
     assert "streamed" in wire.result("get_state")["flag_names"]
+    until(lambda: streams_of(wire)["force"]["seq"] == last)  # the force may be that of the message before
     status = streams_of(wire)["force"]
-    assert status["active"] and status["seq"] == last and 0 < status["tick"] <= wire.result("get_status")["tick"]
+    assert status["active"] and 0 < status["tick"] <= wire.result("get_status")["tick"]
     until(lambda: wire.result("get_state")["force_n"] == [0, 0])
     after = counted(wire)
     assert more(after, before, "received", "timeouts", "lost", "late", "held", "refused") == [last + 1, 1, 0, 0, 0, 0]
@@ -257,6 +258,7 @@ def test_the_client_of_asyncio_streams_with_and_without_await(daemon: Daemon, wi
     assert more(counted(wire), before, "received", "refused", "late", "lost") == [3, 0, 0, 0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("x", "y", "told"),
     [
@@ -347,6 +349,7 @@ def test_a_daemon_that_goes_away_is_told_and_the_next_one_is_streamed_to(tmp_pat
         assert second.stop() == 0
 
 
+@pytest.mark.long
 def test_a_question_that_went_to_a_daemon_that_is_gone_is_not_waited_for(tmp_path: Path) -> None:
     """Of two daemons, one after the other at the same place, the first took a message and did not answer it."""
 

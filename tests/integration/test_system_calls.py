@@ -121,6 +121,7 @@ def service(unit: str, ready: str, *words: str) -> Iterator[re.Match[str]]:
     assert code == 0, (said, rest)
 
 
+@pytest.mark.long
 def test_a_filter_refuses() -> None:
     """Or nothing below would say anything."""
     code = "import os\ntry: os.chroot('/')\nexcept PermissionError: print('refused')"

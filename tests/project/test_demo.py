@@ -197,6 +197,7 @@ def rendered(samples: npt.NDArray[np.void], events: npt.NDArray[np.void], time_s
     return Recorded(time_s, samples, maps, int(samples["time_ns"][0]), RATE)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(5))
 def test_passages_are_those_of_the_daemon_where_the_hand_bounces_and_periods_are_missed(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -102,6 +102,7 @@ def test_a_session_that_is_aborted_leaves_an_empty_screen(daemon: Daemon, tmp_pa
     assert screen.changes == ["cross", "disc", ""]
 
 
+@pytest.mark.long
 def test_it_ends_when_the_window_is_closed(daemon: Daemon) -> None:
     screen = Screen()
     with connect(daemon.directory) as client, client.events() as events:

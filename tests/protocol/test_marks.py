@@ -59,6 +59,7 @@ def flood(engine: Engine, path: object) -> None:
         engine.beat()
 
 
+@pytest.mark.long
 def test_no_mark_is_lost_where_other_events_are(engine: Engine) -> None:
     path = new_operator([[1000.0, 0.0, 0.0]], "linear")
     flood(engine, path)

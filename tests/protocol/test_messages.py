@@ -133,6 +133,7 @@ def test_what_is_encoded_is_decoded(tree: object) -> None:
     assert repr(messages.decode(codec.encode(tree))) == repr(tree)
 
 
+@pytest.mark.long
 @given(
     st.recursive(
         SCALARS | st.builds(msgpack.Timestamp, st.integers(-(2**63), 2**63 - 1), st.integers(0, 10**9 - 1)),

@@ -69,6 +69,7 @@ def test_what_a_killed_recording_left_is_recovered(tmp_path: Path, torn: bytes, 
     assert not recover(target).files and not recover(target).problems
 
 
+@pytest.mark.long
 def test_what_killed_recordings_left_gets_a_name_of_its_own(tmp_path: Path) -> None:
     target = tmp_path / "run[1].npz"
     for _ in range(2):

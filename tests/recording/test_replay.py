@@ -77,6 +77,7 @@ def strokes(seconds: float, seed: int = 1) -> np.ndarray:
     return np.column_stack([x, y])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scene", SCENES, ids=lambda path: path.stem)
 def test_every_shipped_scene_comes_out_bit_for_bit(tmp_path: Path, scene: Path) -> None:
     operator = re.search(r"\bOperator: (\w+\.yaml)\n", scene.read_text())

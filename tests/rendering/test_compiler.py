@@ -329,6 +329,7 @@ def test_shapes() -> None:
             assert corner == pytest.approx(complex(0.01, 0.02) + turned, abs=1e-15)
 
 
+@pytest.mark.long
 def test_pieces_say_what_a_wall_is_made_of_everywhere() -> None:
     """Against the patches themselves, at every place that is not in a ramp; and every ramp as wide as it may be."""
     rng = random.Random(3)

@@ -245,6 +245,7 @@ def test_grooves_sound_however_deep_they_are_stroked(close: float) -> None:
     assert struck == int(RADIUS * 2.9 / SPACING)
 
 
+@pytest.mark.long
 def test_through_the_whole_disc_no_material_makes_a_step() -> None:
     """A step of the force is of the order of the step of the probe, on every way: it halves with it."""
     for material in ("plain", "rough", "shaped", "both"):

@@ -36,6 +36,7 @@ def stiffness(p: npt.NDArray[np.float64], material: np.void, radius: float, anch
     return found
 
 
+@pytest.mark.long
 def test_no_place_of_a_disc_is_stiffer_than_it_is_said_to_be() -> None:
     """Random discs, random places up to 1 N deep, stuck within mu F_n: the form is nowhere above the bound."""
     rng = np.random.default_rng(3)

@@ -72,6 +72,7 @@ def test_a_constant_speed_is_rest() -> None:
     assert ends(lambda t: np.full(len(t), 0.1)).fate == "rests"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("stiffness", "fate"), [(3500.0, "rests"), (4050.0, "cycles"), (8000.0, "cycles")])
 def test_a_free_handle_rests_up_to_its_exact_limit_and_not_beyond(stiffness: float, fate: str) -> None:
     """0.04 kg with 0.2 N s/m at 10 kHz: of the exact sampled loop the radius passes 1 at 4,000.1 N/m."""

@@ -402,6 +402,7 @@ def test_white_noise_stays_white_and_equal_rates_change_nothing() -> None:
     assert resampled(model, 5e3, 5e3) == (model, 1.0, 0.0)
 
 
+@pytest.mark.long
 @settings(max_examples=40, deadline=None)
 @given(
     reflection=st.lists(st.floats(-0.99, 0.99), max_size=32),
@@ -443,6 +444,7 @@ def test_a_complete_grid_is_reproduced() -> None:
 places = st.tuples(st.floats(0, 1), st.floats(0, 5))
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(models=st.dictionaries(places, st.tuples(stable, st.floats(0, 100)), min_size=1, max_size=12))
 def test_scattered_models_are_met_and_the_rest_lies_between(

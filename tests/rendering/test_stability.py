@@ -159,6 +159,7 @@ def test_what_an_actuators_lag_adds(damping_ratio: float) -> None:
     assert Actuator(bandwidth_hz=300).shares() == pytest.approx((1, 1 / (600 * math.pi), 1 / (600 * math.pi)))
 
 
+@pytest.mark.long
 def test_a_slow_actuator_holds_less() -> None:
     """b > K (T/2 + 1/a): with 100 Hz a free handle of 0.2 N s/m holds 122 N/m, not 4000."""
     push = {"kind": "constant", "force_n": [0, -0.5]}
@@ -428,6 +429,7 @@ def test_nothing_that_is_called_safe_cycles_or_grows_and_what_grows_linearly_doe
     assert any(fate == "cycles" for _, fate in found.fates)
 
 
+@pytest.mark.long
 def test_walls_beyond_a_limit_cycle() -> None:
     """A free handle on a wall 1.5 times as stiff as is passive at 5 ticks of delay, and one 4 times as stiff as dry
     friction holds; each at half of it rests."""

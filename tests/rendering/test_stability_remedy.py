@@ -97,6 +97,7 @@ def test_what_is_told_is_safe(seeds: range) -> None:
     assert told > len(seeds) // 2
 
 
+@pytest.mark.long
 def test_a_little_more_than_what_is_told_is_not() -> None:
     for seed in range(0, 30, 3):
         source = drawn(seed)

@@ -67,6 +67,7 @@ def test_the_boundary_of_a_free_handle_is_that_of_colgate_and_schenkel(tmp_path:
     assert (found["boundary"] > 0.997 * expected).all() and (found["boundary_fails"] < 1.007 * expected).all()
 
 
+@pytest.mark.long
 def test_run_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = study(tmp_path, vary={"materials.m.stiffness_n_per_m": [100, 200, 400]}, title="Three walls")
     folder = str(tmp_path / "results")

@@ -37,6 +37,7 @@ def test_the_same_sum_means_the_same_document(one: Json, other: Json) -> None:
     assert (sum_of(one).tolist() == sum_of(other).tolist()) == same
 
 
+@pytest.mark.long
 @given(st.dictionaries(st.text(), SCALARS, min_size=2))
 def test_the_order_of_keys_does_not_count(data: dict[str, Json]) -> None:
     turned = dict(reversed(data.items()))

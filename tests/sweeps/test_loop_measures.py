@@ -115,6 +115,7 @@ def integrated(loop: WallLoop, reference: Any, speed: Any, start_m: float, times
     return found.y[0], np.array([pressed(y, v) for y, v in found.y.T])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "loop",
     rest_slow(

@@ -116,6 +116,7 @@ def test_a_folder_of_which_the_disk_may_know_nothing_is_written_again(tmp_path: 
     assert without_clock(log) == expected and len(known.read_text().split()) == 2
 
 
+@pytest.mark.long
 def test_another_session_in_the_place_of_one_is_refused_before_anything_is_computed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -188,6 +189,7 @@ def test_options_that_do_not_go_together(words: list[str], told: str, tmp_path: 
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.long
 def test_several_named_ones_may_be_side_by_side(tmp_path: Path) -> None:
     people = ["--participant", "simulated:A", "--participant", "simulated:B"]
     result = ran(study_file(tmp_path), "--offline", *people, "--threads", "-o", str(tmp_path / "data"))

@@ -57,6 +57,7 @@ def test_a_name_that_is_near_is_offered(capsys: pytest.CaptureFixture[str]) -> N
     assert "no shipped sweep; did you mean wall_stability?" in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("rate_hz", "hand"), [(1000.0, "let go"), (1000.0, "light hand")])
 def test_a_wall_below_the_line_rests_and_above_it_oscillates_with_the_handle_let_go(rate_hz: float, hand: str) -> None:
     """The line is 2 b/T, b 0.2 N s/m, T 1 ms: 400 N/m. A light hand holds ten times that."""

@@ -21,6 +21,7 @@ def version_of(copy: Path) -> str:
     ).stdout.strip()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("changed", ["rendering/offline.py", "shipped/materials/okamura1998.yaml", "_core.abi3.so"])
 def test_a_change_of_code_core_or_materials_is_another_version(changed: str, tmp_path: Path) -> None:
     copy = tmp_path / "hapticd"

@@ -78,6 +78,7 @@ def surfaces(angle: float, center: Sequence[float]) -> dict[str, dict[str, objec
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["wall", "box", "membrane", "membrane from below"])
 @pytest.mark.parametrize("degrees", [0.0, 90.0, 197.0])
 def test_spring_before_slip_and_mu_times_the_normal_force_while_sliding(kind: str, degrees: float) -> None:
@@ -132,6 +133,7 @@ def test_work_around_a_loop_is_that_of_the_hysteresis(amplitude: float) -> None:
     assert work == pytest.approx(expected, abs=SPRING * (amplitude / 10_000) ** 2)
 
 
+@pytest.mark.long
 def test_friction_on_a_disc_follows_the_arc_and_over_the_bottom() -> None:
     """Round the rim, several turns to and fro: the stop operator over the arc length, past the seam at the bottom.
 

@@ -281,6 +281,7 @@ def visits(s: Sequence[float], spacing: float) -> list[int]:
     return struck
 
 
+@pytest.mark.long
 @given(
     start=st.integers(-40, 40),
     steps=st.lists(st.one_of(st.integers(-5, 5), st.integers(-60, 60)), min_size=1, max_size=80),
@@ -699,6 +700,7 @@ PIECES = {
 STIFF = {"base": 800.0, "soft": 300.0, "hard": 1500.0}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PIECES)
 @pytest.mark.parametrize("grooved", [False, True])
 def test_patches_go_over_into_each_other_by_the_formula_without_a_step_or_work(name: str, grooved: bool) -> None:

@@ -219,6 +219,7 @@ def test_extreme_modes_stay_finite_bounded_and_end(omega: float, decay: float) -
     assert np.all(heard[since > 5 / decay] == 0.0)
 
 
+@pytest.mark.long
 def test_no_subnormals_after_the_last_tap() -> None:
     """Every number of the state's output is zero or normal, for a minute."""
     rig = Rig({"wall": FLOOR})

@@ -304,6 +304,7 @@ def test_a_minute_of_a_stroke_has_the_power_of_the_law(kind: str, rate: float) -
     assert worst < 0.02
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate", RATES)
 def test_shipped_sandpapers_over_speeds_and_forces(rate: float) -> None:
     """To and fro: the speed is what counts. A minute's estimate scatters by less than a quarter of the 2 %."""
@@ -550,6 +551,7 @@ def test_a_material_that_becomes_another_every_20_ticks_stays_within_6_times_its
 # ---- 5. models identified from recordings ----------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_models_shown_at_their_own_rate_are_the_models() -> None:
     """At each node: scipy's spectrum of the coefficients as they were given, and the power of the impulse response."""
     rig = rig_of(autoregressive(MODELS), RECORDED_HZ)
@@ -616,6 +618,7 @@ def test_between_nodes_level_and_filter_lie_between() -> None:
     assert low < between.peak_hz < high
 
 
+@pytest.mark.long
 def test_scattered_models_are_met_where_they_are_and_bound_the_rest() -> None:
     places = [(0.02, 0.3), (0.06, 2.2), (0.1, 0.9), (0.15, 3.0), (0.3, 1.4)]
     models = {place: (recorded(RECORDED_HZ, [(100 + 60 * i, 120)]), 0.1 * (1 + i)) for i, place in enumerate(places)}

@@ -184,6 +184,7 @@ HANDS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("period_s", [1e-4, 1e-3])
 @pytest.mark.parametrize("hand", HANDS)
 @pytest.mark.parametrize(
@@ -651,6 +652,7 @@ def coasted(changes: Sequence[tuple[Fraction, float]], ticks: int, mass_kg: floa
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("intervals", [1, 2, 5, 16])
 @pytest.mark.parametrize("interval", [Fraction(10), Fraction(1), Fraction(5, 2), Fraction(3, 2), Fraction(1, 4)])
 @pytest.mark.parametrize("pause", [1, 7, 60])

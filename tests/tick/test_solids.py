@@ -228,6 +228,7 @@ def test_nothing_tunnels_through_a_membrane(degrees: float) -> None:
     assert met > 8_000
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("radius", [0.00025, 0.001, 0.003])
 def test_nothing_tunnels_through_a_disc(radius: float) -> None:
     """A disc that was crossed pushes toward where it was entered, or was left again; never with more than its depth."""

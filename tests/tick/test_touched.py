@@ -104,6 +104,7 @@ def error_of(moved: Floats, mode: Mode, part: float) -> float:
 AT_TICK = 2.0**-20
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "before", "after"), [("wood", 0.20, 0.07), ("acrylic", 0.14, 0.08)])
 def test_the_wall_that_is_tapped_is_compensated_for(name: str, before: float, after: float) -> None:
     known = acceleration(tapped(rig_of(tap_of(name, 800)), AT_TICK), 800)
@@ -115,6 +116,7 @@ def test_the_wall_that_is_tapped_is_compensated_for(name: str, before: float, af
     assert error_of(free, mode_of(name), AT_TICK) < 0.03
 
 
+@pytest.mark.long
 def test_the_damping_of_the_wall_counts() -> None:
     for damper in (0.0, 5.0):
         moved = acceleration(tapped(rig_of(tap_of("wood", 800, damper)), AT_TICK), 800, damper)
@@ -123,6 +125,7 @@ def test_the_damping_of_the_wall_counts() -> None:
     assert error_of(ignored, mode_of("wood"), AT_TICK) > 0.07
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", METALS)
 def test_onsets_anywhere_between_two_ticks(name: str) -> None:
     """Metals were 11.5 to 16 % off over them."""
@@ -133,6 +136,7 @@ def test_onsets_anywhere_between_two_ticks(name: str) -> None:
     assert math.sqrt(np.mean(np.square(errors))) < 0.10
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("order", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_the_lag_of_the_actuator_is_compensated_for(order: int) -> None:
     """The paper's device, 1.6 kHz: its metals lie there."""
@@ -225,6 +229,7 @@ def test_forces_are_those_of_the_closed_loop() -> None:
 EXACT = {"coulomb_friction_n": 0, "encoder_step_m": 0, "force_step_n": 0, "max_force_n": 100}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["wood", "delrin"])
 def test_friction_that_holds_the_probe_is_compensated_for(name: str) -> None:
     """A tap that vibrates along the surface, where the probe does not slide: friction's spring acts on the handle."""

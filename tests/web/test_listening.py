@@ -97,6 +97,7 @@ def test_secrets_that_others_may_read_or_change_are_refused(name: str, mode: int
         path.chmod(before)
 
 
+@pytest.mark.long
 def test_a_password_file_is_for_its_owner_alone_and_holds_no_password(tmp_path: Path) -> None:
     path = tmp_path / "password"
     write_password(str(path), "rosewood comb")
@@ -143,6 +144,7 @@ def test_names_that_are_none() -> None:
     assert "--host a b:" in refused("a b", None, None, None)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_password_goes_to_nothing_but_a_new_file(kind: str, tmp_path: Path) -> None:
     special(tmp_path / "password", kind)
