@@ -252,15 +252,13 @@ class ContactSets:
         else:
             sums, self._members = (base[None] if self.fields else np.zeros((0, _COLUMNS))), lambda place: ()
         self._sums = sums
-        timing = loop.timing
         self.stiffness_n_per_m = _largest(sums[:, :3])
         """(n,), of each set."""
         self.damping_n_s_per_m = _largest(sums[:, 3:6])
         """(n,), of each set."""
-        holds = timing.reach_s / timing.period_s - 0.5
         self._passive, self._silent = limits(
             self.stiffness_n_per_m + loop.lag * sums[:, 10],
-            self.damping_n_s_per_m + holds * sums[:, 11],
+            self.damping_n_s_per_m + loop.late_periods * sums[:, 11],
             sums[:, 6:8].max(axis=1, initial=0.0),
             sums[:, 8:10].max(axis=1, initial=0.0) + 0.5 * loop.force_step_n,
             loop,

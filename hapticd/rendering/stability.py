@@ -201,6 +201,11 @@ class Loop:
         """How much of reach_s is delay rather than hold, 0 to 1."""
         return max(0.0, 1.0 - 0.5 * self.timing.period_s / self.timing.reach_s)
 
+    @property
+    def late_periods(self) -> float:
+        """How many periods reach_s has beyond the half period of a hold."""
+        return self.timing.reach_s / self.timing.period_s - 0.5
+
     def let_go(self) -> Loop:
         """The same without a hand."""
         handle = replace(self.dynamics, grip_mass_kg=0.0, grip_damping_n_s_per_m=0.0, grip_stiffness_n_per_m=0.0)

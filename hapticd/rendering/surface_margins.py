@@ -13,14 +13,15 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from hapticd.base.core import Shape, Texture
+from hapticd.base.core import Shape
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.stability import CORNER, Loop, limits
-from hapticd.rendering.surface_properties import properties_of
+from hapticd.rendering.surface_properties import depends_on_radius, properties_of
 from hapticd.rendering.surface_table import SurfaceTable
 
 _Make: TypeAlias = tuple[int, int, float]
-"""Material, first piece (-1: no patches) and, where it matters, the radius: what it is made of, wherever it is."""
+"""What a surface is made of, wherever it is: material, first piece (-1: no patches) and, where it matters, the
+radius."""
 _PLANES: Final = frozenset((int(Shape.WALL), int(Shape.MEMBRANE)))
 _DISC: Final = int(Shape.DISC)
 _WORST_SIDE: Final = math.sqrt(0.5 * CORNER)
@@ -33,10 +34,13 @@ class _Made(NamedTuple):
     passive: float
     """Factor up to which it is passive."""
     along_n: float
-    """Noise along the normal and along the surface that grows with the stiffness, and that which does not."""
+    """Noise along the normal that grows with the stiffness."""
     across_n: float
+    """Noise along the surface that grows with the stiffness."""
     still_along_n: float
+    """Noise along the normal that does not grow with the stiffness."""
     still_across_n: float
+    """Noise along the surface that does not grow with the stiffness."""
 
 
 class SurfaceMargins:
@@ -48,19 +52,20 @@ class SurfaceMargins:
         self._version: int | None = None
         self._made: dict[_Make, _Made | None] = {}
         """None: it does not push."""
-        self._bends: list[bool] = []
-        """By material: discs of it are stiffer the smaller they are."""
+        self._depends_on_radius: list[bool] = []
+        """By material: whether the radius of a disc of it matters."""
 
     def of(self, compiler: Compiler, slots: Collection[int]) -> list[float]:
-        """Those of the surfaces at these slots; infinite where nothing limits it, 0 where no stiffness would do."""
+        """The margins of the surfaces at these slots; infinite where nothing limits the stiffness, 0 where no stiffness
+        would do."""
         if compiler.parts_version != self._version:
             self._forget(compiler)
-        made, bends = self._made, self._bends
+        made, depends = self._made, self._depends_on_radius
         faces: list[tuple[_Make, float, float]] = []
         lacking: dict[_Make, int] = {}
         for slot, record in zip(slots, compiler.records_of(slots), strict=True):
             _, _, _, shape, material, first, count, _, _, _, x, y, half_m, _ = record
-            make = (material, first if count else -1, half_m if shape == _DISC and bends[material] else 0.0)
+            make = (material, first if count else -1, half_m if shape == _DISC and depends[material] else 0.0)
             if make not in made:
                 lacking[make] = slot
             # What may be met from any side counts as its worst one.
@@ -84,21 +89,19 @@ class SurfaceMargins:
         return margins
 
     def _forget(self, compiler: Compiler) -> None:
-        """Materials or pieces are others."""
-        materials = compiler.surfaces().materials
-        bends = (materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY)
-        self._version, self._bends = compiler.parts_version, bends.tolist()
+        """Gives up what was found of materials and pieces, which are others now."""
+        self._depends_on_radius = depends_on_radius(compiler.surfaces().materials).tolist()
+        self._version = compiler.parts_version
         self._made.clear()
 
     def _find(self, surfaces: SurfaceTable, lacking: dict[_Make, int]) -> None:
         """Finds what surfaces of these makes have in common, of a slot each."""
         loop = self.loop
         found = properties_of(surfaces.of(np.fromiter(lacking.values(), np.int64, len(lacking))))
-        holds = loop.timing.reach_s / loop.timing.period_s - 0.5
         none = np.zeros(len(lacking))
         passive, _ = limits(
             np.maximum(found.normal, found.tangent) + 0.5 * loop.lag * found.rubbed,
-            np.maximum(found.damping, found.drag) + 2.0 * holds * found.rubbed_damping,
+            np.maximum(found.damping, found.drag) + 2.0 * loop.late_periods * found.rubbed_damping,
             none,
             none,
             loop,

@@ -22,15 +22,21 @@ class SurfaceProperties(NamedTuple):
     tangent: Floats
     """Stiffness along the surface."""
     damping: Floats
+    """Damping along the normal."""
     drag: Floats
+    """Damping along the surface."""
     rubbed: Floats
-    """mu K and mu D: what friction follows the normal force with."""
+    """mu K, with which friction follows the normal force."""
     rubbed_damping: Floats
+    """mu D, likewise."""
     normal_noise: Floats
-    """Force along the normal for each metre that a position is off, along the tangent, and for each m/s."""
+    """Force along the normal for each metre that a position is off."""
     tangent_noise: Floats
+    """Force along the tangent for each metre that a position is off."""
     normal_speed_noise: Floats
+    """Force along the normal for each m/s that a speed is off."""
     tangent_speed_noise: Floats
+    """Force along the tangent for each m/s that a speed is off."""
 
     def of(self, rows: npt.NDArray[np.integer]) -> SurfaceProperties:
         """Those at these places."""
@@ -66,11 +72,15 @@ def _material_properties(materials: npt.NDArray[np.void]) -> SurfaceProperties:
     )
 
 
+def depends_on_radius(materials: npt.NDArray[np.void]) -> npt.NDArray[np.bool_]:
+    """Whether a disc of each of these materials, (n,) of MATERIAL_DTYPE, is the stiffer the smaller it is."""
+    return np.asarray((materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY))
+
+
 def _round(surfaces: SurfaceTable, properties: SurfaceProperties) -> None:
-    """Puts in what discs are where they have friction or shaped grooves."""
+    """Puts in what discs are that have friction or shaped grooves."""
     materials = surfaces.materials[surfaces.objects["material"]]
-    depends = (materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY)
-    discs = np.flatnonzero((surfaces.objects["shape"] == Shape.DISC) & depends)
+    discs = np.flatnonzero((surfaces.objects["shape"] == Shape.DISC) & depends_on_radius(materials))
     if len(discs) == 0:
         return
     found = round_properties(surfaces.objects["half_m"][discs, 0], materials[discs], PRESS_N)
