@@ -235,7 +235,7 @@ class _Band:
     ) -> None:
         """`attacked`: onsets are anywhere between two ticks, and kicks too."""
         grid = self._grid = _grid(mode, rate_hz)
-        self._met = mode, dynamics, load
+        self._made_for = mode, dynamics, load
         self._pole = pole_of(mode)
         response = grid.response(dynamics, load)
         self._parts = _ONSETS if attacked else _ONSETS[:1]
@@ -286,18 +286,24 @@ class _Band:
             gains, peak = factor * gains, LARGEST
         return Shape(mode, tail, peak, peak_time_s, self.error(self.columns(poles), gains), limited)
 
-    def alone(self) -> tuple[Shape, Shape]:
-        """The mode's pole alone: what makes up for hold and actuator, and C."""
-        mode, dynamics, load = self._met
+    def alone(self, gain: complex) -> Shape:
+        """The mode's pole alone, with this gain."""
+        return self.shape([self._pole], np.array([gain.real, gain.imag]))
+
+    def by_hold_gain(self) -> Shape:
+        """The mode's pole alone, with the gain that makes up for hold and actuator."""
+        _, _, load = self._made_for
         lag = complex(load.lag(np.array([self._pole], np.complex128))[0])
-        period_s = self._grid.period_s
-        gains = (hold_gain(self._pole, period_s) / lag, pole_gain(mode, dynamics, period_s, load))
-        held, whole = (self.shape([self._pole], np.array([gain.real, gain.imag])) for gain in gains)
-        return held, whole
+        return self.alone(hold_gain(self._pole, self._grid.period_s) / lag)
+
+    def by_pole_gain(self) -> Shape:
+        """The mode's pole alone, with the gain C."""
+        mode, dynamics, load = self._made_for
+        return self.alone(pole_gain(mode, dynamics, self._grid.period_s, load))
 
     def plain(self) -> Shape:
         """Of the mode's pole alone, what leaves less."""
-        return min(self.alone(), key=lambda shape: shape.error)
+        return min(self.by_hold_gain(), self.by_pole_gain(), key=lambda shape: shape.error)
 
     def tailed(self, tail: complex) -> Shape:
         """Gain and tail together, by least squares."""
@@ -372,7 +378,7 @@ def _tails(mode: Mode, rate_hz: float) -> list[complex]:
 
 def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, load: Load = NOTHING) -> Shape:
     """The mode's pole alone, with this gain in units of (m + m_h)."""
-    return _Band(mode, dynamics, rate_hz, load).shape([pole_of(mode)], np.array([gain.real, gain.imag]))
+    return _Band(mode, dynamics, rate_hz, load).alone(gain)
 
 
 def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NOTHING) -> complex:
@@ -398,7 +404,7 @@ def shape_of(
     Deterministic. `full` takes a few milliseconds, once.
     """
     if compensation == "mass":
-        return _Band(mode, dynamics, rate_hz, load).alone()[0]
+        return _Band(mode, dynamics, rate_hz, load).by_hold_gain()
     tails = _tails(mode, rate_hz)
     long = 1 / mode.decay_rate_per_s >= 2 * KICKS / rate_hz / _TIME_CONSTANTS
     attacked = long and mode.frequency_hz >= KICKED * rate_hz
@@ -454,11 +460,11 @@ def tuned_shapes(
     tails = _tails(modes[len(modes) // 2], rate_hz)
     loads = (load, load.free) if own else (load.free, load)
     first, second = ([_Band(mode, dynamics, rate_hz, each, tails) for mode in modes] for each in loads)
-    # Each of two tails, what makes up for hold and actuator, and C.
+    # Each of two tails, or none.
     ways: list[Callable[[_Band], Shape]] = [
         *(partial(_Band.tailed, tail=tail) for tail in tails),
-        lambda band: band.alone()[0],
-        lambda band: band.alone()[1],
+        _Band.by_hold_gain,
+        _Band.by_pole_gain,
     ]
     found = [[way(band) for band in first] for way in ways]
     errors = [sum(shape.error for shape in shapes) / len(modes) for shapes in found]
