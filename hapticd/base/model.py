@@ -175,8 +175,8 @@ def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
 def entry_by_entry(
     given: Mapping[str, object], parse: Callable[[dict[str, object]], Mapping[str, T]], where: Path
 ) -> Steps[dict[str, T]]:
-    """What `parse` makes of a mapping, which stands at `where`: of one entry at a time, with a pause after each:
-    pydantic tells all faults of a call at once, and one entry alone may have thousands.
+    """What `parse` makes of a mapping, which stands at `where`. It is given one entry at a time, with a pause after
+    each: pydantic tells all faults of a call at once, and one entry alone may have thousands.
 
     Raises InvalidError with the faults of all; after MAX_FAULTS the rest is not read.
     """
@@ -299,7 +299,7 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
 
 
 def _meant(value: object) -> str:
-    """What an editor or a country makes of a number or of quotes."""
+    """What is probably wrong with a text: a number with a comma, quotes that an editor has curled."""
     if isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
         return "; decimals have a point, not a comma"
     if isinstance(value, str) and value[:1] in tuple("\u201c\u201d\u2018\u2019"):

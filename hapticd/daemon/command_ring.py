@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 WAIT_S: Final = 1.0
 """How long a command waits for the servo to take it."""
+_MOST_PLAYS: Final = 4096
+"""So many are remembered, no less than the ring holds."""
 LOOK_EVERY_NS: Final = 50_000_000
 """So often the thread that serves commands looks whether the servo needs something."""
 
@@ -32,10 +34,6 @@ class RingFullError(HapticdError):
 
 class WaitTimeoutError(HapticdError):
     """The servo did not take a command or a revision in time."""
-
-
-_MOST_PLAYS: Final = 4096
-"""No less than the ring holds."""
 
 
 class Play(NamedTuple):
@@ -61,7 +59,7 @@ class CommandRing:
         self._servo, self._look_after = servo, look_after
         self._sequence = ffi.new("uint64_t *")
         self._plays: deque[tuple[int, Play]] = deque(maxlen=_MOST_PLAYS)
-        """The numbers of the commands that strike them."""
+        """Sent and not known to be struck: each with the number of its command."""
 
     def new(self, kind: CommandKind, revision: int) -> CData:
         """A `struct hd_command *` for this revision of the scene or a later one."""

@@ -31,13 +31,13 @@ from hapticd.system.repeated_lines import Repeats
 MOST_WAITING: Final = 64
 """Changes that wait for their turn."""
 MOST_WAITING_BYTES: Final = 2 * messages.MAX_BODY
-"""Of their bodies."""
+"""Of the bodies of the changes that wait."""
 SLICE_NS: Final = 5_000_000
 """So long a change goes on before other requests are looked at, and until the step is over that is under way then."""
 BEAT_EVERY_S: Final = 0.1
-"""At the least."""
+"""The servo hears at least so often that commands are served."""
 LOOK_EVERY_S: Final = 0.02
-"""At the most: while requests come faster, so long passes until a change goes on, and until anything else is done."""
+"""While requests come faster, so long passes until a change goes on, and until anything else is done."""
 
 _log = logging.getLogger("hapticd.server")
 

@@ -434,8 +434,8 @@ class Engine:
         return self._offload.outcomes(materials_in(self.scene.objects, self.materials))
 
     def margins(self, touched: bool = False) -> dict[str, float | None] | None:
-        """How many times as stiff each surface could be by itself, by id (None: any stiffness would do); `touched`: of
-        those that the last change brought or changed. None: mass and damping of the handle are not known."""
+        """How many times as stiff each surface could be by itself, by id (None: any stiffness would do); with `touched`
+        only of those that the last change brought or changed. None: mass and damping of the handle are not known."""
         if self._margins is None:
             return None
         slots = list(self._compiler.touched if touched else self._compiler.slots())

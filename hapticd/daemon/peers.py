@@ -131,7 +131,7 @@ class Peers:
         """The same by user, process and descriptor."""
         self._opening: dict[int, Peer] = {}
         """Those whose handshake is not over, the oldest first."""
-        self._turns: Turns = Turns()
+        self._turns = Turns()
         self._held = 0
         self._woken = False
         self._idle = True

@@ -103,7 +103,7 @@ class Compiler:
         self._owners: list[tuple[int, str] | None] = []
         """Generation and id, by slot."""
         self._lost: dict[str, _Owner] = {}
-        """What ids had and lost at the last update."""
+        """Slot and generation of what ids lost at the last update."""
         self._retired: dict[_Owner, str] = {}
         """Ids of what is gone: the events of its last ticks are read a moment later and speak of it."""
         self._retiring: deque[tuple[int, list[_Owner]]] = deque()
@@ -155,7 +155,7 @@ class Compiler:
         return int(self._table.parts_version)
 
     def slots(self) -> Iterable[int]:
-        """Those of all surfaces."""
+        """The slots of all surfaces."""
         return self._slots.values()
 
     def names_of(self, slots: Iterable[int]) -> list[str]:
