@@ -305,6 +305,11 @@ class Scene(Model):
             raise ValueError(f"objects {fault}")
         return self
 
+    def changed_since(self, before: "Scene") -> list[str]:
+        """Ids of the objects that are not those of the scene before, and of those that are gone."""
+        old, new = before.objects, self.objects
+        return [id for id, item in new.items() if old.get(id) != item] + [id for id in old if id not in new]
+
     def with_objects(self, changes: Mapping[str, SceneObject | None]) -> "Scene":
         """This scene with some objects added or replaced, and those given as None removed.
 

@@ -360,10 +360,7 @@ class Engine:
         if scene is before.scene and materials is before.materials:
             self._compiler.touched.clear()
             return before.revision
-        if changed is None:
-            old, new = before.scene.objects, scene.objects
-            changed = [id for id, item in new.items() if old.get(id) != item] + [id for id in old if id not in new]
-        changed = tuple(changed)
+        changed = tuple(scene.changed_since(before.scene) if changed is None else changed)
         revision = (before.revision + 1) & 0xFFFFFFFF
         self._publish(scene, changed, materials, revision)
         self._changes.append(revised(revision, before.scene, scene, changed, before.materials, materials))

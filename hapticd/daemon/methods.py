@@ -360,9 +360,9 @@ class Methods:
             fixed = needing_restart(engine.config, config)
             if fixed:
                 raise InvalidError(fixed)
-            old, new = engine.scene.objects, config.scene.objects
-            used = used_materials(new.values())
-            proposed = _Proposed(config.scene, config.materials, new, ("scene", "objects"), used, changed=None)
+            objects, others = config.scene.objects, config.scene.changed_since(engine.scene)
+            used = used_materials(objects.values())
+            proposed = _Proposed(config.scene, config.materials, objects, ("scene", "objects"), used, others)
             if config.scene == engine.scene and config.materials == engine.materials:
                 # The objects in force stay: nothing of them is compiled again.
                 proposed = proposed._replace(scene=engine.scene, materials=engine.materials)
@@ -373,8 +373,8 @@ class Methods:
             self._tell(logging.ERROR, f"not reloaded: {error}")
             problems = error.problems if isinstance(error, InvalidError) else (Problem("", str(error)),)
             raise InvalidError(problems) from None
-        count = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
-        self._tell(logging.INFO, f"reloaded: revision {changed.revision}, {wording.count(count, 'object')} changed")
+        count = wording.count(len(others), "object")
+        self._tell(logging.INFO, f"reloaded: revision {changed.revision}, {count} changed")
         return changed
 
     def _tell(self, level: int, line: str) -> None:
