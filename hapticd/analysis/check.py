@@ -14,7 +14,7 @@ from hapticd.base.errors import HapticdError, Problem, path_text
 from hapticd.base.lattice import reflection_of
 from hapticd.config.configuration import Config
 from hapticd.config.materials import Material
-from hapticd.config.scene import Disc, field_ids
+from hapticd.config.scene import Disc
 from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.config.waveform import Waveform
 from hapticd.hid.discovery import choose, find
@@ -182,9 +182,8 @@ def _stability(config: Config, output: Output, loop: Loop) -> Stability:
         name: material.model_copy(update={"texture": None}) if isinstance(material.texture, Stochastic) else material
         for name, material in config.materials.items()
     }
-    objects = config.scene.objects
-    compiler.update(config.scene, objects, silent, 1)
-    return evaluate(compiler.surfaces(), compiler.names().__getitem__, lambda: field_ids(objects), loop, unsafe=False)
+    compiler.update(config.scene, config.scene.objects, silent, 1)
+    return evaluate(compiler, config.scene, loop, unsafe=False)
 
 
 class _Device(NamedTuple):

@@ -34,7 +34,7 @@ from hapticd.config.configuration import Config, ConfigSource, Servo, load_confi
 from hapticd.config.materials import Materials
 from hapticd.config.modes import Attack, Mode
 from hapticd.config.operator import Operator, load_operator, parse_operator
-from hapticd.config.scene import Scene, field_ids
+from hapticd.config.scene import Scene
 from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import Output, loop_of, output_of
@@ -97,8 +97,7 @@ class CompiledScene:
         device = self.config.device.model_copy(update={"kind": "sim"})
         loop = loop_of(self.config.model_copy(update={"device": device}), self.rate_hz)
         assert loop is not None
-        objects = self.config.scene.objects
-        return evaluate(self._compiler.surfaces(), self._compiler.names().__getitem__, lambda: field_ids(objects), loop)
+        return evaluate(self._compiler, self.config.scene, loop)
 
     def run_of(self, samples: Samples, events: Events, truth: Floats | None, unstable: Iterable[Problem] = ()) -> Run:
         """A run that gave this, with what of the scene it did not display as it was meant."""

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hapticd.base.errors import Problem, path_text
 from hapticd.config.configuration import Config
+from hapticd.config.scene import Scene, field_ids
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.contact_sets import MOST_LINES, MOST_REPORTED, ContactSets
 from hapticd.rendering.device_output import loop_of, output_of
 from hapticd.rendering.stability import Loop, Margin
 from hapticd.rendering.stability_remedy import with_remedy
-from hapticd.rendering.surface_table import SurfaceTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,21 +74,13 @@ def sets_of(config: Config) -> ContactSets | None:
     return ContactSets(compiler.surfaces(), loop)
 
 
-def evaluate(
-    surfaces: SurfaceTable,
-    name_of: Callable[[int], str],
-    fields: Callable[[], Sequence[str]],
-    loop: Loop,
-    unsafe: bool = True,
-) -> Stability:
-    """The sets of a scene; `name_of` a slot is an object's id, `fields` are the ids of those that push everywhere.
-
-    `unsafe`: report only sets that are not safe.
-    """
+def evaluate(compiler: Compiler, scene: Scene, loop: Loop, unsafe: bool = True) -> Stability:
+    """The sets of a scene, which the compiler's table is made of. `unsafe`: report only sets that are not safe."""
+    surfaces = compiler.surfaces()
     sets = ContactSets(surfaces, loop)
     found = sets.worst(MOST_REPORTED, unsafe=unsafe)
-    everywhere = tuple(fields()) if found and sets.fields else ()
-    named = [((*map(name_of, slots), *everywhere), place) for slots, place in found]
+    everywhere = field_ids(scene.objects) if sets.fields else ()
+    named = [((*compiler.names_of(slots), *everywhere), place) for slots, place in found]
     worst = (
         margin if margin.safe else with_remedy(margin, surfaces, loop, slots)
         for margin, (slots, _) in zip(sets.margins(named), found, strict=True)

@@ -15,7 +15,7 @@ contact comes to rest in every passive hand, and imply the third. All quantities
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
@@ -223,14 +223,8 @@ class Loop:
 
     def to_dict(self) -> dict[str, object]:
         """What is assumed, for `hapticd check`."""
-        dynamics = self.dynamics
         return {
-            "handle_mass_kg": dynamics.handle_mass_kg,
-            "handle_damping_n_s_per_m": dynamics.handle_damping_n_s_per_m,
-            "friction_n": dynamics.friction_n,
-            "grip_mass_kg": dynamics.grip_mass_kg,
-            "grip_damping_n_s_per_m": dynamics.grip_damping_n_s_per_m,
-            "grip_stiffness_n_per_m": dynamics.grip_stiffness_n_per_m,
+            **asdict(self.dynamics),
             "encoder_step_m": self.encoder_step_m,
             "force_step_n": self.force_step_n,
             "hold_s": self.timing.period_s,
@@ -270,19 +264,11 @@ class Margin:
 
     def to_dict(self) -> dict[str, object]:
         """As `hapticd check --json` has it."""
-        return {
+        return asdict(self) | {
             "objects": list(self.objects),
-            "stiffness_n_per_m": self.stiffness_n_per_m,
-            "damping_n_s_per_m": self.damping_n_s_per_m,
-            "limit_n_per_m": self.limit_n_per_m,
             "held_limit_n_per_m": None if math.isinf(self.held_limit_n_per_m) else self.held_limit_n_per_m,
             "margin": None if math.isinf(self.margin) else self.margin,
-            "limited_by": self.limited_by,
             "safe": self.safe,
-            "verdict": self.verdict,
-            "spectral_radius": self.spectral_radius,
-            "free_radius": self.free_radius,
-            "remedy": self.remedy,
         }
 
     def __str__(self) -> str:

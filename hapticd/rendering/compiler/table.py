@@ -168,10 +168,6 @@ class Compiler:
         memory, size = self._objects.memory, _RECORD.size
         return (_RECORD.unpack_from(memory, slot * size) for slot in slots)
 
-    def names(self) -> list[str]:
-        """Ids by slot; empty where the slot is free. Not while another thread updates it."""
-        return ["" if owner is None else owner[1] for owner in self._owners]
-
     def name_of(self, slot: int, generation: int) -> str | None:
         """The id of the object that has, or had, a slot; None some time after its events were read. For any thread."""
         owner = self._owners[slot] if slot < len(self._owners) else None
