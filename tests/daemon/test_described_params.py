@@ -13,7 +13,7 @@ import pytest
 
 from hapticd.config.configuration import load_config
 from hapticd.daemon.described.documents import openrpc_document
-from hapticd.daemon.described.words import OF_METHOD, RULES
+from hapticd.daemon.described.words import RULES, RULES_OF_METHOD
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import Methods
 from hapticd.daemon.refusal import MethodError
@@ -179,7 +179,7 @@ def compare(daemon: Daemon, method: str, count: int) -> Counter[str]:
     (described,) = [each for each in DOCUMENT["methods"] if each["name"] == method]
     check = validator(described["x-params"], COMPONENTS)
     values = Values(method, COMPONENTS, NAMES, tidy)
-    rules = [re.compile(SAYS[rule]) for rule in OF_METHOD.get(method, ()) if rule != "merged"]
+    rules = [re.compile(SAYS[rule]) for rule in RULES_OF_METHOD.get(method, ()) if rule != "merged"]
     found = Counter[str]()
     for number in itertools.count():
         if found.total() == count:
@@ -227,4 +227,4 @@ def test_a_thousand_random_messages(daemon: Daemon, method: str) -> None:
 
 
 def test_every_rule_is_told_and_known() -> None:
-    assert {*SAYS, "merged"} == RULES.keys() == {rule for rules in OF_METHOD.values() for rule in rules}
+    assert {*SAYS, "merged"} == RULES.keys() == {rule for rules in RULES_OF_METHOD.values() for rule in rules}

@@ -7,7 +7,14 @@ from typing import Final, NamedTuple, cast
 from hapticd._version import __version__
 from hapticd.base.yaml_source import Json
 from hapticd.daemon.described.schemas import REF, event_schema, params_model, params_schemas, samples_schema, schema_of
-from hapticd.daemon.described.words import ANY_MESSAGE, CODES, EVERY_METHOD, METHODS, OF_METHOD, RULES
+from hapticd.daemon.described.words import (
+    CODES,
+    CODES_OF_ANY_MESSAGE,
+    CODES_OF_EVERY_METHOD,
+    METHODS,
+    RULES,
+    RULES_OF_METHOD,
+)
 from hapticd.daemon.telemetry import SAMPLES_EVERY_S, STATE_EVERY_S, STATUS_EVERY_S
 from hapticd.protocol import results
 from hapticd.protocol.messages import PROTOCOL, Code
@@ -55,7 +62,7 @@ def openrpc_document() -> dict[str, Json]:
             "license": {"name": "MIT"},
         },
         "x-protocol": PROTOCOL,
-        "x-errors-of-any-message": [_error_ref(code) for code in ANY_MESSAGE],
+        "x-errors-of-any-message": [_error_ref(code) for code in CODES_OF_ANY_MESSAGE],
         "methods": [_method(name, schemas) for name in METHODS],
         "components": {
             "schemas": cast(Json, schemas),
@@ -89,9 +96,9 @@ def _method(name: str, schemas: dict[str, dict[str, Json]]) -> Json:
         "paramStructure": "by-name",
         "params": [_param(each, schema, each in required) for each, schema in params.items()],
         "result": {"name": "result", "schema": result},
-        "errors": [_error_ref(code) for code in (*EVERY_METHOD, *described.codes)],
+        "errors": [_error_ref(code) for code in (*CODES_OF_EVERY_METHOD, *described.codes)],
         "x-params": {"$ref": f"{REF}{model}"},
-        "x-validation": [RULES[rule] for rule in OF_METHOD.get(name, ())],
+        "x-validation": [RULES[rule] for rule in RULES_OF_METHOD.get(name, ())],
     }
 
 

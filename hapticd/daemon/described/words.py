@@ -9,12 +9,12 @@ from hapticd.protocol.messages import Code
 
 # ---- Methods ---------------------------------------------------------------------------------------------------------
 
-_CHANGE: Final = (Code.STALE_REVISION, Code.RING_FULL, Code.WAIT_TIMED_OUT)
-_COMMAND: Final = (Code.RING_FULL, Code.WAIT_TIMED_OUT)
+_CHANGE_CODES: Final = (Code.STALE_REVISION, Code.RING_FULL, Code.WAIT_TIMED_OUT)
+_COMMAND_CODES: Final = (Code.RING_FULL, Code.WAIT_TIMED_OUT)
 
-EVERY_METHOD: Final = (Code.INVALID_PARAMS, Code.INTERNAL, Code.DAEMON_AWAY)
+CODES_OF_EVERY_METHOD: Final = (Code.INVALID_PARAMS, Code.INTERNAL, Code.DAEMON_AWAY)
 """Errors that a request of any method may get."""
-ANY_MESSAGE: Final = (Code.PARSE, Code.INVALID_REQUEST, Code.NO_SUCH_METHOD)
+CODES_OF_ANY_MESSAGE: Final = (Code.PARSE, Code.INVALID_REQUEST, Code.NO_SUCH_METHOD)
 """Errors of a message that calls none of the methods."""
 
 
@@ -29,21 +29,21 @@ class MethodInWords(NamedTuple):
 
 METHODS: Final[dict[str, MethodInWords]] = {
     "get_status": MethodInWords("What the daemon is and does", results.Status),
-    "get_state": MethodInWords("The newest sample", results.State, _COMMAND),
+    "get_state": MethodInWords("The newest sample", results.State, _COMMAND_CODES),
     "get_config": MethodInWords("Servo and device of the configuration", results.ConfigResult),
     "get_scene": MethodInWords("The scene, in a form that can be sent back", results.SceneResult),
-    "set_scene": MethodInWords("Replaces the scene, all or nothing", results.RevisionResult, _CHANGE),
-    "update_scene": MethodInWords("Changes, adds and removes objects", results.RevisionResult, _CHANGE),
+    "set_scene": MethodInWords("Replaces the scene, all or nothing", results.RevisionResult, _CHANGE_CODES),
+    "update_scene": MethodInWords("Changes, adds and removes objects", results.RevisionResult, _CHANGE_CODES),
     "get_materials": MethodInWords("All materials, the shipped ones too", results.MaterialsResult),
-    "set_materials": MethodInWords("Adds materials, or replaces them whole", results.RevisionResult, _CHANGE),
-    "update_materials": MethodInWords("Changes, adds and removes materials", results.RevisionResult, _CHANGE),
-    "apply": MethodInWords("Materials and scene in one change", results.RevisionResult, _CHANGE),
-    "play": MethodInWords("Strikes a mode once", results.PlayResult, (Code.FORCES_OFF, *_COMMAND)),
-    "reset": MethodInWords("Closes membranes and forgets contacts", results.TickResult, _COMMAND),
-    "mark": MethodInWords("Leaves a mark in events and recordings", results.TickResult, _COMMAND),
-    "set_forces": MethodInWords("Turns forces on or off", results.ForcesResult, (Code.FORCES_OFF, *_COMMAND)),
+    "set_materials": MethodInWords("Adds materials, or replaces them whole", results.RevisionResult, _CHANGE_CODES),
+    "update_materials": MethodInWords("Changes, adds and removes materials", results.RevisionResult, _CHANGE_CODES),
+    "apply": MethodInWords("Materials and scene in one change", results.RevisionResult, _CHANGE_CODES),
+    "play": MethodInWords("Strikes a mode once", results.PlayResult, (Code.FORCES_OFF, *_COMMAND_CODES)),
+    "reset": MethodInWords("Closes membranes and forgets contacts", results.TickResult, _COMMAND_CODES),
+    "mark": MethodInWords("Leaves a mark in events and recordings", results.TickResult, _COMMAND_CODES),
+    "set_forces": MethodInWords("Turns forces on or off", results.ForcesResult, (Code.FORCES_OFF, *_COMMAND_CODES)),
     "set_operator": MethodInWords(
-        "Moves the hand on the simulated joystick", results.OperatorResult, (Code.NO_OPERATOR, *_COMMAND)
+        "Moves the hand on the simulated joystick", results.OperatorResult, (Code.NO_OPERATOR, *_COMMAND_CODES)
     ),
     "stream_target": MethodInWords(
         "Where the simulated hand wants to be, one of a stream", None, (Code.NO_OPERATOR, Code.STREAM_HELD)
@@ -56,7 +56,7 @@ METHODS: Final[dict[str, MethodInWords]] = {
         results.LeaseResult,
         (Code.LEASE_HELD, Code.LEASE_LAPSED),
     ),
-    "reload": MethodInWords("Reads the configuration files again", results.RevisionResult, _CHANGE),
+    "reload": MethodInWords("Reads the configuration files again", results.RevisionResult, _CHANGE_CODES),
     "dump_flight": MethodInWords("Writes what the flight recorder keeps", results.FlightResult),
 }
 
@@ -129,14 +129,12 @@ RULES: Final[dict[str, str]] = {
     "grooves": "width_m of grooves is at most their spacing_m",
     "waveform": "a waveform begins and ends with 0, has a sample that is not 0, and lasts 0.1 s at most",
     "models": "models of a texture are stable, have an RMS of 1e6 m/s^2 at most, at most 256 different speeds and as "
-    "many "
-    "different forces, and no two of them have the same speed and force",
+    "many different forces, and no two of them have the same speed and force",
     "provenance": "a date is a day of the calendar; an interval does not end below its beginning",
     "stroke": "from_m and to_m of a stroke differ",
     "json": "data of a mark holds no byte strings, and has at most 8192 bytes as JSON",
     "known": "materials, objects and the tap or rupture of a material that are named must be there; materials that "
-    "the scene "
-    "uses stay",
+    "the scene uses stay",
     "rate": "the rate of the servo can carry the frequencies of textures that the scene uses",
     "reach": "a gesture lies on its object, which has a stiffness (a stroke) or a rupture (a puncture)",
     "merged": "what a merge patch makes of an object or a material is valid as a whole",
@@ -144,14 +142,14 @@ RULES: Final[dict[str, str]] = {
     "files": "the configuration files are sound, and change nothing that needs a restart",
 }
 
-_SCENE: Final = ("length", "patches", "known", "rate")
-_MATERIALS: Final = ("rising", "as_many", "grooves", "waveform", "models", "provenance", "rate")
-OF_METHOD: Final[dict[str, tuple[str, ...]]] = {
-    "set_scene": _SCENE,
-    "update_scene": (*_SCENE, "merged"),
-    "set_materials": _MATERIALS,
-    "update_materials": (*_MATERIALS, "known", "merged"),
-    "apply": (*dict.fromkeys(_SCENE + _MATERIALS),),
+_SCENE_RULES: Final = ("length", "patches", "known", "rate")
+_MATERIAL_RULES: Final = ("rising", "as_many", "grooves", "waveform", "models", "provenance", "rate")
+RULES_OF_METHOD: Final[dict[str, tuple[str, ...]]] = {
+    "set_scene": _SCENE_RULES,
+    "update_scene": (*_SCENE_RULES, "merged"),
+    "set_materials": _MATERIAL_RULES,
+    "update_materials": (*_MATERIAL_RULES, "known", "merged"),
+    "apply": (*dict.fromkeys(_SCENE_RULES + _MATERIAL_RULES),),
     "play": ("length", "known"),
     "reset": ("known",),
     "mark": ("json",),
