@@ -29,7 +29,7 @@ class MethodInWords(NamedTuple):
 
 METHODS: Final[dict[str, MethodInWords]] = {
     "get_status": MethodInWords("What the daemon is and does", results.Status),
-    "get_state": MethodInWords("The newest sample", results.State, _COMMAND_CODES),
+    "get_state": MethodInWords("The newest sample", results.State, (Code.WAIT_TIMED_OUT,)),
     "get_config": MethodInWords("Servo and device of the configuration", results.ConfigResult),
     "get_scene": MethodInWords("The scene, in a form that can be sent back", results.SceneResult),
     "set_scene": MethodInWords("Replaces the scene, all or nothing", results.RevisionResult, _CHANGE_CODES),
