@@ -53,7 +53,7 @@ def design(texture: Noise, output: Output) -> Steps[Design]:
     milliseconds."""
     if isinstance(texture, Autoregressive):
         for model in texture.models:
-            _shown_model(model, texture.rate_hz, output.rate_hz)
+            _shown_model(model, texture.rate_hz, output.rate_hz)  # which keeps it for the grid
             yield
         return _shown_grid(texture, output.rate_hz)
     pair = displayed_pair(texture, output)
