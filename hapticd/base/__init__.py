@@ -5,7 +5,7 @@ The core and the process:
     core               the C core as Python sees it: `ffi`, `lib`, records as numpy dtypes, enums
     clock              CLOCK_MONOTONIC and the time of day, read together
     memory             how a process that runs for months takes its memory
-    threads            whether threads can be started under the user's limit of processes
+    threads            work in a thread; whether threads can be started under the user's limit of processes
     steps              work that pauses between its parts
 
 What people and programs write, and what they read:

@@ -1,6 +1,6 @@
-"""Whether threads can be started: a user's limit of processes (RLIMIT_NPROC) counts each of them.
+"""Work in a thread, and whether threads can be started: a user's limit of processes (RLIMIT_NPROC) counts each of them.
 
-libzmq starts threads, too, and aborts the process where one is refused, so this is asked before it does.
+libzmq starts threads, too, and aborts the process where one is refused, so `check` is called before it does.
 """
 
 from __future__ import annotations
@@ -8,9 +8,13 @@ from __future__ import annotations
 import functools
 import resource
 import threading
-from typing import Final
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Final, TypeVar
 
 from hapticd.base.errors import HapticdError
+
+T = TypeVar("T")
 
 REFUSED: Final = "can't start new thread"
 """What Python's own RuntimeError says."""
@@ -48,3 +52,18 @@ def check(count: int) -> None:
 def check_client() -> None:
     """As `check`, of a client's; once it went well it is not asked again."""
     check(CLIENT)
+
+
+def in_background(name: str, work: Callable[[], T]) -> Future[T]:
+    """Starts the work in a thread that does not hold up the end of the process; the future of what it returns or
+    raises."""
+    done: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:
+            done.set_exception(error)
+
+    threading.Thread(target=run, name=name, daemon=True).start()
+    return done

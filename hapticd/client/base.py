@@ -1,19 +1,14 @@
-"""What the modules of the clients share: how a socket is connected, which line a warning is about, work in a thread."""
+"""What the modules of the clients share: how a socket is connected, which line a warning is about."""
 
 from __future__ import annotations
 
 import sys
-import threading
 import warnings
-from collections.abc import Callable
-from concurrent.futures import Future
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import zmq
 
 from hapticd.system.paths import RuntimePaths
-
-T = TypeVar("T")
 
 _OWN_MODULES: Final = (__package__, "contextlib")
 """Packages and modules whose lines no warning is about."""
@@ -33,17 +28,3 @@ def warn(warning: Warning) -> None:
     while frame.f_globals.get("__name__", "").startswith(_OWN_MODULES) and frame.f_back is not None:
         frame, level = frame.f_back, level + 1
     warnings.warn(warning, stacklevel=level)
-
-
-def in_background(name: str, work: Callable[[], T]) -> Future[T]:
-    """Does the work in a thread that dies with the process; what it returns or raises."""
-    done: Future[T] = Future()
-
-    def run() -> None:
-        try:
-            done.set_result(work())
-        except BaseException as error:
-            done.set_exception(error)
-
-    threading.Thread(target=run, name=name, daemon=True).start()
-    return done

@@ -19,8 +19,9 @@ from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar
 import zmq
 
 from hapticd.base import arguments
+from hapticd.base.threads import in_background
 from hapticd.client import methods, streams
-from hapticd.client.base import connect_commands, in_background
+from hapticd.client.base import connect_commands
 from hapticd.client.methods import Response, Wait
 from hapticd.protocol import calls
 from hapticd.protocol.calls import TIMEOUT_S

@@ -22,7 +22,7 @@ from hapticd.base import arguments, wording
 from hapticd.base.clock import Moment, moment_of
 from hapticd.base.errors import HapticdError
 from hapticd.base.merge_patch import replace_members
-from hapticd.client.base import in_background
+from hapticd.base.threads import in_background
 from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.protocol.calls import DaemonNotRunning, MissedPeriods, TelemetryLoss, Topic
 from hapticd.protocol.places import has_ended, no_telemetry

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import wait
 from typing import Final
 
 from hapticd.base.errors import HapticdError, Path, Problem, path_text
 from hapticd.base.steps import Steps
+from hapticd.base.threads import in_background
 from hapticd.config.configuration import Config
 
 LOAD_S: Final = 10.0
@@ -21,22 +21,12 @@ _LOOK_S: Final = 0.002
 def read_again(load: Callable[[], Config]) -> Steps[Config]:
     """Reads the files in a thread, for LOAD_S at most: a disk may not answer, and large files take seconds. Raises
     HapticdError."""
-    found: Future[Config] = Future()
-
-    def read() -> None:
-        try:
-            found.set_result(load())
-        except BaseException as error:
-            found.set_exception(error)
-
-    # A daemon's thread: one that waits for a file for ever does not hold up the end of the process.
-    reader = threading.Thread(target=read, name="reload", daemon=True)
-    reader.start()
+    found = in_background("reload", load)
     until_s = time.monotonic() + LOAD_S
-    while reader.is_alive():
+    while not found.done():
         if time.monotonic() > until_s:
             raise HapticdError(f"the files of the configuration were not read within {LOAD_S:g} s")
-        reader.join(_LOOK_S)
+        wait([found], _LOOK_S)
         yield
     return found.result()
 
