@@ -34,6 +34,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from itertools import takewhile
 from typing import Final
 
 import click
@@ -142,4 +143,5 @@ def _run(arguments: Sequence[str] | None) -> int:
     except (KeyboardInterrupt, click.Abort):
         return 130
     except (HapticdError, click.ClickException, MemoryError, OSError, RuntimeError) as error:
-        return tell(error, as_json="--json" in given)  # also of a line that is not understood
+        # Also of a line that is not understood; behind -- stand arguments alone.
+        return tell(error, as_json="--json" in takewhile("--".__ne__, given))

@@ -157,6 +157,17 @@ def test_materials_without_a_daemon_are_the_shipped_ones(capsys: pytest.CaptureF
     assert capsys.readouterr().err.splitlines() == [f"{note} library", f"{shipped}; did you mean steel?"]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "is_json"),
+    [(["status", "--json"], True), (["status"], False), (["mark", "--", "--json"], False), (["--json", "x"], True)],
+)
+def test_an_error_is_json_where_the_line_asks_for_it(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], is_json: bool
+) -> None:
+    assert main(arguments) != 0
+    assert capsys.readouterr().err.startswith('{"error": ' if is_json else "hapticd: ")
+
+
 def test_a_mark_keeps_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert "'--data': {a}: is not JSON: " in said(capsys, 2, "mark", "x", "--data", "{a}")
 
