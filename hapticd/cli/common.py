@@ -41,16 +41,18 @@ class Finite(click.FloatRange):
 
 # ---- Options ---------------------------------------------------------------------------------------------------------
 
-config_option = click.option(
-    "-c",
-    "--config",
-    "configs",
-    multiple=True,
-    metavar="FILE",
-    shell_complete=names.scenes,
-    help="Configuration, a scene, or the name of a shipped scene; later files override earlier ones  [env var: "
+
+def configs_option(help: str) -> Callable[[_F], _F]:
+    """The option `-c`, as the parameter `configs`: files, in their order."""
+    return click.option(
+        "-c", "--config", "configs", multiple=True, metavar="FILE", shell_complete=names.scenes, help=help
+    )
+
+
+config_option = configs_option(
+    "Configuration, a scene, or the name of a shipped scene; later files override earlier ones  [env var: "
     "HAPTICD_CONFIG; default: ~/.config/hapticd/config.yaml, /etc/hapticd/config.yaml or, without these, the "
-    "simulated joystick]",
+    "simulated joystick]"
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace files that are there.")

@@ -9,22 +9,13 @@ from pathlib import Path
 import click
 
 from hapticd.base.errors import HapticdError
-from hapticd.cli import names
-from hapticd.cli.common import log_options
+from hapticd.cli.common import configs_option, log_options
 from hapticd.cli.listening import Listening, listening_options, refuse_another_daemon
 
 
 @click.command("web", short_help="Show a page in the browser.")
 @click.option("--demo", is_flag=True, help="Start a daemon with the simulated joystick, and end it afterwards.")
-@click.option(
-    "-c",
-    "--config",
-    "configs",
-    multiple=True,
-    metavar="FILE",
-    shell_complete=names.scenes,
-    help="What the daemon of --demo runs with, instead of a scene that shows everything: as `hapticd run -c`.",
-)
+@configs_option("What the daemon of --demo runs with, instead of a scene that shows everything: as `hapticd run -c`.")
 @listening_options("the page", 8765, "The port; 0 takes a free one.")
 @click.option("--set-password", type=click.Path(), metavar="FILE", help="Ask for a password, write FILE, and end.")
 @click.option(
