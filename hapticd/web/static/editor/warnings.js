@@ -78,7 +78,7 @@ export class Warnings extends EventTarget {
       model.takeMargins(await link.call("get_scene"));
       this.dispatchEvent(new Event("changed"));
     } catch (error) {
-      this.#failed(error);
+      this.#failed("margins", error);
     } finally {
       this.#askingMargins = false;
     }
@@ -96,14 +96,15 @@ export class Warnings extends EventTarget {
         this.#take({ ...this.#status, ...(await this.#app.link.call("get_status")) });
       } while (this.#again);
     } catch (error) {
-      this.#failed(error);
+      this.#failed("status", error);
     } finally {
       this.#asking = false;
     }
   }
 
-  #failed(error) {
-    this.#app.view.dispatchEvent(new CustomEvent("notice", { detail: { text: `No status: ${error.message}`, kind: "error" } }));
+  #failed(asked, error) {
+    const text = `No ${asked}: ${error.message}`;
+    this.#app.view.dispatchEvent(new CustomEvent("notice", { detail: { text, kind: "error" } }));
   }
 }
 
