@@ -80,7 +80,7 @@ log_options = options(
         help="The least important line of the log; of several of these options the last one holds.",
     ),
 )
-"""Of what runs until it is ended: how much stands in its log, as the parameter `log_level`."""
+"""How much stands in the log of a command that runs until it is ended, as the parameter `log_level`."""
 
 
 def output_option(help: str, metavar: str = "FILE", **more: Any) -> Callable[[_F], _F]:
@@ -157,7 +157,7 @@ def daemon(timeout_s: float | None = None) -> Client:
 
 
 class Stop(threading.Event):
-    """What ends a command that runs for a while."""
+    """Set once a command that runs for a while is to end."""
 
     signal: int | None = None
     """SIGINT or SIGTERM, if one of them has set it; the first that came."""
@@ -169,7 +169,7 @@ class Stop(threading.Event):
 
 @contextmanager
 def stopped_by_signals() -> Iterator[Stop]:
-    """Meanwhile Ctrl-C and SIGTERM set what is given, and interrupt nothing."""
+    """Meanwhile Ctrl-C and SIGTERM set the Stop that is given, and interrupt nothing."""
     stop = Stop()
 
     def end(number: int, frame: object) -> None:

@@ -44,7 +44,7 @@ _change_options = options(
     ),
     json_option,
 )
-"""Of commands that change scene or materials."""
+"""Options of commands that change scene or materials."""
 
 
 def _file(name: str) -> str:

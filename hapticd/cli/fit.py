@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 
 _MOST_ROWS: Final = 100
 """Of a ranking that is printed."""
-_WIDEST: Final = 4096
+_COLUMNS_OF_A_FILE: Final = 4096
+"""So wide is a ranking at most that goes to no terminal."""
 
 
 @click.group("fit", no_args_is_help=False, short_help="Make a material from recordings.")
@@ -293,4 +294,4 @@ def _print_ranking(results: Sequence[MaterialResult]) -> None:
         count = sum(len(fit.asked.files) for fit in each.fits)
         rows.append((str(rank), each.name, each.quality, kinds, str(count), each.shown_reasons))
     columns = (">rank", "material", "verdict", "fits", ">recordings", "reasons")
-    print_table(columns, rows, broken="reasons", width=None if sys.stdout.isatty() else _WIDEST)
+    print_table(columns, rows, broken="reasons", width=None if sys.stdout.isatty() else _COLUMNS_OF_A_FILE)

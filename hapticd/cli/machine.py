@@ -75,8 +75,8 @@ def doctor_command(configs: tuple[str, ...], as_json: bool) -> int:
 
 
 def _status() -> Mapping[str, object] | None:
-    """What our own daemon says, or else the service's; None where there is none. Raises HapticdError for one that does
-    not answer."""
+    """The status of our own daemon, or else of the service's; None: there is none. Raises HapticdError for one that
+    does not answer."""
     from hapticd.client.blocking import connect
     from hapticd.doctor.machine import holder
     from hapticd.protocol.calls import DaemonNotRunning

@@ -45,8 +45,8 @@ class _Stream(io.FileIO):
 
 @contextmanager
 def guarded() -> Iterator[Callable[[], bool]]:
-    """Meanwhile `sys.stdout` raises OutputLost where it cannot be written, and `sys.stderr` nothing; what is given says
-    whether the last that was to go to stderr did not arrive: there is nowhere to say so.
+    """Meanwhile `sys.stdout` raises OutputLost where it cannot be written, and `sys.stderr` nothing; the function that
+    is given returns whether the last line for stderr was lost, as there is nowhere to say so.
 
     Streams that somebody else put in their places are left as they are.
     """

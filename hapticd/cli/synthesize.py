@@ -211,7 +211,7 @@ def _of(owner: object, *figures: str) -> _Truth:
 
 
 def _others(stylus: Stylus, count: int) -> list[Stylus]:
-    """Of seeds that follow one another far apart, so that two commands with seeds side by side share none."""
+    """A stylus for each recording; those of two commands with seeds side by side have no seed in common."""
     return [replace(stylus, seed=1000 * stylus.seed + index) for index in range(count)]
 
 

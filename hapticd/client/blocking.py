@@ -266,7 +266,7 @@ class Client:
 
 
 class Stream(streams.Stream[None]):
-    """Targets and forces, in `with daemon.stream() as stream`. For any thread."""
+    """Targets and forces, in `with daemon.stream() as stream`. For any thread; `target` and `force` return None."""
 
 
 class Subscription(Generic[T]):

@@ -23,6 +23,7 @@ from hapticd.protocol.streams import MOST, Kind
 from hapticd.system.paths import RuntimePaths
 
 Sent = TypeVar("Sent")
+"""What `target` and `force` return: None, or with asyncio AlreadySent."""
 
 ASK_EVERY_S: Final = 0.5
 """One message of each kind in so long has an id: its answer says what is wrong."""
@@ -136,7 +137,7 @@ class Sender:
 
 
 class AlreadySent:
-    """What was sent already; whoever awaits it lets other tasks run."""
+    """A message that was sent already; whoever awaits it lets other tasks run."""
 
     def __await__(self) -> Generator[Any, None, None]:
         from asyncio import sleep  # which a blocking client does without

@@ -36,7 +36,7 @@ HALF_VIEW_M: Final = 0.08
 
 _BAR: Final = 12
 _IN_LINE: Final = ("tick", "position", "force x", "force y", "touching", "rate", "lateness", "missed", "faults")
-"""What a line has of the view."""
+"""The labels of the view that a plain line shows, too."""
 # Shown by other means: what is touched, and a counter.
 _QUIET_EVENTS: Final = frozenset(("release", "overrun"))
 

@@ -22,7 +22,8 @@ _DAMAGED: Final = "is damaged, and left as it is"
 
 
 class Recovered(NamedTuple):
-    """What became of what lay there: files that were made of it; why of others none was, a line each."""
+    """Of the partial files of killed recordings: the files that were made of them, and why of others none was, a line
+    each."""
 
     files: list[Path]
     problems: list[str]
