@@ -481,12 +481,12 @@ class StrokeFit:
         found = least_squares(left, place, bounds=bounds, xtol=1e-6, ftol=None, gtol=None, max_nfev=40).x
         return Mode(math.exp(found[0]), math.exp(found[1]))
 
-    # ---- What comes of it
-
     def _check_rings(self, windows: _FreeRinging) -> None:
         """FitError where no interval says anything."""
         if len(windows.used) == 0:
             raise FitError(f"{self.name}: the strikes follow one another within half a cycle: stroke more slowly")
+
+    # ---- What comes of it
 
     def _grouped(self) -> list[Group]:
         count = max(1, len(self._onsets) // STRIKES_IN_GROUP)

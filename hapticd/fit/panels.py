@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 Row: TypeAlias = tuple[Panel, ...]
 
-DRAWN: Final = 3
+MOST_DRAWN: Final = 3
 """Of recordings that are alike, so many are drawn."""
 ACCELERATION: Final = "m/s²"
 DENSITY: Final = "(m/s²)²/Hz"
@@ -123,7 +123,7 @@ def compared(title: str, unit: str, modelled: Floats, recorded: Floats) -> Panel
 def _tap(fit: TapFit | WaveformFit, recordings: Sequence[Recording]) -> Iterator[Row]:
     yield _waveform(fit) if isinstance(fit, WaveformFit) else _ringing(fit)
     taps: Sequence[TapHit | PulseHit] = fit.taps
-    for tap in sorted(taps, key=lambda tap: -tap.speed_m_per_s)[:DRAWN]:
+    for tap in sorted(taps, key=lambda tap: -tap.speed_m_per_s)[:MOST_DRAWN]:
         name = f"{os.path.basename(tap.recording)}, {tap.speed_m_per_s:.3g} m/s"
         yield overlay(name, tap.rate_hz, tap.measured, tap.modelled)
         if isinstance(fit, WaveformFit) or fit.second is None:
@@ -189,10 +189,10 @@ def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
         return
     used = [(tap.recording, tap.onset_s) for tap in getattr(fit, "taps", ())]
     both = dict.fromkeys(each.recording for each in excluded if each.recording in {name for name, _ in used})
-    yield tuple(_marked(seen[name], used, excluded) for name in islice(both, DRAWN))
+    yield tuple(_marked(seen[name], used, excluded) for name in islice(both, MOST_DRAWN))
     whole = [each for each in excluded if each.what == WHOLE_RECORDING or each.time_s is not None]
-    for first in (0, DRAWN):
-        yield tuple(_not_used(seen[each.recording], each) for each in whole[first : first + DRAWN])
+    for first in (0, MOST_DRAWN):
+        yield tuple(_not_used(seen[each.recording], each) for each in whole[first : first + MOST_DRAWN])
 
 
 def _marked(recording: Recording, used: Sequence[tuple[str, float]], excluded: Sequence[Exclusion]) -> Panel:
@@ -236,7 +236,7 @@ def _grooves(fit: GroovesFit, recordings: Sequence[Recording]) -> Iterator[Row]:
         law("amplitude less the speed's part", "N", force, amplitude - by_speed.value * speed, by_force),
         compared("amplitude", ACCELERATION, by_speed.value * speed + by_force.value * force, amplitude),
     )
-    for stroke in islice(fit.strokes, DRAWN):
+    for stroke in islice(fit.strokes, MOST_DRAWN):
         name = os.path.basename(stroke.name)
         yield overlay(name, stroke.rate_hz, stroke.acceleration_m_per_s2, stroke.model_m_per_s2)
 
@@ -252,7 +252,7 @@ def _texture(fit: TextureFit, recordings: Sequence[Recording]) -> Iterator[Row]:
         level("mean frequency", "m/s", "Hz", speed, mean, fit.mean_hz),
         level("mean frequency", "N", "Hz", force, mean, fit.mean_hz),
     )
-    for recording in islice(filter(_is_whole, recordings), DRAWN):
+    for recording in islice(filter(_is_whole, recordings), MOST_DRAWN):
         yield _power(recording, texture)
 
 
@@ -307,7 +307,7 @@ def _puncture(fit: PunctureFit, recordings: Sequence[Recording]) -> Iterator[Row
         level("amplitude of each rupture", "m/s", ACCELERATION, speed, amplitude, fit.amplitude_m_per_s2),
     )
     broken = {each.recording: each for each in fit.ruptures}
-    for recording in islice((each for each in recordings if each.name in broken), DRAWN):
+    for recording in islice((each for each in recordings if each.name in broken), MOST_DRAWN):
         force, place, acceleration = recording.force_n, recording.position_m, recording.acceleration_m_per_s2
         assert force is not None and place is not None and acceleration is not None
         rate_hz = recording.rate_hz

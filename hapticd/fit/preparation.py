@@ -184,8 +184,8 @@ class _Column:
         self._replace_leaping(found)
 
     def _replace_short(self, above_all: bool) -> None:
-        """Up to WIDEST samples far above those beside them and, with `above_all`, far above everything else: a tap that
-        is sampled slowly may be that short, too."""
+        """Up to SPIKE_SAMPLES far above the samples beside them and, with `above_all`, far above everything else: a tap
+        that is sampled slowly may be that short, too."""
         size = np.abs(self.values - np.median(self.values))
         loud = SPIKE_TO_NOISE * 1.4826 * float(np.median(size))
         if not size.max() > loud:

@@ -25,7 +25,7 @@ from hapticd.fit.verdict import Doubts, Exclusions
 
 DROP_S: Final = 0.002
 """A rupture takes less than this."""
-LOADED: Final = (0.25, 0.98)
+LOAD_PARTS: Final = (0.25, 0.98)
 """Parts of the rupture force between which stiffness is fitted."""
 BEFORE_S: Final = 0.01
 AMPLITUDES_M_PER_S2: Final = (0.1, 3000.0)
@@ -93,10 +93,10 @@ class _Puncture:
         at, half, smooth, name = self._at, self._half, self._smooth, self._name
         least = max(0, at - 2 * half)
         highest = float(np.median(self._force[least : max(at - half, least + 1)]))
-        early = np.flatnonzero(smooth[: at - half] < LOADED[0] * highest)
+        early = np.flatnonzero(smooth[: at - half] < LOAD_PARTS[0] * highest)
         self._begin = int(early[-1]) + 1 if len(early) else 0
         loaded = np.arange(self._begin, at - half)
-        loaded = loaded[smooth[loaded] < LOADED[1] * highest]
+        loaded = loaded[smooth[loaded] < LOAD_PARTS[1] * highest]
         if len(loaded) < 20:
             raise FitError(f"{name}: force rises within {len(loaded)} samples: too few for a stiffness")
         way, pressed = self._place[loaded], self._force[loaded]

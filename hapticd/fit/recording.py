@@ -207,7 +207,7 @@ def _beside(name: str, own_name: str) -> RecordingSidecar:
 
 
 def _spelt(unit: str) -> str:
-    """A unit as UNITS spells it; in brackets or not, with an exponent or a mu of any kind."""
+    """A unit as UNITS_OF spells it; in brackets or not, with an exponent or a mu of any kind."""
     bare = unit.strip().strip("[]()").strip()
     return (
         bare.replace("\u00b5", "u")

@@ -18,7 +18,8 @@ from hapticd.fit.verdict import Exclusion, Verdict
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit(ABC):
-    """What all fits end with; their figures are Estimates. What is for drawing alone has no `repr`."""
+    """The result of a fit: figures (Estimates), warnings, verdict. A field that is for drawing alone has `repr=False`
+    and is not in the JSON."""
 
     warnings: tuple[str, ...]
     judged: Verdict
@@ -60,7 +61,7 @@ def _fields(made: object) -> dict[str, object]:
 
 
 def fields_of(made: object, *names: str) -> dict[str, Json]:
-    """The fields of a dataclass with these names, without any of all that have a `repr`, as plain data."""
+    """The fields of a dataclass with these names (all if none are given) as plain data, but those of `repr=False`."""
     return {name: cast(Json, plain(value)) for name, value in _fields(made).items() if not names or name in names}
 
 

@@ -22,9 +22,9 @@ import numpy as np
 from hapticd.analysis.recordings.sensor import Complexes, Sensor
 from hapticd.analysis.statistics import FitError, Floats
 
-SHORTEST: Final = 16
+LEAST_SAMPLES: Final = 16
 """Samples."""
-PROBES: Final = ((2.0, 1.0), (0.5, 1.0), (1.0, 2.0), (2.0, 0.0), (0.5, 0.0))
+OTHER_SHAPES: Final = ((2.0, 1.0), (0.5, 1.0), (1.0, 2.0), (2.0, 0.0), (0.5, 0.0))
 """Shapes beside a mode, times its B and w: of another decay, twice as fast, and pushes."""
 
 
@@ -49,8 +49,8 @@ class Ringing:
     noise_m_per_s2: float
     """RMS of what is left over."""
     lack_of_fit: tuple[Floats, Floats]
-    """Of one mode: what is left over times shapes that it does not have (PROBES), (k,), and those shapes' squares,
-    (k, k). The shapes are as large as the mode, without what the fit can take up. Empty for more modes."""
+    """Of one mode: what is left over times shapes that it does not have (OTHER_SHAPES), (k,), and the squares of those
+    shapes, (k, k). The shapes are as large as the mode, without what the fit can take up. Empty for more modes."""
 
     def of_modes(self, which: Sequence[int]) -> Ringing:
         """These modes of all, in this order; the rest is that of the fit of all."""
@@ -65,7 +65,7 @@ class Ringing:
         )
 
     def turned(self) -> Ringing:
-        """Of the acceleration with its sign turned."""
+        """The same modes, fitted to the acceleration with its sign turned."""
         modes = len(self.coefficients)
         signs = np.where(np.arange(3 * modes + 1) < modes, -1.0, 1.0)
         covariance = self.covariance * np.outer(signs, signs)
@@ -88,7 +88,7 @@ def fit_ringing(
     begun from instead, without a search. The result is of the modes before the `sensor`. Raises FitError where
     nothing rings, or where the samples are too few.
     """
-    least = max(SHORTEST, 2 * (3 * modes + 3))
+    least = max(LEAST_SAMPLES, 2 * (3 * modes + 3))
     if len(acceleration) < least:
         raise FitError(f"{len(acceleration)} samples are too few for {modes} modes: needs {least}")
     search = _Search(acceleration, rate_hz, sensor if sensor is not None and sensor.poles else None)
@@ -134,7 +134,7 @@ class _Search:
 
     def _best(self, signal: Floats, onset_s: float, beside: Floats) -> Floats:
         """The best place of the grid for one mode more, `beside` those of a place."""
-        first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - SHORTEST // 2)
+        first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - LEAST_SAMPLES // 2)
         rings = signal[first:] - signal[first:].mean()
         power = np.abs(np.fft.rfft(rings, 8 * len(rings))) ** 2
         highest = 1 + int(np.argmax(power[1:]))
@@ -294,7 +294,7 @@ class _Search:
         begun = self._time_s >= place[-1]
         decay, angular = math.exp(place[0]), math.exp(place[1])
         shapes = []
-        for slower, faster in PROBES:
+        for slower, faster in OTHER_SHAPES:
             wave = coefficient * begun * np.exp((-slower * decay + 1j * faster * angular) * since)
             shapes += [wave.real, wave.imag] if faster else [wave.real]
         columns = np.column_stack(shapes)

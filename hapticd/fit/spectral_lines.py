@@ -2,8 +2,8 @@
 
 The test: in a periodogram with Hann's window over the whole recording, noise has exponentially distributed power about
 its mean, which is taken from the median of n bins beside. A bin is of a line if noise has more in it, in any of all N
-bins, with a chance of at most CHANCE: power > mean * F(2, 2 n) at CHANCE/N. Of several recordings half must have the
-line, and each may be less sure. What rings is broader than the bins beside, and is none.
+bins, with a chance of at most LINE_CHANCE: power > mean * F(2, 2 n) at LINE_CHANCE/N. Of several recordings half must
+have the line, and each may be less sure. What rings is broader than the bins beside, and is none.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LEAST_SHARE: Final = 0.005
 """Of the power, from which on a line is reported."""
 APART_HZ: Final = 0.5
 """Lines of two recordings that are nearer are one."""
-TOLD: Final = 5
+MOST_NAMED: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[Spectr
     left = power.copy()
     left[(frequency < LOWEST_HZ) | (np.arange(len(power)) < outer)] = 0.0
     left[max(0, len(power) - outer) :] = 0.0
-    for _ in range(10 * TOLD):
+    for _ in range(10 * MOST_NAMED):
         place = int(np.argmax(left))
         here = slice(place - 2, place + 3)
         if left[place] <= 0 or power[here].sum() < LEAST_SHARE * whole:
@@ -122,8 +122,8 @@ def described(lines: Sequence[SpectralLine]) -> str:
     if len(lines) == 1:
         what = f"a line at {hertz[lines[0]]} holds {100 * lines[0].share:.2g} % of the power"
     else:
-        loudest = sorted(sorted(lines, key=lambda line: -line.share)[:TOLD], key=lambda line: line.frequency_hz)
+        loudest = sorted(sorted(lines, key=lambda line: -line.share)[:MOST_NAMED], key=lambda line: line.frequency_hz)
         shares = ", ".join(f"{hertz[line]} {100 * line.share:.2g} %" for line in loudest)
-        more = f" and {len(lines) - TOLD} more" if len(lines) > TOLD else ""
+        more = f" and {len(lines) - MOST_NAMED} more" if len(lines) > MOST_NAMED else ""
         what = f"lines hold {100 * sum(line.share for line in lines):.2g} % of the power ({shares}{more})"
     return f"{what}: hum, or another tone, which the figures take in"

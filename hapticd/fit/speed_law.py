@@ -6,7 +6,7 @@ The one with the lowest AICc (Akaike's criterion, corrected for few points; Burn
 
 S the weighted squares that it leaves over of n taps, k its parameters and the scale of the scatter. All have the same
 weights: of the noise, and of a scatter in proportion to the amplitude. A law that is lower than the line by less than
-CLEARLY, or differs from it by less than BENT, is a line.
+BETTER_BY_AICC, or differs from it by less than BENT_PART, is a line.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
 
 LEAST_TAPS: Final = 3
 SPEEDS_M_PER_S: Final = (1e-3, 10.0)
-BENT_BY_CHANCE: Final = 0.01
+SIGNIFICANCE_LEVEL: Final = 0.01
 BENT_PART: Final = 0.05
 """A(v) is reported to be no line through the origin where that is less likely by chance, and matters more than this."""
 MOST_TABLE_SPEEDS: Final = 8
@@ -360,7 +360,7 @@ def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, nois
     # n ways to be the farthest by chance.
     chance = count * improbable(line.squares, line.freedom, line.squares - float(added[index]), line.freedom - 1)
     off = float(amplitudes[index] / speeds[index] * (x[others] @ x[others]) / (x[others] @ y[others])) - 1
-    if chance > BENT_BY_CHANCE or abs(off) < 0.25 or _bends(speeds[others], amplitudes[others], noise[others]):
+    if chance > SIGNIFICANCE_LEVEL or abs(off) < 0.25 or _bends(speeds[others], amplitudes[others], noise[others]):
         return ""
     side = "above" if off > 0 else "below"
     return (
@@ -384,7 +384,7 @@ def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
     curve, curved = laid(speeds, speeds**2, ones)
     for less, more, apart in ((offset, curve, curved - shifted), (origin, offset, shifted - straight)):
         part = float(np.sqrt(np.mean(apart**2))) / size
-        if part > BENT_PART and improbable(less.squares, less.freedom, more.squares, more.freedom) < BENT_BY_CHANCE:
+        if part > BENT_PART and improbable(less.squares, less.freedom, more.squares, more.freedom) < SIGNIFICANCE_LEVEL:
             return True
     return False
 
@@ -396,8 +396,8 @@ def moves(speeds: Floats, logs: Floats, variances: Floats, what: str, least: flo
         return ""
     slope = with_offset(speeds, logs, variances).coefficients[0]
     freedom = len(speeds) - 2
-    # With the chance of CHANCE: as many standard errors as t has there.
-    wide = (slope.high - slope.value) * student_t(freedom, 1 - BENT_BY_CHANCE) / student_t(freedom)
+    # As many standard errors as t has at SIGNIFICANCE_LEVEL.
+    wide = (slope.high - slope.value) * student_t(freedom, 1 - SIGNIFICANCE_LEVEL) / student_t(freedom)
     change = math.expm1(slope.value * float(np.ptp(speeds)))
     if not slope.value or abs(slope.value) < wide or abs(change) < least:
         return ""

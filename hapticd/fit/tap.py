@@ -27,7 +27,7 @@ from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit, fields_of
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.speed_law import BENT_BY_CHANCE, LEAST_TAPS, Amplitudes, Law, LawKind, Power
+from hapticd.fit.speed_law import LEAST_TAPS, SIGNIFICANCE_LEVEL, Amplitudes, Law, LawKind, Power
 from hapticd.fit.verdict import Doubts, Exclusions
 
 LEAST_PEAK_TO_NOISE: Final = 8.0
@@ -557,7 +557,8 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
     freedom = len(head) - 6
     one, two = float(left @ left), float(pair.residual @ pair.residual)
     turns = float(pair.angular_frequency_rad_per_s.min()) * len(head) / rate_hz
-    return pair if statistics.improbable(one, freedom, two, freedom - 3) < BENT_BY_CHANCE and turns > math.pi else None
+    chance = statistics.improbable(one, freedom, two, freedom - 3)
+    return pair if chance < SIGNIFICANCE_LEVEL and turns > math.pi else None
 
 
 def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], SecondMode | None]:
@@ -689,8 +690,8 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: flo
 
 # ---- Intervals: what all taps have in common -------------------------------------------------------------------------
 
-Known: TypeAlias = tuple[Floats, Floats]
-"""(n,) values and the variances of the noise alone, without the luck of each tap."""
+WithVariances: TypeAlias = tuple[Floats, Floats]
+"""(n,) values, and (n,) their variances by the noise alone, without what differs from tap to tap."""
 
 
 def _noise_of(taps: Sequence[TapHit]) -> Floats:
@@ -732,13 +733,13 @@ class Figures:
     speeds: Floats
     noise: Floats
     """(n,) variances."""
-    amplitude: Known
+    amplitude: WithVariances
     """A, in m/s^2."""
-    peak: Known
+    peak: WithVariances
     """The largest acceleration of the first cycle."""
-    decay: Known
+    decay: WithVariances
     """Logarithm of B."""
-    angular: Known
+    angular: WithVariances
     """Logarithm of w."""
 
     @classmethod
@@ -965,10 +966,8 @@ def fit_tap(
     figures = Figures.of(taps)
     speeds, squares = figures.speeds, figures.speeds**2
     # Taps differ by parts of their amplitudes.
-    line, offset = (
-        through_origin(speeds, *figures.amplitude, squares),
-        statistics.with_offset(speeds, *figures.amplitude, squares),
-    )
+    line = through_origin(speeds, *figures.amplitude, squares)
+    offset = statistics.with_offset(speeds, *figures.amplitude, squares)
     slope = line.coefficients[0]
     speed_law.check_slope(slope)
     angular, decay = common(*figures.angular), common(*figures.decay)
@@ -1111,7 +1110,7 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
     taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
     share = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
     chance = statistics.improbable(float(samples), samples, max(0.0, samples - taken), samples - size)
-    if share > REPORTED_SHAPE and (chance < BENT_BY_CHANCE or coloured > MOST_RESIDUAL_TO_NOISE):
+    if share > REPORTED_SHAPE and (chance < SIGNIFICANCE_LEVEL or coloured > MOST_RESIDUAL_TO_NOISE):
         return f"what is left over has a shape, {100 * share:.0f} % of the ringing"
     if coloured > MOST_RESIDUAL_TO_NOISE and math.sqrt(left / heard) > REPORTED_SHAPE:
         return f"what is left over is {coloured:.1f} times the noise before the taps"

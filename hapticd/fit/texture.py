@@ -49,8 +49,9 @@ LEAST_FALL_OF_DENSITY: Final = 1.78
 the samples of a continuous one fall by more."""
 JACKKNIFE_GROUPS: Final = 20
 """Of blocks, at most, that the jackknife leaves out one at a time."""
-HALF, QUARTER = 0.5, 0.75
-"""Parts of the highest density above which parabolas are fitted."""
+WIDE_TOP, NARROW_TOP = 0.5, 0.75
+"""Parts of the highest density: the peak is the top of a parabola through what is above the first, and checked by one
+through what is above the second."""
 SMOOTH_HZ: Final = 15.0
 """Densities are means over so much to either side."""
 RMS_M_PER_S2: Final = (0.03, 300.0)
@@ -136,7 +137,7 @@ def _without_hiss(name: str, frequency: Floats, density: Floats, rate_hz: float)
             f"{name}: the spectrum goes on beyond half the rate of {rate_hz:g} Hz, or is the sensor's hiss "
             "alone: record at a higher rate, or with less noise"
         )
-    # A texture's own density falls there, by FALLS at least; only what does not is the sensor's.
+    # A texture's own density falls there, by LEAST_FALL_OF_DENSITY at least; only what does not is the sensor's.
     nearer = float(np.mean(density[:, (frequency > 0.3 * rate_hz) & (frequency < 0.35 * rate_hz)]))
     floor = min(max(0.0, (LEAST_FALL_OF_DENSITY * floor - nearer) / (LEAST_FALL_OF_DENSITY - 1)), floor)
     return density - floor, floor
@@ -288,7 +289,7 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
         return _parabola_peak(frequency, density)
 
     def upper(density: Floats) -> float:
-        return _parabola_peak(frequency, density, QUARTER)
+        return _parabola_peak(frequency, density, NARROW_TOP)
 
     found = jackknifed(parabola, shape, strokes)
     top = jackknifed(upper, shape, strokes)
@@ -298,7 +299,7 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
         return Peak(found, True)
     # An interval may have run away, but nothing with less than half of the highest density is the peak.
     smooth, place = _highest(frequency, shape.mean(axis=0))
-    below = np.flatnonzero(smooth[place:] < HALF * smooth[place])
+    below = np.flatnonzero(smooth[place:] < WIDE_TOP * smooth[place])
     reach = min(found.high, float(frequency[place + below[0]] if len(below) else frequency[-1]))
     return Peak(Estimate(found.value, 0.0, max(_highest_resampled(frequency, shape), reach, found.value)), False)
 
@@ -344,7 +345,7 @@ def _highest(frequency: Floats, density: Floats) -> tuple[Floats, int]:
     return smooth, int(np.argmax(np.where(frequency >= LOW_HZ, smooth, 0.0)))
 
 
-def _parabola_peak(frequency: Floats, shape: Floats, part: float = HALF) -> float:
+def _parabola_peak(frequency: Floats, shape: Floats, part: float = WIDE_TOP) -> float:
     """Of the band in which the density (frequencies,) is more than this part of its highest."""
     smooth, place = _highest(frequency, shape)
     outside = (smooth <= part * smooth[place]) | (frequency < LOW_HZ)

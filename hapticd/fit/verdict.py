@@ -198,7 +198,7 @@ class Exclusion:
     recording: str
     reason: str
     what: str = WHOLE_RECORDING
-    """RECORDING for all of it, PART for some of it, or the event: `tap`."""
+    """WHOLE_RECORDING, ONE_PART of it, or the event: `tap`."""
     time_s: float | None = None
     """Of the event, from the first sample."""
 

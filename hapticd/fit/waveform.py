@@ -34,14 +34,14 @@ from hapticd.fit.verdict import Doubts, Exclusions
 LEAST_PULSES: Final = 3
 LARGE_PART: Final = 0.6
 """Of the peak."""
-CROSSES: Final = 0.25
+CROSSING_PART: Final = 0.25
 """Pulses begin to be laid over each other where they cross this part of their peak."""
 FAINT_ENERGY: Final = 5e-4
 """What of the shape lies before its beginning, and what after its end, has at most this part of its energy."""
-FINER: Final = 4 / 3
+ERROR_OVER_CHANGE: Final = 4 / 3
 """How far samples are off, over what twice as many change: for errors that fall with the square of their distance."""
 LEAST_SAMPLES: Final = 8
-FADED: Final = 0.2
+FADED_PART: Final = 0.2
 """A shape that does not end is faded out over this part of its length."""
 
 
@@ -84,10 +84,10 @@ class Pulse:
         return float(np.median(self.measured[:first]))
 
     def crossing_s(self) -> float:
-        """When the pulse, on its way to its first large value, passes CROSSES of its peak; after the beginning of the
-        stretch."""
+        """When the pulse, on its way to its first large value, passes CROSSING_PART of its peak; after the beginning of
+        the stretch."""
         size = np.abs(self.measured - self.rest)
-        level, peak = CROSSES * float(size.max()), int(np.argmax(size >= LARGE_PART * size.max()))
+        level, peak = CROSSING_PART * float(size.max()), int(np.argmax(size >= LARGE_PART * size.max()))
         below = np.flatnonzero(size[:peak] < level)
         if not len(below):
             return 0.0
@@ -323,7 +323,7 @@ class Shape:
         pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(self.pulses, moved, strict=True)]
         found = Shape.of(pulses, moved, finer_hz, count, turns=4)
         if faded:
-            over = max(2, round(FADED * count))
+            over = max(2, round(FADED_PART * count))
             found.samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
             found.samples[-1] = 0.0
         return found, faded
@@ -390,10 +390,10 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
         sizes.append(_ratio(found.placed, some))
     finer = Shape.of(shape.pulses, shape.placed, 2 * shape.rate_hz, 2 * count - 1, turns=2)
     between_s = np.arange(2 * count - 1) / (2 * shape.rate_hz)
-    changes = (FINER * (finer.samples - shape.curve.at(between_s))) ** 2
+    changes = (ERROR_OVER_CHANGE * (finer.samples - shape.curve.at(between_s))) ** 2
     # That a shape is faded out says nothing of the amplitudes.
-    whole = changes[: math.floor((1 - FADED) * len(changes))] if faded else changes
-    off = FINER * (_ratio(finer.placed, shape.placed) - 1.0)
+    whole = changes[: math.floor((1 - FADED_PART) * len(changes))] if faded else changes
+    off = ERROR_OVER_CHANGE * (_ratio(finer.placed, shape.placed) - 1.0)
     # Squares in the mean over five neighbours, fewer near the ends: with few taps some are small by luck.
     squares = jackknife_error(np.array(samples))[1:-1] ** 2
     mean = np.convolve(squares, np.ones(5))[2:-2] / np.convolve(np.ones(count - 2), np.ones(5))[2:-2]
@@ -527,7 +527,7 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     doubts.check("variance that a waveform explains", share)
     if faded:
         reason = f"the pulses are not over after {1e3 * curve.length_s:.3g} ms"
-        doubts.add(False, reason, f"the waveform is faded out over its last {100 * FADED:.0f} %")
+        doubts.add(False, reason, f"the waveform is faded out over its last {100 * FADED_PART:.0f} %")
     doubts.check("samples in a period of a waveform", resolved)
     speed_law.doubt_the_law(doubts, law, line.r_squared)
     excluded.report_taps(len(hits), doubts)

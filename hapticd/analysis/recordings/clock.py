@@ -36,9 +36,9 @@ LEAST_SAMPLES: Final = 16
 MAX_SAMPLES: Final = 20_000_000
 LOWEST_HZ: Final = 100.0
 HIGHEST_HZ: Final = 1e6
-UNIFORM: Final = 1e-3
+UNIFORM_WITHIN: Final = 1e-3
 """A clock whose samples are no more than this part of a period from where they should be is taken as uniform."""
-JITTER: Final = 0.5
+MOST_JITTER: Final = 0.5
 """Samples farther than this from where they should be, in periods, are missing or doubled ones."""
 RATES_ALIKE: Final = 0.02
 GAP_EVERY: Final = 50
@@ -115,17 +115,17 @@ def _by_times(
     begin_s = float(np.mean(since_s - period_s * number))
     late = np.abs(since_s - begin_s - period_s * number) / period_s
     every = np.arange(int(number[-1]) + 1)
-    if late.max() <= max(UNIFORM, 0.5 * rounding_s / period_s * 1.001 + UNIFORM):
+    if late.max() <= max(UNIFORM_WITHIN, 0.5 * rounding_s / period_s * 1.001 + UNIFORM_WITHIN):
         # Times that are rounded say a rate only so well, and a clock is made for a whole one.
-        if abs(round(rate) / rate - 1) <= (rounding_s + UNIFORM * period_s) / float(since_s[-1]):
+        if abs(round(rate) / rate - 1) <= (rounding_s + UNIFORM_WITHIN * period_s) / float(since_s[-1]):
             rate = float(round(rate))
         return (lambda values: np.interp(every, number, values)) if gaps else None, rate, gaps
     # After a gap a clock goes on anywhere between two samples.
-    if late.max() > JITTER + (0.5 if gaps else 0.0) and (gaps or not _wanders(since_s, period_s)):
+    if late.max() > MOST_JITTER + (0.5 if gaps else 0.0) and (gaps or not _wanders(since_s, period_s)):
         worst = int(np.argmax(late))
         raise ValueError(
             f"the clock is {late[worst]:.2f} periods off a uniform one at sample {worst + 1} "
-            f"({time_s[worst]:.9g} s), {JITTER:g} is the most that is put right: were samples lost, or doubled?"
+            f"({time_s[worst]:.9g} s), {MOST_JITTER:g} is the most that is put right: were samples lost, or doubled?"
         )
     even_s: Floats = np.asarray(begin_s + period_s * every, dtype=np.float64)
     return lambda values: _resampled(since_s, values, even_s, gaps), rate, gaps
@@ -145,7 +145,7 @@ def _numbered(time_s: Floats, rounding_s: float) -> tuple[npt.NDArray[np.int64],
     usual = float(np.median(steps))
     spread = 1.4826 * float(np.median(np.abs(steps - usual)))
     # A distance far off the usual one, by the scatter of all of them, is a gap.
-    jumps = np.flatnonzero(steps > usual + max(JITTER * usual, 6.0 * spread) + rounding_s)
+    jumps = np.flatnonzero(steps > usual + max(MOST_JITTER * usual, 6.0 * spread) + rounding_s)
     # One rate for all stretches, whatever lies between them.
     along = square = 0.0
     for stretch in np.split(time_s, jumps + 1):
@@ -172,7 +172,7 @@ def _wanders(since_s: Floats, period_s: float) -> bool:
     steps = np.diff(since_s) / period_s
     edges = np.linspace(0, len(since_s) - 1, min(20, len(steps) // 50 + 1) + 1).round().astype(int)
     rates = np.diff(since_s[edges]) / np.diff(edges) / period_s
-    return bool(np.abs(steps - 1).max() < JITTER and np.abs(rates - 1).max() < 0.01)
+    return bool(np.abs(steps - 1).max() < MOST_JITTER and np.abs(rates - 1).max() < 0.01)
 
 
 def _decimals(time_s: Floats) -> float:
