@@ -33,7 +33,6 @@ OBJECT_KINDS: Final = ("wall", "membrane", "box", "disc", "spring", "viscous", "
 MATERIAL: Final = (
     "stiffness_n_per_m", "damping_n_s_per_m", "tap", "rupture", "friction", "texture", "provenance",
 )  # fmt: skip
-OPERATOR: Final = ("waypoints", "interpolation", "gesture")
 
 _TAKERS: Final[dict[Kind, tuple[str, str]]] = {
     "configuration": ("a configuration", "run -c"),
@@ -49,14 +48,14 @@ _TAKERS: Final[dict[Kind, tuple[str, str]]] = {
     "sweep": ("a sweep", "sweep run"),
 }
 """What a person calls a kind, and the command that takes it."""
-_KEYS: Final[dict[Kind, tuple[str, ...]]] = {
+TELLING_KEYS: Final[dict[Kind, tuple[str, ...]]] = {
     "bare scene": SCENE,
-    "gesture": OPERATOR[2:],
-    "waypoints": OPERATOR[:2],
+    "gesture": ("gesture",),
+    "waypoints": ("waypoints", "interpolation"),
     "study": ("experiment", "factors", "trial", "questions"),
     "sweep": ("vary", "measure", "refine"),
 }
-"""One of these keys says which kind it is."""
+"""A document that has one of these keys is of this kind."""
 PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
     "objects": ("scene", "bare scene", "objects"),
     "materials": ("materials", "bare materials"),
@@ -65,7 +64,7 @@ PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
 
 
 def kind_of(data: Json) -> Kind | None:
-    """What plain data is; None where its keys do not say."""
+    """The kind of a document, by its keys; None where they do not tell."""
     if not isinstance(data, dict) or not data:
         return None
     inner = [value for key, value in data.items() if value is not None or key in SCENE]
@@ -77,7 +76,7 @@ def kind_of(data: Json) -> Kind | None:
         return "change" if "materials" in data else "scene"
     if "materials" in data:
         return "materials"
-    for kind, keys in _KEYS.items():
+    for kind, keys in TELLING_KEYS.items():
         if not data.keys().isdisjoint(keys):
             return kind
     if {"kind", "object"} <= data.keys():
@@ -110,7 +109,7 @@ def refuse_documents(path: str | os.PathLike[str]) -> None:
 
 
 def refuse_other_keys(document: Document, path: Sequence[str], given: Collection[str], known: str) -> None:
-    """Refuses all keys but one of the mapping at `path`."""
+    """Raises InvalidError if the mapping at `path`, with the keys `given`, has others than `known`."""
     text = f"{UNKNOWN_KEY}; known: {known}"
     others = [Problem(document.where((*path, key)), text) for key in given if key != known]
     if others:

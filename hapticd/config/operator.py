@@ -221,13 +221,14 @@ class Operator:
 
 
 def operator_of(params: Mapping[str, object]) -> Operator:
-    """An operator from the params of `set_operator`. Raises InvalidError with every fault, of waypoints with that of
-    the first."""
+    """An operator from the params of `set_operator`. Raises InvalidError with every fault; of several faulty waypoints
+    with those of the first."""
     return _parse(Document(cast(Json, params)))
 
 
 def parse_operator(data: Mapping[str, object]) -> Operator:
-    """As operator_of, from any mapping, numpy arrays and tuples included."""
+    """An operator from any mapping of such params, numpy arrays and tuples included. Raises InvalidError as operator_of
+    does."""
     return _parse(Document(plain(data)))
 
 

@@ -277,7 +277,7 @@ class Display(Model):
 
 
 def _patches_fault(objects: Mapping[str, SceneObject]) -> str | None:
-    """What is wrong where there are more than a scene holds."""
+    """Why the patches of these objects are too many for a scene; None where they are not."""
     patches = sum(len(item.patches) for item in objects.values() if item.kind == "wall")
     too_many = f"must have at most {MAX_SCENE_PATCHES} patches in all, have {patches}"
     return too_many if patches > MAX_SCENE_PATCHES else None
@@ -323,7 +323,7 @@ class Scene(Model):
             else:
                 objects[name] = changed
         check_count(objects, MAX_OBJECTS, ("objects",))
-        # Of the others it is known, and to look at all of them would cost more than the rest of an update.
+        # Without a changed patch the number cannot have grown, and counting would cost more than the rest of an update.
         if any(changed is not None and changed.kind == "wall" and changed.patches for changed in changes.values()):
             fault = _patches_fault(objects)
             if fault is not None:

@@ -56,7 +56,8 @@ def test_the_keys_are_those_of_the_models() -> None:
     assert {*document_kinds.CONFIGURATION, "materials", "scene"} == set(Config.model_fields)
     assert set(document_kinds.SCENE) == set(Scene.model_fields)
     assert set(document_kinds.MATERIAL) == set(Material.model_fields)
-    assert set(document_kinds.OPERATOR) == set(OperatorParams.model_fields)
+    of_operators = document_kinds.TELLING_KEYS["waypoints"] + document_kinds.TELLING_KEYS["gesture"]
+    assert set(of_operators) == set(OperatorParams.model_fields)
     assert set(document_kinds.OBJECT_KINDS) == {
         kind for member in get_args(SceneObject) for kind in get_args(member.model_fields["kind"].annotation)
     }
