@@ -279,6 +279,7 @@ lint: tools
 	$(BIN)/mypy --strict hapticd
 	$(BIN)/lint-imports --no-logo --no-cache
 	@$(BIN)/python -m tests.project.check_includes
+	@$(BIN)/python -m tests.project.check_words
 	@echo $(BIN)/clang-format --dry-run -Werror; $(BIN)/clang-format --dry-run -Werror $(C_FILES)
 
 # The extension as users build it, then every C file with all warnings; clang also proves that nothing marked HD_RT calls

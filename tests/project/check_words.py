@@ -1,0 +1,116 @@
+"""Check the wording of hapticd/: `python -m tests.project.check_words [PATH ...]` prints each place to mend.
+
+A place is an expression of the table "Words to avoid" (docs/contributing.md) in a comment, a docstring or a text of several
+words, or a module constant of one word, which says neither quantity nor unit.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import sys
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+GUIDE: Final = ROOT / "docs" / "contributing.md"
+TABLE_HEADING: Final = "### Words to avoid"
+
+CHECKED_PATHS: Final = ("hapticd",)
+"""Files and folders that are checked by default."""
+
+EXEMPT_PATHS: Final = (
+    "hapticd/analysis",
+    "hapticd/base",
+    "hapticd/cli",
+    "hapticd/client",
+    "hapticd/config",
+    "hapticd/daemon",
+    "hapticd/doctor",
+    "hapticd/experiment",
+    "hapticd/fit",
+    "hapticd/hid",
+    "hapticd/protocol",
+    "hapticd/recording",
+    "hapticd/rendering",
+    "hapticd/sweeps",
+    "hapticd/system",
+    "hapticd/web",
+    "hapticd/__init__.py",
+    "hapticd/_build.py",
+    "hapticd/_share.py",
+    "hapticd/_stub.py",
+)
+"""Rooms that are still to be reworded. pyproject.toml exempts the same from ruff's D rules."""
+
+ONE_WORD_CONSTANT: Final = re.compile(r"_?[A-Z]{3,}(_(S|MS|US|NS|HZ|M|N|BYTES))?")
+
+
+class Finding(NamedTuple):
+    """A place to mend: line number, what was found and what to write."""
+
+    line: int
+    found: str
+    advice: str
+
+
+def avoided_words(guide: str) -> list[tuple[re.Pattern[str], str]]:
+    """Read the table of words to avoid from the text of docs/contributing.md.
+
+    Returns pairs of a pattern, which ignores case, and the words to write.
+    """
+    table = guide.partition(f"{TABLE_HEADING}\n")[2].partition("\n#")[0]
+    rows = [(cell.replace(r"\|", "|"), advice) for cell, advice in re.findall(r"^\| `(.+?)` \| (.+?) \|$", table, re.M)]
+    return [(re.compile(rf"(?<![\w.`-])(?:{pattern})(?![\w`-])", re.I), advice) for pattern, advice in rows]
+
+
+def _prose(source: str) -> Iterator[tuple[int, str]]:
+    """Yield the comments, docstrings and texts of several words, each with the number of its first line."""
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        is_text = token.type == tokenize.STRING or token.type == getattr(tokenize, "FSTRING_MIDDLE", -1)
+        if token.type == tokenize.COMMENT or (is_text and " " in token.string.strip("\"' ")):
+            yield token.start[0], token.string
+
+
+def _one_word_constants(source: str) -> Iterator[Finding]:
+    for statement in ast.parse(source).body:
+        targets = statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
+        for target in targets:
+            if isinstance(target, ast.Name) and ONE_WORD_CONSTANT.fullmatch(target.id):
+                yield Finding(statement.lineno, target.id, "a name with quantity and unit, as MIN_REST_SAMPLES")
+
+
+def findings(source: str, words: list[tuple[re.Pattern[str], str]]) -> list[Finding]:
+    """Find the places to mend in the text of a Python file, in the order of its lines."""
+    found = list(_one_word_constants(source))
+    for first_line, text in _prose(source):
+        for pattern, advice in words:
+            for match in pattern.finditer(text):
+                found.append(Finding(first_line + text.count("\n", 0, match.start()), match.group(), advice))
+    return sorted(found)
+
+
+def _checked_files(paths: list[str]) -> Iterator[Path]:
+    exempt = [] if paths else [ROOT / path for path in EXEMPT_PATHS]
+    for path in paths or CHECKED_PATHS:
+        for file in sorted((ROOT / path).rglob("*.py")) if (ROOT / path).is_dir() else [ROOT / path]:
+            if not any(file.is_relative_to(one) for one in exempt):
+                yield file
+
+
+def main(paths: list[str]) -> int:
+    """Print each place to mend as FILE:LINE, and return the exit status: 1 if there is any."""
+    words = avoided_words(GUIDE.read_text(encoding="utf-8"))
+    status = 0
+    for file in _checked_files(paths):
+        for line, found, advice in findings(file.read_text(encoding="utf-8"), words):
+            print(f"{file.relative_to(ROOT)}:{line}: {' '.join(found.split())!r}: write {advice}")
+            status = 1
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
