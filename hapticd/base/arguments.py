@@ -1,6 +1,6 @@
-"""What a program passes to a client, checked before anything is sent: a mistake is one line, not a traceback.
+"""Arguments that a program passes to a client, checked before anything is sent: a mistake is one line, not a traceback.
 
-What the daemon validates itself is left to it. Here is what would not get so far, or would wait for ever.
+Checked here is what cannot be encoded, or would make the client wait for ever. The daemon validates the rest.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_t
 
 
 def wrong(where: str, problem: str) -> InvalidError:
-    """One argument that is wrong."""
+    """Return the error for one invalid argument."""
     return InvalidError([Problem(where, problem)])
 
 
 def seconds(name: str, value: object, *, zero: bool = False) -> float:
-    """A time in s, more than 0 unless `zero` may be; infinity is none. Raises InvalidError."""
+    """Check a finite time in s, more than 0, or with `zero` at least 0. Raises InvalidError."""
     number = _number(value)
     if number is None or not 0 <= number < math.inf or (number == 0 and not zero):
         least = "of at least 0" if zero else "of more than 0"
@@ -29,7 +29,7 @@ def seconds(name: str, value: object, *, zero: bool = False) -> float:
 
 
 def within(name: str, value: object, most: float, unit: str) -> float:
-    """A number from -`most` to `most`. Raises InvalidError."""
+    """Check a number from -`most` to `most`. Raises InvalidError."""
     number = _number(value)
     if number is None or not -most <= number <= most:
         raise wrong(name, f"must be a number from {-most:g} to {most:g} {unit}, is {shown(value)}")
@@ -37,7 +37,7 @@ def within(name: str, value: object, most: float, unit: str) -> float:
 
 
 def flag(name: str, value: object) -> bool:
-    """True or False, numpy's too."""
+    """Check a truth value, Python's or numpy's. Raises InvalidError."""
     made = value.tolist() if hasattr(value, "tolist") else value
     if not isinstance(made, bool):
         raise wrong(name, f"must be True or False, is {shown(value)}")
@@ -45,7 +45,7 @@ def flag(name: str, value: object) -> bool:
 
 
 def path(name: str, value: object) -> str:
-    """The path of a file or a folder."""
+    """Check the path of a file or a folder. Raises InvalidError."""
     if not isinstance(value, str | os.PathLike):
         raise wrong(name, f"must be a path, is {shown(value)}")
     found = os.fspath(value)
@@ -55,14 +55,14 @@ def path(name: str, value: object) -> str:
 
 
 def mapping(name: str, value: object) -> dict[str, object]:
-    """A mapping whose keys are texts."""
+    """Check a mapping, and return it as a dict. Raises InvalidError."""
     if not isinstance(value, Mapping):
         raise wrong(name, f"must be a mapping, is {shown(value)}")
     return dict(value)
 
 
 def numbers(name: str, value: object) -> list[float]:
-    """A list, a tuple or a numpy array of numbers."""
+    """Check a list, a tuple or a numpy array of numbers. Raises InvalidError."""
     found = []
     for place, each in enumerate(_items(name, value, "numbers")):
         number = _number(each)
@@ -73,12 +73,12 @@ def numbers(name: str, value: object) -> list[float]:
 
 
 def rows(name: str, value: object) -> list[list[float]]:
-    """A list of lists of numbers, or a numpy array of two dimensions."""
+    """Check a list of lists of numbers, or a numpy array of two dimensions. Raises InvalidError."""
     return [numbers(f"{name}[{place}]", each) for place, each in enumerate(_items(name, value, "lists of numbers"))]
 
 
 def texts(name: str, value: object) -> list[str]:
-    """A list of texts; a text alone is taken for a mistake."""
+    """Check a list of texts. Raises InvalidError, for a single text too."""
     found = []
     for place, each in enumerate(_items(name, value, "texts")):
         if not isinstance(each, str):
@@ -88,16 +88,16 @@ def texts(name: str, value: object) -> list[str]:
 
 
 def one_of(name: str, value: object, known: Iterable[str]) -> None:
-    """Raises InvalidError for what is none of the names that there are."""
+    """Raise InvalidError unless `value` is one of the `known` names."""
     names = tuple(known)
     if not isinstance(value, str) or value not in names:
         raise wrong(name, f"unknown {name} {shown(value)}; {known_names(str(value), names)}")
 
 
 def plain(where: Path, value: object) -> Any:
-    """`value` as JSON can hold it, its types kept: numpy's numbers and arrays become Python's, a tuple a list.
+    """Return `value` as plain data for JSON: numpy's numbers and arrays become Python's, a tuple becomes a list.
 
-    Raises InvalidError, with the place of what JSON cannot hold.
+    Raises InvalidError with the place of a value that JSON cannot hold.
     """
     if len(where) > MAX_DEPTH:
         raise wrong(path_text(where[:1]), f"must not be nested deeper than {MAX_DEPTH}")
@@ -110,7 +110,7 @@ def plain(where: Path, value: object) -> Any:
             return value
         case int():
             if not -(2**63) <= value < 2**64:
-                raise wrong(path_text(where), f"must be a whole number of at most 64 bits, is {shown(value)}")
+                raise wrong(path_text(where), f"must be an integer of at most 64 bits, is {shown(value)}")
             return int(value)
         case float():
             if not math.isfinite(value):
@@ -145,7 +145,7 @@ def _items(name: str, value: object, what: str) -> list[object]:
 
 
 def _number(value: object) -> float | None:
-    """numpy's numbers are numbers, too; texts and truth values are none."""
+    """Return a number of Python or numpy as float, and None for a text, a truth value or anything else."""
     if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
         return None
     try:

@@ -1,4 +1,4 @@
-"""Two clocks read together: CLOCK_MONOTONIC, which samples and events have, and CLOCK_REALTIME, the time of day."""
+"""Two clocks read together: CLOCK_MONOTONIC, the clock of samples and events, and CLOCK_REALTIME, the time of day."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
 
-TRIES: Final = 3
+CLOCK_READING_TRIES: Final = 3
+"""The clocks are read three times; the reading that took least time counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,9 +26,9 @@ class Moment:
 
 
 def read() -> Moment:
-    """Both clocks, by the narrowest of some tries."""
+    """Read both clocks, CLOCK_REALTIME between two readings of CLOCK_MONOTONIC, whose mean counts."""
     tries = []
-    for _ in range(TRIES):
+    for _ in range(CLOCK_READING_TRIES):
         before = time.monotonic_ns()
         realtime_ns = time.time_ns()
         width_ns = time.monotonic_ns() - before
@@ -36,7 +37,7 @@ def read() -> Moment:
 
 
 def moment_of(value: object) -> Moment | None:
-    """A moment as a map that came from elsewhere; None where it is none."""
+    """Return the moment that a received map holds, and None if it holds none."""
     if not isinstance(value, Mapping):
         return None
     monotonic_ns, realtime_ns = value.get("monotonic_ns"), value.get("realtime_ns")

@@ -11,14 +11,13 @@ import msgpack
 from hapticd.base.errors import HapticdError
 
 MAX_DEPTH: Final = 32
-"""Deepest nesting of a message; a request whose params hold only scalars has depth 2."""
+"""Maximum nesting of a message. A request whose params hold only scalars has depth 2."""
 
-LARGE_PART: Final = 16 * 1024
-"""Bytes; a part that is as large, and encoded already, is sent without being copied."""
+MIN_SHARED_PART_BYTES: Final = 16 * 1024
+"""An encoded part of at least 16 KiB is sent without a copy."""
 
-_PACKED: Final = 4096
-"""Bytes that a packer begins with. By default it takes 256 KiB, which the kernel maps and unmaps for each message
-(docs/adr/0022)."""
+_PACKER_BUFFER_BYTES: Final = 4096
+"""Initial buffer of a msgpack packer. Its default, 256 KiB, is mapped and unmapped for each message (docs/adr/0022)."""
 
 
 class NotEncodableError(HapticdError):
@@ -35,20 +34,19 @@ def _plain(value: object) -> object:
 
 
 def encode(value: object) -> bytes:
-    """msgpack of a tree of mappings, lists, tuples, str, bytes, bool, numbers (numpy's and arrays too) and
-    None.
+    """Encode plain data as msgpack: mappings, lists, tuples, str, bytes, bool, numbers, None and numpy's arrays.
 
     Raises NotEncodableError for anything else.
     """
     try:
-        return cast(bytes, msgpack.packb(value, default=_plain, buf_size=_PACKED))
+        return cast(bytes, msgpack.packb(value, default=_plain, buf_size=_PACKER_BUFFER_BYTES))
     except (TypeError, ValueError, OverflowError) as error:
         raise NotEncodableError(f"cannot be encoded: {error}") from None
 
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """A value that is encoded already, in parts that follow each other. Large parts are shared, never copied."""
+    """An encoded value: its parts in order. Large parts are shared, never copied."""
 
     parts: tuple[bytes, ...]
 
@@ -60,18 +58,18 @@ class Encoded:
 
 
 def encoded(value: object) -> Encoded:
-    """Any value. Raises as encode does."""
+    """Encode a value. Raises NotEncodableError."""
     return Encoded((encode(value),))
 
 
 def encoded_map(members: Mapping[str, object]) -> Encoded:
-    """A map of these members, of which some may be encoded already. Raises as encode does."""
+    """Encode a map, of which some values may be `Encoded`. Raises NotEncodableError."""
     found: list[bytes] = []
-    small = bytearray(msgpack.Packer(buf_size=_PACKED).pack_map_header(len(members)))
+    small = bytearray(msgpack.Packer(buf_size=_PACKER_BUFFER_BYTES).pack_map_header(len(members)))
     for key, value in members.items():
         small += encode(key)
         for part in value.parts if isinstance(value, Encoded) else (encode(value),):
-            if len(part) < LARGE_PART:
+            if len(part) < MIN_SHARED_PART_BYTES:
                 small += part
             else:
                 found += bytes(small), part
@@ -81,24 +79,24 @@ def encoded_map(members: Mapping[str, object]) -> Encoded:
 
 @dataclass(frozen=True, slots=True)
 class Members:
-    """Members of a map that are encoded already, without the map's header."""
+    """Encoded members of a map, without the map's header."""
 
     count: int
     data: bytes
 
     @classmethod
     def of(cls, members: Mapping[str, object]) -> Members:
-        """Raises as encode does."""
+        """Encode these members. Raises NotEncodableError."""
         data = encode(members)
         return cls(len(members), data[_header_size(len(members)) :])
 
     def joined(self, members: Mapping[str, object]) -> bytes:
-        """The map of these, and of others that are not encoded yet. Raises as encode does."""
+        """Return the encoded map of these members and `members`. Raises NotEncodableError."""
         count = self.count + len(members)
         header = bytes((0x80 | count,)) if count < 16 else b"\xde" + count.to_bytes(2, "big")
         return header + self.data + encode(members)[_header_size(len(members)) :]
 
 
 def _header_size(count: int) -> int:
-    """Bytes of the header of a map of so many members; of at most 65,535."""
+    """Return the bytes of the header of a map of `count` members, at most 65,535."""
     return 1 if count < 16 else 3

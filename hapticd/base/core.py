@@ -1,8 +1,8 @@
 """The C core as Python sees it: `ffi`, `lib`, its records as numpy dtypes, its enums, and a few helpers.
 
-This module alone imports the compiled extension, but for the one call of memory.py. Layouts, enums and numbers come
-from the compiled code, never from a second definition here; mypy knows them from hapticd/_core.pyi, which the build
-makes from the same header. `csrc/api/hd_api.h` documents every function and field.
+Only this module imports the compiled extension, except for one call of memory.py. Layouts, enums and numbers come
+from the compiled code, never from a second definition here. mypy reads them from hapticd/_core.pyi, which the build
+makes of the same headers. `csrc/api/hd_api.h` documents every function and field.
 """
 
 import os
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 else:
     CData, CType = ffi.CData, ffi.CType
 
-_SCALARS: dict[str, np.dtype[Any]] = {
+_DTYPE_OF_C_TYPE: dict[str, np.dtype[Any]] = {
     "double": np.dtype(np.float64),
     "int32_t": np.dtype(np.int32),
     "uint8_t": np.dtype(np.uint8),
@@ -50,11 +50,11 @@ def _dtype_of(ctype: CType) -> np.dtype[Any]:
         return subarray
     if ctype.kind == "pointer":
         return np.dtype(np.uintp)
-    return _SCALARS[ctype.cname]
+    return _DTYPE_OF_C_TYPE[ctype.cname]
 
 
 def record_dtype(struct: str) -> np.dtype[np.void]:
-    """The numpy dtype of a C struct such as "struct hd_mode": the same names, offsets and size.
+    """Return the numpy dtype of a C struct such as "struct hd_mode": the same names, offsets and size.
 
     Nested structs are nested dtypes, arrays are subarrays, pointers are addresses (`numpy.uintp`).
     Raises `ffi.error` for an opaque struct or an unknown one.
@@ -71,46 +71,46 @@ SAMPLE_DTYPE = record_dtype("struct hd_sample")
 EVENT_DTYPE = record_dtype("struct hd_event")
 
 NO_SLOT = lib.HD_NO_SLOT
-"""`slot` of an event or a reset that means no object in particular."""
+"""`slot` of an event or a reset that concerns no single object."""
 PLAY_SLOT = lib.HD_PLAY_SLOT
-"""`slot` of what a `play` command struck."""
+"""`slot` of the modes that a `play` command started."""
 PASSIVITY_AGE_MAX: int = lib.HD_PASSIVITY_AGE_MAX
-"""The oldest reports that the passivity observer understands, in periods."""
+"""Maximum age of a position report that the passivity observer accepts, in periods."""
 HISTOGRAM_EDGES_NS: tuple[int, ...] = tuple(map(lib.hd_histogram_edge_ns, range(lib.HD_HISTOGRAM_BINS - 1)))
-"""Between the bins of lateness and work, the first and the last of which have one each."""
-MARKS: int = lib.HD_MARKS
-"""So many marks may be under way to the servo and back: their events find room."""
-KICKS: int = lib.HD_KICKS
-"""So many samples of a strike may be corrected one by one."""
-TUNE_NODE: int = lib.HD_TUNE_NODE
-"""So many numbers say what compensation makes of a frequency: enum hd_tune_number in csrc/scene/hd_table_numbers.h."""
-WAVE_SAMPLES: int = lib.HD_WAVE_SAMPLES
-"""The most samples of a tap's waveform."""
-WAVE_PARTS: int = lib.HD_WAVE_PARTS
-"""So many parts of a waveform have a peak of their own: csrc/tick/hd_waveform.h."""
-SIM_FORCES: int = lib.HD_SIM_FORCES
-"""So many frames a force may be under way to the simulated joystick."""
+"""Edges between the bins of the histograms of lateness and work, in ns. The first and the last bin have one edge."""
+MAX_PENDING_MARKS: int = lib.HD_MARKS
+"""Maximum number of marks that the servo has not answered yet; the ring of events has room for them."""
+MAX_CORRECTED_SAMPLES: int = lib.HD_KICKS
+"""Maximum number of first samples of a strike that have corrections."""
+TUNE_NODE_NUMBERS: int = lib.HD_TUNE_NODE
+"""Numbers that describe compensation at one frequency: enum hd_tune_number in csrc/scene/hd_table_numbers.h."""
+MAX_WAVEFORM_SAMPLES: int = lib.HD_WAVE_SAMPLES
+"""Maximum number of samples of a tap's waveform."""
+WAVEFORM_PARTS: int = lib.HD_WAVE_PARTS
+"""Number of equal parts of a waveform for which a table holds the largest magnitude from there on."""
+MAX_FORCE_DELAY_FRAMES: int = lib.HD_SIM_FORCES
+"""Maximum delay of a force on its way to the simulated joystick, in intervals of the simulated link."""
 
 
-# enum hd_event_kind is EventKind, HD_EVENT_CONTACT its CONTACT: what all names of an enum begin with is left out.
-_ENUMS = {
-    "Status": "What a C function returns.",
+# Names of C: enum hd_event_kind is EventKind, and HD_EVENT_CONTACT its CONTACT, without the prefix that all have.
+_DOC_OF_ENUM = {
+    "Status": "Return value of a C function.",
     "Texture": "How a texture is displayed.",
-    "Shape": "What is in a slot.",
-    "PassivityMode": "Whether the energy that objects give to the hand is watched.",
+    "Shape": "Kind of the object in a slot.",
+    "PassivityMode": "Whether the energy that objects give to the hand is observed, or limited too.",
     "Flag": "Bits of a sample's `flags`.",
     "EventKind": "`kind` of an event.",
     "Fault": "Bits of latched faults.",
-    "OverrunAction": "What becomes of an overload, beside its event.",
-    "Interpolation": "Between an operator's waypoints.",
-    "Realtime": "How much real-time rights are wanted.",
-    "ClockSource": "What says that a tick is due.",
-    "HidQuantity": "What a number in an output report says of the force.",
-    "HidMeaning": "What a number in an input report says of the device.",
-    "SignsState": "How far the check of signs is.",
-    "SignsProblem": "What the check of signs met.",
+    "OverrunAction": "Reaction to an overload, in addition to its event.",
+    "Interpolation": "Interpolation between an operator's waypoints.",
+    "Realtime": "Whether real-time rights are required, tried or not used.",
+    "ClockSource": "Source of the signal that a tick is due.",
+    "HidQuantity": "Quantity of a number in an output report.",
+    "HidMeaning": "Quantity of a number in an input report.",
+    "SignsState": "State of the check of the force's signs.",
+    "SignsProblem": "Problem that the check of the force's signs found.",
     "CommandKind": "`kind` of a command to the servo.",
-    "StreamKind": "What is streamed: targets of the simulated hand, or forces.",
+    "StreamKind": "Quantity that is streamed: targets of the simulated hand, or forces.",
 }
 
 
@@ -126,27 +126,27 @@ def _enum(name: str, doc: str) -> Any:
 
 
 if not TYPE_CHECKING:
-    globals().update({name: _enum(name, doc) for name, doc in _ENUMS.items()})
+    globals().update({name: _enum(name, doc) for name, doc in _DOC_OF_ENUM.items()})
 
 
 def records(dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:
-    """`count` zeroed records of one of the dtypes above, shape (count,), which C can use in place."""
+    """Return `count` zeroed records of one of these dtypes, shape (count,), which C can use in place."""
     return np.zeros(count, dtype)
 
 
 def pointer(ctype: str, array: npt.NDArray[np.generic]) -> CData:
-    """The memory of an array as a C array such as "struct hd_object[]" or "double[]"; it keeps the array alive.
+    """Return the memory of an array as a C array such as "struct hd_object[]" or "double[]"; it keeps the array alive.
 
-    Raises ValueError if the array is not C-contiguous or its size is no multiple of the C item's.
+    Raises ValueError if the array is not C-contiguous, or its size is not a multiple of the C item's.
     """
     if not array.flags.c_contiguous:
         raise ValueError("an array for C must be C-contiguous")
     item = ffi.sizeof(ffi.typeof(ctype).item)
     if array.nbytes % item:
-        raise ValueError(f"{array.nbytes} bytes are no whole number of {ctype} items of {item} bytes")
+        raise ValueError(f"{array.nbytes} bytes are not a multiple of the {item} bytes of an item of {ctype}")
     return ffi.from_buffer(ctype, array)
 
 
 def invalid_reason() -> str:
-    """Why the last check on this thread failed, as one line."""
+    """Return why the last check of the C core on this thread failed, as one line."""
     return ffi.string(lib.hd_invalid_reason()).decode()

@@ -1,6 +1,6 @@
-"""Errors that a user can cause, and the words that report them.
+"""Errors that a user can cause, and helpers for their texts.
 
-Every message is one line: what, where and what would be right. A traceback that a user sees is a defect.
+Every message is one line that says where, what and what would be right. A traceback that a user sees is a defect.
 """
 
 import difflib
@@ -13,20 +13,25 @@ from typing import TypeAlias
 Path: TypeAlias = tuple[str | int, ...]
 """A place in a document: keys and list indices, from the root down."""
 
-_SHOWN_CHARACTERS = 60
-_SHOWN_NAMES = 20
-_COMPARED_NAMES = 64
-_SHOWN_PROBLEMS = 50
-_PLACE = re.compile(r"(.+?):(\d+):(\d+)(?:: |$)")
+_MAX_SHOWN_CHARACTERS = 60
+"""A longer text is cut in messages."""
+_MAX_SHOWN_NAMES = 20
+"""Known names that a message lists."""
+_MAX_COMPARED_NAMES = 64
+"""Among more known names no similar one is searched."""
+_MAX_SHOWN_PROBLEMS = 50
+"""Faults that a message lists; the others are counted."""
+_LOCATION_PATTERN = re.compile(r"(.+?):(\d+):(\d+)(?:: |$)")
+"""FILE:LINE:COLUMN at the beginning of a place."""
 
 
 class HapticdError(Exception):
-    """Something a user can put right; `str` is one line that says what, where and what would be right."""
+    """An error that a user can correct; its text is one line that says where, what and what would be right."""
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One fault: the place in the user's words, with file and line where known, and what is wrong."""
+    """One fault: its place as the user knows it, with file and line if known, and what is wrong there."""
 
     where: str
     problem: str
@@ -36,7 +41,7 @@ class Problem:
 
 
 class InvalidError(HapticdError):
-    """What a person wrote is not valid; `problems` holds every fault found, by file and line."""
+    """Input that is not valid; `problems` holds every fault that was found, by file and line."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = in_order(problems)
@@ -47,35 +52,35 @@ class InvalidError(HapticdError):
 
 
 def in_order(problems: Iterable[Problem]) -> tuple[Problem, ...]:
-    """Faults by file, line and column; those without a file come first, in the order in which they were found."""
+    """Sort faults by file, line and column. Those without a file come first, in the given order."""
 
     def place(problem: Problem) -> tuple[str, int, int]:
-        found = _PLACE.match(problem.where)
+        found = _LOCATION_PATTERN.match(problem.where)
         return (found[1], int(found[2]), int(found[3])) if found else ("", 0, 0)
 
     return tuple(sorted(problems, key=place))
 
 
 def lines_of(problems: Sequence[Problem]) -> list[str]:
-    """What a person reads of faults, one a line: nobody reads hundreds."""
-    hidden = len(problems) - _SHOWN_PROBLEMS
-    return [*map(str, problems[:_SHOWN_PROBLEMS]), *([f"and {hidden} more"] if hidden > 0 else [])]
+    """Return a line for each of the first 50 faults, and one with the number of the others."""
+    hidden = len(problems) - _MAX_SHOWN_PROBLEMS
+    return [*map(str, problems[:_MAX_SHOWN_PROBLEMS]), *([f"and {hidden} more"] if hidden > 0 else [])]
 
 
 def on_one_line(text: str) -> str:
-    """A text of others with a space for each line break and each run of white space."""
+    """Replace each run of white space of a text, line breaks included, by one space."""
     return " ".join(text.split())
 
 
 def quoted(text: str) -> str:
-    """`text` in double quotes on one line, shortened, with everything unprintable escaped."""
-    if len(text) > _SHOWN_CHARACTERS:
-        text = text[:_SHOWN_CHARACTERS] + "..."
+    """Return `text` in double quotes on one line, cut after 60 characters, with unprintable characters escaped."""
+    if len(text) > _MAX_SHOWN_CHARACTERS:
+        text = text[:_MAX_SHOWN_CHARACTERS] + "..."
     return json.dumps(text, ensure_ascii=not text.isprintable())
 
 
 def shown(value: object) -> str:
-    """A value as a message shows it: scalars as YAML writes them, anything larger by its kind."""
+    """Return a value as messages show it: scalars as YAML writes them, collections by their kind."""
     match value:
         case None:
             return "null"
@@ -83,7 +88,7 @@ def shown(value: object) -> str:
             return "true" if value else "false"
         case int():
             bits = value.bit_length()
-            return f"{int(value)}" if bits <= 64 else f"a whole number of {bits} bits"
+            return f"{int(value)}" if bits <= 64 else f"an integer of {bits} bits"
         case float():
             return repr(float(value))
         case str():
@@ -97,7 +102,7 @@ def shown(value: object) -> str:
 
 
 def path_text(path: Sequence[str | int]) -> str:
-    """A path as messages write it: `scene.objects.table.point_m[0]`; odd keys are quoted."""
+    """Return a path as messages write it: `scene.objects.table.point_m[0]`. Keys with punctuation are quoted."""
     text = ""
     for element in path:
         if isinstance(element, int):
@@ -109,26 +114,25 @@ def path_text(path: Sequence[str | int]) -> str:
 
 
 def path_of_text(text: str) -> Path:
-    """The path that path_text wrote."""
+    """Return the path that `path_text` wrote as `text`."""
     parts = re.findall(r'"(?:[^"\\]|\\.)*"|\[\d+\]|[^.\[\]"]+', text)
     return tuple(json.loads(part) if part[0] == '"' else int(part[1:-1]) if part[0] == "[" else part for part in parts)
 
 
 def known_names(name: str, known: Iterable[str]) -> str:
-    """What would be right instead of an unknown name: 'did you mean wood?', or where nothing is near it 'known: wood,
-    steel'."""
+    """Return advice on an unknown name: "did you mean wood?", or without a similar name "known: wood, steel"."""
     names = list(known)
     close = near_names(name, names, 1)
     if close:
         return f"did you mean {close[0]}?"
-    listed = ", ".join(names[:_SHOWN_NAMES]) + (", ..." if len(names) > _SHOWN_NAMES else "")
+    listed = ", ".join(names[:_MAX_SHOWN_NAMES]) + (", ..." if len(names) > _MAX_SHOWN_NAMES else "")
     return f"known: {listed or 'none'}"
 
 
 def near_names(name: str, known: Sequence[str], most: int) -> list[str]:
-    """The names that `name` may stand for, the nearest first; upper and lower case are one."""
-    # Each name costs a comparison for each name; in a long list a person would look there.
-    if len(name) > 2 * _SHOWN_CHARACTERS or len(known) > _COMPARED_NAMES:
+    """Return at most `most` known names that are similar to `name`, the most similar first, in any case of letters."""
+    # Each known name costs a comparison; for a long list the reader is better served by the list itself.
+    if len(name) > 2 * _MAX_SHOWN_CHARACTERS or len(known) > _MAX_COMPARED_NAMES:
         return []
     folded = {each.casefold(): each for each in known}
     return [folded[near] for near in difflib.get_close_matches(name.casefold(), folded, n=most)]

@@ -1,7 +1,7 @@
-"""Files that appear whole or not at all: written under a hidden name beside the target, which they then get.
+"""Files that are written atomically: under a hidden name in the target's folder, then renamed to the target.
 
-A file that is there is replaced only where that is asked for. What is no regular file is never written to nor replaced:
-no device, no pipe, no folder. A link stays, and its end is written.
+An existing file is replaced only on request. A device, a pipe or a folder is never written to nor replaced. Of a
+symbolic link the file is written to which it leads.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ _NOT_REGULAR: Final = {
 
 
 def _not_regular(path: str | os.PathLike[str]) -> str | None:
-    """What is there, links followed to their end; None for a regular file, or nothing. Raises OSError where the system
-    refuses to follow: another user's link in a folder that everybody may write to."""
+    """Return what `path` is after links are followed; None if it is a regular file or does not exist.
+
+    Raises OSError if the system refuses to follow a link: another user's, in a folder that everybody may write to.
+    """
     try:
         return _NOT_REGULAR.get(stat.S_IFMT(os.stat(path).st_mode))
     except FileNotFoundError:
@@ -39,31 +41,33 @@ def _not_regular(path: str | os.PathLike[str]) -> str | None:
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
-    """Raises HapticdError where something is at `path`, links followed to their end, that is no regular file."""
+    """Raise HapticdError if `path`, after links are followed, exists and is not a regular file."""
     try:
         found = _not_regular(path)
     except OSError as error:
         raise _unwritable(path, error) from None
     if found is not None:
-        raise HapticdError(f"{os.fspath(path)}: is there already and is {found}, no regular file; give another name")
+        raise HapticdError(f"{os.fspath(path)}: not a regular file but {found}; give another name")
 
 
 def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
-    """Raises HapticdError for an output that would replace a file unasked or what is no regular file, or has no folder
-    to go to."""
+    """Raise HapticdError if an output cannot be written to `path`.
+
+    That is: a file exists there and `overwrite` is False, it is not a regular file, or its folder does not exist.
+    """
     name = os.fspath(path)
     check_regular(name)
     if os.path.exists(name) and not overwrite:
-        raise HapticdError(f"{name}: is there already; give another name, or --overwrite (in Python overwrite=True)")
+        raise HapticdError(f"{name}: already exists; give another name, or --overwrite (in Python overwrite=True)")
     folder = os.path.dirname(name) or "."
     if not os.path.isdir(folder):
-        raise HapticdError(f"{name}: cannot be written: there is no folder {folder}")
+        raise HapticdError(f"{name}: cannot be written: the folder {folder} does not exist")
 
 
 def write_whole(
     path: str | os.PathLike[str], content: str | bytes, overwrite: bool, *, mode: int = 0o666, synced: bool = False
 ) -> None:
-    """Writes a file, as `whole_file` does. Raises HapticdError."""
+    """Write a file atomically, with the arguments of `whole_file`. Raises HapticdError."""
     with whole_file(path, overwrite, mode=mode, synced=synced) as file:
         file.write(content.encode() if isinstance(content, str) else content)
 
@@ -72,10 +76,10 @@ def write_whole(
 def whole_file(
     path: str | os.PathLike[str], overwrite: bool, *, mode: int = 0o666, synced: bool = False
 ) -> Iterator[BinaryIO]:
-    """A file to write to, which is at `path` once the block is over; where that fails, `path` is as it was.
+    """Open a file to write to, which gets the name `path` at the end of the block; if that fails, `path` is unchanged.
 
-    `synced`: it is on disk then. A file that has appeared at `path` since `check_new` keeps its name without
-    `overwrite`; the new one then gets the next free name, which the error says. Raises HapticdError.
+    With `synced` it is on disk then. If another file has appeared at `path` since `check_new` and `overwrite` is
+    False, the new file gets the next free name. The HapticdError that is raised then names it.
     """
     check_regular(path)
     target = Path(os.path.realpath(path))
@@ -97,18 +101,20 @@ def whole_file(
 
 
 def hidden_beside(target: Path) -> Path:
-    """A name in the target's folder that nobody else has: `.NAME.PROCESS.RANDOM.part`."""
+    """Return an unused hidden path in the target's folder: `.NAME.PROCESS.RANDOM.part`."""
     return target.with_name(f".{target.name}.{os.getpid()}.{secrets.token_hex(8)}.part")
 
 
 def create(path: Path, mode: int = 0o666, buffering: int = -1) -> BinaryIO:
-    """A new file to write and read. Raises OSError, FileExistsError where something has its name."""
+    """Create a file to write and read. Raises OSError: FileExistsError if the name is taken."""
     return open(path, "w+b", buffering, opener=lambda name, _: os.open(name, _NEW_FILE_FLAGS, mode))
 
 
 def give_name(part: Path, target: Path, overwrite: bool) -> Path:
-    """Renames a finished file to `target`; where it is: NAME-2.ENDING and so on where the name is taken, with
-    `overwrite` by what is no regular file. Raises OSError; then `part` is as it was."""
+    """Rename a finished file to `target`, or to NAME-2.ENDING and so on if that is taken, and return the path.
+
+    With `overwrite` a regular file is replaced. Raises OSError; `part` is unchanged then.
+    """
     for number in count(1):
         place = target if number == 1 else target.with_name(f"{target.stem}-{number}{target.suffix}")
         try:
@@ -120,12 +126,12 @@ def give_name(part: Path, target: Path, overwrite: bool) -> Path:
 
 
 def _rename(part: Path, place: Path, overwrite: bool) -> None:
-    """Raises FileExistsError where the name is taken, also since just now."""
+    """Rename a file. Raises FileExistsError if the name is taken, also if another process took it just now."""
     if overwrite and _not_regular(place) is None:
         os.replace(part, place)
         return
     try:
-        # A link is refused where the name is taken; a rename would replace what has it.
+        # A hard link fails if the name is taken; a rename would replace that file.
         os.link(part, place, follow_symlinks=False)
     except OSError as error:
         if error.errno not in _NO_HARD_LINKS:
@@ -138,14 +144,14 @@ def _rename(part: Path, place: Path, overwrite: bool) -> None:
             place.unlink()
             raise
     else:
-        # The file has its name; that the hidden one stays does no harm, and whoever fails here must not undo the other.
+        # The file has its name. If its hidden name cannot be removed, that does no harm.
         with suppress(OSError):
             part.unlink()
 
 
 def displaced(wanted: str | os.PathLike[str], place: str | os.PathLike[str]) -> str:
-    """What to say where a file has another name than it was to have."""
-    return f"{os.fspath(wanted)}: another file has appeared there meanwhile; what was written is in {os.fspath(place)}"
+    """Return the message for a file that was written under another name than `wanted`."""
+    return f"{os.fspath(wanted)}: another program created this file meanwhile; the output is in {os.fspath(place)}"
 
 
 def _unwritable(path: str | os.PathLike[str], error: OSError) -> HapticdError:

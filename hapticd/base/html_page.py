@@ -1,4 +1,4 @@
-"""One HTML page without any other file: its frame and its tables, for a light and a dark screen."""
+"""An HTML page in a single file, and its tables, for a light and a dark screen."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import html
 from collections.abc import Sequence
 from typing import Final
 
-_STYLE: Final = (
+_PAGE_STYLE: Final = (
     ":root{color-scheme:light dark}"
     "body{font:15px/1.5 sans-serif;max-width:84em;margin:2em auto;padding:0 1em}"
     "table{border-collapse:collapse;margin:.4em 0}caption{text-align:left;font-weight:bold;padding:.3em 0}"
@@ -16,16 +16,16 @@ _STYLE: Final = (
     "span.prose{display:block;white-space:normal;min-width:18em;max-width:48em}"
     "code{font-size:12px}pre{overflow-x:auto;border:1px solid #8888;padding:.6em .8em;line-height:1.35}"
     "figure{margin:1.5em 0;overflow-x:auto}figure svg{min-width:38em}"
-    # Cells of a map meet without a gap however small the page shows them.
+    # No gaps between the cells of a heat map at any zoom.
     "[id^=QuadMesh] *{vector-effect:non-scaling-stroke}"
 )
 
 
 def page(title: str, body: str) -> str:
-    """A page with this title, and below its heading this text of HTML."""
+    """Return an HTML page with a title, which is its heading too, and the HTML of its body."""
     return f"""<!DOCTYPE html>
 <html lang="en">
-<head><meta charset="utf-8"><title>{html.escape(title)}</title><style>{_STYLE}</style></head>
+<head><meta charset="utf-8"><title>{html.escape(title)}</title><style>{_PAGE_STYLE}</style></head>
 <body>
 <h1>{html.escape(title)}</h1>
 {body}
@@ -35,14 +35,14 @@ def page(title: str, body: str) -> str:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], of_text: Sequence[bool], caption: str = "") -> str:
-    """A table of texts, which scrolls sideways if the window is narrower. Columns `of_text` begin at the left."""
+    """Return an HTML table of texts, which scrolls sideways in a narrow window. Columns `of_text` are aligned left."""
     return table_of_html(columns, [[html.escape(text) for text in row] for row in rows], of_text, caption)
 
 
 def table_of_html(
     columns: Sequence[str], rows: Sequence[Sequence[str]], of_text: Sequence[bool], caption: str = ""
 ) -> str:
-    """As `table`, of cells that are HTML."""
+    """Return an HTML table of cells that are HTML themselves; see `table`."""
     classes = [' class="text"' if is_text else "" for is_text in of_text]
     body = "\n".join(_row("td", row, classes) for row in rows)
     heads = _row("th", [html.escape(column) for column in columns], classes)

@@ -1,4 +1,4 @@
-"""Filters as coefficients and as reflection coefficients: the two forms of a normalised lattice, with 100 digits.
+"""Conversion between the coefficients and the reflection coefficients of an all-pole filter, with 100 digits.
 
 With A_0 = B_0 = 1, A_m = A_(m-1) + k_m z^-1 B_(m-1) and B_m = k_m A_(m-1) + z^-1 B_(m-1), the all-pole filter 1/A_p has
 coefficients a_1 .. a_p, A_p = 1 + sum a_i z^-i, and reflection coefficients k_1 .. k_p (Gray and Markel, 1975). It is
@@ -14,28 +14,28 @@ from typing import Final, TypeAlias
 
 Reflection: TypeAlias = tuple[float, ...]
 
-_EXACT: Final = Context(prec=100)
-"""Digits for steps between coefficients and reflection, which lose up to the reciprocal of E_p in precision."""
+_LATTICE_CONTEXT: Final = Context(prec=100)
+"""Precision of the recursions: 100 digits, since they lose precision in proportion to 1 / E_p."""
 
 
 def coefficients_of(reflection: Sequence[float]) -> tuple[float, ...]:
-    """a_1 .. a_p of the lattice with k_1 .. k_p (step-up recursion)."""
-    with localcontext(_EXACT):
+    """Return a_1 .. a_p of the lattice with k_1 .. k_p (step-up recursion)."""
+    with localcontext(_LATTICE_CONTEXT):
         return tuple(float(a) for a in _step_up([Decimal(float(k)) for k in reflection])[1:])
 
 
 def reflection_of(coefficients: Sequence[float]) -> Reflection:
-    """k_1 .. k_p of a stable filter with a_1 .. a_p (step-down recursion, with 100 digits).
+    """Return k_1 .. k_p of a stable filter with a_1 .. a_p (step-down recursion).
 
-    ValueError where the filter is not stable: the recursion is also the test (Jury). A coefficient that rounds to 1 or
-    -1 counts as unstable.
+    Raises ValueError if the filter is unstable: the recursion is Jury's test. A reflection coefficient that rounds to
+    1 or -1 counts as unstable.
     """
     return _reflection_of(tuple(float(a) for a in coefficients))
 
 
 @lru_cache(maxsize=1024)
 def _reflection_of(coefficients: tuple[float, ...]) -> Reflection:
-    with localcontext(_EXACT):
+    with localcontext(_LATTICE_CONTEXT):
         stages, _ = _step_down([Decimal(1), *map(Decimal, coefficients)])
     return stages
 
@@ -50,7 +50,7 @@ def _step_up(reflection: Sequence[Decimal]) -> list[Decimal]:
 
 
 def _step_down(polynomial: list[Decimal]) -> tuple[Reflection, list[list[Decimal]]]:
-    """k_1 .. k_p, and the polynomials A_p .. A_0 on the way down."""
+    """Return k_1 .. k_p, and the polynomials A_p .. A_0 of the recursion."""
     if not all(a.is_finite() for a in polynomial):
         raise ValueError("coefficients must be finite")
     stages: list[float] = []
@@ -67,7 +67,7 @@ def _step_down(polynomial: list[Decimal]) -> tuple[Reflection, list[list[Decimal
 
 
 def _monic(roots: Iterable[complex]) -> list[Decimal]:
-    """The polynomial in z^-1 with these zeros, and the conjugates of those off the real axis."""
+    """Return the polynomial in z^-1 with these zeros, and the conjugates of those off the real axis."""
     product = [Decimal(1)]
     for root in roots:
         re, im = Decimal(root.real), Decimal(root.imag)
@@ -85,16 +85,18 @@ def _times(a: Sequence[Decimal], b: Sequence[Decimal]) -> list[Decimal]:
 
 
 def with_poles(reflection: Sequence[float], poles: Iterable[complex]) -> Reflection:
-    """The all-pole filter with these poles, too; of a conjugate pair one is given."""
-    with localcontext(_EXACT):
+    """Return the reflection coefficients of the filter with additional poles; of a conjugate pair give one."""
+    with localcontext(_LATTICE_CONTEXT):
         return _step_down(_times(_monic(poles), _step_up([Decimal(k) for k in reflection])))[0]
 
 
 def realised(poles: Sequence[complex], zeros: Sequence[complex]) -> tuple[Reflection, tuple[float, ...] | None]:
-    """Reflection and taps of unit power; of a conjugate pair of poles or zeros one is given. No more zeros than poles.
+    """Return reflection coefficients and lattice taps of a filter with output power 1 for white noise of power 1.
 
-    The numerator is written as sum c_m B_m from the highest power down, then v_m = c_m sqrt(E_m), normalised."""
-    with localcontext(_EXACT):
+    Of a conjugate pair of poles or zeros give one. There may be no more zeros than poles. The numerator is written as
+    sum c_m B_m from the highest power down; then v_m = c_m sqrt(E_m), normalised.
+    """
+    with localcontext(_LATTICE_CONTEXT):
         reflection, ladder = _step_down(_monic(poles))
         if not zeros:
             return reflection, None

@@ -1,4 +1,4 @@
-"""JSON Merge Patch (RFC 7396), as `update_scene` and `update_materials` take it; and the flat form of changes."""
+"""JSON Merge Patch (RFC 7396) of `update_scene` and `update_materials`, and replacement of members by name."""
 
 from collections.abc import Mapping
 from typing import TypeVar
@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 def merge_patch(target: Json, patch: Json) -> Json:
-    """`target` with `patch` applied: mappings merge key by key, null removes a key, anything else replaces.
+    """Return `target` with `patch` applied: mappings merge key by key, null removes a key, anything else replaces.
 
     Neither argument is changed; the result may share unchanged parts with both.
     """
@@ -25,7 +25,7 @@ def merge_patch(target: Json, patch: Json) -> Json:
 
 
 def replace_members(into: dict[str, T], changes: Mapping[str, T | None]) -> None:
-    """Each member of `changes` takes the place of that of the same name, whole; None removes it."""
+    """Replace each member of `into` by the complete member of `changes` with its name; None removes it."""
     for name, value in changes.items():
         if value is None:
             into.pop(name, None)

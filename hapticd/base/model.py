@@ -1,8 +1,7 @@
-"""What every validated model shares: strict numbers, limits, and faults at their place in pydantic's words.
+"""Base class of validated models: strict numbers, limits, and faults with their places in pydantic's words.
 
-Models are immutable and strict: a number is a number (neither "1" nor true), finite and inside its limits; an
-unknown key is an error. The limits are there so that no product of them overflows or makes the tick work on
-nonsense; they are far outside what a hand can feel.
+Models are immutable and strict: a number is a number (neither "1" nor true), finite and inside its limits. An unknown
+key is an error. The limits are far outside what a hand can feel; they keep products of values from overflowing.
 """
 
 import re
@@ -36,7 +35,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class DescribedAs:
-    """Has JSON Schema describe what is annotated with it as another type; whoever takes the value validates it."""
+    """Annotation that describes a value in JSON Schema as another type; the code that uses the value validates it."""
 
     kind: Any
 
@@ -45,22 +44,26 @@ class DescribedAs:
 
 
 NAME_MAX_CHARACTERS = 64
-MOST_KEYS: Final = 256
-"""No mapping of known keys has more."""
+MAX_KEYS_OF_MAPPING: Final = 256
+"""Mappings of known keys have fewer keys."""
 MAX_FAULTS = 200
-"""So many are reported one by one; nobody reads more, and reporting thousands takes seconds."""
+"""Faults that are reported one by one, as reporting thousands takes seconds; the others are counted."""
 UNKNOWN_KEY: Final = "unknown key"
-"""How the text of such a fault begins."""
+"""Beginning of the text of the fault "unknown key"."""
 NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
+"""Names hold neither dots nor control characters."""
 
 Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)]
-"""Name of a material or id of an object: no dot, so that a path can be read, and no control character."""
+"""Name of a material or id of an object: without a dot, which separates the keys of a path."""
 
 Coordinate: TypeAlias = Annotated[float, Field(ge=-10, le=10)]
+"""In m."""
 Position: TypeAlias = Annotated[tuple[Coordinate, Coordinate], Strict(False)]
 """[x, y] in m."""
 Stiffness: TypeAlias = Annotated[float, Field(ge=0, le=1e5)]
+"""In N/m."""
 Damping: TypeAlias = Annotated[float, Field(ge=0, le=1e3)]
+"""In N s/m."""
 
 
 class Model(BaseModel):
@@ -70,34 +73,34 @@ class Model(BaseModel):
     by_name: ClassVar[dict[str, type["Model"]]] = {}
 
     def __init__(self, /, **data: Any) -> None:
-        """Raises InvalidError with every fault of the keys that are given."""
+        """Validate the given keys. Raises InvalidError with every fault."""
         with _invalid():
             super().__init__(**data)
 
-    # As pydantic's own: what is nested is validated without a way through Python.
+    # Marked as pydantic's own, so that nested models are validated without a call of Python.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Self:
-        """As pydantic's, but raises InvalidError."""
+        """Validate as pydantic does, but raise InvalidError."""
         with _invalid():
             return super().model_validate(obj, **options)
 
     @classmethod
     def model_validate_json(cls, json_data: str | bytes | bytearray, **options: Any) -> Self:
-        """As pydantic's, but raises InvalidError."""
+        """Validate as pydantic does, but raise InvalidError."""
         with _invalid():
             return super().model_validate_json(json_data, **options)
 
     @classmethod
     def model_validate_strings(cls, obj: Any, **options: Any) -> Self:
-        """As pydantic's, but raises InvalidError."""
+        """Validate as pydantic does, but raise InvalidError."""
         with _invalid():
             return super().model_validate_strings(obj, **options)
 
     @classmethod
     def parsed(cls, data: object) -> Self:
-        """For readers of documents, which report faults where they stand: raises ValidationError."""
+        """Validate for a reader of documents, which adds the places of faults. Raises ValidationError."""
         return super().model_validate(data)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -109,21 +112,21 @@ class Model(BaseModel):
     @classmethod
     def __pydantic_init_subclass__(cls, **_: object) -> None:
         if Model.by_name.setdefault(cls.__name__, cls) is not cls:
-            raise TypeError(f"two models are called {cls.__name__}; error messages tell them apart by name")
+            raise TypeError(f"two models are called {cls.__name__}; error messages find a model by its name")
 
     def to_dict(self, without: set[str] | None = None) -> dict[str, Json]:
-        """The canonical form as plain data: defaults filled in, absent options left out; valid input.
+        """Return the canonical form as plain data, which is valid input: with defaults, without absent options.
 
-        `without` these members.
+        `without` names members to leave out.
         """
         return cast(dict[str, Json], self.model_dump(mode="json", exclude_none=True, exclude=without))
 
 
 class CheckedTogether(Model):
-    """A model with keys that are each sound, and may not go together."""
+    """A model with keys that may be valid one by one but not in combination."""
 
     def cross_faults(self) -> list[str]:
-        """What is wrong between them."""
+        """Return a text for each invalid combination of keys."""
         return []
 
     @model_validator(mode="after")
@@ -135,7 +138,7 @@ class CheckedTogether(Model):
 
 
 def one_of_two(model: Model, one: str, other: str) -> list[str]:
-    """What is wrong unless exactly one of two keys is given."""
+    """Return the fault of a model in which not exactly one of two keys is given, as a list of at most one text."""
     given = [key for key in (one, other) if getattr(model, key) is not None]
     has = "both" if given else "neither"
     return [] if len(given) == 1 else [f"needs exactly one of {one} and {other}, has {has}"]
@@ -143,7 +146,7 @@ def one_of_two(model: Model, one: str, other: str) -> list[str]:
 
 @contextmanager
 def _invalid() -> Iterator[None]:
-    """pydantic's errors as ours."""
+    """Raise InvalidError instead of pydantic's ValidationError."""
     try:
         yield
     except ValidationError as error:
@@ -151,16 +154,16 @@ def _invalid() -> Iterator[None]:
 
 
 def _fixed(name: str) -> InvalidError:
-    return InvalidError([Problem(path_text((name,)), "cannot be changed: model_copy(update=...) makes another one")])
+    return InvalidError([Problem(path_text((name,)), "cannot be changed; model_copy(update=...) makes a changed copy")])
 
 
 def problems_of(error: ValidationError, root: Path = ()) -> list[Problem]:
-    """Every fault of a pydantic error; `root` is where the validated data stands."""
+    """Return every fault of a pydantic error; `root` is the path of the validated data."""
     return [Problem(path_text(root + path), text) for path, text in faults_of(error)]
 
 
 def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
-    """As problems_of, with paths relative to the validated data."""
+    """Return every fault of a pydantic error as its path, relative to the validated data, and its text."""
     faults: dict[tuple[Path, str], None] = {}
     found_here = error.errors(include_url=False)
     for details in found_here[:MAX_FAULTS]:
@@ -175,16 +178,16 @@ def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
 def entry_by_entry(
     given: Mapping[str, object], parse: Callable[[dict[str, object]], Mapping[str, T]], where: Path
 ) -> Steps[dict[str, T]]:
-    """What `parse` makes of a mapping, which stands at `where`. It is given one entry at a time, with a pause after
-    each: pydantic tells all faults of a call at once, and one entry alone may have thousands.
+    """Parse a mapping, whose path is `where`, entry by entry, and pause after each.
 
-    Raises InvalidError with the faults of all; after MAX_FAULTS the rest is not read.
+    `parse` gets one entry at a time, since pydantic reports all faults of a call at once, and one entry may have
+    thousands. Raises InvalidError with the faults of all entries; after MAX_FAULTS the others are not read.
     """
     found: dict[str, T] = {}
     problems: list[Problem] = []
     for key, value in given.items():
         if len(problems) >= MAX_FAULTS:
-            problems.append(Problem(path_text(where), "the rest was not looked at"))
+            problems.append(Problem(path_text(where), "the other entries were not checked"))
             break
         try:
             found |= parse({key: value})
@@ -197,9 +200,11 @@ def entry_by_entry(
 
 
 def refuse_many_keys(data: object, path: Path) -> None:
-    """Refuses mappings, at any depth, with more keys than any has: telling each of thousands takes seconds."""
-    if isinstance(data, dict) and len(data) > MOST_KEYS:
-        raise InvalidError([Problem(path_text(path), f"has {len(data)} keys; nothing has more than {MOST_KEYS}")])
+    """Raise InvalidError for a mapping, at any depth, with too many keys: to report thousands takes seconds."""
+    if isinstance(data, dict) and len(data) > MAX_KEYS_OF_MAPPING:
+        raise InvalidError(
+            [Problem(path_text(path), f"has {len(data)} keys; at most {MAX_KEYS_OF_MAPPING} are allowed")]
+        )
     inner = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for key, value in inner:
         if isinstance(value, dict | list):
@@ -207,7 +212,7 @@ def refuse_many_keys(data: object, path: Path) -> None:
 
 
 def at_most(count: int) -> BeforeValidator:
-    """Refuses a longer list before its entries are validated: the faults of thousands take seconds."""
+    """Return a validator that refuses a longer list before its entries are validated, which would take seconds."""
 
     def check(given: object) -> object:
         if isinstance(given, list | tuple) and len(given) > count:
@@ -218,7 +223,7 @@ def at_most(count: int) -> BeforeValidator:
 
 
 def check_count(given: Sized, most: int, path: Path) -> None:
-    """Raises InvalidError where there are more than that, at this place."""
+    """Raise InvalidError, for the place `path`, if there are more than `most` entries."""
     if len(given) > most:
         raise InvalidError([Problem(path_text(path), _too_many(given, most))])
 
@@ -228,30 +233,33 @@ def _too_many(given: Sized, most: int) -> str:
 
 
 def plain(data: object) -> Json:
-    """Mappings, sequences, and numpy's scalars and arrays as dicts, lists, numbers and strings; models stay.
+    """Convert mappings, sequences, and numpy's scalars and arrays to dicts, lists, numbers and strings.
 
-    Raises InvalidError for keys that are no strings, for nesting deeper than MAX_DEPTH and for other objects.
+    Models are kept. Raises InvalidError for keys that are not strings, for nesting deeper than MAX_DEPTH and for other
+    objects.
     """
     return cast(Json, _plain(data, ()))
 
 
-_SCALARS: Final = frozenset({NoneType, bool, int, float, str})
-"""Asked of values before anything else is: waypoints and samples have hundreds of thousands."""
+_SCALAR_TYPES: Final = frozenset({NoneType, bool, int, float, str})
+"""Types of values that need no conversion; tested first, as waypoints and samples have hundreds of thousands."""
 
 
 def _plain(data: object, path: Path) -> object:
     if isinstance(data, list | tuple):
         _check_depth(path)
-        return [value if type(value) in _SCALARS else _plain(value, (*path, index)) for index, value in enumerate(data)]
+        return [
+            value if type(value) in _SCALAR_TYPES else _plain(value, (*path, index)) for index, value in enumerate(data)
+        ]
     if data is None or isinstance(data, bool | int | float | str | Model):
         return data
-    if isinstance(data, dict | Mapping):  # a dict is found much sooner than a Mapping is
+    if isinstance(data, dict | Mapping):  # isinstance of a dict is much faster than of a Mapping
         _check_depth(path)
         for key in data:
             if not isinstance(key, str):
-                raise _not_plain(path, f"keys are strings, this one is {shown(key)}")
+                raise _not_plain(path, f"keys must be strings, this one is {shown(key)}")
         return {
-            str(key): value if type(value) in _SCALARS else _plain(value, (*path, str(key)))
+            str(key): value if type(value) in _SCALAR_TYPES else _plain(value, (*path, str(key)))
             for key, value in data.items()
         }
     if hasattr(data, "tolist"):
@@ -268,20 +276,20 @@ def _not_plain(path: Path, problem: str) -> InvalidError:
     return InvalidError([Problem(path_text(path), problem)])
 
 
-_PLAINER: Final = {
+_REPLACED_MESSAGES: Final = {
     "dict_type": "should be a mapping",
     "model_attributes_type": "should be a mapping",
     "model_type": "should be a mapping",
     "tuple_type": "should be a list",
     "union_tag_not_found": "Field required",
 }
-"""Where pydantic's message has words of Python."""
-_WITHOUT_VALUE: Final = frozenset({"missing", "too_long", "too_short", "union_tag_not_found"})
-"""Kinds of faults whose message says the value already, or that have none."""
+"""Texts for the kinds of faults of which pydantic's text names Python types."""
+_KINDS_WITHOUT_VALUE: Final = frozenset({"missing", "too_long", "too_short", "union_tag_not_found"})
+"""Kinds of faults whose text already has the value, or that have no value."""
 
 
 def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]:
-    """Where the user sees a fault, and pydantic's message with the value that was found."""
+    """Return the user's path of a fault, and pydantic's text with the value that was found."""
     kind, value, context = details["type"], details["input"], details.get("ctx", {})
     path, known = _user_path(model, details)
     if kind == "extra_forbidden":
@@ -292,14 +300,14 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
         return path, f"must not hold a dot or a control character: {shown(value)}"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         path = (*path, "kind")
-    text = _PLAINER.get(kind, details["msg"].removeprefix("Input ").replace("Tuple", "List"))
+    text = _REPLACED_MESSAGES.get(kind, details["msg"].removeprefix("Input ").replace("Tuple", "List"))
     if kind == "union_tag_invalid":
         text, value = f"should be one of {context['expected_tags']}", context["tag"]
-    return path, text if kind in _WITHOUT_VALUE else f"{text}, is {shown(value)}{_meant(value)}"
+    return path, text if kind in _KINDS_WITHOUT_VALUE else f"{text}, is {shown(value)}{_advice(value)}"
 
 
-def _meant(value: object) -> str:
-    """What is probably wrong with a text: a number with a comma, quotes that an editor has curled."""
+def _advice(value: object) -> str:
+    """Return advice on a text that is a number with a decimal comma, or has an editor's curly quotes; else ""."""
     if isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
         return "; decimals have a point, not a comma"
     if isinstance(value, str) and value[:1] in tuple("\u201c\u201d\u2018\u2019"):
@@ -308,17 +316,17 @@ def _meant(value: object) -> str:
 
 
 def _follows_from_another(details: ErrorDetails) -> bool:
-    """Whether a fault is reported only because of another: a list is not too short for its faulty entries."""
+    """Return whether a fault only follows from another: a list is "too short" because of its faulty entries."""
     kind, value = details["type"], details["input"]
     too_short = kind == "too_short" and len(value) >= details["ctx"]["min_length"]
     return too_short or kind == "default_factory_not_called"
 
 
 def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, tuple[str, ...]]:
-    """Where the user sees the fault, and the keys that are known there.
+    """Return the user's path of a fault, and the keys that are known there.
 
-    pydantic's locations also name the chosen member of a union, and `[key]` for the key of a mapping; walking
-    the types along the location tells these from a user's keys of the same name.
+    pydantic's locations also name the chosen member of a union, and `[key]` for the key of a mapping. Following the
+    types along the location distinguishes these from a user's keys of the same name.
     """
     location = details["loc"]
     if details["type"].startswith("string_") and location and location[-1] == "[key]":
@@ -345,7 +353,7 @@ def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, 
 
 
 def _bare(annotation: object) -> object:
-    """A type without Annotated and without `| None`."""
+    """Return a type without Annotated and without `| None`."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     if get_origin(annotation) in (Union, UnionType):
@@ -356,7 +364,7 @@ def _bare(annotation: object) -> object:
 
 
 def _members(kind: object) -> dict[str, object] | None:
-    """The models of a union that differ by `kind`, by that kind; None for any other type."""
+    """Return the models of a union that differ by `kind`, by their kind; None for any other type."""
     if get_origin(kind) not in (Union, UnionType):
         return None
     return dict(_tagged(get_args(kind)))

@@ -1,7 +1,7 @@
-"""Work that pauses: a generator yields between its parts, so that its thread can do something else there.
+"""Work that pauses: a generator yields between its parts, so that its thread can do something else meanwhile.
 
 The daemon's command thread changes a scene in this way, and answers other requests in the pauses
-(daemon/dispatch.py). Whoever has nothing else to do there calls `finish`.
+(daemon/dispatch.py). A caller without other work calls `finish`.
 """
 
 from collections.abc import Generator
@@ -14,7 +14,7 @@ Steps: TypeAlias = Generator[None, None, T]
 
 
 def finish(steps: Steps[T]) -> T:
-    """Does all parts, one after the other; the result."""
+    """Do all parts without pauses, and return the result."""
     while True:
         try:
             next(steps)

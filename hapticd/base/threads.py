@@ -1,6 +1,6 @@
-"""Work in a thread, and whether threads can be started: a user's limit of processes (RLIMIT_NPROC) counts each of them.
+"""Background threads, and whether they can be started: a user's limit of processes (RLIMIT_NPROC) counts each.
 
-libzmq starts threads, too, and aborts the process where one is refused, so `check` is called before it does.
+libzmq starts threads too, and aborts the process if the system refuses one, so `check` is called before it does.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from hapticd.base.errors import HapticdError
 
 T = TypeVar("T")
 
-REFUSED: Final = "can't start new thread"
-"""What Python's own RuntimeError says."""
-CLIENT: Final = 2
-"""Threads of libzmq: one for the connections, one that closes sockets."""
-DAEMON: Final = 16
-"""More than the daemon has with a device, and while it reads its configuration again."""
+THREAD_START_ERROR: Final = "can't start new thread"
+"""Text of Python's RuntimeError when a thread cannot be started."""
+CLIENT_THREADS: Final = 2
+"""Threads of libzmq in a client: one for the connections, one that closes sockets."""
+DAEMON_THREADS: Final = 16
+"""More threads than a daemon has with a device, while it reloads its configuration."""
 
 
 def refused() -> str:
-    """One line for a thread that could not be started."""
+    """Return the error text for a thread that could not be started."""
     limit, _ = resource.getrlimit(resource.RLIMIT_NPROC)
     of = "" if limit == resource.RLIM_INFINITY else f" of {limit} processes and threads"
     return f"the system refuses another thread: the user's limit{of} is reached (ulimit -u), or memory is short"
 
 
 def check(count: int) -> None:
-    """Raises HapticdError unless `count` threads can be started now."""
+    """Raise HapticdError unless `count` threads can be started now."""
     end = threading.Event()
     started: list[threading.Thread] = []
     try:
@@ -50,13 +50,12 @@ def check(count: int) -> None:
 
 @functools.cache
 def check_client() -> None:
-    """As `check`, of a client's; once it went well it is not asked again."""
-    check(CLIENT)
+    """Raise HapticdError unless a client's threads can be started; after a success it is not checked again."""
+    check(CLIENT_THREADS)
 
 
 def in_background(name: str, work: Callable[[], T]) -> Future[T]:
-    """Starts the work in a thread that does not hold up the end of the process; the future of what it returns or
-    raises."""
+    """Start `work` in a daemon thread, and return the future of its result or exception."""
     done: Future[T] = Future()
 
     def run() -> None:

@@ -1,8 +1,8 @@
-"""YAML as people write it for hapticd: text in, plain data and line numbers out.
+"""Reader of YAML: text in, plain data and line numbers out.
 
 Scalars follow the core schema of YAML 1.2.2 (10.3): `off` and `"1"` are strings, `1e-3` is a number.
-Refused, each with file, line and column: duplicate keys, keys that are no strings, aliases, tags outside the
-core schema, several documents, nesting beyond MAX_DEPTH, more than MAX_BYTES, anything that is not UTF-8.
+Refused, each with file, line and column: duplicate keys, keys that are not strings, aliases, tags outside the
+core schema, several documents, nesting beyond MAX_DEPTH, more than MAX_YAML_BYTES, anything that is not UTF-8.
 `<<` has no special meaning. PyYAML only tokenises; data is built here from its events, without recursion.
 """
 
@@ -19,37 +19,39 @@ import yaml
 from hapticd.base.errors import HapticdError, InvalidError, Problem, path_text, quoted, shown
 
 LINE_BREAKS = re.compile("\r\n|[\r\n\x85\u2028\u2029]")
-"""What ends a line in YAML."""
+"""Line breaks of YAML."""
 MAX_DEPTH = 32
+"""Maximum nesting of mappings and lists."""
 _TOO_DEEP = "exceeded maximum nesting depth"
-"""What libyaml says from 0.2.6 on (PyYAML 6.0.4), which scans ahead of the events that are counted here."""
-MAX_BYTES = 2 * 1024 * 1024
+"""Text of libyaml's own check from 0.2.6 on (PyYAML 6.0.4), which reads ahead of the events that are counted here."""
+MAX_YAML_BYTES = 2 * 1024 * 1024
+"""Maximum size of a YAML file."""
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 """Plain data: what YAML, JSON and msgpack have in common."""
 
-# Both give the same events; the one over libyaml is about 20 times faster and is in every wheel of PyYAML.
-_LOADER: "type[yaml.CBaseLoader] | type[yaml.BaseLoader]" = (
+# Both give the same events; the one of libyaml is about 20 times faster and is in every wheel of PyYAML.
+_YAML_LOADER: "type[yaml.CBaseLoader] | type[yaml.BaseLoader]" = (
     yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
 )
 
-_CORE = "tag:yaml.org,2002:"
-_NULL = re.compile(r"null|Null|NULL|~|")
-_BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
-_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
-_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-_LONGEST_NUMBER = 400
-"""Characters; what is longer is a text."""
+_CORE_SCHEMA_TAG = "tag:yaml.org,2002:"
+_NULL_PATTERN = re.compile(r"null|Null|NULL|~|")
+_BOOL_PATTERN = re.compile(r"true|True|TRUE|false|False|FALSE")
+_INT_PATTERN = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT_PATTERN = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_MAX_NUMBER_CHARACTERS = 400
+"""A longer scalar is a string even if it looks like a number."""
 _TAG_DIRECTIVE = re.compile("(?:^|[\n\r\x85\u2028\u2029])%TAG")
-_MOST_TAG_DIRECTIVES = 16
-"""Looking for one more takes libyaml as long as there are many."""
+_MAX_TAG_DIRECTIVES = 16
+"""libyaml compares each %TAG directive with all before it, so its time grows with the square of their number."""
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
-_UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_UNPRINTABLE_PATTERN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 @dataclass(slots=True)
 class Marks:
-    """Line and column of a value (of its key, in a mapping), from 1, and those of what it holds."""
+    """Line and column, from 1, of a value (in a mapping, of its key), and the marks of its members."""
 
     line: int
     column: int
@@ -57,12 +59,12 @@ class Marks:
 
 
 _NO_CHILDREN: dict[str | int, Marks] = {}
-"""Of every scalar: nothing is ever put into it."""
+"""Shared by all scalars; it stays empty."""
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """One parsed document: `data`, and where each part of it stands; `name` is None without a file."""
+    """A parsed document: its data, and the place of each value in the file; `name` is None without a file."""
 
     data: Json
     name: str | None = None
@@ -70,15 +72,15 @@ class Document:
     _above: tuple[str, ...] = ()
 
     def below(self, key: str) -> "Document":
-        """The same document as what stands below `key` in a larger one; places are they are in the file."""
+        """Return this document as the value of `key` in a larger one; places in the file stay the same."""
         return replace(self, data={key: self.data}, _above=(key, *self._above))
 
     def problem(self, path: Sequence[str | int], text: str) -> Problem:
-        """A fault of the part at `path`."""
+        """Return a fault of the value at `path`."""
         return Problem(self.where(path), text)
 
     def place(self, path: Sequence[str | int]) -> str:
-        """`FILE:LINE:COLUMN` of the key or list item at `path`, or of the nearest one around it."""
+        """Return `FILE:LINE:COLUMN` of the key or list item at `path`, or of the nearest one that contains it."""
         marks = near = self._marks
         for element in self.own(path):
             marks = None if marks is None else marks.children.get(element)
@@ -87,11 +89,11 @@ class Document:
         return f"{one_line(self.name or '')}:{line}:{column}"
 
     def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
-        """A path as it is in the file, without the keys that the document was put below."""
+        """Return a path as it is in the file, without the keys that `below` added."""
         return path[len(self._above) :]
 
     def where(self, path: Sequence[str | int]) -> str:
-        """`FILE:LINE:COLUMN: servo.rate_hz`; without a file the path alone."""
+        """Return a place as text: `FILE:LINE:COLUMN: servo.rate_hz`, or without a file the path alone."""
         text = path_text(self.own(path))
         if self.name is None:
             return text
@@ -100,7 +102,7 @@ class Document:
 
 @dataclass(slots=True)
 class _Open:
-    """A collection that is being filled; `key` waits for its value, in a mapping."""
+    """A collection that is being read; in a mapping, `key` is the key whose value comes next."""
 
     data: "list[Json] | dict[str, Json]"
     marks: Marks
@@ -109,17 +111,17 @@ class _Open:
 
 
 def load_path(path: "str | os.PathLike[str]") -> Document:
-    """Reads one YAML file.
+    """Read a YAML file.
 
     Raises InvalidError (one problem, `where` is FILE:LINE:COLUMN) for text that is refused, HapticdError for
     a file that cannot be read.
     """
     name = os.fspath(path)
-    return load_bytes(read_file(name, MAX_BYTES), name)
+    return load_bytes(read_file(name, MAX_YAML_BYTES), name)
 
 
 def read_file(name: str, most: int) -> bytes:
-    """The bytes of a file, one more than `most` at the most, so that a larger one shows. Raises HapticdError."""
+    """Return the bytes of a file, or of one larger than `most` the first `most` + 1 bytes. Raises HapticdError."""
     try:
         with open(name, "rb") as file:
             return file.read(most + 1)
@@ -130,14 +132,14 @@ def read_file(name: str, most: int) -> bytes:
 
 
 def load_bytes(content: bytes, name: str) -> Document:
-    """Parses one YAML document, as UTF-8. Raises InvalidError as load_path does."""
+    """Parse a YAML document in UTF-8. Raises InvalidError as load_path does."""
     if content.startswith(b"PK\x03\x04"):
-        raise InvalidError([Problem(one_line(name), "is an archive, no YAML; a recording is for: hapticd replay")])
-    return _parse(text_of(content, name, MAX_BYTES), name, _LOADER)
+        raise InvalidError([Problem(one_line(name), "an archive, not YAML; for a recording use: hapticd replay")])
+    return _parse(text_of(content, name, MAX_YAML_BYTES), name, _YAML_LOADER)
 
 
 def text_of(content: bytes, name: str, most: int) -> str:
-    """The text of a file of at most so many bytes, as UTF-8. Raises InvalidError as load_path does."""
+    """Decode the UTF-8 text of a file of at most `most` bytes. Raises InvalidError as load_path does."""
     if len(content) > most:
         raise _refusal(name, 0, 0, f"larger than {most} bytes")
     try:
@@ -149,18 +151,18 @@ def text_of(content: bytes, name: str, most: int) -> str:
 
 
 def load_text(text: str, name: str) -> Document:
-    """Parses one YAML document; `name` stands for the file. Raises InvalidError as load_path does."""
+    """Parse a YAML document; `name` is the file's name in messages. Raises InvalidError as load_path does."""
     return load_bytes(text.encode("utf-8", "surrogatepass"), name)
 
 
 def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.BaseLoader]") -> Document:
-    bad = _UNPRINTABLE.search(text)
+    bad = _UNPRINTABLE_PATTERN.search(text)
     if bad:
         raise _refusal(name, *_line_column(text[: bad.start()]), f"control character {quoted(bad.group())}")
-    tag = next(islice(_TAG_DIRECTIVE.finditer(text), _MOST_TAG_DIRECTIVES, None), None)
+    tag = next(islice(_TAG_DIRECTIVE.finditer(text), _MAX_TAG_DIRECTIVES, None), None)
     if tag:
         where = _line_column(text[: tag.end() - len("%TAG")])
-        raise _refusal(name, *where, f"more than {_MOST_TAG_DIRECTIVES} %TAG directives; none is needed here")
+        raise _refusal(name, *where, f"more than {_MAX_TAG_DIRECTIVES} %TAG directives; none is needed here")
     try:
         return _build(loader(text), name)
     except yaml.MarkedYAMLError as error:
@@ -168,7 +170,7 @@ def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.Bas
 
 
 def _complaint(text: str, error: yaml.MarkedYAMLError) -> tuple[int, int, str]:
-    """Line and column, from 0, and the parser's words; a tab in the indentation comes before what it says of that."""
+    """Return line and column, from 0, and text of a parser's error; a tab in the indentation is reported as such."""
     mark, problem = error.problem_mark, error.problem or "not YAML"
     line, column = (0, 0) if mark is None else (mark.line, mark.column)
     if problem == _TOO_DEEP:
@@ -177,7 +179,7 @@ def _complaint(text: str, error: yaml.MarkedYAMLError) -> tuple[int, int, str]:
     row = rows[min(line, len(rows) - 1)]
     indentation = row[: len(row) - len(row.lstrip(" \t"))]
     if "\t" in indentation:
-        return line, indentation.index("\t"), "a tab; YAML indents by spaces"
+        return line, indentation.index("\t"), "a tab; YAML is indented by spaces"
     begun = error.context_mark
     if error.context and begun is not None:
         problem += f", {error.context} at {begun.line + 1}:{begun.column + 1}"
@@ -196,7 +198,7 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
         def refuse(problem: str, line: int = line, column: int = column) -> InvalidError:
             return _refusal(name, line, column, problem)
 
-        # What comes most often comes first.
+        # The most frequent events are matched first.
         match event:
             case yaml.ScalarEvent() | yaml.CollectionStartEvent():
                 value = _value(event, refuse)
@@ -231,11 +233,11 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
 
 def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError]) -> str:
     if not isinstance(value, str):
-        hint = "" if isinstance(value, dict | list) else "; in quotes it is one"
+        hint = "" if isinstance(value, dict | list) else "; put it in quotes"
         before = next(reversed(mapping.values()), None)
         if type(before) is int and type(value) is int:  # 0,5 in braces
-            hint += f"; if the number {before}.{value} is meant: it is written with a point"
-        raise refuse(f"keys are strings, this one is {shown(value)}{hint}")
+            hint += f"; for the number {before}.{value} write a point, not a comma"
+        raise refuse(f"keys must be strings, this one is {shown(value)}{hint}")
     if value in mapping:
         raise refuse(f"duplicate key {quoted(value)}")
     return value
@@ -245,7 +247,7 @@ def _value(event: "yaml.ScalarEvent | yaml.CollectionStartEvent", refuse: Callab
     if isinstance(event, yaml.ScalarEvent):
         return _scalar(event, refuse)
     is_mapping = isinstance(event, yaml.MappingStartEvent)
-    if event.tag not in (None, "!", _CORE + ("map" if is_mapping else "seq")):
+    if event.tag not in (None, "!", _CORE_SCHEMA_TAG + ("map" if is_mapping else "seq")):
         raise refuse(f"tag {quoted(event.tag)} is not allowed here")
     return {} if is_mapping else []
 
@@ -255,9 +257,9 @@ def _scalar(event: yaml.ScalarEvent, refuse: Callable[[str], InvalidError]) -> J
     tag = event.tag
     if tag is None and not event.implicit[0]:
         return text
-    if tag in ("!", _CORE + "str"):
+    if tag in ("!", _CORE_SCHEMA_TAG + "str"):
         return text
-    known, value = _core(text, tag) if len(text) <= _LONGEST_NUMBER else (False, None)
+    known, value = _core(text, tag) if len(text) <= _MAX_NUMBER_CHARACTERS else (False, None)
     if known:
         return value
     if tag is None:
@@ -267,15 +269,17 @@ def _scalar(event: yaml.ScalarEvent, refuse: Callable[[str], InvalidError]) -> J
 
 @lru_cache(maxsize=4096)
 def _core(text: str, tag: str | None) -> tuple[bool, Json]:
-    """Whether the core schema reads a scalar as null, true, false or a number, and as which. Kept, since large files
-    repeat themselves."""
-    if tag in (None, _CORE + "null") and _NULL.fullmatch(text):
+    """Return whether the core schema reads a scalar as null, true, false or a number, and its value.
+
+    Results are cached, since large files repeat values.
+    """
+    if tag in (None, _CORE_SCHEMA_TAG + "null") and _NULL_PATTERN.fullmatch(text):
         return True, None
-    if tag in (None, _CORE + "bool") and _BOOL.fullmatch(text):
+    if tag in (None, _CORE_SCHEMA_TAG + "bool") and _BOOL_PATTERN.fullmatch(text):
         return True, text[0] in "tT"
-    if tag in (None, _CORE + "int") and _INT.fullmatch(text):
+    if tag in (None, _CORE_SCHEMA_TAG + "int") and _INT_PATTERN.fullmatch(text):
         return True, int(text, 0) if text[:2] in ("0o", "0x") else int(text)
-    if tag in (None, _CORE + "float") and _FLOAT.fullmatch(text):
+    if tag in (None, _CORE_SCHEMA_TAG + "float") and _FLOAT_PATTERN.fullmatch(text):
         return True, float(text.replace(".", "") if text[-1] in "fFnN" else text)
     return False, None
 
@@ -286,7 +290,7 @@ def _line_column(before: str) -> tuple[int, int]:
 
 
 def one_line(text: str) -> str:
-    """A file's name, or other text, as a message shows it: as it is, or quoted where it would break the line."""
+    """Return a file's name or other text for a message: quoted if it has unprintable characters, else unchanged."""
     return text if text.isprintable() else quoted(text)
 
 

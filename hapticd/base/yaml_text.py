@@ -1,4 +1,4 @@
-"""YAML that the loader takes back: mappings of plain values on one line, larger ones as a block."""
+"""Writer of YAML that the loader reads: mappings of scalars on one line, larger ones as a block."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import re
 from collections.abc import Mapping
 from typing import Final
 
-_PLAIN: Final = re.compile("[A-Za-z_][A-Za-z0-9_-]*")
-"""Strings that need no quotes, whatever stands around them."""
+_PLAIN_PATTERN: Final = re.compile("[A-Za-z_][A-Za-z0-9_-]*")
+"""Strings that need no quotes in any context."""
 
 
 def yaml_text(value: Mapping[str, object]) -> str:
-    """The text, without the last line's end."""
+    """Return YAML text, without a line break at its end."""
     return "\n".join(_block(value, ""))
 
 
@@ -27,11 +27,11 @@ def _block(mapping: Mapping[str, object], pad: str) -> list[str]:
 
 
 def flow_text(value: object) -> str:
-    """A plain value on one line."""
+    """Return a plain value as YAML on one line."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{flow_text(key)}: {flow_text(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list):
         return "[" + ", ".join(map(flow_text, value)) + "]"
-    if isinstance(value, str) and _PLAIN.fullmatch(value) and value.lower() not in ("null", "true", "false"):
+    if isinstance(value, str) and _PLAIN_PATTERN.fullmatch(value) and value.lower() not in ("null", "true", "false"):
         return value
     return json.dumps(value, ensure_ascii=False)

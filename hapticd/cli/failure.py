@@ -48,7 +48,7 @@ def _message(error: Exception, as_json: bool) -> str:
         case _:
             from hapticd.base import threads
 
-            if str(error) != threads.REFUSED:
+            if str(error) != threads.THREAD_START_ERROR:
                 raise error
             said = threads.refused()
     return on_one_line(said)

@@ -129,7 +129,7 @@ def paths_command(configs: tuple[str, ...], as_json: bool) -> int:
         configuration = {
             "origin": chosen.origin,
             "files": [os.path.abspath(file) for file in chosen.files],
-            "looked_for": list(chosen.looked_for),
+            "looked_for": list(chosen.missing),
             "fault": fault,
         }
         folders = {folder: {"folder": path, "names": names} for folder, (path, names) in ships.items()}

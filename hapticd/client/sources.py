@@ -59,13 +59,13 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
     if isinstance(patch, Mapping):
         return patch
     from hapticd.base.yaml_source import load_path
-    from hapticd.config.document_kinds import PATCHES, refuse_other_keys, refuse_other_kinds
+    from hapticd.config.document_kinds import KINDS_WITH_PATCHES, refuse_other_keys, refuse_other_kinds
     from hapticd.config.file_faults import FromFile
 
     if not isinstance(patch, str | os.PathLike):
         raise arguments.wrong(path[-1], f"must be a mapping or the path of a file, is {shown(patch)}")
     document = load_path(arguments.path(path[-1], patch))
-    refuse_other_kinds(document, *PATCHES[path[-1]])
+    refuse_other_kinds(document, *KINDS_WITH_PATCHES[path[-1]])
     found: tuple[str, ...] = ()
     data: object = document.data
     for key in path:

@@ -1,25 +1,25 @@
-"""What a person writes: configuration, scene, materials, operators, and their JSON Schema.
+"""Documents that people write: configuration, scene, materials, operators, and their JSON Schema.
 
 Documents, each validated by a model:
 
-    configuration        the whole of it: servo, device, materials and scene, from YAML files or a mapping
-    scene                the objects in the workspace, patches of walls, and what of all is displayed
+    configuration        the complete configuration: servo, device, materials and scene, from YAML files or a mapping
+    scene                the objects in the workspace, patches of walls, and which forces are displayed
     materials            what a surface is made of, and the shipped library
-    modes                the ringing mode, Q(t) = A exp(-B t) sin(w t): its keys, where it acts, tables over the speed
+    modes                the ringing mode, Q(t) = A exp(-B t) sin(w t): its keys, its direction, tables over the speed
     waveform             a tap as a short curve of samples
-    texture              what a surface does while the probe strokes along it: grooves, noise
-    operator             what the hand on the simulated joystick does: waypoints or a gesture
+    texture              what a surface feels like while the probe strokes along it: grooves, noise
+    operator             motion of the hand on the simulated joystick: waypoints or a gesture
     hid                  `device.hid` and `device.replay`
     actuator             the actuator as a lag between command and force
     dynamics             mass and damping of handle and hand
 
 Files:
 
-    locations            which files the configuration is taken from
+    locations            which files the configuration is read from
     shipped_files        shipped scenes, operators and materials, by name
-    document_kinds       tells a scene, materials, a configuration and an operator apart by their keys
+    document_kinds       recognizes a scene, materials, a configuration and an operator by their keys
     change_files         materials and a scene from files, for one change of a running daemon
-    file_faults          places a daemon's complaint about what was sent at file, line and column
+    file_faults          finds file, line and column of a fault that the daemon reports
     schema               JSON Schema of the configuration, for editors
 
 Questions, and where to begin:

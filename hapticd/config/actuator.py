@@ -1,8 +1,9 @@
-"""The actuator as a lag between the force of its command and the force that it exerts.
+"""Model of the actuator: a lag between the commanded force u and the exerted force F.
 
     order 1:  F' = a (u - F)                       order 2:  F'' = a^2 (u - F) - 2 zeta a F'
 
-u is held from one command to the next. The bandwidth is where a sine of force has fallen to 1/sqrt(2), by 3 dB.
+u is held from one command to the next. The bandwidth is the frequency at which a sinusoidal force has fallen to
+1/sqrt(2), by 3 dB.
 """
 
 from __future__ import annotations
@@ -16,24 +17,29 @@ from pydantic import Field
 
 from hapticd.base.model import Model
 
-LEAST_HZ: Final = 10.0
-MOST_HZ: Final = 5000.0
+MIN_BANDWIDTH_HZ: Final = 10.0
+MAX_BANDWIDTH_HZ: Final = 5000.0
+"""Limits of `bandwidth_hz`."""
 
 
 class Actuator(Model):
-    """How fast the actuator follows; without it, at once."""
+    """Lag of the actuator; without this mapping the force follows at once."""
 
-    bandwidth_hz: float = Field(ge=LEAST_HZ, le=MOST_HZ, description="Where a sine of force has fallen by 3 dB.")
+    bandwidth_hz: float = Field(
+        ge=MIN_BANDWIDTH_HZ,
+        le=MAX_BANDWIDTH_HZ,
+        description="Frequency at which a sinusoidal force has fallen by 3 dB.",
+    )
     order: Literal[1, 2] = Field(
-        default=1, description="Order of its lag: 1 is one time constant, 2 a resonance or two time constants."
+        default=1, description="Order of the lag: 1 has one time constant, 2 a resonance or two time constants."
     )
     damping_ratio: float = Field(
-        default=math.sqrt(0.5), ge=0.1, le=2, description="Order 2: damping over that which just does not overshoot."
+        default=math.sqrt(0.5), ge=0.1, le=2, description="Order 2: damping ratio; 1 is critical damping."
     )
 
     @property
     def rate_per_s(self) -> float:
-        """a of the equations: of order 1 the inverse of the time constant, of order 2 the natural angular frequency."""
+        """The a of the equations: for order 1 the inverse time constant, for order 2 the natural angular frequency."""
         angular = 2 * math.pi * self.bandwidth_hz
         if self.order == 1:
             return angular
@@ -44,23 +50,23 @@ class Actuator(Model):
         return angular / math.sqrt(ratio)
 
     def response(self, s: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
-        """Force exerted over force commanded, at these complex frequencies in 1/s, of the same shape."""
+        """Return the transfer function F/u at complex frequencies `s` in 1/s, in the shape of `s`."""
         x = np.asarray(s, np.complex128) / self.rate_per_s
         lag = 1 + x if self.order == 1 else 1 + (2 * self.damping_ratio + x) * x
         return np.asarray(1 / lag, np.complex128)
 
     def at(self, s: complex) -> complex:
-        """As `response`, of one frequency."""
+        """Return the transfer function F/u at one complex frequency in 1/s."""
         return complex(self.response(np.array([s], np.complex128))[0])
 
     def shares(self) -> tuple[float, float, float]:
-        """What stability needs of the force h(t) after an impulse: the integrals of |h|, of t |h| and of t h, in s.
+        """Return the integrals of |h|, t |h| and t h over the impulse response h(t), the latter two in s.
 
-        A force is the one that was commanded, spread over later times with the weights h; they sum up to 1.
+        The stability analysis uses them. The integral of h is 1.
         """
         if self.order == 1:
             return 1.0, 1.0 / self.rate_per_s, 1.0 / self.rate_per_s
-        # In units of 1/a; slower than the slower root by 40 time constants nothing is left.
+        # Time in units of 1/a, up to 40 time constants of the slower root.
         zeta = self.damping_ratio
         slow = zeta if zeta <= 1.0 else zeta - math.sqrt(zeta * zeta - 1.0)
         step = 40.0 / slow / 100_000

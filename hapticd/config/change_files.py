@@ -1,7 +1,7 @@
 """Materials and a scene from files, for one change of a running daemon.
 
-Files are merged as those of a configuration are: a later one overrides key by key, but each material and each object
-whole. A file holds `materials`, `scene` or both, or a scene or materials alone.
+Files are merged as those of a configuration are: a later one overrides key by key, but replaces materials and objects
+completely. A file holds `materials`, `scene` or both, or the content of one of them.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ class _ChangeParts(Model):
 
 @dataclass(frozen=True, slots=True)
 class ChangeFiles:
-    """What the files hold, validated; None for what they do not. The daemon's faults are reported by file and line."""
+    """Validated content of the files, None for a missing part. The daemon's faults get file and line."""
 
     materials: FromFile | None
     scene: FromFile | None
 
 
 def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
-    """The change in these files; the name of a shipped scene does for its file.
+    """Load a change from files, of which a shipped scene may be given by its name.
 
-    Whether the scene's materials exist is for the daemon to say, which knows more of them. Raises InvalidError, which
-    names every fault with file and line, HapticdError for a file that cannot be read.
+    Whether the scene's materials exist is not checked here: the daemon may have others. Raises InvalidError, which
+    names every fault with file and line, and HapticdError for a file that cannot be read.
     """
     return change_of(load_all([file_of(os.fspath(path), "scenes") for path in paths]))
 
 
 def change_of(documents: Sequence[Document]) -> ChangeFiles:
-    """As load_change, of documents that were read. Raises InvalidError."""
+    """Merge and validate documents as a change. Raises InvalidError."""
     merged = Merged()
-    for document in map(_whole, documents):
+    for document in map(_as_change, documents):
         assert isinstance(document.data, dict)
         merged.add(document, document.data)
     try:
@@ -63,8 +63,8 @@ def change_of(documents: Sequence[Document]) -> ChangeFiles:
     )
 
 
-def _whole(document: Document) -> Document:
-    """A document of `materials` and `scene`. Raises InvalidError for one of another kind."""
+def _as_change(document: Document) -> Document:
+    """Return a document with the keys `materials` and `scene`. Raises InvalidError for one of another kind."""
     refuse_other_kinds(document, "change", "scene", "bare scene", "materials", "bare materials")
     kind = kind_of(document.data)
     if kind is None:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 
 from pydantic import Field, ValidationError, model_validator
 
-from hapticd.base.core import SIM_FORCES
+from hapticd.base.core import MAX_FORCE_DELAY_FRAMES
 from hapticd.base.errors import InvalidError, Path, Problem, shown
 from hapticd.base.model import Damping, Model, Name, Position, Stiffness, faults_of, plain
 from hapticd.base.yaml_source import Document, Json, load_path
@@ -15,32 +15,34 @@ from hapticd.config.actuator import Actuator
 from hapticd.config.document_kinds import kind_of, refuse_other_kinds
 from hapticd.config.dynamics import Dynamics, Grip, Handle
 from hapticd.config.hid import Hid, Replay
-from hapticd.config.locations import Chosen, check_named, choose
+from hapticd.config.locations import ConfigFiles, check_named, choose
 from hapticd.config.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
 from hapticd.config.scene import Scene, reference_faults
 from hapticd.config.shipped_files import file_of
 
-DEFAULT = "default.yaml"
+DEFAULT_CONFIG_FILE = "default.yaml"
+"""Shipped file of the built-in configuration."""
 
 Compensation: TypeAlias = Literal["off", "mass", "full"]
-"""What strikes are compensated for: nothing, the mass, or handle and hand."""
+"""Dynamics for which strikes are compensated: none, the mass, or handle and hand."""
 ActuatorForce: TypeAlias = Annotated[float, Field(ge=0.01, le=100)]
+"""Maximum force of an actuator, in N."""
 
 
 class Overruns(Model):
-    """How many periods may be missed before something is done about it."""
+    """Limit of missed periods, and the reaction to more."""
 
     threshold: float = Field(
         default=0.1, ge=0.001, le=1, description="Fraction of a second's periods that may be missed; 1: all."
     )
     action: Literal["warn", "step_down", "fault"] = Field(
         default="warn",
-        description="If more are missed: an event, half the rate (a fault if that is not possible), or a fault.",
+        description="Reaction to more missed periods: an event, half the rate (a fault if impossible), or a fault.",
     )
 
 
 class Servo(Model):
-    """The servo loop and what it asks of the machine."""
+    """The servo loop and its real-time settings."""
 
     rate_hz: float = Field(default=10000.0, ge=1000, le=10000, description="Ticks per second.")
     cpu: Annotated[int, Field(ge=0, le=1023)] | None = Field(
@@ -53,20 +55,20 @@ class Servo(Model):
     )
     spin_us: float = Field(default=0.0, ge=0, le=100, description="Busy waiting before each deadline.")
     clock: Literal["timer", "device"] = Field(
-        default="timer", description="What leads the ticks: the clock, or the reports of a HID device."
+        default="timer", description="What starts a tick: a timer, or the position reports of a HID device."
     )
-    overruns: Overruns = Field(default=Overruns(), description="Periods that are missed.")
+    overruns: Overruns = Field(default=Overruns(), description="Missed periods.")
     stream_timeout_s: float = Field(
         default=0.02,
         ge=0.002,
         le=1,
-        description="A stream of targets or forces ends when none came for this long: the force goes to zero over "
+        description="A stream of targets or forces ends when none arrived for this long: the force goes to zero over "
         "`ramp_s`, the hand stays.",
     )
 
 
 class Hand(Model):
-    """The hand that holds the simulated handle: a mass on it, drawn to the operator by spring and damper."""
+    """The hand on the simulated handle: a mass on it, pulled to the operator's target by spring and damper."""
 
     mass_kg: float = Field(default=0.01, ge=0, le=10, description="Mass that moves with the handle.")
     stiffness_n_per_m: Stiffness = Field(default=300.0, description="Grip stiffness.")
@@ -74,14 +76,14 @@ class Hand(Model):
 
 
 class Link(Model):
-    """A link of frames between the servo and the simulated joystick, as USB has it."""
+    """A link with frames between the servo and the simulated joystick, like USB."""
 
     rate_hz: float = Field(ge=10, le=8000, description="Frames per second.")
     delay_frames: int = Field(
         default=1,
         ge=1,
-        le=SIM_FORCES,
-        description="Age of a position when it is read, in frames; a force acts at this frame after it was put.",
+        le=MAX_FORCE_DELAY_FRAMES,
+        description="Delay of a position and of a force, in frames.",
     )
 
 
@@ -92,9 +94,9 @@ class Sim(Model):
     handle_damping_n_s_per_m: Damping = Field(default=0.2, description="Viscous friction of the device.")
     coulomb_friction_n: float = Field(default=0.05, ge=0, le=10, description="Dry friction, per axis.")
     encoder_step_m: float = Field(default=20e-6, ge=0, le=0.01, description="Step of positions; 0: exact.")
-    max_force_n: ActuatorForce = Field(default=8.9, description="What the actuator gives at most, per axis.")
-    force_step_n: float = Field(default=0.0043, ge=0, le=1, description="Resolution of it; 0: exact.")
-    actuator: Actuator | None = Field(default=None, description="How fast the actuator follows; null: at once.")
+    max_force_n: ActuatorForce = Field(default=8.9, description="Maximum force of the actuator, per axis.")
+    force_step_n: float = Field(default=0.0043, ge=0, le=1, description="Resolution of the force; 0: exact.")
+    actuator: Actuator | None = Field(default=None, description="Lag of the actuator; null: none.")
     report_interval_s: float = Field(
         default=0.0, ge=0, le=0.1, description="Time between position reports; 0: one at every tick."
     )
@@ -105,24 +107,24 @@ class Sim(Model):
     )
     start_m: Position = Field(
         default=(0.0, 0.0),
-        description="Where handle and hand are at the start, [x, y]; in `simulate`, waypoints that begin at 0 s say it "
-        "instead.",
+        description="Position of handle and hand at the start, [x, y]; in `simulate` ignored if the waypoints start at "
+        "0 s.",
     )
-    hand: Hand = Field(default=Hand(), description="The hand that holds it.")
-    link: Link | None = Field(default=None, description="What positions and forces come and go by; null: at once.")
+    hand: Hand = Field(default=Hand(), description="The hand that holds the handle.")
+    link: Link | None = Field(default=None, description="Link of positions and forces; null: none, without delay.")
 
     @property
     def reports_s(self) -> tuple[float, float]:
-        """Time between position reports (0: one at every tick), and how old they are, s."""
+        """Time between position reports (0: one at every tick), and their age when read, in s."""
         if self.link is None:
             return self.report_interval_s, self.report_delay_s
         return 1.0 / self.link.rate_hz, self.link.delay_frames / self.link.rate_hz
 
     @property
     def age_s(self) -> float:
-        """Between a position and the moment at which the force acts that is put when it is read, s.
+        """Mean delay in s from a position to the force that is computed from it.
 
-        A force that goes by a link waits for its frame, half of one on average.
+        On a link, a force waits half a frame on average.
         """
         delay_s = self.reports_s[1]
         return delay_s if self.link is None else 2.0 * delay_s - 0.5 / self.link.rate_hz
@@ -130,13 +132,13 @@ class Sim(Model):
     @model_validator(mode="after")
     def _one_way_of_reports(self) -> Self:
         if self.link is not None and (self.report_interval_s or self.report_delay_s):
-            raise ValueError("with a link, report_interval_s and report_delay_s must be left out: the link says both")
+            raise ValueError("with a link, report_interval_s and report_delay_s must be left out: the link has both")
         return self
 
     @model_validator(mode="after")
     def _start_inside(self) -> Self:
         if max(map(abs, self.start_m)) > self.workspace_m:
-            raise ValueError(f"start_m must be inside the workspace, {self.workspace_m:g} either way")
+            raise ValueError(f"start_m must be inside the workspace, -{self.workspace_m:g} to {self.workspace_m:g} m")
         return self
 
 
@@ -175,67 +177,66 @@ def _moving_mass_kg(fields: dict[str, object]) -> float:
 
 
 def _muted_or_lowered(fields: dict[str, object]) -> Literal["mute", "lower"]:
-    # On a slow stick steel would feel softer than wood if it were only silent.
+    # If a slow joystick muted steel's mode, steel would feel softer than wood.
     return "mute" if fields["kind"] == "sim" else "lower"
 
 
 class Device(Model):
-    """The device that displays the force, and what is asked of it."""
+    """The device that displays the force, and its limits."""
 
     kind: Literal["sim", "hid", "replay"] = Field(
         default="sim", description="The simulated joystick, a HID joystick, or a recording of one."
     )
-    max_force_n: ActuatorForce = Field(default=8.9, description="Largest magnitude of the force commanded.")
+    max_force_n: ActuatorForce = Field(default=8.9, description="Maximum magnitude of the commanded force.")
     max_speed_m_per_s: float = Field(
-        default=5.0, ge=0.01, le=1000, description="A step between two positions that is faster is a glitch."
+        default=5.0, ge=0.01, le=1000, description="A faster step between two positions is a glitch."
     )
     rearm_m: float = Field(
         default=0.0,
         ge=0,
         le=0.01,
-        description="Distance that the probe must leave a surface before the next contact is a tap again; choose the "
-        "noise of positions or the encoder's step. 0: every contact is a tap.",
+        description="Distance that the probe must withdraw before it can tap again; set it to the encoder's step or "
+        "the noise of positions. 0: every contact is a tap.",
     )
     undisplayable: Literal["mute", "lower"] = Field(
         default_factory=_muted_or_lowered,
-        description="A mode above 0.4 of the rate (the link's, if that is lower) is silent, or lowered in frequency.",
+        description="A mode above 0.4 of the rate (the link's, if that is lower) is muted, or lowered in frequency.",
     )
     frozen_after_s: Annotated[float, Field(ge=0.1, le=60)] | None = Field(
         default=None,
-        description="Exactly the same position for this long, under a force of a tenth of max_force_n or more, is a "
-        "fault; null: it is not, because a hand may hold a handle still.",
+        description="The same position for this long, at a force of at least a tenth of max_force_n, is a fault. null: "
+        "no fault, since a hand may hold the handle still.",
     )
     sim: Sim = Field(default=Sim(), description="The simulated joystick.")
-    hid: Hid = Field(default=Hid(), description="A HID joystick; of a replay, how its reports are decoded.")
+    hid: Hid = Field(default=Hid(), description="A HID joystick; for a replay, how its reports are decoded.")
     replay: Replay | None = Field(default=None, description="The recording that is played.")
     handle: Handle | None = Field(
-        default=None, description="The handle, of a real joystick; by default the simulated one's."
+        default=None, description="The handle of a real joystick; by default that of the simulated one."
     )
-    grip: Grip | None = Field(default=None, description="The hand on it; by default the simulated one's, or none.")
+    grip: Grip | None = Field(default=None, description="The hand; by default the simulated one, or none.")
     actuator: Actuator | None = Field(
-        default=None, description="How fast the actuator follows; by default as the simulated one's, or at once."
+        default=None, description="Lag of the actuator; by default that of the simulated one, or none."
     )
     compensation: Compensation = Field(
         default="off",
-        description="Correction of strikes for handle and hand: none, for their mass and the hold of the force, or for "
-        "mass, spring, damper and hold.",
+        description="Correction of strikes: none, for mass and zero-order hold, or for mass, spring, damper and hold.",
     )
-    # After those which its default is taken from.
+    # After the fields that give its default.
     effective_mass_kg: float = Field(
         default_factory=_moving_mass_kg,
         ge=1e-4,
         le=20,
-        description="Mass by which an acceleration becomes a force; by default handle and hand together.",
+        description="Mass that converts accelerations to forces; by default handle and hand together.",
     )
 
     @property
     def dynamics(self) -> Dynamics | None:
-        """The device as a force sees it; None of a real joystick whose `handle` is not given."""
+        """Mass, damping and stiffness of handle and hand; None for a real joystick without `handle`."""
         return _dynamics(self.kind, self.sim, self.handle, self.grip)
 
     @property
     def lag(self) -> Actuator | None:
-        """The actuator's lag as far as it is known; None: it follows at once."""
+        """The actuator's lag; None if it has none or it is not known."""
         return self.sim.actuator if self.actuator is None and self.kind == "sim" else self.actuator
 
     @model_validator(mode="after")
@@ -254,20 +255,20 @@ class Device(Model):
 
 
 class FlightRecorder(Model):
-    """The last seconds of telemetry, written to a file on a fault or when asked."""
+    """The flight recorder: the last seconds of telemetry, written to a file on a fault or on request."""
 
-    seconds: float = Field(default=10.0, ge=1, le=60, description="How much is kept.")
+    seconds: float = Field(default=10.0, ge=1, le=60, description="Duration that is kept.")
     directory: str | None = Field(
         default=None,
         min_length=1,
         max_length=4096,
-        description="Where files go; null: $STATE_DIRECTORY, or the runtime directory.",
+        description="Folder of the files; null: $STATE_DIRECTORY, or the runtime directory.",
     )
-    keep: int = Field(default=10, ge=1, le=1000, description="Files that stay; older ones are removed.")
+    keep: int = Field(default=10, ge=1, le=1000, description="Files to keep; older ones are removed.")
 
 
 class Config(Model):
-    """Everything that a configuration file holds."""
+    """A complete configuration."""
 
     servo: Servo = Field(default=Servo(), description="The servo loop.")
     device: Device = Field(default=Device(), description="The device.")
@@ -288,14 +289,14 @@ ConfigSource: TypeAlias = "Config | Mapping[str, object] | str | os.PathLike[str
 
 
 def load_config(source: ConfigSource) -> Config:
-    """A validated configuration, with the shipped materials under those of the source.
+    """Load and validate a configuration, and add the shipped materials.
 
-    `source` is a mapping (numpy scalars, arrays and tuples are welcome in it), a path, or paths that are
-    merged in order: a later file overrides key by key, but materials and scene objects whole. Everything left
-    out has its default. A Config is returned as it is.
+    `source` is a mapping (which may hold numpy scalars, arrays and tuples), a path, or paths that are merged in
+    order: a later file overrides key by key, but replaces materials and scene objects completely. Missing keys get
+    their defaults. A material of the source replaces a shipped one of the same name. A Config is returned unchanged.
 
-    Raises InvalidError, which names every fault of a key with file, line and limit, or else every material that is not
-    known; HapticdError for a file that cannot be read.
+    Raises InvalidError, which names every faulty key with file, line and limit, or else every unknown material, and
+    HapticdError for a file that cannot be read.
     """
     if isinstance(source, Config):
         return source
@@ -305,13 +306,13 @@ def load_config(source: ConfigSource) -> Config:
         return config_of_documents([load_path(source)])
     if not isinstance(source, Sequence) or not all(isinstance(path, str | os.PathLike) for path in source):
         raise InvalidError(
-            [Problem("", f"a configuration is a mapping, a path or a list of paths, not {shown(source)}")]
+            [Problem("", f"a configuration must be a mapping, a path or a list of paths, is {shown(source)}")]
         )
     return config_of_documents(load_all(source))
 
 
 def load_all(paths: Sequence[str | os.PathLike[str]]) -> list[Document]:
-    """The documents of these files. Raises InvalidError, which names the fault of every file that is no YAML."""
+    """Parse YAML files. Raises InvalidError, which names the fault of every file that is not YAML."""
     documents: list[Document] = []
     problems: list[Problem] = []
     for path in paths:
@@ -326,28 +327,30 @@ def load_all(paths: Sequence[str | os.PathLike[str]]) -> list[Document]:
 
 @cache
 def default_config() -> Config:
-    """What the daemon runs where no configuration file is found: `config/default.yaml`."""
-    return config_of_documents([shipped_document(DEFAULT)])
+    """Return the built-in configuration, which is used if no file is found: `config/default.yaml`."""
+    return config_of_documents([shipped_document(DEFAULT_CONFIG_FILE)])
 
 
 def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
-    """The configuration of a command: that of the files it names, or else as config_files.choose finds it."""
+    """Load the configuration of a command: of the files that it names, or of those that locations.choose finds."""
     return chosen_config(choose(paths))
 
 
-def chosen_config(chosen: Chosen) -> Config:
-    """These files merged in order, as load_config, where the name of a shipped scene does for its file; of none,
-    default_config. Raises HapticdError also for a file that the environment names and that is not there."""
+def chosen_config(chosen: ConfigFiles) -> Config:
+    """Load the chosen files as load_config does, or without any the built-in configuration.
+
+    A shipped scene may be given by its name. Raises HapticdError also if the environment names a missing file.
+    """
     check_named(chosen)
     files = [file_of(file, "scenes") for file in chosen.files]
     return load_config(files) if files else default_config()
 
 
 def config_of_documents(documents: Sequence[Document]) -> Config:
-    """As load_config, of documents that were read."""
+    """Merge and validate documents; see load_config."""
     merged = Merged()
     for given in documents:
-        document = _whole(given)
+        document = _as_configuration(given)
         if not isinstance(document.data, dict):
             text = "is empty" if document.data is None else "must be a mapping"
             raise InvalidError([Problem(document.where(()), f"{text}; known keys: {', '.join(Config.model_fields)}")])
@@ -363,29 +366,29 @@ def config_of_documents(documents: Sequence[Document]) -> Config:
     return config.model_copy(update={"materials": materials})
 
 
-def _whole(document: Document) -> Document:
-    """A document as a configuration: a scene alone is one, too. Raises InvalidError for what is neither."""
+def _as_configuration(document: Document) -> Document:
+    """Return a document as a configuration, also for a scene alone. Raises InvalidError for another kind."""
     refuse_other_kinds(document, "configuration", "change", "scene", "bare scene", "materials")
     return document.below("scene") if kind_of(document.data) == "bare scene" else document
 
 
 class Merged:
-    """Several documents as one, and which of them each part comes from."""
+    """Several documents merged into one, which knows the document of each value."""
 
     def __init__(self) -> None:
         self.data: dict[str, Json] = {}
         self._owners: dict[Path, Document] = {}
 
     def add(self, document: Document, data: dict[str, Json]) -> None:
-        """Lays what a document holds over what was there: key by key, but each material and each object whole."""
+        """Merge a document: its values replace earlier ones key by key, but materials and objects completely."""
         self._add(document, data, self.data, ())
 
     def _add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:
         self._owners[path] = document
         for key, value in source.items():
             here = (*path, key)
-            whole = path in (("materials",), ("scene", "objects"))
-            if isinstance(value, dict) and not whole:
+            is_replaced = path in (("materials",), ("scene", "objects"))
+            if isinstance(value, dict) and not is_replaced:
                 old = target.get(key)
                 inner = target[key] = old if isinstance(old, dict) else {}
                 self._add(document, value, inner, here)
@@ -394,10 +397,11 @@ class Merged:
                 self._owners[here] = document
 
     def invalid(self, faults: Sequence[tuple[Path, str]]) -> InvalidError:
+        """Return the error for faults, each given by its path and text."""
         return InvalidError(self._owner(path).problem(path, text) for path, text in faults)
 
     def where(self, path: Sequence[str | int]) -> str:
-        """`FILE:LINE:COLUMN: KEY` of the part at `path`, in the file that it is from."""
+        """Return `FILE:LINE:COLUMN: KEY` of the value at `path`, in the file that it comes from."""
         return self._owner(path).where(path)
 
     def _owner(self, path: Sequence[str | int]) -> Document:

@@ -1,7 +1,7 @@
-"""What a document is, by its keys: a scene, materials, a configuration, what a hand does; and which command takes it.
+"""Kinds of documents, recognized by their keys: scene, materials, configuration, operator; and their commands.
 
-Every reader asks `refuse_other_kinds` before it reads single keys, so that a file that is sound but meant for
-another command is answered with that command, not with a list of unknown keys.
+Every reader calls `refuse_other_kinds` before it reads single keys. For a valid file of another command the error
+names that command, instead of a list of unknown keys.
 """
 
 import os
@@ -26,15 +26,18 @@ Kind: TypeAlias = Literal[
     "sweep",
 ]
 
-CONFIGURATION: Final = ("servo", "device", "flight")
-"""Keys of a configuration alone; it has `materials` and `scene` too."""
-SCENE: Final = ("display", "ramp_s", "passivity", "objects")
+CONFIGURATION_KEYS: Final = ("servo", "device", "flight")
+"""Keys that only a configuration has, in addition to `materials` and `scene`."""
+SCENE_KEYS: Final = ("display", "ramp_s", "passivity", "objects")
+"""Keys of a scene."""
 OBJECT_KINDS: Final = ("wall", "membrane", "box", "disc", "spring", "viscous", "constant")
-MATERIAL: Final = (
+"""Values of the key `kind` of an object."""
+MATERIAL_KEYS: Final = (
     "stiffness_n_per_m", "damping_n_s_per_m", "tap", "rupture", "friction", "texture", "provenance",
 )  # fmt: skip
+"""Keys of a material."""
 
-_TAKERS: Final[dict[Kind, tuple[str, str]]] = {
+_COMMAND_OF_KIND: Final[dict[Kind, tuple[str, str]]] = {
     "configuration": ("a configuration", "run -c"),
     "change": ("materials and a scene", "apply"),
     "scene": ("a scene", "scene set"),
@@ -47,49 +50,49 @@ _TAKERS: Final[dict[Kind, tuple[str, str]]] = {
     "study": ("a study", "experiment check"),
     "sweep": ("a sweep", "sweep run"),
 }
-"""What a person calls a kind, and the command that takes it."""
-TELLING_KEYS: Final[dict[Kind, tuple[str, ...]]] = {
-    "bare scene": SCENE,
+"""Name of each kind in messages, and the command that reads it."""
+KEYS_OF_KIND: Final[dict[Kind, tuple[str, ...]]] = {
+    "bare scene": SCENE_KEYS,
     "gesture": ("gesture",),
     "waypoints": ("waypoints", "interpolation"),
     "study": ("experiment", "factors", "trial", "questions"),
     "sweep": ("vary", "measure", "refine"),
 }
-"""A document that has one of these keys is of this kind."""
-PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
+"""Keys of which one shows the kind of a document."""
+KINDS_WITH_PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
     "objects": ("scene", "bare scene", "objects"),
     "materials": ("materials", "bare materials"),
 }
-"""Kinds of documents that hold a merge patch over these."""
+"""Kinds of documents that may hold a merge patch of objects, or of materials."""
 
 
 def kind_of(data: Json) -> Kind | None:
-    """The kind of a document, by its keys; None where they do not tell."""
+    """Return the kind of a document by its keys, or None if they do not show it."""
     if not isinstance(data, dict) or not data:
         return None
-    inner = [value for key, value in data.items() if value is not None or key in SCENE]
+    inner = [value for key, value in data.items() if value is not None or key in SCENE_KEYS]
     if inner and all(isinstance(value, dict) and value.get("kind") in OBJECT_KINDS for value in inner):
         return "objects"
-    if not data.keys().isdisjoint(CONFIGURATION):
+    if not data.keys().isdisjoint(CONFIGURATION_KEYS):
         return "configuration"
     if "scene" in data:
         return "change" if "materials" in data else "scene"
     if "materials" in data:
         return "materials"
-    for kind, keys in TELLING_KEYS.items():
+    for kind, keys in KEYS_OF_KIND.items():
         if not data.keys().isdisjoint(keys):
             return kind
     if {"kind", "object"} <= data.keys():
         return "gesture"
-    if inner and all(isinstance(value, dict) and value and value.keys() <= {*MATERIAL} for value in inner):
+    if inner and all(isinstance(value, dict) and value and value.keys() <= {*MATERIAL_KEYS} for value in inner):
         return "bare materials"
     return None
 
 
 def refuse_other_kinds(document: Document, *taken: Kind) -> None:
-    """Raises InvalidError for a document that is none of these and that another command takes.
+    """Raise InvalidError if a document is of a kind that only another command reads.
 
-    What is not known is left to the reader, which knows its own keys.
+    A document of unknown kind is accepted; its reader checks the keys.
     """
     kind = kind_of(document.data)
     if kind is not None and kind not in taken:
@@ -97,19 +100,19 @@ def refuse_other_kinds(document: Document, *taken: Kind) -> None:
 
 
 def refuse_documents(path: str | os.PathLike[str]) -> None:
-    """Raises InvalidError for a YAML or JSON file where a recording is to be read: it names the command that takes it.
+    """Raise InvalidError if a file that should be a recording is a YAML or JSON document of another command.
 
-    HapticdError for one that cannot be read. Other files are not read.
+    Raises HapticdError if such a file cannot be read. Files with other endings are not read.
     """
     if os.path.splitext(os.fspath(path))[1].lower() in (".yaml", ".yml", ".json"):
         document = load_path(path)
         kind = kind_of(document.data)
         if kind is not None:
-            raise _for_another_command(document, kind, "is no recording: it ")
+            raise _for_another_command(document, kind, "not a recording: it ")
 
 
 def refuse_other_keys(document: Document, path: Sequence[str], given: Collection[str], known: str) -> None:
-    """Raises InvalidError if the mapping at `path`, with the keys `given`, has others than `known`."""
+    """Raise InvalidError if the mapping at `path`, with the keys `given`, has another key than `known`."""
     text = f"{UNKNOWN_KEY}; known: {known}"
     others = [Problem(document.where((*path, key)), text) for key in given if key != known]
     if others:
@@ -117,6 +120,6 @@ def refuse_other_keys(document: Document, path: Sequence[str], given: Collection
 
 
 def _for_another_command(document: Document, kind: Kind, it: str = "") -> InvalidError:
-    holds, taker = _TAKERS[kind]
+    holds, taker = _COMMAND_OF_KIND[kind]
     name = one_line(document.name or "")
     return InvalidError([Problem(name, f"{it}holds {holds}; use: hapticd {taker} {name}".rstrip())])

@@ -1,4 +1,4 @@
-"""The linear device as a force sees it: a handle's mass and damping, and the hand that holds it.
+"""Linear model of the device: mass and damping of the handle, and the hand that holds it.
 
     (m + m_h) x'' + (b + b_h) x' + k (x - w) = F,
 
@@ -36,7 +36,7 @@ class Grip(Model):
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """Handle and hand together, SI units. Coulomb friction stands beside: it is not linear."""
+    """Parameters of handle and hand, in SI units. Coulomb friction is not part of the linear model."""
 
     handle_mass_kg: float
     handle_damping_n_s_per_m: float
@@ -47,21 +47,21 @@ class Dynamics:
 
     @property
     def mass_kg(self) -> float:
-        """What moves, m + m_h."""
+        """Moving mass, m + m_h."""
         return self.handle_mass_kg + self.grip_mass_kg
 
     @property
     def damping_n_s_per_m(self) -> float:
-        """What damps it, b + b_h."""
+        """Total damping, b + b_h."""
         return self.handle_damping_n_s_per_m + self.grip_damping_n_s_per_m
 
 
 @lru_cache(maxsize=64)
 def held_motion(dynamics: Dynamics, span_s: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """How position and velocity go on for `span_s` under a held force: [x, v] becomes state @ [x, v] + pushed F.
+    """Return the exact step of position and velocity over `span_s` at a constant force F.
 
-    Zero-order hold, exact: state (2, 2) and pushed (2,), both read-only, are parts of exp([[A, B], [0, 0]] span_s) of
-    x' = A x + B F, by the series of a scaled step and squaring.
+    [x, v] becomes state @ [x, v] + pushed F. state (2, 2) and pushed (2,), both read-only, are parts of
+    exp([[A, B], [0, 0]] span_s) for x' = A x + B F, computed by scaling and squaring of the series.
     """
     mass = dynamics.mass_kg
     a = np.zeros((3, 3))
@@ -70,7 +70,7 @@ def held_motion(dynamics: Dynamics, span_s: float) -> tuple[npt.NDArray[np.float
     fastest = max(dynamics.damping_n_s_per_m / mass, math.sqrt(dynamics.grip_stiffness_n_per_m / mass)) * span_s
     halvings = max(0, math.ceil(math.log2(fastest / 0.25))) if fastest > 0.25 else 0
     step = a * (span_s / 2**halvings)
-    # The series of exp(A) - 1, so that squaring keeps what is small.
+    # The series of exp(A) - 1, so that squaring does not lose small terms.
     term = grown = step.copy()
     for order in range(2, 20):
         term = term @ step / order

@@ -1,4 +1,4 @@
-"""What was sent from a file: what the daemon finds fault with in it is reported with file, line and column."""
+"""Values that were read from a file and sent to the daemon: its faults get file, line and column."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from hapticd.base.errors import Path, path_of_text
 
 
 class Source(Protocol):
-    """A document, or several merged into one."""
+    """A document, or several that were merged."""
 
     def where(self, path: Sequence[str | int]) -> str:
-        """`FILE:LINE:COLUMN: KEY` of the part at `path`, or of the nearest one around it that the file has."""
+        """Return `FILE:LINE:COLUMN: KEY` of the value at `path`, or of the nearest one that contains it."""
 
 
 class FromFile(dict[str, object]):
-    """A value of params, or all of them, that stands at `root` of a document."""
+    """A value of params, or all params, that was read at `root` of a document."""
 
     def __init__(self, value: Mapping[str, object], document: Source, root: Path = ()) -> None:
         super().__init__(value)
         self._document, self._root = document, root
 
     def place(self, path: Path) -> str:
-        """Where a part of the value stands in the file."""
+        """Return the place of a part of the value in the file."""
         return self._document.where((*self._root, *path))
 
 
 def placed(where: str, params: Mapping[str, object]) -> str:
-    """A place inside params, in the file that it came from if there is one."""
+    """Return a place inside params as its place in the file that it was read from, or unchanged without a file."""
     path = path_of_text(where)
     if isinstance(params, FromFile):
         return params.place(path)

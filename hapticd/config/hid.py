@@ -8,6 +8,7 @@ from hapticd.base.errors import shown
 from hapticd.base.model import Model
 
 Usage: TypeAlias = Literal["X", "Y", "Z", "Rx", "Ry", "Rz"]
+"""Usage of an axis, of HID's page Generic Desktop."""
 Sign: TypeAlias = Literal[1, -1]
 Quirk: TypeAlias = Literal[
     "infinite_duration",
@@ -20,7 +21,9 @@ Quirk: TypeAlias = Literal[
 ]
 ReportId: TypeAlias = Annotated[int, Field(ge=0, le=255)]
 MAX_REPORT_BYTES = 255
+"""Maximum size of a report, without its id."""
 MAX_REPORTS = 24
+"""Maximum number of reports of `disable`."""
 
 
 def _hex(text: str) -> str:
@@ -34,14 +37,14 @@ def _hex(text: str) -> str:
 
 
 HexReport: TypeAlias = Annotated[str, Field(max_length=1024), AfterValidator(_hex)]
-"""A report as hex digits, its id first (00 where reports are not numbered); `feature ` before it: a feature report."""
+"""A report as hex digits, its id first (00 if reports are not numbered). A feature report begins with `feature `."""
 
 
 class HandleAxis(Model):
-    """Which of the device's axes this is."""
+    """The axis of the device's reports that gives one axis of the handle."""
 
-    usage: Usage = Field(description="The axis of the report, by its usage.")
-    sign: Sign = Field(default=1, description="-1 where the counts grow to the left, or towards the user.")
+    usage: Usage = Field(description="HID usage of the report's axis.")
+    sign: Sign = Field(default=1, description="-1 if the counts grow to the left, or towards the user.")
 
 
 class HandleAxes(Model):
@@ -54,9 +57,9 @@ class HandleAxes(Model):
 
 
 class ForceAxis(Model):
-    """What the device makes of a force along this axis of its own."""
+    """Sign of the force along one axis of the device."""
 
-    sign: Sign = Field(default=1, description="-1 where the device pushes the other way.")
+    sign: Sign = Field(default=1, description="-1 if the device pushes in the other direction.")
 
 
 class ForceAxes(Model):
@@ -64,28 +67,28 @@ class ForceAxes(Model):
 
     x: ForceAxis = Field(default=ForceAxis(), description="The device's first axis, to the right.")
     y: ForceAxis = Field(default=ForceAxis(), description="The device's second axis, away from the user.")
-    swap: bool = Field(default=False, description="Whether the device has its two axes the other way round.")
+    swap: bool = Field(default=False, description="Whether the device's two axes are swapped.")
 
 
 class VendorBits(Model):
-    """Where a number lies in a report."""
+    """Place and format of a number in a report."""
 
     bit_offset: int = Field(ge=0, le=8 * MAX_REPORT_BYTES - 1, description="First bit, counted after the report id.")
     bit_size: int = Field(ge=1, le=32, description="Bits of the number.")
     signed: bool = Field(default=True, description="Whether it is a number in two's complement.")
     byte_order: Literal["little", "big"] = Field(
-        default="little", description="Order of bytes; `big` needs whole bytes."
+        default="little", description="Byte order; `big` needs offset and size in multiples of 8 bits."
     )
 
     @property
     def end(self) -> int:
-        """The first bit after it."""
+        """The first bit after the number."""
         return self.bit_offset + self.bit_size
 
     @model_validator(mode="after")
-    def _whole_bytes(self) -> Self:
+    def _bytes_of_big_endian(self) -> Self:
         if self.byte_order == "big" and (self.bit_offset % 8 or self.bit_size % 8):
-            raise ValueError("byte_order big needs whole bytes: bit_offset and bit_size must be multiples of 8")
+            raise ValueError("with byte_order big, bit_offset and bit_size must be multiples of 8")
         if self.end > 8 * MAX_REPORT_BYTES:
             raise ValueError(f"bit {self.end - 1} lies beyond the longest report, {MAX_REPORT_BYTES} bytes")
         return self
@@ -97,26 +100,26 @@ Scale: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 class VendorInputAxis(VendorBits):
     """A position in an input report."""
 
-    counts_per_m: Scale = Field(description="Counts for a metre; negative where they grow the other way.")
+    counts_per_m: Scale = Field(description="Counts per metre; negative if they grow in the other direction.")
     zero_counts: float = Field(default=0.0, ge=-4294967296, le=4294967296, description="Counts in the middle.")
 
     @model_validator(mode="after")
     def _scaled(self) -> Self:
         if abs(self.counts_per_m) < 1.0:
-            raise ValueError(f"counts_per_m must be at least 1 either way, is {self.counts_per_m:g}")
+            raise ValueError(f"counts_per_m must be at least 1, or at most -1, is {self.counts_per_m:g}")
         return self
 
 
 class VendorOutputAxis(VendorBits):
     """A force in an output report."""
 
-    counts_per_n: Scale = Field(description="Counts for a newton; negative where the device pushes the other way.")
+    counts_per_n: Scale = Field(description="Counts per newton; negative if the device pushes in the other direction.")
     zero_counts: float = Field(default=0.0, ge=-4294967296, le=4294967296, description="Counts of no force.")
 
     @model_validator(mode="after")
     def _scaled(self) -> Self:
         if abs(self.counts_per_n) < 1e-3:
-            raise ValueError(f"counts_per_n must be at least 0.001 either way, is {self.counts_per_n:g}")
+            raise ValueError(f"counts_per_n must be at least 0.001, or at most -0.001, is {self.counts_per_n:g}")
         low = -(1 << (self.bit_size - 1)) if self.signed else 0
         high = (1 << (self.bit_size - self.signed)) - 1
         if not low <= self.zero_counts <= high:
@@ -126,7 +129,7 @@ class VendorOutputAxis(VendorBits):
         return self
 
 
-def _apart(x: VendorBits, y: VendorBits) -> None:
+def _refuse_overlap(x: VendorBits, y: VendorBits) -> None:
     if x.bit_offset < y.end and y.bit_offset < x.end:
         raise ValueError(f"x (bits {x.bit_offset} to {x.end - 1}) and y (bits {y.bit_offset} to {y.end - 1}) overlap")
 
@@ -134,24 +137,24 @@ def _apart(x: VendorBits, y: VendorBits) -> None:
 class VendorInput(Model):
     """The input report that holds positions."""
 
-    report_id: ReportId = Field(default=0, description="Its id; 0 where reports are not numbered.")
+    report_id: ReportId = Field(default=0, description="Its id; 0 if reports are not numbered.")
     x: VendorInputAxis = Field(description="To the right.")
-    y: VendorInputAxis | None = Field(default=None, description="Away from the user; null: there is none.")
+    y: VendorInputAxis | None = Field(default=None, description="Away from the user; null: none.")
 
     @model_validator(mode="after")
-    def _fields_apart(self) -> Self:
+    def _fields_disjoint(self) -> Self:
         if self.y is not None:
-            _apart(self.x, self.y)
+            _refuse_overlap(self.x, self.y)
         return self
 
 
 class VendorOutput(Model):
-    """The output report that takes forces."""
+    """The output report that holds forces."""
 
-    report_id: ReportId = Field(default=0, description="Its id; 0 where reports are not numbered.")
-    length: int = Field(ge=1, le=MAX_REPORT_BYTES, description="Its bytes, without the id.")
+    report_id: ReportId = Field(default=0, description="Its id; 0 if reports are not numbered.")
+    length: int = Field(ge=1, le=MAX_REPORT_BYTES, description="Its size in bytes, without the id.")
     x: VendorOutputAxis = Field(description="To the right.")
-    y: VendorOutputAxis | None = Field(default=None, description="Away from the user; null: there is none.")
+    y: VendorOutputAxis | None = Field(default=None, description="Away from the user; null: none.")
 
     @model_validator(mode="after")
     def _fields_inside(self) -> Self:
@@ -161,21 +164,22 @@ class VendorOutput(Model):
                     f"{name} ends at bit {axis.end - 1}, a report of {self.length} bytes at bit {8 * self.length - 1}"
                 )
         if self.y is not None:
-            _apart(self.x, self.y)
+            _refuse_overlap(self.x, self.y)
         return self
 
 
 class VendorReport(Model):
-    """A device with reports of its own: where position and force stand in them."""
+    """Report formats of a device that is not of the PID class."""
 
     input: VendorInput = Field(description="Positions.")
     output: VendorOutput = Field(description="Forces.")
     enable: Annotated[tuple[HexReport, ...], Field(max_length=64, strict=False)] = Field(
         default=(),
-        description="Reports that switch it on: hex digits, the id first; after `feature `: a feature report.",
+        description="Reports that switch the device on: hex digits, the id first; a feature report begins with "
+        "`feature `.",
     )
     disable: Annotated[tuple[HexReport, ...], Field(max_length=MAX_REPORTS, strict=False)] = Field(
-        default=(), description="Output reports that switch it off."
+        default=(), description="Output reports that switch the device off."
     )
     renew_s: float = Field(
         default=0.04, ge=0.001, le=10, description="Interval at which the force is sent again, changed or not."
@@ -184,7 +188,7 @@ class VendorReport(Model):
     @model_validator(mode="after")
     def _disable_writes(self) -> Self:
         if any(text.startswith("feature") for text in self.disable):
-            raise ValueError("disable takes output reports only, no feature reports")
+            raise ValueError("disable must hold output reports only, not feature reports")
         return self
 
 
@@ -192,34 +196,34 @@ class Hid(Model):
     """A HID joystick with force feedback."""
 
     vendor: Annotated[int, Field(ge=0, le=0xFFFF)] | None = Field(
-        default=None, description="Its vendor id; null: any. This and the next three choose among several."
+        default=None, description="Its vendor id; null: any. This and the next three keys select a device."
     )
     product: Annotated[int, Field(ge=0, le=0xFFFF)] | None = Field(default=None, description="Its product id.")
     serial: Annotated[str, Field(min_length=1, max_length=256)] | None = Field(
         default=None, description="Its serial number."
     )
     path: Annotated[str, Field(min_length=1, max_length=256)] | None = Field(
-        default=None, description="Its node, such as /dev/hidraw3."
+        default=None, description="Its device node, such as /dev/hidraw3."
     )
     travel_m: float = Field(
-        default=0.05, ge=0.001, le=10, description="Half the handle's travel: from the middle to the end of its range."
+        default=0.05, ge=0.001, le=10, description="Half the handle's travel, from the middle to the end of its range."
     )
     full_scale_force_n: float = Field(
-        default=8.9, ge=0.01, le=100, description="Force of the largest magnitude; device.max_force_n limits commands."
+        default=8.9, ge=0.01, le=100, description="Force at the report's maximum; device.max_force_n limits commands."
     )
-    axes: HandleAxes = Field(default=HandleAxes(), description="Which axis of the report is which.")
-    force_axes: ForceAxes = Field(default=ForceAxes(), description="Along which axes the device pushes.")
+    axes: HandleAxes = Field(default=HandleAxes(), description="Axes of the position in the report.")
+    force_axes: ForceAxes = Field(default=ForceAxes(), description="Axes along which the device pushes.")
     signs: Literal["check", "trust"] = Field(
         default="check",
-        description="check: before the first force of the scene soft pulses must move the handle the right way; "
-        "`trust`: they are left out. By default `trust` where force_axes or report is given.",
+        description="check: before the first force of the scene, soft pulses must move the handle in the right "
+        "direction; `trust`: no pulses. By default `trust` if force_axes or report is given.",
     )
     effect_duration_s: float = Field(
-        default=0.1, ge=0.01, le=10, description="An effect ends by itself after this time, unless it is renewed."
+        default=0.1, ge=0.01, le=10, description="An effect that is not renewed ends after this time."
     )
     renew_s: float = Field(default=0.04, ge=0.005, le=5, description="Interval at which effects are started again.")
     max_rate_hz: Annotated[float, Field(ge=10, le=10000)] | None = Field(
-        default=None, description="Most forces per second, however many reports each takes; null: what the link takes."
+        default=None, description="Maximum number of forces per second, of any number of reports; null: the link's."
     )
     offload: Literal["off", "auto"] = Field(
         default="off",
@@ -229,20 +233,20 @@ class Hid(Model):
         default=(), description="Deviations of this device from the specification."
     )
     report: VendorReport | None = Field(
-        default=None, description="The reports of a device that is not of the PID class; null: it is."
+        default=None, description="Report formats of a device that is not of the PID class; null: it is."
     )
 
     @model_validator(mode="before")
     @classmethod
     def _known_signs(cls, data: Any) -> Any:
-        # Who says along which axes the device pushes is believed.
+        # With the axes configured, a check is not needed.
         if isinstance(data, dict) and "signs" not in data and any(data.get(key) for key in ("force_axes", "report")):
             return {**data, "signs": "trust"}
         return data
 
     @property
     def names_one(self) -> bool:
-        """Whether it names a device rather than taking any."""
+        """Whether a key selects a device; else any is used."""
         return any(key is not None for key in (self.vendor, self.product, self.serial, self.path))
 
     @model_validator(mode="after")
@@ -260,8 +264,8 @@ class Hid(Model):
 
 
 class Replay(Model):
-    """A recording of a device (`hapticd devices dump`), played as if it were the device."""
+    """A recording of a device (`hapticd devices dump`), which is replayed in place of the device."""
 
     path: Annotated[str, Field(min_length=1, max_length=4096)] = Field(description="The recording.")
-    loop: bool = Field(default=False, description="Begin anew at its end; otherwise the device is gone then.")
-    speed: float = Field(default=1.0, ge=0.01, le=100, description="How many times as fast as it was recorded.")
+    loop: bool = Field(default=False, description="Start again at its end; otherwise the device is lost then.")
+    speed: float = Field(default=1.0, ge=0.01, le=100, description="Speed of the replay, relative to the recording.")

@@ -1,8 +1,8 @@
-"""Which files the configuration is taken from.
+"""Files of the configuration.
 
-In this order: those that a command names (`-c`), those of `$HAPTICD_CONFIG` (several are separated by colons), the
-user's, the system's, and none, which means the built-in one. The first that is there is taken alone. One that is there
-and cannot be read is an error: no other takes its place.
+Searched in this order: the files that a command names (`-c`), those of `$HAPTICD_CONFIG` (several are separated by
+colons), the user's, the system's; without any, the built-in configuration. Only the first that exists is used. A file
+that exists but is unreadable is an error.
 """
 
 from __future__ import annotations
@@ -16,63 +16,65 @@ from typing import Final, Literal, TypeAlias
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import one_line
 
-VARIABLE: Final = "HAPTICD_CONFIG"
+CONFIG_VARIABLE: Final = "HAPTICD_CONFIG"
+"""Environment variable that names files of the configuration."""
 SYSTEM_CONFIG: Final = Path("/etc/hapticd/config.yaml")
+"""The system's configuration."""
 
 Origin: TypeAlias = Literal["-c", "environment", "user", "system", "built in"]
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
-    """The files of a configuration, in the order in which they are merged, and by what they were chosen."""
+class ConfigFiles:
+    """Files of a configuration, in the order in which they are merged, and why they were chosen."""
 
     origin: Origin
     files: tuple[str, ...]
-    looked_for: tuple[str, ...]
-    """Files that were looked for before and are not there."""
+    missing: tuple[str, ...]
+    """Files that were searched before and do not exist."""
 
     def __str__(self) -> str:
         named = ", ".join(one_line(os.path.abspath(file)) for file in self.files)
         if self.origin == "built in":
-            return f"built in; there is no {' and no '.join(map(one_line, self.looked_for))}"
-        return f"{named} (by ${VARIABLE})" if self.origin == "environment" else named
+            return f"built in; there is no {' and no '.join(map(one_line, self.missing))}"
+        return f"{named} (by ${CONFIG_VARIABLE})" if self.origin == "environment" else named
 
 
 def user_config(environ: Mapping[str, str] | None = None) -> Path:
-    """`$XDG_CONFIG_HOME/hapticd/config.yaml`, by default below `~/.config`."""
+    """Return `$XDG_CONFIG_HOME/hapticd/config.yaml`, by default below `~/.config`."""
     environ = os.environ if environ is None else environ
     home = environ.get("XDG_CONFIG_HOME", "")
-    # A relative one is to be ignored, says the XDG Base Directory Specification.
+    # The XDG Base Directory Specification ignores relative paths.
     folder = Path(home) if os.path.isabs(home) else Path(os.path.expanduser("~"), ".config")
     return folder / "hapticd" / "config.yaml"
 
 
-def choose(named: Sequence[str | os.PathLike[str]] = (), environ: Mapping[str, str] | None = None) -> Chosen:
-    """The files to take; whether they can be read, and are there, is for check_named and their reader to say."""
+def choose(named: Sequence[str | os.PathLike[str]] = (), environ: Mapping[str, str] | None = None) -> ConfigFiles:
+    """Choose the files of the configuration, without reading them; see check_named."""
     if named:
-        return Chosen("-c", tuple(os.fspath(file) for file in named), ())
+        return ConfigFiles("-c", tuple(os.fspath(file) for file in named), ())
     environ = os.environ if environ is None else environ
-    listed = tuple(filter(None, environ.get(VARIABLE, "").split(os.pathsep)))
+    listed = tuple(filter(None, environ.get(CONFIG_VARIABLE, "").split(os.pathsep)))
     if listed:
-        return Chosen("environment", listed, ())
-    missed: list[str] = []
+        return ConfigFiles("environment", listed, ())
+    missing: list[str] = []
     places: tuple[tuple[Origin, Path], ...] = (("user", user_config(environ)), ("system", SYSTEM_CONFIG))
     for origin, path in places:
-        if _is_there(path):
-            return Chosen(origin, (str(path),), tuple(missed))
-        missed.append(str(path))
-    return Chosen("built in", (), tuple(missed))
+        if _exists(path):
+            return ConfigFiles(origin, (str(path),), tuple(missing))
+        missing.append(str(path))
+    return ConfigFiles("built in", (), tuple(missing))
 
 
-def check_named(chosen: Chosen) -> None:
-    """Raises HapticdError for a file that the environment names and that is not there."""
+def check_named(chosen: ConfigFiles) -> None:
+    """Raise HapticdError if the environment names a file that does not exist."""
     for file in chosen.files if chosen.origin == "environment" else ():
         if not os.path.exists(file):
-            raise HapticdError(f"{one_line(file)}: there is no such file; {VARIABLE} names it")
+            raise HapticdError(f"{one_line(file)}: no such file; {CONFIG_VARIABLE} names it")
 
 
-def _is_there(path: Path) -> bool:
-    """Whether something has this name, though it may not be readable: whoever reads it says so."""
+def _exists(path: Path) -> bool:
+    """Return whether a file of this name exists, even if it is unreadable."""
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):

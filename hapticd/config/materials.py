@@ -48,15 +48,21 @@ from hapticd.config.texture import WITHOUT_MODE, Grooves, Texture
 from hapticd.config.waveform import Waveform
 
 MAX_MATERIALS: Final = 1000
-LIBRARY: Final = "materials"
-_FIRST: Final = "okamura1998.yaml"
+"""Maximum number of materials of a configuration."""
+LIBRARY_FOLDER: Final = "materials"
+"""Folder of the shipped materials, below `config/`."""
+_FIRST_LIBRARY_FILE: Final = "okamura1998.yaml"
+"""The paper's materials come first in the library."""
 MAX_TAP_POINTS: Final = 256
-"""HD_TAP_POINTS."""
+"""Maximum number of `tap.amplitudes`: the core's HD_TAP_POINTS."""
 MIN_TAP_STEP_M_PER_S: Final = 1e-6
+"""Minimum difference of two approach speeds of `tap.amplitudes`."""
 MAX_PROVENANCE_FILES: Final = 1000
+"""Maximum number of recordings of a material's provenance."""
 MAX_REASONS: Final = 64
-MAX_REASON: Final = 1000
-"""Characters of one."""
+"""Maximum number of reasons of a verdict."""
+MAX_REASON_CHARACTERS: Final = 1000
+"""Maximum length of a reason."""
 
 TapPoint: TypeAlias = Annotated[
     tuple[Annotated[float, Field(ge=1e-4, le=100)], Annotated[float, Field(ge=0, le=1e5)]], Strict(False)
@@ -83,20 +89,20 @@ Interval: TypeAlias = Annotated[
     Strict(False),
     AfterValidator(_rising),
 ]
-"""[low, high] in the unit of what it bounds."""
+"""[low, high] in the unit of the figure."""
 Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\u0000-\u001f\u007f]+$")]
 
 
-Reason: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=MAX_REASON)]
+Reason: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=MAX_REASON_CHARACTERS)]
 
 
 class SecondMode(ModeKeys):
-    """A second ringing that begins with the tap's."""
+    """A second mode that starts together with the tap's first mode."""
 
-    ratio: float = Field(ge=-10, le=10, description="Its coefficient over that of the tap's own mode.")
+    ratio: float = Field(ge=-10, le=10, description="Amplitude relative to the first mode.")
 
 
-_RINGING: Final[tuple[str, ...]] = (
+_RINGING_KEYS: Final[tuple[str, ...]] = (
     "frequency_hz",
     "angular_frequency_rad_per_s",
     "decay_time_s",
@@ -104,13 +110,13 @@ _RINGING: Final[tuple[str, ...]] = (
     "mode_table",
     "second",
 )
-"""Keys of a tap that rings."""
-_ONE_MODE: Final = _RINGING[:4]
-"""Keys of one that rings alike at all speeds."""
+"""Keys of a tap with modes."""
+_ONE_MODE_KEYS: Final = _RINGING_KEYS[:4]
+"""Keys of a tap with the same mode at all approach speeds."""
 
 
 class Tap(AimedKeys):
-    """The vibration that begins when the surface is touched: its amplitude A follows the approach speed."""
+    """Vibration at the moment of contact; its amplitude A depends on the approach speed."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -125,7 +131,7 @@ class Tap(AimedKeys):
     )
 
     attack_slope_per_s: Annotated[float, Field(ge=0, le=1e5)] | None = Field(
-        default=None, description="Amplitude per approach speed."
+        default=None, description="Amplitude divided by approach speed."
     )
     amplitudes: (
         Annotated[
@@ -135,23 +141,26 @@ class Tap(AimedKeys):
             at_most(MAX_TAP_POINTS),
         ]
         | None
-    ) = Field(default=None, description="Instead of the slope: [approach speed in m/s, amplitude in m/s^2], rising.")
+    ) = Field(
+        default=None, description="Instead of the slope: [approach speed in m/s, amplitude in m/s^2], in rising order."
+    )
     attack: Attack = Field(
         default="coefficient",
-        description="What the amplitude means: A of the equation, or the largest acceleration (of a mode: of its first "
+        description="Meaning of the amplitude: A of the equation, or the largest acceleration (of a mode, in its first "
         "cycle).",
     )
     mode_table: ModeTable | None = Field(
-        default=None, description="Frequency and decay time over the approach speed, instead of one of each."
+        default=None, description="Table of frequency and decay time over approach speed, instead of one mode."
     )
-    second: SecondMode | None = Field(default=None, description="A mode that is struck together with this one.")
-    waveform: Waveform | None = Field(default=None, description="A curve that is played, instead of a mode that rings.")
+    second: SecondMode | None = Field(default=None, description="A second mode that starts together with the first.")
+    waveform: Waveform | None = Field(default=None, description="A waveform that is played instead of a mode.")
 
     def mode_faults(self) -> list[str]:
+        """Return the faults of the keys of the modes."""
         if self.waveform is not None:
-            why, excluded = "has a waveform, and does not ring", _RINGING
+            why, excluded = "has a waveform instead of a mode", _RINGING_KEYS
         elif self.mode_table is not None:
-            why, excluded = "has a mode_table, which says frequency and decay", _ONE_MODE
+            why, excluded = "has a mode_table, which gives frequency and decay", _ONE_MODE_KEYS
         else:
             return super().mode_faults()
         given = [name for name in excluded if getattr(self, name) is not None]
@@ -159,35 +168,36 @@ class Tap(AimedKeys):
 
     @property
     def mode(self) -> Mode:
-        """Of a table that in the middle of its speeds."""
+        """The mode; of a mode table, the one in the middle of its speeds."""
         return super().mode if self.mode_table is None else self.mode_table.middle
 
     def mode_at(self, speed_m_per_s: float) -> Mode:
-        """What a tap at this approach speed rings with."""
+        """Return the mode of a tap at this approach speed."""
         return self.mode if self.mode_table is None else self.mode_table.at(speed_m_per_s)
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """What it rings with; of a table the modes of its lowest and of its highest frequency, none of a waveform."""
+        """The mode; of a mode table those of its lowest and highest frequency; empty for a waveform."""
         if self.waveform is not None:
             return ()
         return (self.mode,) if self.mode_table is None else self.mode_table.bounds
 
     @property
     def ringing(self) -> Mode | None:
-        """The mode; None of a waveform."""
+        """The mode, or None for a waveform."""
         return None if self.waveform is not None else self.mode
 
     @property
     def one_mode(self) -> Mode | None:
-        """The mode of a tap that rings alike at all speeds; None of a table and of a waveform."""
+        """The mode if it is the same at all approach speeds; None for a mode table or a waveform."""
         return None if self.mode_table is not None else self.ringing
 
     def coefficient(self, amplitude: float) -> float:
-        """The A of the mode's or the waveform's equation for an amplitude as `attack` means it."""
+        """Return the A of the mode's or the waveform's equation for an amplitude with the meaning of `attack`."""
         return (self.waveform or self.mode).coefficient(amplitude, self.attack)
 
     def cross_faults(self) -> list[str]:
+        """Return a text for each invalid combination of keys."""
         faults = [*super().cross_faults(), *one_of_two(self, "attack_slope_per_s", "amplitudes")]
         for index, ((before, _), (speed, _)) in enumerate(pairwise(self.amplitudes or ())):
             if speed < before + MIN_TAP_STEP_M_PER_S:
@@ -199,8 +209,11 @@ class Tap(AimedKeys):
         return faults
 
     def amplitude_m_per_s2(self, speed_m_per_s: float) -> float:
-        """The amplitude at an approach speed of at least 0. Straight lines between the points, from rest (0) to the
-        first, and on as the last one beyond, never below 0."""
+        """Return the amplitude at an approach speed of at least 0.
+
+        It is interpolated linearly between (0, 0) and the points. Beyond the last point the last segment is extended,
+        but not below 0.
+        """
         if self.attack_slope_per_s is not None:
             return self.attack_slope_per_s * speed_m_per_s
         assert self.amplitudes is not None
@@ -211,7 +224,7 @@ class Tap(AimedKeys):
 
 
 class Rupture(AimedKeys):
-    """How a membrane breaks, and the ringing when it does. Means something for membranes only."""
+    """Rupture of a membrane, and the ringing that it starts. Other objects ignore it."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -228,15 +241,16 @@ class Rupture(AimedKeys):
         default=None, description="Deflection at which the membrane ruptures."
     )
     max_strain: Annotated[float, Field(ge=1e-6, le=10)] | None = Field(
-        default=None, description="Largest strain, instead of depth_m and together with radius_m."
+        default=None, description="Strain at which the membrane ruptures, with radius_m, instead of depth_m."
     )
     radius_m: Annotated[float, Field(ge=1e-4, le=1)] | None = Field(
         default=None, description="Radius over which the membrane is stretched, with max_strain."
     )
-    amplitude_m_per_s2: float = Field(ge=0, le=1e5, description="A of the ringing, at any speed.")
-    heals: bool = Field(default=False, description="Whether it closes again when the probe withdraws.")
+    amplitude_m_per_s2: float = Field(ge=0, le=1e5, description="Amplitude A of the ringing, at any speed.")
+    heals: bool = Field(default=False, description="Whether the membrane heals when the probe withdraws.")
 
     def cross_faults(self) -> list[str]:
+        """Return a text for each invalid combination of keys."""
         faults = super().cross_faults()
         given = [name for name in ("depth_m", "max_strain", "radius_m") if getattr(self, name) is not None]
         if given not in (["depth_m"], ["max_strain", "radius_m"]):
@@ -246,7 +260,7 @@ class Rupture(AimedKeys):
 
     @property
     def rupture_depth_m(self) -> float:
-        """depth_m, or R sqrt((1 + strain)^2 - 1): a membrane of radius R drawn to a cone."""
+        """depth_m, or R sqrt((1 + strain)^2 - 1) for a membrane of radius R that is stretched to a cone."""
         if self.depth_m is not None:
             return self.depth_m
         assert self.max_strain is not None
@@ -255,37 +269,39 @@ class Rupture(AimedKeys):
 
 
 class Friction(Model):
-    """Dry friction, Coulomb's: at rest a spring holds the probe until it slides."""
+    """Coulomb friction: at rest a spring holds the probe until it slides."""
 
-    coefficient: float = Field(ge=0, le=10, description="Tangential over normal force, where it slides.")
+    coefficient: float = Field(ge=0, le=10, description="Tangential force divided by normal force while sliding.")
     stiffness_n_per_m: float = Field(
-        default=500.0, ge=1e-3, le=1e5, description="Force per distance from where the probe sticks, before it slides."
+        default=500.0, ge=1e-3, le=1e5, description="Stiffness of the spring that holds the probe while it sticks."
     )
 
 
 class ProvenanceFile(Model):
     """A recording that a material was fitted to."""
 
-    path: Annotated[str, StringConstraints(min_length=1, max_length=4096)] = Field(description="Where it was.")
+    path: Annotated[str, StringConstraints(min_length=1, max_length=4096)] = Field(
+        description="Its path at the time of the fit."
+    )
     sha256: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")] | None = Field(
-        default=None, description="Hash of its bytes, in hex digits; none of what was never a file."
+        default=None, description="Hash of its bytes, in hex digits; left out for data that was not read from a file."
     )
 
 
 class FitVerdict(Model):
-    """What a fit is worth: good; fair, where something speaks against it; poor, where it should not be used."""
+    """Quality of a fit: good; fair if there are reasons to doubt it; poor if it should not be used."""
 
-    quality: Literal["good", "fair", "poor"] = Field(description="Of the fit.")
+    quality: Literal["good", "fair", "poor"] = Field(description="Quality of the fit.")
     reasons: Annotated[
         tuple[Reason, ...],
         Strict(False),
         Field(max_length=MAX_REASONS),
         at_most(MAX_REASONS),
-    ] = Field(default=(), description="Why it is not good.")
+    ] = Field(default=(), description="Reasons why it is not good.")
 
 
 class Provenance(Model):
-    """Where the figures of a material come from; nothing that is rendered."""
+    """Origin of a material's figures. It has no influence on forces."""
 
     files: Annotated[tuple[ProvenanceFile, ...], Strict(False), at_most(MAX_PROVENANCE_FILES)] = Field(
         min_length=1, max_length=MAX_PROVENANCE_FILES, description="The recordings."
@@ -293,20 +309,20 @@ class Provenance(Model):
     date: Annotated[str, StringConstraints(pattern=r"^[0-9]{4}-[0-9]{2}-[0-9]{2}$"), AfterValidator(_a_day)] = Field(
         description="Day of the fit, year-month-day."
     )
-    version: Annotated[str, StringConstraints(min_length=1, max_length=64)] = Field(description="Of hapticd.")
+    version: Annotated[str, StringConstraints(min_length=1, max_length=64)] = Field(description="Version of hapticd.")
     intervals: Annotated[dict[Words, Interval], Field(max_length=256)] | None = Field(
         default=None, description="95 % intervals, [low, high], by the name of the figure."
     )
     verdict: Annotated[dict[Words, FitVerdict], Field(max_length=16)] | None = Field(
-        default=None, description="What each fit is worth, by its kind: tap, grooves, texture, puncture."
+        default=None, description="Verdict of each fit, by its kind: tap, grooves, texture, puncture."
     )
     choices: Annotated[dict[Words, Reason], Field(max_length=64)] | None = Field(
-        default=None, description="Which of several models was chosen, and why, by the name of the figure."
+        default=None, description="The model that was chosen among several, and why, by the name of the figure."
     )
 
 
 class Material(Model):
-    """What a surface is made of."""
+    """Properties of a surface."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -315,23 +331,25 @@ class Material(Model):
         }
     )
 
-    stiffness_n_per_m: Stiffness = Field(description="Force per penetration or deflection.")
-    damping_n_s_per_m: Damping = Field(default=0.0, description="Force per speed along the normal.")
-    tap: Tap | None = Field(default=None, description="Ringing at the touch; without it a touch is silent.")
+    stiffness_n_per_m: Stiffness = Field(description="Normal force per penetration depth or deflection.")
+    damping_n_s_per_m: Damping = Field(default=0.0, description="Normal force per normal speed.")
+    tap: Tap | None = Field(default=None, description="Vibration at contact; without it none.")
     rupture: Rupture | None = Field(
-        default=None, description="How a membrane breaks; without it a membrane never does."
+        default=None, description="Rupture of a membrane; without it a membrane never ruptures."
     )
-    friction: Friction | None = Field(default=None, description="What holds against stroking; without it, nothing.")
-    # After `tap`, which grooves may ring with.
-    texture: Texture | None = Field(default=None, description="What stroking feels like; without it, smooth.")
-    provenance: Provenance | None = Field(default=None, description="Where the figures come from, if it was fitted.")
+    friction: Friction | None = Field(default=None, description="Coulomb friction; without it none.")
+    # After `tap`, whose mode grooves may use.
+    texture: Texture | None = Field(
+        default=None, description="Texture under a stroke; without it the surface is smooth."
+    )
+    provenance: Provenance | None = Field(default=None, description="Origin of the figures of a fitted material.")
 
     @field_validator("texture", mode="after")
     @classmethod
     def _has_a_mode(cls, texture: Texture | None, info: ValidationInfo) -> Texture | None:
         if not isinstance(texture, Grooves) or texture.display != "vibration" or texture.own_modes:
             return texture
-        # A tap that is itself faulty is not in `data`; then its own fault is enough.
+        # A faulty tap is not in `data`; then its fault is enough.
         tap = info.data.get("tap", True)
         if tap is None:
             other = "or a tap of the material"
@@ -339,17 +357,19 @@ class Material(Model):
             other = f"as the tap {'is a waveform' if tap.mode_table is None else 'has a mode_table'}"
         else:
             return texture
-        raise ValueError(f"needs a mode to ring with: frequency_hz and decay_time_s of its own, {other}")
+        raise ValueError(f"needs a mode: its own frequency_hz and decay_time_s, {other}")
 
     @property
     def fitted(self) -> Mapping[str, FitVerdict]:
-        """What each fit of it is worth, by its kind; empty where nothing was fitted."""
+        """Verdict of each fit, by its kind; empty if nothing was fitted."""
         return {} if self.provenance is None else self.provenance.verdict or {}
 
     @property
     def groove_modes(self) -> tuple[Mode, ...]:
-        """What a groove displayed as vibration rings with: the texture's own mode, of a table of frequencies that of
-        the lowest and that of the highest, or the tap's; else nothing."""
+        """Modes of grooves that are displayed as vibration; empty for another texture.
+
+        They are the texture's mode, of a frequency table those of the lowest and highest frequency, or the tap's mode.
+        """
         if not isinstance(self.texture, Grooves) or self.texture.display != "vibration":
             return ()
         own = self.texture.own_modes
@@ -360,11 +380,11 @@ class Material(Model):
 
     @property
     def groove_mode(self) -> Mode | None:
-        """The first of groove_modes; None where there is none."""
+        """The first of groove_modes, or None."""
         return next(iter(self.groove_modes), None)
 
     def groove_mode_at(self, speed_m_per_s: float, force_n: float) -> Mode | None:
-        """What a groove that is passed with this tangential speed and normal force rings with."""
+        """Return the mode of a groove that is passed with this tangential speed and normal force."""
         mode = self.groove_mode
         if mode is None or not isinstance(self.texture, Grooves) or self.texture.frequency_table is None:
             return mode
@@ -380,12 +400,12 @@ Materials: TypeAlias = Mapping[str, Material]
 
 
 def validate_materials(data: object, root: Path = ()) -> dict[str, Material]:
-    """Materials by name from plain data. Raises InvalidError; `where` starts with `root`, `materials`."""
+    """Validate materials by name, given as plain data. Raises InvalidError; `where` starts with `root`, `materials`."""
     return finish(material_steps(data, root))
 
 
 def material_steps(data: object, root: Path = ()) -> Steps[dict[str, Material]]:
-    """As validate_materials, with a pause after each: tens of models of a texture take tens of milliseconds."""
+    """Validate materials as validate_materials does, with a pause after each: large textures take tens of ms."""
     if not isinstance(data, dict):
         return _parsed(data, root)
     check_count(data, MAX_MATERIALS, (*root, "materials"))
@@ -402,9 +422,9 @@ def _parsed(data: object, root: Path) -> dict[str, Material]:
 
 @cache
 def shipped_materials() -> Materials:
-    """The shipped library, every file of `config/materials`: the paper's materials first.
+    """Load the shipped library, every file of `config/materials`, the paper's materials first.
 
-    Raises InvalidError for a fault in them, and for a name that two files define.
+    Raises InvalidError for a fault, and for a name that two files define.
     """
     library: dict[str, Material] = {}
     for name in library_files():
@@ -421,13 +441,13 @@ def shipped_materials() -> Materials:
 
 
 def library_files() -> list[str]:
-    """The files of the shipped library, by their path below `config/`."""
-    folder = resources.files("hapticd.shipped").joinpath(LIBRARY)
+    """Return the paths of the shipped library's files, below `config/`."""
+    folder = resources.files("hapticd.shipped").joinpath(LIBRARY_FOLDER)
     names = [file.name for file in folder.iterdir() if file.name.endswith(".yaml")]
-    return [f"{LIBRARY}/{name}" for name in sorted(names, key=lambda name: (name != _FIRST, name))]
+    return [f"{LIBRARY_FOLDER}/{name}" for name in sorted(names, key=lambda name: (name != _FIRST_LIBRARY_FILE, name))]
 
 
 def shipped_document(name: str) -> Document:
-    """A YAML file that ships with hapticd, by its path below `config/`."""
+    """Load a shipped YAML file by its path below `config/`."""
     resource = resources.files("hapticd.shipped").joinpath(name)
     return load_bytes(resource.read_bytes(), f"hapticd/shipped/{name}")

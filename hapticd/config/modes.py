@@ -1,9 +1,9 @@
-"""A ringing mode, Q(t) = A exp(-B t) sin(w t), and the keys by which a person gives one, where it acts, and how it
-follows the approach speed.
+"""A ringing mode, Q(t) = A exp(-B t) sin(w t): its keys, its direction, and its table over the approach speed.
 
 Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environments", ICRA 1998, eq. 1 and 3: B is the
 decay rate in 1/s, w the angular frequency in rad/s. A vibration acts along a surface's normal n, its tangent
-t = (n_y, -n_x), or at an angle between. The tick finds the same points of tables (csrc/tick/hd_strike_mode.c).
+t = (n_y, -n_x), or at an angle between them. The tick interpolates tables in the same way
+(csrc/tick/hd_strike_mode.c).
 """
 
 import math
@@ -36,46 +36,48 @@ class Mode:
 
     @property
     def frequency_hz(self) -> float:
+        """Frequency w/(2 pi), in Hz."""
         return self.angular_frequency_rad_per_s / (2 * math.pi)
 
     @property
     def decay_time_s(self) -> float:
+        """Time constant 1/B of the decay, in s."""
         return 1 / self.decay_rate_per_s
 
     @property
     def peak_time_s(self) -> float:
-        """Time of the first maximum: atan(w/B)/w, where the derivative is zero."""
+        """Time of the first maximum, atan(w/B)/w, in s."""
         w = self.angular_frequency_rad_per_s
         return math.atan2(w, self.decay_rate_per_s) / w
 
     @property
     def peak(self) -> float:
-        """The first maximum, a number below 1."""
+        """Value of the first maximum, below 1."""
         time_s = self.peak_time_s
         return math.exp(-self.decay_rate_per_s * time_s) * math.sin(self.angular_frequency_rad_per_s * time_s)
 
     def coefficient(self, amplitude: float, attack: Attack) -> float:
-        """The A of eq. 1 for an amplitude that means A itself, or the largest value of the first cycle."""
+        """Return the A of eq. 1 for an amplitude that is A itself, or the largest value of the first cycle."""
         return amplitude if attack == "coefficient" else amplitude / self.peak
 
 
 def given(*names: str) -> JsonDict:
-    """JSON Schema of keys that all have a value; null is none."""
+    """Return the JSON Schema of keys that must all have a value other than null."""
     return {"required": [*names], "properties": {name: {"not": {"type": "null"}} for name in names}}
 
 
 def absent(*names: str) -> JsonDict:
-    """JSON Schema of keys of which none has a value."""
+    """Return the JSON Schema of keys that must be left out or null."""
     return {"properties": {name: {"type": "null"} for name in names}}
 
 
 def one_of(*names: str) -> JsonDict:
-    """JSON Schema of exactly one of these keys; `a b` is both of them together."""
-    together = [name.split() for name in names]
+    """Return the JSON Schema of exactly one of these keys; a name `a b` stands for both keys together."""
+    alternatives = [name.split() for name in names]
     return {
         "oneOf": [
-            {"allOf": [given(*keys), absent(*(key for other in together if other is not keys for key in other))]}
-            for keys in together
+            {"allOf": [given(*keys), absent(*(key for other in alternatives if other is not keys for key in other))]}
+            for keys in alternatives
         ]
     }
 
@@ -86,6 +88,7 @@ ONE_OF_EACH_PAIR: JsonDict = {
         one_of("decay_time_s", "decay_rate_per_s"),
     ]
 }
+"""JSON Schema of a mode: one key of the frequency, and one of the decay."""
 
 
 class ModeKeys(CheckedTogether):
@@ -95,19 +98,19 @@ class ModeKeys(CheckedTogether):
 
     frequency_hz: Frequency | None = Field(default=None, description="Frequency of the ringing.")
     angular_frequency_rad_per_s: AngularFrequency | None = Field(
-        default=None, description="2 pi times the frequency, instead of it."
+        default=None, description="2 pi times the frequency, instead of the frequency."
     )
     decay_time_s: DecayTime | None = Field(
-        default=None, description="Time in which the ringing falls to 1/e; it ends after five of them."
+        default=None, description="Time in which the ringing falls to 1/e; it ends after five decay times."
     )
-    decay_rate_per_s: DecayRate | None = Field(default=None, description="1 over the decay time, instead of it.")
+    decay_rate_per_s: DecayRate | None = Field(default=None, description="1/decay time, instead of the decay time.")
 
     def cross_faults(self) -> list[str]:
-        """Faults between keys that are each sound."""
+        """Return a text for each invalid combination of keys."""
         return self.mode_faults()
 
     def mode_faults(self) -> list[str]:
-        """Those of the keys of the mode."""
+        """Return a text for each invalid combination of the mode's keys."""
         return [
             *one_of_two(self, "frequency_hz", "angular_frequency_rad_per_s"),
             *one_of_two(self, "decay_time_s", "decay_rate_per_s"),
@@ -115,6 +118,7 @@ class ModeKeys(CheckedTogether):
 
     @property
     def mode(self) -> Mode:
+        """The mode that the keys give."""
         if self.decay_rate_per_s is not None:
             decay_rate_per_s = self.decay_rate_per_s
         else:
@@ -129,20 +133,21 @@ class ModeKeys(CheckedTogether):
 
 
 ONE_DIRECTION: Final[JsonDict] = {"not": given("direction", "angle_rad")}
-"""JSON Schema of at most one of the two keys."""
+"""JSON Schema of at most one key of the direction."""
 
 
 class AimedKeys(ModeKeys):
-    """A ringing mode, and where it pushes first."""
+    """A ringing mode with its direction."""
 
     direction: Direction | None = Field(
-        default=None, description="Where it acts: across the surface (as without this key) or along it."
+        default=None, description="Direction of the vibration: `normal` to the surface (the default) or `tangent`."
     )
     angle_rad: float | None = Field(
         default=None, ge=-10, le=10, description="Angle from the normal towards the tangent, instead of a direction."
     )
 
     def cross_faults(self) -> list[str]:
+        """Return a text for each invalid combination of keys."""
         faults = super().cross_faults()
         if self.direction is not None and self.angle_rad is not None:
             faults.append("needs at most one of direction and angle_rad, has both")
@@ -150,31 +155,32 @@ class AimedKeys(ModeKeys):
 
     @property
     def aim(self) -> tuple[float, float]:
-        """The unit vector in which its first half wave pushes, in parts along n and along t."""
+        """Unit vector of the force in the first half wave: its components along n and along t."""
         if self.angle_rad is not None:
             return math.cos(self.angle_rad), math.sin(self.angle_rad)
         return (0.0, 1.0) if self.direction == "tangent" else (1.0, 0.0)
 
 
-MAX_POINTS: Final = 16
-"""HD_TUNE_POINTS."""
-MIN_STEP: Final = 1e-6
-"""Between two speeds (m/s), and between two forces (N)."""
+MAX_TABLE_POINTS: Final = 16
+"""Maximum number of speeds, or forces, of a table: the core's HD_TUNE_POINTS."""
+MIN_TABLE_STEP: Final = 1e-6
+"""Minimum difference of two speeds (in m/s), or two forces (in N), of a table."""
 
 
 def rising_faults(key: str, points: Sequence[float]) -> Iterator[str]:
-    """What is wrong with the first of the points that does not lie MIN_STEP above the one before; `key` names them."""
+    """Yield the fault of the first point that is not above its predecessor by MIN_TABLE_STEP; `key` names the list."""
     for index, (before, point) in enumerate(pairwise(points)):
-        if point < before + MIN_STEP:
-            yield (
-                f"{key}[{index + 1}] must be at least {MIN_STEP:g} above the one before, {before:.15g}, is {point:.15g}"
-            )
+        if point < before + MIN_TABLE_STEP:
+            least = f"{MIN_TABLE_STEP:g} above the one before, {before:.15g}"
+            yield f"{key}[{index + 1}] must be at least {least}, is {point:.15g}"
             return
 
 
 def around(points: Sequence[float], value: float) -> tuple[int, int, float]:
-    """The indices of the points around a value, and how far it is from the first to the second, 0 to 1. Beyond the
-    outermost point both are that one."""
+    """Return the indices of the two points around a value, and its place between them, 0 to 1.
+
+    Outside the range of the points both indices are those of the nearest point.
+    """
     end = bisect_right(points, value)
     if end in (0, len(points)):
         here = max(end - 1, 0)
@@ -185,17 +191,18 @@ def around(points: Sequence[float], value: float) -> tuple[int, int, float]:
 class ModeTable(CheckedTogether):
     """Frequency and decay time of a tap over the approach speed."""
 
-    speeds_m_per_s: Annotated[tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False), at_most(MAX_POINTS)] = (
-        Field(min_length=1, max_length=MAX_POINTS, description="Approach speeds, rising.")
+    speeds_m_per_s: Annotated[
+        tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False), at_most(MAX_TABLE_POINTS)
+    ] = Field(min_length=1, max_length=MAX_TABLE_POINTS, description="Approach speeds, in rising order.")
+    frequencies_hz: Annotated[tuple[Frequency, ...], Strict(False), at_most(MAX_TABLE_POINTS)] = Field(
+        min_length=1, max_length=MAX_TABLE_POINTS, description="A frequency for each speed."
     )
-    frequencies_hz: Annotated[tuple[Frequency, ...], Strict(False), at_most(MAX_POINTS)] = Field(
-        min_length=1, max_length=MAX_POINTS, description="A frequency for each speed."
-    )
-    decay_times_s: Annotated[tuple[DecayTime, ...], Strict(False), at_most(MAX_POINTS)] = Field(
-        min_length=1, max_length=MAX_POINTS, description="A decay time for each speed."
+    decay_times_s: Annotated[tuple[DecayTime, ...], Strict(False), at_most(MAX_TABLE_POINTS)] = Field(
+        min_length=1, max_length=MAX_TABLE_POINTS, description="A decay time for each speed."
     )
 
     def cross_faults(self) -> list[str]:
+        """Return a text for each invalid combination of keys."""
         faults = list(rising_faults("speeds_m_per_s", self.speeds_m_per_s))
         count = len(self.speeds_m_per_s)
         for key, what in (("frequencies_hz", "a frequency"), ("decay_times_s", "a decay time")):
@@ -204,7 +211,7 @@ class ModeTable(CheckedTogether):
         return faults
 
     def at(self, speed_m_per_s: float) -> Mode:
-        """The mode of a strike at this approach speed."""
+        """Return the mode of a strike at this approach speed."""
         first, last, share = around(self.speeds_m_per_s, speed_m_per_s)
 
         def along(values: Sequence[float]) -> float:
@@ -214,16 +221,16 @@ class ModeTable(CheckedTogether):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Those at its points."""
+        """Modes at the points of the table."""
         return tuple(self.at(speed) for speed in self.speeds_m_per_s)
 
     @property
     def bounds(self) -> tuple[Mode, ...]:
-        """Those at its lowest and at its highest frequency; one where they are the same."""
+        """Modes of the lowest and of the highest frequency; a single one if they are equal."""
         modes = sorted(self.modes, key=lambda mode: mode.angular_frequency_rad_per_s)
         return tuple(dict.fromkeys((modes[0], modes[-1])))
 
     @property
     def middle(self) -> Mode:
-        """That in the middle of its speeds, for what strikes without a speed."""
+        """Mode in the middle of the speeds, for strikes without an approach speed."""
         return self.at((self.speeds_m_per_s[0] + self.speeds_m_per_s[-1]) / 2)

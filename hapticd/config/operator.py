@@ -1,4 +1,4 @@
-"""What the hand on the simulated joystick does: waypoints or a named gesture, from a message or a file.
+"""Motion of the hand on the simulated joystick: waypoints or a gesture, from a message or a file.
 
 An operator is exactly one of
 
@@ -7,10 +7,10 @@ An operator is exactly one of
     gesture: {kind: stroke, object, speed_m_per_s, press_n, from_m, to_m, count, height_m}
     gesture: {kind: puncture, object, speed_m_per_s, at_m, height_m}
 
-`at_m`, `from_m` and `to_m` are tangential coordinates: 0 is the wall's point, the membrane's centre, the middle of the
-box's upper face, the disc's top; t = (n_y, -n_x). On a membrane and a box they lie on it, its ends included.
-A file is YAML, JSON, or CSV with the columns t_s,x_m,y_m. A gesture becomes straight lines by
-`gesture_waypoints`, a pure function of the object, the hand and where the hand is.
+`at_m`, `from_m` and `to_m` are coordinates along the tangent t = (n_y, -n_x). Their origin is the wall's point, the
+membrane's centre, the middle of the box's upper face, or the disc's top. On a membrane and a box they must not exceed
+its ends. A file is YAML, JSON, or CSV with the columns t_s,x_m,y_m. `gesture_waypoints` makes straight lines of a
+gesture, and depends only on the object, the hand and the hand's position.
 """
 
 import cmath
@@ -28,7 +28,7 @@ from pydantic import ConfigDict, Field, Strict, ValidationError, model_validator
 
 from hapticd.base.errors import InvalidError, Problem, known_names, quoted
 from hapticd.base.model import Coordinate, Model, Name, at_most, faults_of, plain
-from hapticd.base.yaml_source import MAX_BYTES, Document, Json, Marks, load_bytes, one_line, read_file, text_of
+from hapticd.base.yaml_source import MAX_YAML_BYTES, Document, Json, Marks, load_bytes, one_line, read_file, text_of
 from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.config.modes import given, one_of
 
@@ -36,22 +36,27 @@ Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 Point: TypeAlias = tuple[float, float]
 
 MAX_WAYPOINTS: Final = 100_000
+"""Maximum number of waypoints of an operator."""
 MIN_STEP_S: Final = 1e-5
-"""Waypoints are at least this far apart, so that few of them fall into one tick."""
+"""Minimum time between two waypoints, so that few of them fall into one tick."""
 MAX_TIME_S: Final = 86_400.0
+"""Maximum time of a waypoint: one day."""
 MAX_CSV_BYTES: Final = 16 * 1024 * 1024
+"""Maximum size of a file of waypoints."""
 
-TRAVEL_M_PER_S: Final = 0.15
-"""Speed of everything that is not the gesture itself: going there, withdrawing."""
-LOWER_M_PER_S: Final = 0.02
-"""A stroke is laid on the surface this slowly, so that it begins without a tap that would be felt."""
-HOLD_S: Final = 0.15
-"""How long a tap presses, and a puncture stays inside: longer than any mode of the library rings."""
-SPEED_WITHIN: Final = 0.01
-"""An approach is long enough for the handle to have the commanded speed within this fraction."""
-CLEARANCE_M: Final = 0.005
+TRAVEL_SPEED_M_PER_S: Final = 0.15
+"""Speed of the hand on its way to the beginning of a gesture, and when it withdraws."""
+LOWERING_SPEED_M_PER_S: Final = 0.02
+"""Speed at which a stroke is lowered onto the surface; its tap cannot be felt."""
+PRESS_TIME_S: Final = 0.15
+"""Time for which a tap presses and a puncture stays inside; all modes of the library have decayed by then."""
+SPEED_TOLERANCE: Final = 0.01
+"""Maximum relative deviation of the handle's speed from the commanded speed at contact."""
+CLEARANCE_HEIGHT_M: Final = 0.005
+"""Height from which a stroke is lowered, and addition to the height of other gestures."""
 
-_COLUMNS: Final = ("t_s", "x_m", "y_m")
+_CSV_COLUMNS: Final = ("t_s", "x_m", "y_m")
+"""Header of a CSV file."""
 
 Speed: TypeAlias = Annotated[float, Field(ge=0.001, le=2)]
 Count: TypeAlias = Annotated[int, Field(ge=1, le=1000)]
@@ -60,19 +65,19 @@ Height: TypeAlias = Annotated[float, Field(ge=0.001, le=1)]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a gesture needs to know of a surface: where 0 is on it, and which way it faces there (a unit vector)."""
+    """Surface of a gesture: the point of the coordinate 0, and the unit normal there."""
 
     point_m: Point
     normal: Point
     stiffness_n_per_m: float
     rupture_depth_m: float | None
     half_m: float = math.inf
-    """How far the surface goes either way from its point."""
+    """Half the surface's length; its point is in the middle."""
     face: str = "surface"
-    """What is said to end there."""
+    """Name of the surface in messages."""
 
     def fault(self, at_m: float) -> str | None:
-        """What is wrong with a place along the surface."""
+        """Return the fault of a coordinate along the surface, or None."""
         if abs(at_m) <= self.half_m:
             return None
         return f"{at_m:.15g} is beyond the {self.face}, which ends at {math.copysign(self.half_m, at_m):.15g}"
@@ -80,7 +85,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """How the hand holds the handle; `moving_mass_kg` is hand and handle together."""
+    """Grip of the hand; `moving_mass_kg` is the mass of hand and handle together."""
 
     stiffness_n_per_m: float
     damping_n_s_per_m: float = 5.0
@@ -88,46 +93,48 @@ class Grip:
 
     @property
     def settling_s(self) -> float:
-        """How long after a change of the reference's speed the handle has it within SPEED_WITHIN, at most 1 s.
+        """Time in s, at most 1, after which the handle follows a new speed of its target within SPEED_TOLERANCE.
 
         The error is (p exp(p t) - q exp(q t))/(p - q), p and q the roots of M s^2 + b s + k.
         """
         half = self.damping_n_s_per_m / (2 * self.moving_mass_kg)
         root = cmath.sqrt(half * half - self.stiffness_n_per_m / self.moving_mass_kg)
-        # Equal roots are moved apart by a little: that changes the error by far less than is asked for.
+        # Equal roots are separated slightly, which changes the error by far less than SPEED_TOLERANCE.
         p, q = -half - (root or 1e-6 * half), -half + (root or 1e-6 * half)
         time_s = np.linspace(0.0, 1.0, 2001)
         error = np.abs((p * np.exp(p * time_s) - q * np.exp(q * time_s)) / (p - q))
-        return float(time_s[min(np.flatnonzero(error > SPEED_WITHIN)[-1] + 1, 2000)])
+        return float(time_s[min(np.flatnonzero(error > SPEED_TOLERANCE)[-1] + 1, 2000)])
 
 
 class TapGesture(Model):
-    """Strikes the surface at a speed, presses, withdraws; `count` times."""
+    """A tap: the hand strikes the surface at a given speed, presses and withdraws, `count` times."""
 
     kind: Literal["tap"]
     object: Name = Field(description="Id of a wall, a membrane, a box or a disc.")
     speed_m_per_s: Speed = Field(description="Speed of the approach, along the normal.")
-    count: Count = Field(default=1, description="How many taps.")
-    at_m: Coordinate = Field(default=0.0, description="Where along the surface.")
+    count: Count = Field(default=1, description="Number of taps.")
+    at_m: Coordinate = Field(default=0.0, description="Coordinate along the surface.")
     height_m: Height | None = Field(
-        default=None, description="Height that the approach begins at; by default enough to reach the speed."
+        default=None, description="Height at which the approach begins; by default enough to reach the speed."
     )
     press_depth_m: Annotated[float, Field(ge=0, le=1)] | None = Field(
-        default=None, description="Depth that the hand aims for; by default enough not to bounce."
+        default=None, description="Depth of the hand's target; by default enough not to bounce."
     )
 
 
 class StrokeGesture(Model):
-    """Strokes along the surface at a speed and with a normal force, to and fro; `count` times in all."""
+    """A stroke along the surface at a given speed and normal force, to and fro, `count` strokes in total."""
 
     kind: Literal["stroke"]
     object: Name = Field(description="Id of a wall, a membrane, a box or a disc.")
     speed_m_per_s: Speed = Field(description="Speed along the surface.")
-    press_n: float = Field(ge=0.01, le=100, description="Normal force that the hand presses with.")
-    from_m: Coordinate = Field(description="Where along the surface it begins.")
-    to_m: Coordinate = Field(description="Where along the surface it ends.")
-    count: Count = Field(default=1, description="How many strokes, the second one back, and so on.")
-    height_m: Height = Field(default=CLEARANCE_M, description="Height that it is laid on from.")
+    press_n: float = Field(ge=0.01, le=100, description="Normal force of the hand.")
+    from_m: Coordinate = Field(description="Coordinate along the surface at which the stroke begins.")
+    to_m: Coordinate = Field(description="Coordinate along the surface at which the stroke ends.")
+    count: Count = Field(default=1, description="Number of strokes; every second one goes back.")
+    height_m: Height = Field(
+        default=CLEARANCE_HEIGHT_M, description="Height from which the probe is lowered onto the surface."
+    )
 
     @model_validator(mode="after")
     def _goes_somewhere(self) -> Self:
@@ -137,14 +144,14 @@ class StrokeGesture(Model):
 
 
 class PunctureGesture(Model):
-    """Presses into a membrane at a speed until it has surely broken, then withdraws."""
+    """A puncture: the hand presses into a membrane at a given speed until it has ruptured, then withdraws."""
 
     kind: Literal["puncture"]
     object: Name = Field(description="Id of a membrane whose material ruptures.")
     speed_m_per_s: Speed = Field(description="Speed of the hand, along the normal.")
-    at_m: Coordinate = Field(default=0.0, description="Where along the skin.")
+    at_m: Coordinate = Field(default=0.0, description="Coordinate along the membrane.")
     height_m: Height | None = Field(
-        default=None, description="Height that the approach begins at; by default enough to reach the speed."
+        default=None, description="Height at which the approach begins; by default enough to reach the speed."
     )
 
 
@@ -158,13 +165,13 @@ Waypoint: TypeAlias = Annotated[
 
 
 class OperatorParams(Model):
-    """What a message or a file says of the operator."""
+    """An operator as given by a message or a file."""
 
     model_config = ConfigDict(
         json_schema_extra={"allOf": [one_of("waypoints", "gesture"), {"not": given("gesture", "interpolation")}]}
     )
 
-    # Of many thousands that are faulty the first alone is reported: the rest would take seconds.
+    # Only the first faulty waypoint is reported: thousands would take seconds.
     waypoints: (
         Annotated[
             tuple[Waypoint, ...],
@@ -193,21 +200,22 @@ class OperatorParams(Model):
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """A validated operator: waypoints or a gesture, the other is None."""
+    """A validated operator: either waypoints or a gesture; the other one is None."""
 
     waypoints: tuple[tuple[float, float, float], ...] | None
     gesture: TapGesture | StrokeGesture | PunctureGesture | None
     interpolation: Interpolation = "linear"
     document: Document | None = field(default=None, compare=False, repr=False)
-    """What it was read from, if that was YAML or JSON."""
+    """The YAML or JSON document of the operator, if it was read from one."""
 
     def waypoints_for(
         self, target_of: Callable[[str], Target | None], grip: Grip, reference_m: Point, ids: Iterable[str] = ()
     ) -> npt.NDArray[np.float64]:
-        """Rows [t_s, x_m, y_m], shape (n, 3), for a hand that wants to be at `reference_m` now.
+        """Return rows [t_s, x_m, y_m], shape (n, 3), for a hand whose target is at `reference_m` now.
 
-        `target_of` gives what can be touched of an id, None for anything else; `ids` are those of the scene. Raises
-        InvalidError (`where` is inside `gesture`) for an object that is none or that the gesture does not fit.
+        `target_of` returns the surface of an object's id, and None for an id without a surface; `ids` are those of the
+        scene. Raises InvalidError (`where` is inside `gesture`) for an unknown object or one that does not suit the
+        gesture.
         """
         if self.gesture is None:
             return np.array(self.waypoints, dtype=np.float64)
@@ -221,21 +229,22 @@ class Operator:
 
 
 def operator_of(params: Mapping[str, object]) -> Operator:
-    """An operator from the params of `set_operator`. Raises InvalidError with every fault; of several faulty waypoints
-    with those of the first."""
+    """Return the operator of the params of `set_operator`.
+
+    Raises InvalidError with every fault; of several faulty waypoints it reports the first.
+    """
     return _parse(Document(cast(Json, params)))
 
 
 def parse_operator(data: Mapping[str, object]) -> Operator:
-    """An operator from any mapping of such params, numpy arrays and tuples included. Raises InvalidError as operator_of
-    does."""
+    """Return the operator of a mapping that may hold numpy arrays and tuples. Raises InvalidError as operator_of."""
     return _parse(Document(plain(data)))
 
 
 def load_operator(path: str | os.PathLike[str]) -> Operator:
-    """An operator from a file: CSV or JSON by its ending, YAML otherwise.
+    """Load an operator from a file: CSV or JSON by its ending, YAML otherwise.
 
-    A CSV holds the columns t_s,x_m,y_m, with or without a header line; it is followed in straight lines.
+    A CSV file has the columns t_s,x_m,y_m, with or without a header line; waypoints are joined by straight lines.
     Raises InvalidError, which names file and line of every fault, or HapticdError for a file that cannot be
     read.
     """
@@ -243,8 +252,8 @@ def load_operator(path: str | os.PathLike[str]) -> Operator:
     ending = os.path.splitext(name)[1].lower()
     if ending == ".csv":
         return _parse(_csv_document(name))
-    # JSON is YAML, but for tabs, which in JSON can only be white space.
-    content = read_file(name, MAX_BYTES)
+    # JSON is YAML except for tabs, which in JSON are always white space.
+    content = read_file(name, MAX_YAML_BYTES)
     document = load_bytes(content.replace(b"\t", b" ") if ending == ".json" else content, name)
     refuse_other_kinds(document, "waypoints", "gesture")
     if isinstance(document.data, dict) and "kind" in document.data:
@@ -255,10 +264,10 @@ def load_operator(path: str | os.PathLike[str]) -> Operator:
 def gesture_waypoints(
     gesture: TapGesture | StrokeGesture | PunctureGesture, target: Target, grip: Grip, reference_m: Point
 ) -> npt.NDArray[np.float64]:
-    """The straight lines of a gesture, rows [t_s, x_m, y_m], shape (n, 3).
+    """Return the waypoints of a gesture, rows [t_s, x_m, y_m], shape (n, 3).
 
-    The first row is at t > 0: the hand goes there from `reference_m`, first out along the normal if it is lower
-    than the gesture's height, then to where the gesture begins, and comes to rest. Raises InvalidError.
+    The first row has t > 0. From `reference_m` the hand first moves out along the normal, if it is below the gesture's
+    height, then to the beginning of the gesture, and comes to rest. Raises InvalidError.
     """
     if grip.stiffness_n_per_m <= 0:
         problem = "needs a hand that holds the handle: device.sim.hand.stiffness_n_per_m above 0"
@@ -283,7 +292,7 @@ def gesture_waypoints(
 
 
 class _Path:
-    """Waypoints in the coordinates of a surface: `at` along it, `height` above it."""
+    """Builder of waypoints in the coordinates of a surface: `at` along it, `height` above it."""
 
     def __init__(self, target: Target, reference_m: Point) -> None:
         self._target = target
@@ -294,28 +303,29 @@ class _Path:
         self._at, self._height = x * n_y - y * n_x, x * n_x + y * n_y
 
     def go(self, at: float, height: float, speed: float) -> None:
-        """A straight line at a speed."""
-        way = math.hypot(at - self._at, height - self._height)
+        """Move in a straight line at a speed."""
+        distance = math.hypot(at - self._at, height - self._height)
         self._at, self._height = at, height
-        if way >= 2 * MIN_STEP_S * speed:
-            self._add(way / speed)
+        if distance >= 2 * MIN_STEP_S * speed:
+            self._add(distance / speed)
 
     def stay(self, duration_s: float) -> None:
+        """Stay for a time."""
         self._add(duration_s)
 
     def begin(self, at: float, height: float) -> None:
-        """To where a gesture begins, without touching its object on the way."""
+        """Move to the beginning of a gesture, without contact on the way."""
         if self._height < height:
-            self.go(self._at, height, TRAVEL_M_PER_S)
-        self.go(at, height, TRAVEL_M_PER_S)
+            self.go(self._at, height, TRAVEL_SPEED_M_PER_S)
+        self.go(at, height, TRAVEL_SPEED_M_PER_S)
 
     def press(self, at: float, height: float, depth: float, speed: float, settling_s: float) -> None:
-        """From a height to a depth at a speed, stay, and out again."""
+        """Move from a height to a depth at a speed, stay, and withdraw."""
         self.begin(at, height)
         self.stay(settling_s)
         self.go(at, -depth, speed)
-        self.stay(HOLD_S)
-        self.go(at, height, TRAVEL_M_PER_S)
+        self.stay(PRESS_TIME_S)
+        self.go(at, height, TRAVEL_SPEED_M_PER_S)
 
     def _add(self, duration_s: float) -> None:
         self._time_s += duration_s
@@ -325,7 +335,7 @@ class _Path:
 
 
 def _approach_height(speed: float, grip: Grip) -> float:
-    return CLEARANCE_M + speed * grip.settling_s
+    return CLEARANCE_HEIGHT_M + speed * grip.settling_s
 
 
 def _tap(gesture: TapGesture, target: Target, grip: Grip, path: _Path) -> None:
@@ -333,9 +343,9 @@ def _tap(gesture: TapGesture, target: Target, grip: Grip, path: _Path) -> None:
     height = gesture.height_m or _approach_height(speed, grip)
     depth = gesture.press_depth_m
     if depth is None:
-        # The handle comes to rest at depth k/(K + k) and swings about it; an impact alone would swing by
-        # v sqrt(M/(K + k)). With rest as deep as that, and half a swing damped to 0.7, it does not leave
-        # again.
+        # The handle comes to rest at depth k/(K + k) and oscillates about it; an impact alone has the amplitude
+        # v sqrt(M/(K + k)). At a rest depth of that amplitude, with half an oscillation damped to 0.7, the handle stays
+        # in contact.
         stiffness = target.stiffness_n_per_m + grip.stiffness_n_per_m
         swing = speed * math.sqrt(grip.moving_mass_kg / stiffness)
         depth = 0.002 + swing * stiffness / grip.stiffness_n_per_m
@@ -352,30 +362,30 @@ def _stroke(gesture: StrokeGesture, target: Target, grip: Grip, path: _Path) -> 
     ends = (gesture.from_m, gesture.to_m)
     path.begin(gesture.from_m, gesture.height_m)
     path.stay(grip.settling_s)
-    path.go(gesture.from_m, -depth, LOWER_M_PER_S)
+    path.go(gesture.from_m, -depth, LOWERING_SPEED_M_PER_S)
     path.stay(grip.settling_s)
     for stroke in range(gesture.count):
         path.go(ends[(stroke + 1) % 2], -depth, gesture.speed_m_per_s)
         path.stay(grip.settling_s)
-    path.go(ends[gesture.count % 2], gesture.height_m, TRAVEL_M_PER_S)
+    path.go(ends[gesture.count % 2], gesture.height_m, TRAVEL_SPEED_M_PER_S)
 
 
 def _puncture(gesture: PunctureGesture, target: Target, grip: Grip, path: _Path) -> None:
     if target.rupture_depth_m is None:
-        problem = f"{quoted(gesture.object)} cannot be punctured: no membrane, or a material without rupture"
+        problem = f"{quoted(gesture.object)} cannot be punctured: not a membrane, or its material has no rupture"
         raise InvalidError([Problem("gesture.object", problem)])
     speed, at = gesture.speed_m_per_s, gesture.at_m
     height = gesture.height_m or _approach_height(speed, grip)
-    # At the rupture the hand is ahead of the handle by K d/k; friction takes less than the rest.
+    # At the rupture the hand is ahead of the handle by K d/k; friction needs less than the margin of 10 % and 5 mm.
     depth = target.rupture_depth_m * (1 + target.stiffness_n_per_m / grip.stiffness_n_per_m)
-    path.press(at, height, 1.1 * depth + CLEARANCE_M, speed, grip.settling_s)
+    path.press(at, height, 1.1 * depth + CLEARANCE_HEIGHT_M, speed, grip.settling_s)
 
 
 # ---- Reading ----------------------------------------------------------------------------------------------
 
 
 def _parse(document: Document) -> Operator:
-    """Raises InvalidError with every fault."""
+    """Validate a document as an operator. Raises InvalidError with every fault."""
     if not isinstance(document.data, dict):
         raise InvalidError([document.problem((), "must be a mapping with waypoints or gesture")])
     try:
@@ -394,7 +404,7 @@ def _parse(document: Document) -> Operator:
 
 
 def _csv_document(name: str) -> Document:
-    """The rows as waypoints, each at its line."""
+    """Read a CSV file as a document of waypoints, with the line of each. Raises InvalidError."""
     text = text_of(read_file(name, MAX_CSV_BYTES), name, MAX_CSV_BYTES)
     reader = csv.reader(io.StringIO(text), skipinitialspace=True)
     rows: list[Json] = []
@@ -402,10 +412,10 @@ def _csv_document(name: str) -> Document:
     try:
         for cells in reader:
             stripped = [cell.strip() for cell in cells]
-            # A header has no number.
+            # The first row is a header if it holds no number.
             if not rows and any(stripped) and not any(isinstance(_number(cell), float) for cell in stripped):
-                if stripped != [*_COLUMNS]:
-                    problem = f"the header must be {','.join(_COLUMNS)}, is {quoted(','.join(stripped))}"
+                if stripped != [*_CSV_COLUMNS]:
+                    problem = f"the header must be {','.join(_CSV_COLUMNS)}, is {quoted(','.join(stripped))}"
                     raise InvalidError([Problem(_line(name, reader.line_num), problem)])
             elif any(stripped):
                 rows.append([_number(cell) for cell in stripped])
@@ -417,7 +427,7 @@ def _csv_document(name: str) -> Document:
 
 
 def _number(cell: str) -> float | str:
-    """The number in a cell, or the cell itself where it holds none."""
+    """Return the number in a cell, or the cell itself if it holds none."""
     try:
         return cell if "_" in cell else float(cell)
     except ValueError:

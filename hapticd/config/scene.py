@@ -1,4 +1,4 @@
-"""Scenes: the objects in the workspace, and what of them is displayed.
+"""Scenes: the objects in the workspace, and which of their forces are displayed.
 
 The workspace is a plane, x to the right and y up, in m. A normal points out of the solid into free space.
 """
@@ -32,27 +32,33 @@ from hapticd.base.yaml_source import Document, load_path
 from hapticd.config.document_kinds import refuse_other_keys, refuse_other_kinds
 
 MAX_OBJECTS: Final = 10_000
-"""The last step of a change keeps the command thread for some 100 ms then (docs/adr/0058)."""
+"""Maximum number of objects: the last step of a change then takes the command thread 100 ms (docs/adr/0058)."""
 MAX_PATCHES: Final = 512
-"""Of a wall."""
+"""Maximum number of patches of a wall."""
 MAX_SCENE_PATCHES: Final = 5000
-"""Of all walls of a scene: the last step of a change keeps the command thread for some 50 ms then (docs/adr/0058)."""
+"""Maximum number of patches of a scene: a change's last step then takes the command thread 50 ms (docs/adr/0058)."""
 MIN_PATCH_M: Final = 1e-5
-"""Patches, and the gaps between them, are at least this wide."""
-TOUCHING_M: Final = 1e-9
-"""Patches whose edges are as near as this touch: 0.1 + 0.2 is not 0.3."""
+"""Minimum width of a patch, and of a gap between patches."""
+TOUCHING_DISTANCE_M: Final = 1e-9
+"""Edges of patches that are nearer than this touch, since 0.1 + 0.2 is not 0.3 in floating point."""
 _ROUNDING_OF_WIDTHS: Final = 1e-6
-_SHOWN_OVERLAPS: Final = 5
+"""Relative tolerance of MIN_PATCH_M for rounding."""
+_MAX_SHOWN_OVERLAPS: Final = 5
+"""Overlaps that a message lists; the others are counted."""
 MIN_NORMAL_LENGTH = 1e-9
+"""Minimum length of a normal before normalization."""
 MAX_NORMAL_COMPONENT = 1e9
-_ROUNDING: Final = 4 * 2.0**-52
+"""Maximum magnitude of a normal's component before normalization."""
+UNIT_LENGTH_TOLERANCE: Final = 4 * 2.0**-52
+"""A vector whose length is this near to 1 is a unit vector."""
 
 
 def _unit(vector: tuple[float, float]) -> tuple[float, float]:
     length = math.hypot(*vector)
     if length < MIN_NORMAL_LENGTH:
         raise ValueError(f"must have a direction: a length of at least {MIN_NORMAL_LENGTH:g}, has {length:g}")
-    if abs(length - 1) <= _ROUNDING:  # already a unit vector: normalising again would only move its last bit
+    # Normalizing a unit vector would only change its last bit.
+    if abs(length - 1) <= UNIT_LENGTH_TOLERANCE:
         return vector
     return vector[0] / length, vector[1] / length
 
@@ -69,44 +75,44 @@ PatchEdge: TypeAlias = Annotated[float, Field(ge=-20, le=20)]
 
 
 class Patch(Model):
-    """A stretch of a wall that is of another material."""
+    """A stretch of a wall with another material."""
 
     from_m: PatchEdge = Field(
-        description="Where it begins, from the wall's point in the direction (n_y, -n_x): to the right on a floor."
+        description="Beginning of the patch: distance from the wall's point along (n_y, -n_x), on a floor to the right."
     )
-    to_m: PatchEdge = Field(description="Where it ends, in the same direction; more than where it begins.")
+    to_m: PatchEdge = Field(description="End of the patch, in the same direction; more than from_m.")
     material: Name = Field(description="Name of a material.")
 
     @model_validator(mode="after")
     def _is_wide_enough(self) -> Self:
         if self.to_m - self.from_m < MIN_PATCH_M * (1 - _ROUNDING_OF_WIDTHS):
             raise ValueError(
-                f"to_m must be more than from_m by at least {MIN_PATCH_M:g}, is {self.to_m:.15g} and {self.from_m:.15g}"
+                f"to_m must be at least {MIN_PATCH_M:g} above from_m, is {self.to_m:.15g}; from_m is {self.from_m:.15g}"
             )
         return self
 
 
 def patches_in_order(patches: Sequence[Patch]) -> list[int]:
-    """Their indices, in rising order along the wall."""
+    """Return the indices of patches in rising order along the wall."""
     return sorted(range(len(patches)), key=lambda index: patches[index].from_m)
 
 
 def _disjoint(patches: tuple[Patch, ...]) -> tuple[Patch, ...]:
-    """Refuses patches that overlap, or leave gaps that nobody means."""
+    """Raise ValueError if patches overlap or leave gaps narrower than MIN_PATCH_M."""
     faults = []
     farthest, end_m = -1, -math.inf
     for index in patches_in_order(patches):
         gap = patches[index].from_m - end_m
         names = f"[{min(farthest, index)}] and [{max(farthest, index)}]"
-        if gap < -TOUCHING_M:
+        if gap < -TOUCHING_DISTANCE_M:
             faults.append(f"{names} overlap")
-        elif TOUCHING_M < gap < MIN_PATCH_M * (1 - _ROUNDING_OF_WIDTHS):
-            faults.append(f"{names} leave a gap of {gap:.3g} m: they touch, or are at least {MIN_PATCH_M:g} m apart")
+        elif TOUCHING_DISTANCE_M < gap < MIN_PATCH_M * (1 - _ROUNDING_OF_WIDTHS):
+            faults.append(f"{names} leave a gap of {gap:.3g} m: it must be 0 or at least {MIN_PATCH_M:g} m")
         if patches[index].to_m > end_m:
             farthest, end_m = index, patches[index].to_m
     if faults:
-        more = len(faults) - _SHOWN_OVERLAPS
-        raise ValueError("; ".join(faults[:_SHOWN_OVERLAPS]) + (f"; and {more} more" if more > 0 else ""))
+        more = len(faults) - _MAX_SHOWN_OVERLAPS
+        raise ValueError("; ".join(faults[:_MAX_SHOWN_OVERLAPS]) + (f"; and {more} more" if more > 0 else ""))
     return patches
 
 
@@ -126,18 +132,20 @@ class Wall(Model):
     point_m: Position = Field(description="A point of the surface, [x, y].")
     normal: Normal = Field(description="Direction out of the solid, [x, y]; kept as a unit vector.")
     material: Name = Field(description="Name of a material.")
-    patches: Patches = Field(default=(), description="Stretches of other materials; they do not overlap.")
+    patches: Patches = Field(default=(), description="Stretches of other materials, which do not overlap.")
     patch_ramp_m: float = Field(
-        default=0.001, ge=1e-5, le=1, description="Over which one material goes over into the next, across the edge."
+        default=0.001, ge=1e-5, le=1, description="Width of the blend between two materials, centred on their edge."
     )
 
     def stretches(self) -> tuple[list[float], list[str]]:
-        """The whole wall in rising order, patches and the base material between them: where each stretch begins, -inf
-        for the first, and its material. The last one has no end."""
+        """Return the begin and the material of each stretch of the wall, in rising order.
+
+        Stretches are the patches and the base material between them. The first begins at -inf, the last has no end.
+        """
         begins, materials = [-math.inf], [self.material]
         for index in patches_in_order(self.patches):
             patch = self.patches[index]
-            if patch.from_m - begins[-1] <= TOUCHING_M:  # the base material has no room between two patches
+            if patch.from_m - begins[-1] <= TOUCHING_DISTANCE_M:  # no base material between two touching patches
                 begins.pop()
                 materials.pop()
             begins += patch.from_m, patch.to_m
@@ -151,9 +159,7 @@ class Box(Model):
     kind: Literal["box"]
     center_m: Position = Field(description="Its middle, [x, y].")
     size_m: Size = Field(description="Its sides, [width, height].")
-    angle_rad: float = Field(
-        default=0.0, ge=-1000, le=1000, description="Angle by which it is turned counterclockwise."
-    )
+    angle_rad: float = Field(default=0.0, ge=-1000, le=1000, description="Angle of rotation, counterclockwise.")
     material: Name = Field(description="Name of a material.")
 
 
@@ -165,19 +171,19 @@ class Disc(Model):
     radius_m: float = Field(
         ge=1e-4,
         le=10,
-        description="Its radius R. A hand that presses harder than stiffness times R comes out on the other side.",
+        description="Its radius R. A force above stiffness times R pushes the probe through to the other side.",
     )
     material: Name = Field(description="Name of a material.")
 
 
 class Membrane(Model):
-    """A straight elastic skin that can be pushed from both sides and, by its material, punctured."""
+    """A straight elastic membrane that can be pushed from both sides and, with `rupture`, punctured."""
 
     kind: Literal["membrane"]
     center_m: Position = Field(description="Its middle, [x, y].")
-    normal: Normal = Field(description="Direction across the skin, [x, y]; kept as a unit vector.")
-    width_m: float = Field(ge=1e-4, le=20, description="Its length along the skin.")
-    material: Name = Field(description="Name of a material; without rupture the skin never breaks.")
+    normal: Normal = Field(description="Direction across the membrane, [x, y]; kept as a unit vector.")
+    width_m: float = Field(ge=1e-4, le=20, description="Its length.")
+    material: Name = Field(description="Name of a material; without `rupture` the membrane never breaks.")
 
 
 class Spring(Model):
@@ -197,23 +203,25 @@ class Viscous(Model):
 
 
 class Constant(Model):
-    """A field that pushes everywhere alike."""
+    """A field with the same force everywhere."""
 
     kind: Literal["constant"]
     force_n: ForceVector = Field(description="The force, [x, y].")
 
 
 Surface: TypeAlias = Wall | Membrane | Box | Disc
-"""What can be touched."""
+"""An object that can be touched."""
 Passivity: TypeAlias = Literal["off", "observe", "control"]
 SceneObject: TypeAlias = Surface | Spring | Viscous | Constant
-SURFACES: Final = (Wall, Membrane, Box, Disc)
-SURFACE_KINDS: Final = tuple(tag for kind in SURFACES for tag in get_args(kind.model_fields["kind"].annotation))
+SURFACE_MODELS: Final = (Wall, Membrane, Box, Disc)
+"""Models of the objects that can be touched."""
+SURFACE_KINDS: Final = tuple(tag for kind in SURFACE_MODELS for tag in get_args(kind.model_fields["kind"].annotation))
+"""Their values of the key `kind`."""
 
 
 def materials_of(item: SceneObject) -> tuple[str, ...]:
-    """Names of the materials that an object is made of: its own first, then its patches'; none for a field."""
-    # By kind: isinstance of a pydantic model that an object is not takes longer than all the rest.
+    """Return the names of an object's materials, first its own, then its patches'; empty for a field."""
+    # Compared by kind, since isinstance of a pydantic model is slow when it is false.
     if item.kind == "wall" and item.patches:
         return (item.material, *(patch.material for patch in item.patches))
     if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
@@ -222,12 +230,12 @@ def materials_of(item: SceneObject) -> tuple[str, ...]:
 
 
 def material_names(item: SceneObject) -> Collection[str]:
-    """As materials_of, each once."""
+    """Return the names of an object's materials, each once."""
     return dict.fromkeys(materials_of(item))
 
 
 def same_materials(one: SceneObject | None, other: SceneObject) -> bool:
-    """Whether two objects are surely made of the same materials, in the same places."""
+    """Return whether two objects have the same materials in the same places."""
     if one is None or one.kind != other.kind:
         return False
     if one.kind == "wall":
@@ -236,7 +244,7 @@ def same_materials(one: SceneObject | None, other: SceneObject) -> bool:
 
 
 def material_places(item: SceneObject) -> Iterator[tuple[str, Path]]:
-    """The materials of an object, each once, and where it first names them."""
+    """Yield each material of an object once, with the path of its first use."""
     if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
         return
     seen = {item.material}
@@ -248,17 +256,17 @@ def material_places(item: SceneObject) -> Iterator[tuple[str, Path]]:
 
 
 def field_ids(objects: Mapping[str, SceneObject]) -> list[str]:
-    """Ids of the fields that follow position or speed."""
+    """Return the ids of the fields that depend on position or speed."""
     return [id for id, item in objects.items() if item.kind == "spring" or item.kind == "viscous"]
 
 
 def used_materials(objects: Iterable[SceneObject]) -> set[str]:
-    """Names of all materials that these objects are made of."""
+    """Return the names of all materials of these objects."""
     return {name for item in objects for name in material_names(item)}
 
 
 def of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:
-    """The objects that say all there is to say of a scene's materials: patched ones, and the first of each material."""
+    """Return the fewest objects with all materials: those with patches, and the first of each material."""
     found: dict[str, SceneObject] = {}
     seen: set[str] = set()
     for id, item in objects.items():
@@ -270,32 +278,32 @@ def of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObjec
 
 
 class Display(Model):
-    """Which parts of the force are displayed."""
+    """Parts of the force that are displayed."""
 
     force: bool = Field(default=True, description="Forces of objects and fields.")
     vibration: bool = Field(default=True, description="Ringing modes and the noise of textures.")
 
 
 def _patches_fault(objects: Mapping[str, SceneObject]) -> str | None:
-    """Why the patches of these objects are too many for a scene; None where they are not."""
+    """Return the fault of objects with too many patches for a scene, or None."""
     patches = sum(len(item.patches) for item in objects.values() if item.kind == "wall")
     too_many = f"must have at most {MAX_SCENE_PATCHES} patches in all, have {patches}"
     return too_many if patches > MAX_SCENE_PATCHES else None
 
 
 class Scene(Model):
-    """Objects by id, and how they are displayed."""
+    """Objects by id, and settings of their display."""
 
     display: Display = Field(default=Display(), description="Force only, vibration only, or both.")
     ramp_s: float = Field(
-        default=0.02, ge=0.001, le=1, description="Time in which a force comes in that would otherwise step."
+        default=0.02, ge=0.001, le=1, description="Duration of the ramp of a force that would otherwise step."
     )
     passivity: Passivity = Field(
         default="off",
-        description="The energy that touched objects give to the hand: not looked at, observed, or held down.",
+        description="The energy that touched objects give to the hand is ignored, observed, or limited.",
     )
     objects: dict[Name, Annotated[SceneObject, Field(discriminator="kind")]] = Field(
-        default={}, max_length=MAX_OBJECTS, description="What is in the workspace, by id."
+        default={}, max_length=MAX_OBJECTS, description="Objects and fields by id."
     )
 
     @model_validator(mode="after")
@@ -306,15 +314,15 @@ class Scene(Model):
         return self
 
     def changed_since(self, before: "Scene") -> list[str]:
-        """Ids of the objects that are not those of the scene before, and of those that are gone."""
+        """Return the ids of the objects that were changed, added or removed since the scene `before`."""
         old, new = before.objects, self.objects
         return [id for id, item in new.items() if old.get(id) != item] + [id for id in old if id not in new]
 
     def with_objects(self, changes: Mapping[str, SceneObject | None]) -> "Scene":
-        """This scene with some objects added or replaced, and those given as None removed.
+        """Return this scene with objects added or replaced, and those given as None removed.
 
-        The objects are taken as validated (see validate_object); the others are the same instances as before.
-        Raises InvalidError for more than MAX_OBJECTS, or MAX_SCENE_PATCHES of their patches.
+        The objects must be validated (see validate_object); unchanged objects are shared.
+        Raises InvalidError for more than MAX_OBJECTS objects, or MAX_SCENE_PATCHES patches.
         """
         objects = dict(self.objects)
         for name, changed in changes.items():
@@ -323,12 +331,12 @@ class Scene(Model):
             else:
                 objects[name] = changed
         check_count(objects, MAX_OBJECTS, ("objects",))
-        # Without a changed patch the number cannot have grown, and counting would cost more than the rest of an update.
+        # Patches are counted only if one has changed: counting costs more than the rest of an update.
         if any(changed is not None and changed.kind == "wall" and changed.patches for changed in changes.values()):
             fault = _patches_fault(objects)
             if fault is not None:
                 raise InvalidError([Problem("objects", fault)])
-        # All is valid already; pydantic's ways to copy a model would cost more than the rest of an update.
+        # Copied by hand: pydantic's methods cost more than the rest of an update.
         scene = Scene.__new__(Scene)
         values = {**self.__dict__, "objects": objects}
         for slot, value in (
@@ -345,7 +353,7 @@ SceneSource: TypeAlias = "Scene | Mapping[str, object] | str | os.PathLike[str]"
 
 
 def load_scene(source: SceneSource) -> Scene:
-    """A scene from a mapping or a YAML file that holds either a scene or a section `scene` and nothing else.
+    """Load a scene from a mapping or a YAML file, which holds a scene, or only the section `scene`.
 
     Whether its materials exist is not checked here: see reference_problems. Raises InvalidError, with file
     and line for a file; HapticdError for a file that cannot be read.
@@ -354,7 +362,7 @@ def load_scene(source: SceneSource) -> Scene:
 
 
 def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[Scene, Document, Path]:
-    """As load_scene; also the document that it stands in, and where."""
+    """Load a scene as load_scene does, and return its document and its path in it too."""
     document = Document(plain(source)) if isinstance(source, Mapping) else load_path(arguments.path("scene", source))
     refuse_other_kinds(document, "scene", "bare scene")
     data = document.data
@@ -370,12 +378,12 @@ def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[S
 
 
 def validate_scene(data: object, root: Path = ()) -> Scene:
-    """A scene from plain data. Raises InvalidError; `where` begins with `root`."""
+    """Validate a scene, given as plain data. Raises InvalidError; `where` begins with `root`."""
     return finish(scene_steps(data, root))
 
 
 def scene_steps(data: object, root: Path = ()) -> Steps[Scene]:
-    """As validate_scene, with a pause after each object."""
+    """Validate a scene as validate_scene does, with a pause after each object."""
     given = data.get("objects", {}) if isinstance(data, dict) else None
     if not isinstance(data, dict) or not isinstance(given, dict):
         return _parsed(data, root)
@@ -406,12 +414,12 @@ def _parsed(data: object, root: Path) -> Scene:
 
 
 def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
-    """One object from plain data. Raises InvalidError; `where` starts with `root`, `objects`, `name`."""
+    """Validate an object, given as plain data. Raises InvalidError; `where` starts with `root`, `objects`, `name`."""
     return _parsed({"objects": {name: data}}, root).objects[name]
 
 
 def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:
-    """Materials that objects name and nobody defines, with paths relative to the scene; at most MAX_FAULTS."""
+    """Return the faults of objects with unknown materials, at most MAX_FAULTS, with paths relative to the scene."""
     faults: list[tuple[Path, str]] = []
     more = 0
     for id, item in objects.items():
@@ -426,12 +434,12 @@ def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[s
             path: Path = ("objects", id, *(("patches", index - 1) if index else ()), "material")
             faults.append((path, f"unknown material {quoted(name)}; {known_names(name, materials)}"))
     if more:
-        faults.append((("objects",), f"name unknown materials {more} times more"))
+        faults.append((("objects",), f"have {more} more unknown materials"))
     return faults
 
 
 def reference_problems(
     objects: Mapping[str, SceneObject], materials: Collection[str], root: Path = ()
 ) -> list[Problem]:
-    """As reference_faults; `where` begins with `root`, then `objects`."""
+    """Return reference_faults as problems; `where` begins with `root`, then `objects`."""
     return [Problem(path_text(root + path), text) for path, text in reference_faults(objects, materials)]

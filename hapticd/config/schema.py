@@ -5,10 +5,11 @@ from typing import cast
 from hapticd.base.yaml_source import Json
 from hapticd.config.configuration import Config
 
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
+SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+"""Version of JSON Schema."""
 
-# Endings of keys, the longest first: `_n_s_per_m` ends in `_m` too.
-_UNITS = {
+# The longest endings come first: `_n_s_per_m` ends in `_m` too.
+_UNIT_OF_SUFFIX = {
     "_m_per_s2_per_n": "m/s^2/N",
     "_hz_s_per_m": "Hz s/m",
     "_m2_per_s4": "m^2/s^4",
@@ -32,18 +33,17 @@ _UNITS = {
 
 
 def unit_of(key: str) -> str | None:
-    """The unit that the ending of a key names: `N/m` for `stiffness_n_per_m`; None without one."""
-    return next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), None)
+    """Return the unit of a key by its ending: `N/m` for `stiffness_n_per_m`; None if it names no unit."""
+    return next((unit for ending, unit in _UNIT_OF_SUFFIX.items() if key.endswith(ending)), None)
 
 
 def unit_suffix_of(key: str) -> str:
-    """The ending of a key that names its unit: `_n_per_m` of `stiffness_n_per_m`; empty without one."""
-    return next((ending for ending in _UNITS if key.endswith(ending)), "")
+    """Return the ending of a key that names its unit: `_n_per_m` of `stiffness_n_per_m`; else an empty text."""
+    return next((ending for ending in _UNIT_OF_SUFFIX if key.endswith(ending)), "")
 
 
 def closed(schema: Json) -> Json:
-    """A JSON Schema in which a mapping by names takes no others; pydantic leaves names open that its pattern
-    excludes."""
+    """Return a JSON Schema that refuses names which do not match a mapping's pattern; pydantic's allows them."""
     if isinstance(schema, list):
         return [closed(each) for each in schema]
     if not isinstance(schema, dict):
@@ -53,9 +53,9 @@ def closed(schema: Json) -> Json:
 
 
 def config_schema() -> dict[str, Json]:
-    """JSON Schema of a configuration file, with descriptions, units, limits and defaults."""
+    """Return the JSON Schema of a configuration file, with descriptions, units, limits and defaults."""
     schema = cast(dict[str, Json], closed(cast(Json, Config.model_json_schema())))
-    schema = {"$schema": DIALECT, **schema, "title": "hapticd configuration"}
+    schema = {"$schema": SCHEMA_DIALECT, **schema, "title": "hapticd configuration"}
     definitions = schema["$defs"]
     assert isinstance(definitions, dict)
     for definition in (schema, *definitions.values()):

@@ -1,7 +1,6 @@
-"""The scenes, operators, materials, studies and sweeps that ship with hapticd, and how a person names them.
+"""Scenes, operators, materials, studies and sweeps that ship with hapticd, found by name.
 
-A scene, an operator, a study or a sweep that ships is named without folder and ending: `comb`. A file of that name in
-the current folder comes first.
+Their names have neither folder nor ending: `comb`. A file of that name in the current folder is used instead.
 """
 
 from __future__ import annotations
@@ -19,50 +18,52 @@ from hapticd.base.yaml_source import one_line
 
 Folder: TypeAlias = Literal["scenes", "operators", "materials", "experiments", "sweeps"]
 
-_ENDINGS: Final = (".yaml", ".csv")
-_MOST_NEAR: Final = 3
+_SHIPPED_SUFFIXES: Final = (".yaml", ".csv")
+"""Endings of shipped files."""
+_MAX_SUGGESTIONS: Final = 3
+"""Similar names that an error suggests."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShippedScene:
-    """A scene that ships, or another file, as its first comment describes it."""
+    """A shipped file, with the description in its first comment."""
 
     name: str
     shows: str
-    """One sentence."""
+    """Description, one sentence."""
     operator: str | None
-    """The name of the shipped operator that is made for it."""
+    """Name of the shipped operator for this scene."""
     file: str
 
     def to_dict(self) -> dict[str, str | None]:
-        """As JSON."""
+        """Return the fields as plain data."""
         return {"name": self.name, "shows": self.shows, "operator": self.operator, "file": self.file}
 
 
 def folder_of(name: str) -> Path:
-    """A folder of what ships: `scenes`, `operators`, `materials`, `experiments`, `sweeps`."""
+    """Return a folder of shipped files: `scenes`, `operators`, `materials`, `experiments`, `sweeps`."""
     return Path(str(resources.files("hapticd.shipped").joinpath(name)))
 
 
 def units_folder() -> Path:
-    """Where the units of systemd and the udev rules lie that `hapticd install-service` puts in place."""
+    """Return the folder of the systemd units and udev rules that `hapticd install-service` installs."""
     return Path(str(resources.files("hapticd.units").joinpath("hapticd.service"))).parent
 
 
 @cache
 def shipped(folder: Folder) -> dict[str, str]:
-    """Files by the names that a person gives them."""
-    files = sorted(path for path in folder_of(folder).iterdir() if path.suffix in _ENDINGS)
+    """Return the shipped files of a folder by name."""
+    files = sorted(path for path in folder_of(folder).iterdir() if path.suffix in _SHIPPED_SUFFIXES)
     return {path.stem: str(path) for path in files}
 
 
 def shipped_scenes() -> list[ShippedScene]:
-    """The scenes that ship, by name."""
+    """Return the shipped scenes, sorted by name."""
     return described("scenes")
 
 
 def described(folder: Folder) -> list[ShippedScene]:
-    """The files of a folder that ship, by name, as their first comments describe them."""
+    """Return the shipped files of a folder, sorted by name, with their descriptions."""
     return [_described(name, file) for name, file in shipped(folder).items()]
 
 
@@ -76,10 +77,9 @@ def _described(name: str, file: str) -> ShippedScene:
 
 
 def file_of(text: str, folder: Folder) -> str:
-    """The file that `text` names: the file of that name, or else what ships under it. `-` is the standard input.
+    """Return the path of the file that `text` names: an existing file, or a shipped one. `-` is the standard input.
 
-    Raises HapticdError for a bare name that is neither. A path that leads nowhere is returned as it is, for its reader
-    to say so.
+    Raises HapticdError for a name without folder that is neither. Another path is returned even if it does not exist.
     """
     if text == "-":
         return "/dev/stdin"
@@ -93,7 +93,7 @@ def file_of(text: str, folder: Folder) -> str:
     if os.path.dirname(text) or (ending and stem not in known):
         return text
     if stem in known:
-        raise HapticdError(f"{text}: there is no such file here; the shipped {what} of that name is called {stem}")
-    near = near_names(text, list(known), _MOST_NEAR)
-    meant = f"did you mean {' or '.join(near)}?" if near else f"shipped: {', '.join(known)}"
-    raise HapticdError(f"{one_line(text)}: is no file here and no shipped {what}; {meant}")
+        raise HapticdError(f"{text}: no such file; the shipped {what} of that name is called {stem}")
+    near = near_names(text, list(known), _MAX_SUGGESTIONS)
+    advice = f"did you mean {' or '.join(near)}?" if near else f"shipped: {', '.join(known)}"
+    raise HapticdError(f"{one_line(text)}: neither a file nor a shipped {what}; {advice}")

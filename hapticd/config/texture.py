@@ -1,8 +1,9 @@
-"""Textures: what a surface does while the probe strokes along it.
+"""Textures: force and vibration of a surface while the probe strokes along it.
 
-Grooves lie at s = k spacing, s the tangential coordinate of the surface; they are displayed as vibration, as geometry
-or as damping. Sandpaper is coloured noise whose power follows tangential speed v and normal force F, either given by
-the peak and the mean of its spectrum (`stochastic`) or by models identified from recordings (`autoregressive`).
+Grooves lie at s = k spacing, with s the tangential coordinate of the surface; they are displayed as vibration, as
+geometry or as damping. Sandpaper is coloured noise whose power depends on tangential speed v and normal force F. It is
+given by the peak and the mean of its spectrum (`stochastic`) or by models identified from recordings
+(`autoregressive`).
 """
 
 import math
@@ -23,7 +24,7 @@ from pydantic.config import JsonDict, JsonValue
 from hapticd.base.lattice import reflection_of
 from hapticd.base.model import CheckedTogether, Damping, Model, at_most, one_of_two
 from hapticd.config.modes import (
-    MAX_POINTS,
+    MAX_TABLE_POINTS,
     AngularFrequency,
     DecayRate,
     DecayTime,
@@ -39,9 +40,13 @@ from hapticd.config.modes import (
 )
 
 MAX_ORDER: Final = 32
+"""Maximum order p of an autoregressive model."""
 MAX_MODELS: Final = 64
+"""Maximum number of models of a texture."""
 MAX_SEED: Final = 2**53
+"""Maximum seed; a JSON number holds it exactly."""
 MAX_RMS_M_PER_S2: Final = 1e6
+"""Maximum RMS acceleration of a model."""
 
 Display: TypeAlias = Literal["vibration", "geometry", "damping"]
 Gain: TypeAlias = Annotated[float, Field(ge=-1e5, le=1e5)]
@@ -49,68 +54,71 @@ Threshold: TypeAlias = Annotated[float, Field(ge=1e-5, le=1)]
 Seed: TypeAlias = Annotated[int, Field(ge=0, le=MAX_SEED)]
 Coefficient: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 
-_MODE_KEYS: Final = tuple(ModeKeys.model_fields)
+_RINGING_MODE_KEYS: Final = tuple(ModeKeys.model_fields)
 _ONE_FREQUENCY: Final = ("frequency_hz", "angular_frequency_rad_per_s")
-_GAINS: Final = ("velocity_gain_per_s", "force_gain_m_per_s2_per_n")
+_GAIN_KEYS: Final = ("velocity_gain_per_s", "force_gain_m_per_s2_per_n")
 _KEYS_OF: Final[dict[Display, tuple[str, ...]]] = {
-    "vibration": (*_GAINS, *_MODE_KEYS, "frequency_table"),
+    "vibration": (*_GAIN_KEYS, *_RINGING_MODE_KEYS, "frequency_table"),
     "geometry": ("depth_m",),
     "damping": ("damping_n_s_per_m",),
 }
 
 
 def _displayed(display: Display) -> JsonDict:
-    """JSON Schema of what goes with a display: no keys of the others, and those that it needs."""
+    """Return the JSON Schema of a display: its required keys, and none of the other displays."""
     others = (key for other, keys in _KEYS_OF.items() if other != display for key in keys)
     rules: list[JsonValue] = [absent(*others)]
     if display == "vibration":
         mode: JsonDict = {
             "allOf": [one_of(*_ONE_FREQUENCY, "frequency_table"), one_of("decay_time_s", "decay_rate_per_s")]
         }
-        rules += [_ABOVE_0, {"anyOf": [absent(*_MODE_KEYS, "frequency_table"), mode]}]
+        rules += [_ABOVE_0, {"anyOf": [absent(*_RINGING_MODE_KEYS, "frequency_table"), mode]}]
     else:
         rules += map(given, _KEYS_OF[display])
     return {"if": {"properties": {"display": {"const": display}}}, "then": {"allOf": rules}}
 
 
 _ABOVE_0: Final[JsonDict] = {
-    "anyOf": [{"required": [key], "properties": {key: {"exclusiveMinimum": 0}}} for key in _GAINS]
+    "anyOf": [{"required": [key], "properties": {key: {"exclusiveMinimum": 0}}} for key in _GAIN_KEYS]
 }
-"""JSON Schema of a texture of which anything is felt."""
+"""JSON Schema of a texture with a gain above 0."""
 WITHOUT_MODE: Final[JsonDict] = {
     "allOf": [
         {"type": "object", "required": ["kind", "display"]},
         {"properties": {"kind": {"const": "grooves"}, "display": {"const": "vibration"}}},
-        absent(*_MODE_KEYS, "frequency_table"),
+        absent(*_RINGING_MODE_KEYS, "frequency_table"),
     ]
 }
-"""JSON Schema of grooves that ring with the mode of the material's tap."""
+"""JSON Schema of grooves that use the mode of the material's tap."""
 
 
 class FrequencyTable(CheckedTogether):
-    """The frequency of a groove's strikes over tangential speed and normal force."""
+    """Table of the frequency of a groove's strikes over tangential speed and normal force."""
 
-    speeds_m_per_s: Annotated[tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False), at_most(MAX_POINTS)] = (
-        Field(min_length=1, max_length=MAX_POINTS, description="Tangential speeds, rising.")
-    )
-    forces_n: Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], Strict(False), at_most(MAX_POINTS)] = Field(
-        min_length=1, max_length=MAX_POINTS, description="Normal forces, rising."
-    )
+    speeds_m_per_s: Annotated[
+        tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False), at_most(MAX_TABLE_POINTS)
+    ] = Field(min_length=1, max_length=MAX_TABLE_POINTS, description="Tangential speeds, in rising order.")
+    forces_n: Annotated[
+        tuple[Annotated[float, Field(ge=0, le=1000)], ...], Strict(False), at_most(MAX_TABLE_POINTS)
+    ] = Field(min_length=1, max_length=MAX_TABLE_POINTS, description="Normal forces, in rising order.")
     frequencies_hz: Annotated[
         tuple[
             Annotated[
                 tuple[Frequency, ...],
                 Strict(False),
-                Field(min_length=1, max_length=MAX_POINTS),
-                at_most(MAX_POINTS),
+                Field(min_length=1, max_length=MAX_TABLE_POINTS),
+                at_most(MAX_TABLE_POINTS),
             ],
             ...,
         ],
         Strict(False),
-        at_most(MAX_POINTS),
-    ] = Field(min_length=1, max_length=MAX_POINTS, description="A list for each speed: a frequency for each force.")
+        at_most(MAX_TABLE_POINTS),
+    ] = Field(
+        min_length=1, max_length=MAX_TABLE_POINTS, description="For each speed a list with a frequency for each force."
+    )
 
     def cross_faults(self) -> list[str]:
+        """Return a text for each invalid combination of keys."""
         faults = [fault for key in ("speeds_m_per_s", "forces_n") for fault in rising_faults(key, getattr(self, key))]
         speeds, forces, rows = len(self.speeds_m_per_s), len(self.forces_n), self.frequencies_hz
         if len(rows) != speeds:
@@ -123,63 +131,65 @@ class FrequencyTable(CheckedTogether):
 
     @property
     def bounds_hz(self) -> tuple[float, float]:
-        """The lowest and the highest frequency: no strike has another one beyond them."""
+        """The lowest and the highest frequency of the table, in Hz."""
         every = [frequency for row in self.frequencies_hz for frequency in row]
         return min(every), max(every)
 
     def at(self, speed_m_per_s: float, force_n: float) -> float:
-        """Hz: bilinear between the points, beyond the outermost as there."""
-        i, j, fast = around(self.speeds_m_per_s, abs(speed_m_per_s))
-        k, m, hard = around(self.forces_n, force_n)
-        slow, quick = self.frequencies_hz[i], self.frequencies_hz[j]
-        low, high = (row[k] + hard * (row[m] - row[k]) for row in (slow, quick))
-        return low + fast * (high - low)
+        """Return the frequency in Hz by bilinear interpolation; outside the table, that of its nearest edge."""
+        i, j, speed_share = around(self.speeds_m_per_s, abs(speed_m_per_s))
+        k, m, force_share = around(self.forces_n, force_n)
+        slower, faster = self.frequencies_hz[i], self.frequencies_hz[j]
+        low, high = (row[k] + force_share * (row[m] - row[k]) for row in (slower, faster))
+        return low + speed_share * (high - low)
 
 
 class Grooves(CheckedTogether):
-    """Grooves at equal distances, felt as strikes, as a shape or as drag."""
+    """Grooves at equal distances, displayed as vibration, as geometry or as damping."""
 
     model_config = ConfigDict(
         json_schema_extra={"allOf": [_displayed("vibration"), _displayed("geometry"), _displayed("damping")]}
     )
 
-    kind: Literal["grooves"] = Field(description="Which kind of texture this is.")
-    display: Display = Field(description="What a groove does: strikes, lowers the surface, or drags.")
+    kind: Literal["grooves"] = Field(description="Kind of the texture.")
+    display: Display = Field(description="How grooves are displayed: as strikes, as a lower surface, or as drag.")
     spacing_m: float = Field(ge=1e-5, le=1, description="Distance from one groove to the next.")
     width_m: float = Field(ge=1e-6, le=1, description="Width of a groove, at most the spacing.")
     velocity_gain_per_s: float = Field(
-        default=0.0, ge=0, le=1e5, description="Vibration: amplitude of a strike per tangential speed."
+        default=0.0, ge=0, le=1e5, description="Vibration: amplitude of a strike divided by tangential speed."
     )
     force_gain_m_per_s2_per_n: float = Field(
-        default=0.0, ge=0, le=1e5, description="Vibration: amplitude of a strike per normal force."
+        default=0.0, ge=0, le=1e5, description="Vibration: amplitude of a strike divided by normal force."
     )
     frequency_hz: Frequency | None = Field(
-        default=None, description="Vibration: frequency of the ringing; without a mode, the tap's rings."
+        default=None, description="Vibration: frequency of the ringing; without a mode, the tap's is used."
     )
     angular_frequency_rad_per_s: AngularFrequency | None = Field(
-        default=None, description="Vibration: 2 pi times the frequency, instead of it."
+        default=None, description="Vibration: 2 pi times the frequency, instead of the frequency."
     )
     decay_time_s: DecayTime | None = Field(
         default=None, description="Vibration: time in which the ringing falls to 1/e."
     )
     decay_rate_per_s: DecayRate | None = Field(
-        default=None, description="Vibration: 1 over the decay time, instead of it."
+        default=None, description="Vibration: 1/decay time, instead of the decay time."
     )
     frequency_table: FrequencyTable | None = Field(
-        default=None, description="Vibration: the frequency over speed and force, instead of one frequency."
+        default=None, description="Vibration: table of the frequency over speed and force, instead of one frequency."
     )
     depth_m: Annotated[float, Field(ge=1e-6, le=0.1)] | None = Field(
-        default=None, description="Geometry: depth of a groove in its middle; required there."
+        default=None, description="Geometry: depth of a groove in its middle; required."
     )
     damping_n_s_per_m: Damping | None = Field(
         default=None,
-        description="Damping: force against tangential motion, per speed, in the middle of a groove; required there.",
+        description="Damping: force divided by tangential speed in the middle of a groove; required.",
     )
 
     @property
     def own_modes(self) -> tuple[Mode, ...]:
-        """The mode that a vibration's strike excites, where the texture has one of its own; of a table of frequencies
-        those at its lowest and at its highest."""
+        """Mode of the texture's strikes; of a frequency table those of the lowest and highest frequency.
+
+        Empty if the texture has no mode.
+        """
         keys = self._mode_keys()
         if keys is None:
             return ()
@@ -189,8 +199,8 @@ class Grooves(CheckedTogether):
         return tuple(replace(keys.mode, angular_frequency_rad_per_s=2 * math.pi * hz) for hz in bounds_hz)
 
     def _mode_keys(self) -> ModeKeys | None:
-        """With a table, of its lowest frequency."""
-        given = {key: value for key in _MODE_KEYS if (value := getattr(self, key)) is not None}
+        """Return the keys of the mode, with a frequency table at its lowest frequency; None without a mode."""
+        given = {key: value for key in _RINGING_MODE_KEYS if (value := getattr(self, key)) is not None}
         if self.frequency_table is not None:
             given = {key: value for key, value in given.items() if key not in _ONE_FREQUENCY}
             given["frequency_hz"] = self.frequency_table.bounds_hz[0]
@@ -208,6 +218,7 @@ class Grooves(CheckedTogether):
         return faults
 
     def cross_faults(self) -> list[str]:
+        """Return a text for each invalid combination of keys."""
         faults = []
         if self.width_m > self.spacing_m:
             faults.append(f"width_m must be at most spacing_m, {self.spacing_m:.15g}, is {self.width_m:.15g}")
@@ -220,8 +231,8 @@ class Grooves(CheckedTogether):
                 ]
         match self.display:
             case "vibration":
-                if not any(getattr(self, key) > 0 for key in _GAINS):
-                    faults.append(f"needs {_GAINS[0]} or {_GAINS[1]} above 0, or nothing is ever struck")
+                if not any(getattr(self, key) > 0 for key in _GAIN_KEYS):
+                    faults.append(f"needs {_GAIN_KEYS[0]} or {_GAIN_KEYS[1]} above 0; otherwise it is silent")
                 faults += self._mode_faults()
             case "geometry" if self.depth_m is None:
                 faults.append("needs depth_m to be displayed as geometry")
@@ -237,25 +248,27 @@ class Grooves(CheckedTogether):
 
 
 class Stochastic(Model):
-    """Coloured noise with a spectrum of the material's own, louder with speed and force."""
+    """Coloured noise with a given spectrum, whose RMS grows with speed and force."""
 
     model_config = ConfigDict(json_schema_extra=_ABOVE_0)
 
-    kind: Literal["stochastic"] = Field(description="Which kind of texture this is.")
-    peak_hz: Frequency = Field(description="Where its spectrum is highest.")
+    kind: Literal["stochastic"] = Field(description="Kind of the texture.")
+    peak_hz: Frequency = Field(description="Frequency of the spectrum's maximum.")
     mean_hz: Frequency = Field(description="Mean frequency: the power's centroid from 0 to half the servo rate.")
-    velocity_gain_per_s: Gain = Field(default=0.0, description="RMS acceleration per tangential speed.")
-    force_gain_m_per_s2_per_n: Gain = Field(default=0.0, description="RMS acceleration per normal force.")
+    velocity_gain_per_s: Gain = Field(default=0.0, description="RMS acceleration divided by tangential speed.")
+    force_gain_m_per_s2_per_n: Gain = Field(default=0.0, description="RMS acceleration divided by normal force.")
     threshold_m_per_s: Threshold = Field(
-        default=0.002, description="Tangential speed below which it fades to silence at rest."
+        default=0.002, description="Tangential speed below which the noise fades; at rest it is silent."
     )
-    direction: Direction = Field(default="tangent", description="Where it acts: along the surface or across it.")
+    direction: Direction = Field(
+        default="tangent", description="Direction of the force: `tangent` or `normal` to the surface."
+    )
     seed: Seed = Field(default=1, description="The same seed and motion give the same samples.")
 
     @model_validator(mode="after")
-    def _is_heard(self) -> Self:
+    def _is_not_silent(self) -> Self:
         if max(self.velocity_gain_per_s, self.force_gain_m_per_s2_per_n) <= 0:
-            raise ValueError(f"needs {_GAINS[0]} or {_GAINS[1]} above 0, or it is never heard")
+            raise ValueError(f"needs {_GAIN_KEYS[0]} or {_GAIN_KEYS[1]} above 0; otherwise it is silent")
         return self
 
 
@@ -264,20 +277,20 @@ class AutoregressiveModel(CheckedTogether):
 
     model_config = ConfigDict(json_schema_extra=one_of("rms_m_per_s2", "variance_m2_per_s4"))
 
-    speed_m_per_s: float = Field(ge=0, le=10, description="Tangential speed that it was identified at.")
-    force_n: float = Field(ge=0, le=100, description="Normal force that it was identified at.")
+    speed_m_per_s: float = Field(ge=0, le=10, description="Tangential speed of the recording.")
+    force_n: float = Field(ge=0, le=100, description="Normal force of the recording.")
     coefficients: Annotated[tuple[Coefficient, ...], Strict(False), at_most(MAX_ORDER)] = Field(
         min_length=1, max_length=MAX_ORDER, description="a_1 to a_p; all poles are inside the unit circle."
     )
     rms_m_per_s2: Annotated[float, Field(ge=0, le=1e5)] | None = Field(
-        default=None, description="RMS of the texture itself, of x."
+        default=None, description="RMS of x, the texture's acceleration."
     )
     variance_m2_per_s4: Annotated[float, Field(ge=0, le=1e10)] | None = Field(
         default=None, description="Variance of the innovation e, instead of the RMS of x."
     )
 
     def level(self, reflection: Sequence[float]) -> float:
-        """RMS of x, m/s^2: what is given, or sqrt(variance / prod(1 - k^2)), k the model's reflection coefficients."""
+        """Return the RMS of x in m/s^2: the given one, or sqrt(variance / prod(1 - k^2)) of the reflection k."""
         if self.rms_m_per_s2 is not None:
             return self.rms_m_per_s2
         assert self.variance_m2_per_s4 is not None
@@ -285,6 +298,7 @@ class AutoregressiveModel(CheckedTogether):
         return math.sqrt(self.variance_m2_per_s4 / power) if power > 0 else math.inf
 
     def cross_faults(self) -> list[str]:
+        """Return a text for each invalid combination of keys."""
         faults = one_of_two(self, "rms_m_per_s2", "variance_m2_per_s4")
         one_level = not faults
         try:
@@ -298,20 +312,23 @@ class AutoregressiveModel(CheckedTogether):
 
 
 class Autoregressive(CheckedTogether):
-    """Coloured noise by models identified from recordings, blended over speed and force."""
+    """Coloured noise of autoregressive models identified from recordings, interpolated over speed and force."""
 
-    kind: Literal["autoregressive"] = Field(description="Which kind of texture this is.")
+    kind: Literal["autoregressive"] = Field(description="Kind of the texture.")
     rate_hz: float = Field(ge=100, le=1e5, description="Sampling rate of the recordings.")
     models: Annotated[tuple[AutoregressiveModel, ...], Strict(False), at_most(MAX_MODELS)] = Field(
         min_length=1, max_length=MAX_MODELS, description="Each at a different speed and force, on a grid or scattered."
     )
     threshold_m_per_s: Threshold = Field(
-        default=0.002, description="Tangential speed below which it fades to silence at rest."
+        default=0.002, description="Tangential speed below which the noise fades; at rest it is silent."
     )
-    direction: Direction = Field(default="tangent", description="Where it acts: along the surface or across it.")
+    direction: Direction = Field(
+        default="tangent", description="Direction of the force: `tangent` or `normal` to the surface."
+    )
     seed: Seed = Field(default=1, description="The same seed and motion give the same samples.")
 
     def cross_faults(self) -> list[str]:
+        """Return a text for each invalid combination of keys."""
         faults = []
         first: dict[tuple[float, float], int] = {}
         for index, model in enumerate(self.models):

@@ -1,9 +1,9 @@
-"""A tap as a waveform: a short curve through samples, and what of it a rate can carry.
+"""A tap as a waveform: a short curve through samples, its peaks and its spectrum.
 
 Q(t) = A s(t) for 0 <= t <= (n - 1)/rate, then 0, with A the amplitude of the tap (m/s^2) and s the curve through the
-`samples` s_0 .. s_(n-1). Between sample k and the next, at the share x of the way, s is the cubic of Catmull and Rom:
-it passes through both samples with the slopes (s_(k+1) - s_(k-1))/2 and (s_(k+2) - s_k)/2 per sample. Samples before
-the first and after the last count as 0. The tick evaluates this curve (csrc/tick/hd_waveform.h).
+`samples` s_0 .. s_(n-1). Between two samples k and k + 1, s is the cubic of Catmull and Rom: it passes through both
+samples with the slopes (s_(k+1) - s_(k-1))/2 and (s_(k+2) - s_k)/2 per sample. Samples before the first and after the
+last count as 0. The tick evaluates the same curve (csrc/tick/hd_waveform.h).
 """
 
 from __future__ import annotations
@@ -16,42 +16,44 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, Strict
 
-from hapticd.base.core import WAVE_PARTS, WAVE_SAMPLES
+from hapticd.base.core import MAX_WAVEFORM_SAMPLES, WAVEFORM_PARTS
 from hapticd.base.model import CheckedTogether, at_most
 from hapticd.config.modes import Attack
 
 Floats = npt.NDArray[np.float64]
 
-LEAST_SAMPLES: Final = 3
-MOST_SAMPLES: Final = WAVE_SAMPLES
-LONGEST_S: Final = 0.1
-_FINER: Final = 8
-"""A spectrum is that of so many points between two samples: beyond, the curve has next to nothing."""
+MIN_WAVEFORM_SAMPLES: Final = 3
+"""Minimum number of samples: the first and the last are 0."""
+MAX_WAVEFORM_LENGTH_S: Final = 0.1
+"""Maximum length of a waveform."""
+_SPECTRUM_OVERSAMPLING: Final = 8
+"""Points per sample from which the spectrum is computed; above that rate the curve has hardly any energy."""
 
 Sample = Annotated[float, Field(ge=-1e5, le=1e5)]
 
 
 class Waveform(CheckedTogether):
-    """The curve that a tap plays instead of ringing, as samples; it begins and ends at 0."""
+    """Waveform of a tap, as samples; it begins and ends at 0."""
 
-    rate_hz: float = Field(ge=100, le=1e5, description="Samples a second.")
-    samples: Annotated[tuple[Sample, ...], Strict(False), at_most(MOST_SAMPLES)] = Field(
-        min_length=LEAST_SAMPLES,
-        max_length=MOST_SAMPLES,
-        description="The curve, as a multiple of the tap's amplitude, from the onset on; the first and the last are 0.",
+    rate_hz: float = Field(ge=100, le=1e5, description="Sampling rate.")
+    samples: Annotated[tuple[Sample, ...], Strict(False), at_most(MAX_WAVEFORM_SAMPLES)] = Field(
+        min_length=MIN_WAVEFORM_SAMPLES,
+        max_length=MAX_WAVEFORM_SAMPLES,
+        description="Samples from the onset on, as multiples of the tap's amplitude; the first and the last are 0.",
     )
 
     def cross_faults(self) -> list[str]:
+        """Return a text for each invalid combination of keys."""
         faults = []
         for name, value in (("first", self.samples[0]), ("last", self.samples[-1])):
             if value != 0:
                 faults.append(f"the {name} of the samples must be 0, so that the force does not jump; is {value:g}")
         if not any(self.samples):
             faults.append("needs a sample that is not 0")
-        if self.length_s > LONGEST_S * (1 + 1e-9):
+        if self.length_s > MAX_WAVEFORM_LENGTH_S * (1 + 1e-9):
             faults.append(
-                f"must last at most {LONGEST_S:g} s, lasts {self.length_s:.4g} s ({len(self.samples)} samples at "
-                f"{self.rate_hz:g} Hz)"
+                f"must last at most {MAX_WAVEFORM_LENGTH_S:g} s, lasts {self.length_s:.4g} s "
+                f"({len(self.samples)} samples at {self.rate_hz:g} Hz)"
             )
         return faults
 
@@ -62,19 +64,18 @@ class Waveform(CheckedTogether):
 
     @cached_property
     def curve(self) -> Curve:
-        """The curve through the samples; what is found of it is kept with it."""
+        """The curve through the samples; it caches its peaks and energies."""
         return _curve(self.samples, self.rate_hz)
 
     def coefficient(self, amplitude: float, attack: Attack) -> float:
-        """The A of Q(t) = A s(t) for an amplitude that means A itself, or the largest magnitude of Q."""
+        """Return the A of Q(t) = A s(t) for an amplitude that is A itself, or the largest magnitude of Q."""
         return amplitude if attack == "coefficient" else amplitude / self.curve.peak
 
 
 class Curve:
-    """Cubics between samples."""
+    """Curve of cubics through `samples`, shape (n,) with n >= 2, at `rate_hz` samples per second."""
 
     def __init__(self, samples: npt.ArrayLike, rate_hz: float) -> None:
-        """`samples` is (n,), n >= 2; `rate_hz` is samples a second."""
         given = np.asarray(samples, dtype=np.float64)
         padded = np.concatenate(([0.0], given, [0.0]))
         before, begin, end, after = padded[:-3], padded[1:-2], padded[2:-1], padded[3:]
@@ -87,7 +88,7 @@ class Curve:
         self._above: tuple[float, float] | None = None
 
     def at(self, time_s: npt.ArrayLike) -> Floats:
-        """The curve at times since the onset, of any shape; 0 before the onset and after the last sample."""
+        """Return the curve at times since the onset, in s, of any shape; 0 outside the samples."""
         place = np.asarray(time_s, dtype=np.float64) * self.rate_hz
         last = len(self._begin)
         k = np.clip(np.floor(place), 0, last - 1).astype(np.intp)
@@ -97,11 +98,11 @@ class Curve:
 
     @cached_property
     def _peaks(self) -> tuple[Floats, Floats]:
-        """Of each cubic: its largest magnitude, and the share of the way at which it is."""
+        """Largest magnitude of each cubic, and its place between the two samples, 0 to 1."""
         places = np.zeros((4, len(self._begin)))
         places[1] = 1.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            # b + 2 c x + 3 d x^2 = 0, by the form that loses no digits.
+            # b + 2 c x + 3 d x^2 = 0, in the form without cancellation.
             root = np.sqrt(self._square**2 - 3 * self._slope * self._cube)
             sum_ = -(self._square + np.copysign(root, self._square))
             places[2], places[3] = sum_ / (3 * self._cube), self._slope / sum_
@@ -114,53 +115,57 @@ class Curve:
 
     @property
     def peak(self) -> float:
-        """The largest magnitude."""
+        """Largest magnitude of the curve."""
         return float(self._peaks[0].max())
 
     @property
     def peak_time_s(self) -> float:
-        """Time of the largest magnitude since the onset."""
+        """Time of the largest magnitude since the onset, in s."""
         values, places = self._peaks
         k = int(np.argmax(values))
         return (k + float(places[k])) / self.rate_hz
 
     @cached_property
     def middle_hz(self) -> float:
-        """The frequency below which half of the energy lies."""
+        """Frequency in Hz below which half of the energy lies."""
         frequency, below = _energy(self)
         return float(np.interp(0.5, below, frequency))
 
     def energy_above(self, frequency_hz: float) -> float:
-        """Share of the energy above a frequency, 0 to 1."""
+        """Return the fraction of the energy above a frequency, 0 to 1."""
         known = self._above
         if known is None or known[0] != frequency_hz:
             known = self._above = frequency_hz, 1.0 - float(np.interp(frequency_hz, *_energy(self)))
         return known[1]
 
     def peaks_from(self, parts: int) -> Floats:
-        """(parts,): the largest magnitude from the beginning of each of so many equal parts to the end, or a little
-        more: of the cubic in which a part begins, the whole counts."""
+        """Return an upper bound of the magnitude from the beginning of each of `parts` equal parts on, shape (parts,).
+
+        A cubic in which a part begins counts completely.
+        """
         values = self._peaks[0]
-        rest = np.maximum.accumulate(values[::-1])[::-1]
+        later_peaks = np.maximum.accumulate(values[::-1])[::-1]
         first = np.floor(np.arange(parts) * len(values) / parts * (1 - 1e-12)).astype(np.intp)
-        return np.asarray(rest[first], dtype=np.float64)
+        return np.asarray(later_peaks[first], dtype=np.float64)
 
     def numbers(self) -> Floats:
-        """As the core's table holds them: the samples, then the peaks of HD_WAVE_PARTS parts."""
-        return np.concatenate((self._begin, [0.0], self.peaks_from(WAVE_PARTS)))
+        """Return the numbers of the core's table: the samples, then the peaks of HD_WAVE_PARTS parts."""
+        return np.concatenate((self._begin, [0.0], self.peaks_from(WAVEFORM_PARTS)))
 
 
 @lru_cache(maxsize=1024)
 def _curve(samples: tuple[float, ...], rate_hz: float) -> Curve:
-    """One curve of the same samples, whose material is changed again and again."""
+    """Return the curve of these samples, from a cache, since a material may be changed repeatedly."""
     return Curve(samples, rate_hz)
 
 
 @lru_cache(maxsize=1)
 def _energy(curve: Curve) -> tuple[Floats, Floats]:
-    """Frequencies in Hz, rising, and the share of the curve's energy up to each: up to 8 MiB, so that only what was
-    found in them is kept."""
-    rate = _FINER * curve.rate_hz
+    """Return frequencies in Hz, in rising order, and the fraction of the curve's energy up to each.
+
+    The arrays take up to 8 MiB, so only those of one curve are cached.
+    """
+    rate = _SPECTRUM_OVERSAMPLING * curve.rate_hz
     count = round(curve.length_s * rate) + 1
     values = curve.at(np.arange(count) / rate)
     length = 1 << math.ceil(math.log2(max(4 * count, rate)))

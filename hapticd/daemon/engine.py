@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from hapticd.base.core import (
     EVENT_DTYPE,
-    MARKS,
+    MAX_PENDING_MARKS,
     NO_SLOT,
     PLAY_SLOT,
     SAMPLE_DTYPE,
@@ -569,7 +569,9 @@ class Engine:
         try:
             number = self._marks.add(mark)
         except MarksFullError:
-            raise RingFullError(f"{MARKS} marks are under way: their events have not been sent yet") from None
+            raise RingFullError(
+                f"{MAX_PENDING_MARKS} marks are under way: their events have not been sent yet"
+            ) from None
         command = self._command(CommandKind.MARK)
         command.value = number
         try:

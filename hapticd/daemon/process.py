@@ -30,7 +30,7 @@ from hapticd.base.core import lib
 from hapticd.base.errors import HapticdError
 from hapticd.base.model import MAX_FAULTS
 from hapticd.config.configuration import Config, chosen_config
-from hapticd.config.locations import Chosen, choose
+from hapticd.config.locations import ConfigFiles, choose
 from hapticd.daemon.counters import Granted
 from hapticd.daemon.dispatch import Dispatch, serve
 from hapticd.daemon.engine import Engine
@@ -90,7 +90,7 @@ def run(
 
 
 def _run(
-    config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, stack: ExitStack, connections: int
+    config: Config, chosen: ConfigFiles, mine: Owned, signals: socket.socket, stack: ExitStack, connections: int
 ) -> int:
     paths = mine.paths
     stop_file = StopFile(paths.device)
@@ -108,7 +108,7 @@ def _run(
     methods = Methods(
         engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.state()
     )
-    threads.check(threads.DAEMON)
+    threads.check(threads.DAEMON_THREADS)
     publisher = Publisher(mine.listen(paths.telemetry), TOPICS, TELEMETRY_LIMITS.of(connections))
     # Long enough for the last samples, which say that the force is zero, to reach those who read.
     stack.callback(publisher.close, linger_s=0.2)
@@ -152,7 +152,7 @@ def _run(
     return 0
 
 
-def _log_limits(engine: Engine, granted: Granted, chosen: Chosen) -> None:
+def _log_limits(engine: Engine, granted: Granted, chosen: ConfigFiles) -> None:
     """What was not granted, and what of the scene is not displayed as it was meant."""
     _log.info("configuration: %s", chosen)
     for missing in granted.missing:

@@ -11,13 +11,13 @@ from hapticd.hid.device_texts import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.config.configuration import Config
-    from hapticd.config.locations import Chosen
+    from hapticd.config.locations import ConfigFiles
 
 _UNIT_PROPERTIES = ("LoadState", "ActiveState", "UnitFileState", "NRestarts", "Result")
 _SEE_JOURNAL = "journalctl -u hapticd says why"
 
 
-def configuration(chosen: Chosen) -> tuple[Config, Finding]:
+def configuration(chosen: ConfigFiles) -> tuple[Config, Finding]:
     """The configuration, or where it is faulty the built-in one, and the line that says so."""
     from hapticd.config.configuration import chosen_config, default_config
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from hapticd._version import __version__
 from hapticd.base.errors import InvalidError, Problem
-from hapticd.config.materials import MAX_REASON, MAX_REASONS, Material, validate_materials
+from hapticd.config.materials import MAX_REASON_CHARACTERS, MAX_REASONS, Material, validate_materials
 from hapticd.fit.from_files import Fitted
 from hapticd.fit.options import KEY_OF, STIFFNESS_N_PER_M
 from hapticd.fit.recording import Kind, Recording
@@ -92,8 +92,8 @@ def _provenance(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> 
         if name not in fitted.without and math.isfinite(estimate.low) and math.isfinite(estimate.high)
     }
     # Fits that choose between models say why.
-    choices = {f"{kind}.{name}": why[:MAX_REASON] for name, why in getattr(fit, "choices", {}).items()}
-    reasons = [reason[:MAX_REASON] for reason in fit.judged.reasons[:MAX_REASONS]]
+    choices = {f"{kind}.{name}": why[:MAX_REASON_CHARACTERS] for name, why in getattr(fit, "choices", {}).items()}
+    reasons = [reason[:MAX_REASON_CHARACTERS] for reason in fit.judged.reasons[:MAX_REASONS]]
     return {
         "files": [{"path": path, **({"sha256": sha256} if sha256 else {})} for path, sha256 in files.items()],
         "version": __version__,

@@ -35,7 +35,7 @@ from hapticd.analysis.statistics import Floats
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names
 from hapticd.base.files import write_whole
 from hapticd.base.model import Model, faults_of
-from hapticd.base.yaml_source import MAX_BYTES as MAX_YAML_BYTES
+from hapticd.base.yaml_source import MAX_YAML_BYTES as MAX_YAML_BYTES
 from hapticd.base.yaml_source import load_bytes, one_line
 from hapticd.config.document_kinds import refuse_documents
 

@@ -22,8 +22,9 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
+from hapticd.base.core import MAX_WAVEFORM_SAMPLES
 from hapticd.base.yaml_source import Json
-from hapticd.config.waveform import LONGEST_S, MOST_SAMPLES, Curve
+from hapticd.config.waveform import MAX_WAVEFORM_LENGTH_S, Curve
 from hapticd.fit import speed_law
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
@@ -119,7 +120,7 @@ def _pulse(loud: Events, index: int) -> Pulse:
     first, (before, after) = loud.events[index].first, loud.room(index)
     name, rate_hz = loud.recording.name, loud.recording.rate_hz
     begin = max(before, first - max(LEAST_REST, round(0.02 * rate_hz)))
-    end = min(after, first + round(LONGEST_S * rate_hz))
+    end = min(after, first + round(MAX_WAVEFORM_LENGTH_S * rate_hz))
     loud.check(begin, end)
     speed = loud.speed(index, first / rate_hz)
     return Pulse(name, begin / rate_hz, (first - begin) / rate_hz, speed, rate_hz, loud.acceleration[begin:end])
@@ -316,7 +317,7 @@ class Shape:
         end = min(len(samples) - 1, end + 1)
         faded = end == len(samples) - 1 and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > 0.05
         length_s = (end - begin) / rate_hz
-        finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MOST_SAMPLES - 1) / max(length_s, 1e-9))
+        finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MAX_WAVEFORM_SAMPLES - 1) / max(length_s, 1e-9))
         count = max(LEAST_SAMPLES, math.floor(length_s * finer_hz + 1e-9) + 1)
         moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in self.placed]
         # A pulse is evaluated for 1.3 times its length.
@@ -352,8 +353,8 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
     # How long before the crossing the shape may begin, and how long it may be.
     before_s = min(2.0 * max(rise_s, 0.0) + 3.0 / rate_hz, max(1.0 / rate_hz, float(np.median(crossings))))
     ends = [len(pulse.measured) / pulse.rate_hz for pulse in pulses]
-    length_s = min(LONGEST_S, before_s + float(np.median(np.subtract(ends, crossings))))
-    rate_hz = min(rate_hz, (MOST_SAMPLES - 1) / length_s)
+    length_s = min(MAX_WAVEFORM_LENGTH_S, before_s + float(np.median(np.subtract(ends, crossings))))
+    rate_hz = min(rate_hz, (MAX_WAVEFORM_SAMPLES - 1) / length_s)
     # The rise from the crossing to the peak takes longer than the one from the contact to the crossing; and a sample
     # before the first loud one of any pulse there is rest.
     loud_s = min(before_s + pulse.onset_s - crossing for pulse, crossing in zip(pulses, crossings, strict=True))

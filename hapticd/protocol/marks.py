@@ -10,7 +10,7 @@ from typing import Annotated, Final, NamedTuple
 
 from pydantic import Field
 
-from hapticd.base.core import MARKS
+from hapticd.base.core import MAX_PENDING_MARKS
 from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.model import DescribedAs, Model
 from hapticd.base.yaml_source import Json
@@ -59,7 +59,7 @@ class Marks:
 
     def add(self, mark: Mark) -> int:
         """The number that the servo gives back. Raises MarksFullError."""
-        if len(self._under_way) >= MARKS:
+        if len(self._under_way) >= MAX_PENDING_MARKS:
             raise MarksFullError
         self._last = self._last % 0xFFFFFFFF + 1
         self._under_way[self._last] = mark

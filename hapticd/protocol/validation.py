@@ -40,7 +40,7 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> Steps[dict[str
     for id, patch in given.items():
         yield
         if len(problems) > MAX_FAULTS:
-            problems.append(Problem("objects", "the rest was not looked at"))
+            problems.append(Problem("objects", "the other entries were not checked"))
             break
         before = scene.objects.get(id)
         if patch is None:

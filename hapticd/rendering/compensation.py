@@ -28,7 +28,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.core import KICKS as _CORE_KICKS
+from hapticd.base.core import MAX_CORRECTED_SAMPLES as _CORE_KICKS
 from hapticd.config.actuator import Actuator
 from hapticd.config.dynamics import Dynamics
 from hapticd.config.modes import Mode

@@ -18,7 +18,7 @@ from hapticd.base.lattice import reflection_of
 from hapticd.base.model import MAX_FAULTS
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
-from hapticd.config.scene import TOUCHING_M, SceneObject, Wall, patches_in_order, used_materials
+from hapticd.config.scene import TOUCHING_DISTANCE_M, SceneObject, Wall, patches_in_order, used_materials
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
 from hapticd.rendering.compensation import LARGEST, Load, Shape, shapes_of
@@ -367,8 +367,8 @@ def _narrow(wall: Wall) -> Iterator[tuple[int, str]]:
         from_m, to_m = patches[index].from_m, patches[index].to_m
         if before is not None:
             gap = from_m - patches[before].to_m
-            if TOUCHING_M < gap < ramp_m - TOUCHING_M:
+            if TOUCHING_DISTANCE_M < gap < ramp_m - TOUCHING_DISTANCE_M:
                 yield index, f"is {gap:.4g} from patches[{before}], nearer than {narrow}"
-        if to_m - from_m < ramp_m - TOUCHING_M:
+        if to_m - from_m < ramp_m - TOUCHING_DISTANCE_M:
             yield index, f"is {to_m - from_m:.4g} wide, narrower than {narrow}"
         before = index

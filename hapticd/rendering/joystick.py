@@ -14,7 +14,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, Sim
 from hapticd.config.materials import Material
 from hapticd.config.operator import Grip, Operator, Target
-from hapticd.config.scene import SURFACES, Box, Disc, Membrane, SceneObject, Wall
+from hapticd.config.scene import SURFACE_MODELS, Box, Disc, Membrane, SceneObject, Wall
 
 
 def new_sim(sim: Sim, rate_hz: float) -> CData:
@@ -104,7 +104,7 @@ def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Ta
 
     Of a box that is its upper face (as it lies when its angle is 0), of a disc the tangent at its top, without end.
     """
-    if not isinstance(item, SURFACES):
+    if not isinstance(item, SURFACE_MODELS):
         return None
     material = materials[item.material]
     rupture = material.rupture if isinstance(item, Membrane) else None

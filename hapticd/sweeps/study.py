@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names, shown
 from hapticd.base.model import faults_of, plain
-from hapticd.base.yaml_source import MAX_BYTES, Document, Json, load_bytes, load_path, read_file
+from hapticd.base.yaml_source import MAX_YAML_BYTES, Document, Json, load_bytes, load_path, read_file
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.document_kinds import kind_of, refuse_other_kinds
 from hapticd.config.operator import Operator, load_operator, parse_operator
@@ -58,7 +58,7 @@ def load_sweep(source: Mapping[str, object] | str | os.PathLike[str]) -> Plan:
     if isinstance(source, Mapping):
         return _load(Document(plain(source)), os.getcwd())
     file = file_of(os.fspath(source), "sweeps")
-    content = read_file(file, MAX_BYTES)
+    content = read_file(file, MAX_YAML_BYTES)
     document = load_bytes(content, file)
     refuse_other_kinds(document, "sweep")
     return replace(_load(document, str(FilePath(file).resolve().parent)), source=content.decode())

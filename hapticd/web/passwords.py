@@ -93,5 +93,5 @@ def write_password(path: str, password: str) -> None:
     line = ":".join(("scrypt", str(_N), str(_R), str(_P), *parts)) + "\n"
     check_regular(path)
     if os.path.lexists(path):
-        raise HapticdError(f"{one_line(path)}: is there already; remove it first")
+        raise HapticdError(f"{one_line(path)}: already exists; remove it first")
     write_whole(path, line, overwrite=False, mode=0o600, synced=True)

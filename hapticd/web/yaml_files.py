@@ -15,7 +15,7 @@ from hapticd.base.errors import HapticdError, InvalidError, Problem
 from hapticd.base.yaml_source import Document, Json, load_text, one_line
 from hapticd.config.change_files import ChangeFiles, change_of
 from hapticd.config.configuration import config_of_documents
-from hapticd.config.document_kinds import CONFIGURATION, kind_of
+from hapticd.config.document_kinds import CONFIGURATION_KEYS, kind_of
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.config.scene import Scene, used_materials, validate_scene
 from hapticd.web.yaml_editing import block_text, edited, same
@@ -68,7 +68,7 @@ def read(name: object, text: object) -> Opened:
     if not kept:
         text = "holds neither materials nor a scene, only what a daemon is started with; use: hapticd run -c"
         raise InvalidError([Problem(document.where(()), text)])
-    left_out = tuple(key for key in CONFIGURATION if key in document.data)
+    left_out = tuple(key for key in CONFIGURATION_KEYS if key in document.data)
     return Opened(document, change_of([replace(document, data=kept)]), left_out)
 
 

@@ -9,7 +9,7 @@ from typing import Final, cast
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, InvalidError, Problem
-from hapticd.base.yaml_source import MAX_BYTES, one_line
+from hapticd.base.yaml_source import MAX_YAML_BYTES, one_line
 from hapticd.config.shipped_files import described, shipped
 from hapticd.protocol.calls import RemoteError
 from hapticd.protocol.messages import Code
@@ -78,8 +78,8 @@ async def _apply(page: Page, name: object, text: object) -> dict[str, object]:
 
 
 def _read(name: object, text: object) -> Opened:
-    if isinstance(text, str) and len(text) > MAX_BYTES:
-        raise HapticdError(f"the file has more than {wording.size(MAX_BYTES)}")
+    if isinstance(text, str) and len(text) > MAX_YAML_BYTES:
+        raise HapticdError(f"the file has more than {wording.size(MAX_YAML_BYTES)}")
     return yaml_files.read(name, text)
 
 

@@ -24,7 +24,7 @@ def test_a_name_that_is_taken_is_not_taken_over(tmp_path: Path, monkeypatch: pyt
     target = tmp_path / "a.yaml"
     write_whole(target, "1", overwrite=False)
     for number in (2, 3):
-        with pytest.raises(HapticdError, match=f"what was written is in {tmp_path}/a-{number}.yaml"):
+        with pytest.raises(HapticdError, match=f"the output is in {tmp_path}/a-{number}.yaml"):
             write_whole(target, str(number), overwrite=False)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
         "a.yaml": "1",
@@ -39,7 +39,7 @@ def test_a_name_that_is_taken_is_not_taken_over(tmp_path: Path, monkeypatch: pyt
 def test_what_a_command_found_is_kept_beside_a_file_that_appeared(tmp_path: Path) -> None:
     target = tmp_path / "found.yaml"
     target.write_text("precious")
-    told = r"found.yaml: another file has appeared there meanwhile; what was written is in .*/found-2.yaml"
+    told = r"found.yaml: another program created this file meanwhile; the output is in .*/found-2.yaml"
     with pytest.raises(HapticdError, match=told):
         write_whole(str(target), "ours", overwrite=False)
     assert target.read_text() == "precious" and (tmp_path / "found-2.yaml").read_text() == "ours"
@@ -75,7 +75,7 @@ def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(
     if not links:
         monkeypatch.setattr(os, "link", refuse)
     for name in "ab":
-        target, told = tmp_path / f"{name}.yaml", f"what was written is in {tmp_path}/{name}-3.yaml"
+        target, told = tmp_path / f"{name}.yaml", f"the output is in {tmp_path}/{name}-3.yaml"
         with pytest.raises(HapticdError, match=told), whole_file(target, overwrite=True) as file:
             file.write(b"ours")
             if name == "a":

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.memory import LARGE_BLOCK, settle
+from hapticd.base.memory import MIN_RETURNED_BLOCK_BYTES, settle
 
 pytestmark = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc's limit moves, and is set")
 ROOT = Path(__file__).parents[2]
@@ -46,7 +46,7 @@ def test_large_blocks_are_kept_apart(tmp_path: Path) -> None:
     sizes = (1 << 20, 2 << 20, 3 << 20)  # more than the heap has free
     assert apart(tmp_path, "as it is", *sizes) == 0, "no need of it any more"
     assert apart(tmp_path, "settled", *sizes) == 3
-    assert apart(tmp_path, "settled", LARGE_BLOCK // 2) == 0
+    assert apart(tmp_path, "settled", MIN_RETURNED_BLOCK_BYTES // 2) == 0
 
 
 def test_a_size_that_malloc_does_not_take_is_refused() -> None:

@@ -87,7 +87,7 @@ def test_none_is_left_over(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuses(thread: threading.Thread) -> None:
         left[0] -= 1
         if left[0] < 0:
-            raise RuntimeError(threads.REFUSED)
+            raise RuntimeError(threads.THREAD_START_ERROR)
         start(thread)
 
     monkeypatch.setattr(threading.Thread, "start", refuses)

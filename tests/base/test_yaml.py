@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hapticd.base import yaml_source
 from hapticd.base.errors import HapticdError, InvalidError, Problem
-from hapticd.base.yaml_source import MAX_BYTES, MAX_DEPTH, Json, load_bytes, load_path, load_text
+from hapticd.base.yaml_source import MAX_DEPTH, MAX_YAML_BYTES, Json, load_bytes, load_path, load_text
 from tests.support.marks import rest_slow
 
 PARSERS = [yaml.BaseLoader] + ([yaml.CBaseLoader] if yaml.__with_libyaml__ else [])
@@ -20,7 +20,7 @@ PARSERS = [yaml.BaseLoader] + ([yaml.CBaseLoader] if yaml.__with_libyaml__ else 
 @pytest.fixture(params=PARSERS, ids=lambda parser: parser.__name__, autouse=True)
 def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every test with PyYAML's own parser and with the one over libyaml."""
-    monkeypatch.setattr(yaml_source, "_LOADER", request.param)
+    monkeypatch.setattr(yaml_source, "_YAML_LOADER", request.param)
 
 
 ONE_PARSER = pytest.mark.parametrize(
@@ -115,16 +115,16 @@ REFUSED = [
     ("a: 1\n'a': 3", "f.yaml:2:1", 'duplicate key "a"'),
     ("x: {a: 1, a: 1}", "f.yaml:1:11", 'duplicate key "a"'),
     ("a: &x 1\nb: *x", "f.yaml:2:4", 'aliases are not allowed: "*x"'),
-    ("a: {b: 1,\n  3: 2}", "f.yaml:2:3", "keys are strings, this one is 3; in quotes it is one"),
+    ("a: {b: 1,\n  3: 2}", "f.yaml:2:3", "keys must be strings, this one is 3; put it in quotes"),
     (
         "x: {a: 0,5}",
         "f.yaml:1:10",
-        "this one is 5; in quotes it is one; if the number 0.5 is meant: it is written with a point",
+        "this one is 5; put it in quotes; for the number 0.5 write a point, not a comma",
     ),
-    ("true: 1", "f.yaml:1:1", "keys are strings, this one is true; in quotes it is one"),
-    ("~: 1", "f.yaml:1:1", "keys are strings, this one is null; in quotes it is one"),
-    ("? [a]\n: 1", "f.yaml:1:3", "keys are strings, this one is a list"),
-    ("? {a: 1}\n: 1", "f.yaml:1:3", "keys are strings, this one is a mapping"),
+    ("true: 1", "f.yaml:1:1", "keys must be strings, this one is true; put it in quotes"),
+    ("~: 1", "f.yaml:1:1", "keys must be strings, this one is null; put it in quotes"),
+    ("? [a]\n: 1", "f.yaml:1:3", "keys must be strings, this one is a list"),
+    ("? {a: 1}\n: 1", "f.yaml:1:3", "keys must be strings, this one is a mapping"),
     ("a: !!binary aGk=", "f.yaml:1:4", 'tag "tag:yaml.org,2002:binary" is not allowed here'),
     ("a: !!python/object:os.system {}", "f.yaml:1:4", "is not allowed here"),
     ("a: !local 1", "f.yaml:1:4", 'tag "!local" is not allowed here'),
@@ -140,7 +140,7 @@ REFUSED = [
     ("a: 1".encode("utf-16"), "f.yaml:1:1", "not UTF-8, but UTF-16: save it as UTF-8"),
     (b"\xfe\xff\x00a", "f.yaml:1:1", "not UTF-8, but UTF-16: save it as UTF-8"),
     (b"a: \xed\xa0\x80", "f.yaml:1:4", "not UTF-8"),
-    (b"#" * (MAX_BYTES + 1), "f.yaml:1:1", "larger than 2097152 bytes"),
+    (b"#" * (MAX_YAML_BYTES + 1), "f.yaml:1:1", "larger than 2097152 bytes"),
 ]
 
 
@@ -160,7 +160,7 @@ def test_broken_syntax_is_one_line(text: str) -> None:
 
 @ONE_PARSER
 def test_largest_size_is_taken() -> None:
-    assert load_bytes(b"#" * MAX_BYTES, "f").data is None
+    assert load_bytes(b"#" * MAX_YAML_BYTES, "f").data is None
 
 
 @pytest.mark.parametrize("opening", ["[", "{a: ", "- ", "? - ", "a:\n"])
@@ -169,7 +169,7 @@ def test_nesting_is_refused_before_it_hurts(opening: str) -> None:
     text = "".join(" " * depth + opening for depth in range(200)) if is_block else opening * 100_000
     assert refusal(text).problem in (
         f"nested deeper than {MAX_DEPTH} levels",
-        "keys are strings, this one is a list",
+        "keys must be strings, this one is a list",
     )
 
 
@@ -306,7 +306,7 @@ def test_thousands_of_directives_are_refused_before_they_are_parsed(
     text = before + "%TAG !a! x\n%TAG !b! x\n" * 30
     line = before.count("\n") + 17
     with monkeypatch.context() as patch:
-        patch.setattr(yaml_source, "_LOADER", lambda _: pytest.fail("parsed"))
+        patch.setattr(yaml_source, "_YAML_LOADER", lambda _: pytest.fail("parsed"))
         with pytest.raises(InvalidError) as refused:
             load_text(text, "f.yaml")
     assert str(refused.value) == f"f.yaml:{line}:1: more than 16 %TAG directives; none is needed here"

@@ -23,7 +23,7 @@ FLOOR = "{kind: wall, point_m: [0, 0], normal: [0, 1], material: glass}"
 @pytest.fixture(params=PARSERS, ids=lambda parser: parser.__name__, autouse=True)
 def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every test with PyYAML's own parser and with the one over libyaml."""
-    monkeypatch.setattr(yaml_source, "_LOADER", request.param)
+    monkeypatch.setattr(yaml_source, "_YAML_LOADER", request.param)
 
 
 def floor(old: str, new: str) -> str:
@@ -35,10 +35,13 @@ def floor(old: str, new: str) -> str:
 BLOCK = "objects:\n  floor:\n    kind: wall\n    point_m: [0, 0]\n    normal: [0, 1]\n    material: glass\n"
 
 SLIPS = {
-    "a tab": ("scene:\n\tobjects: {}\n", "f:2:1: a tab; YAML indents by spaces"),
-    "a tab below a mapping": (f"objects:\n  honey:\n\tkind: viscous\n  b: {HONEY}\n", "f:3:1: a tab; YAML indents by"),
-    "a tab behind spaces": (f"objects:\n  \thoney: {HONEY}\n", "f:2:3: a tab; YAML indents by spaces"),
-    "a tab after a value": ("servo:\n  priority: 10\n\tspin_us: 0\n", "f:3:1: a tab; YAML indents by spaces"),
+    "a tab": ("scene:\n\tobjects: {}\n", "f:2:1: a tab; YAML is indented by spaces"),
+    "a tab below a mapping": (
+        f"objects:\n  honey:\n\tkind: viscous\n  b: {HONEY}\n",
+        "f:3:1: a tab; YAML is indented by",
+    ),
+    "a tab behind spaces": (f"objects:\n  \thoney: {HONEY}\n", "f:2:3: a tab; YAML is indented by spaces"),
+    "a tab after a value": ("servo:\n  priority: 10\n\tspin_us: 0\n", "f:3:1: a tab; YAML is indented by spaces"),
     "curly quotes for a number": ("servo: {priority: \u201c10\u201d}\n", "; quotes are straight: "),
     "not indented": (
         f"objects:\nhoney: {HONEY}\n",
@@ -126,4 +129,4 @@ def test_tabs_between_braces_are_white_space_where_the_parser_takes_them() -> No
     text = "{\n\ta: 1,\n\tb: c: 2}"
     with pytest.raises(InvalidError) as caught:
         yaml_source.load_text(text, "f")
-    assert str(caught.value) == "f:2:1: a tab; YAML indents by spaces" or str(caught.value).startswith("f:3:")
+    assert str(caught.value) == "f:2:1: a tab; YAML is indented by spaces" or str(caught.value).startswith("f:3:")

@@ -49,8 +49,8 @@ def test_calibrate_writes_the_section(capsys: pytest.CaptureFixture[str]) -> Non
     assert device.grip.stiffness_n_per_m == pytest.approx(300, rel=0.05)
     # Nothing is replaced unless that is said.
     error = said(capsys, 1, "calibrate", "-c", "sim.yaml", "-o", "found.yaml")
-    assert error.startswith("hapticd: found.yaml: is there already; give another name, or --overwrite")
-    assert "response.png: is there already" in said(capsys, 1, "calibrate", "--plot", "response.png")
+    assert error.startswith("hapticd: found.yaml: already exists; give another name, or --overwrite")
+    assert "response.png: already exists" in said(capsys, 1, "calibrate", "--plot", "response.png")
 
 
 @pytest.mark.slow
@@ -154,8 +154,8 @@ def test_numbers_that_are_none_are_refused(
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (("-o", "none/found.yaml"), "none/found.yaml: cannot be written: there is no folder none"),
-        (("--plot", "none/response.png"), "none/response.png: cannot be written: there is no folder none"),
+        (("-o", "none/found.yaml"), "none/found.yaml: cannot be written: the folder none does not exist"),
+        (("--plot", "none/response.png"), "none/response.png: cannot be written: the folder none does not exist"),
         (("--plot", "response.foo"), "response.foo: cannot be drawn: must end in .png or another of "),
         (("--accelerometer", "felt.wav"), "felt.wav: a recording ends in .npz or .csv"),
     ],

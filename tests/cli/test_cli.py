@@ -276,7 +276,7 @@ def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixt
         ),
         (SCENE, "waypoints: []\n", "x.npz", "operator.yaml:1:1: waypoints"),
         (SCENE, WAYPOINTS, "x.mat", "x.mat: must end in .npz, .csv or .mcap"),
-        (SCENE, WAYPOINTS, "no/x.npz", "no/x.npz: cannot be written: there is no folder no"),
+        (SCENE, WAYPOINTS, "no/x.npz", "no/x.npz: cannot be written: the folder no does not exist"),
         ("- 1\n", WAYPOINTS, "x.npz", "scene.yaml:1"),
         ("a: &x 1\nb: *x\n", WAYPOINTS, "x.npz", "scene.yaml:2:4: aliases are not allowed"),
     ],

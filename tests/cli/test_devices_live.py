@@ -99,7 +99,7 @@ def test_dump(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     assert capsys.readouterr().out.startswith("1 report of ")
     dumped = out.read_text()
     assert main(["devices", "dump", "1209:5aff", "-o", str(out)]) == 1
-    assert "stick.jsonl: is there already; give another name, or --overwrite" in capsys.readouterr().err
+    assert "stick.jsonl: already exists; give another name, or --overwrite" in capsys.readouterr().err
     assert out.read_text() == dumped
     assert main(["devices", "dump", "1209:5aff", "-o", str(out), "--overwrite"]) == 0
     capsys.readouterr()
@@ -132,9 +132,9 @@ def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     (tmp_path / "folder").mkdir()
     monkeypatch.setattr(sources, "open_hid", lambda hid: pytest.fail("a handle would move"))
     for place, told in (
-        (tmp_path / "none" / "a.yaml", "cannot be written: there is no folder"),
-        (tmp_path / "folder", "is there already"),
-        (out, "is there already; give another name, or --overwrite"),
+        (tmp_path / "none" / "a.yaml", "cannot be written: the folder"),
+        (tmp_path / "folder", "already exists"),
+        (out, "already exists; give another name, or --overwrite"),
     ):
         assert main(["devices", "calibrate", "-c", str(config), "-o", str(place), "--yes"]) == 1
         seen = capsys.readouterr()

@@ -347,8 +347,8 @@ def test_texture_alone_has_autoregressive_models(fits: Fits, capsys: pytest.Capt
 def test_what_cannot_be_done_is_told_in_one_line(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     assert "Missing argument" in said(capsys, 2, "fit", "tap")
     assert said(capsys, 1, "fit", "tap", "none.csv").startswith("hapticd: none.csv: cannot be read: ")
-    assert said(capsys, 1, "fit", "tap", "a.csv", "-o", "b.csv").startswith("hapticd: b.csv: is there already")
-    assert "there is no folder" in said(capsys, 1, "fit", "tap", "a.csv", "-o", "no/x.yaml")
+    assert said(capsys, 1, "fit", "tap", "a.csv", "-o", "b.csv").startswith("hapticd: b.csv: already exists")
+    assert "does not exist" in said(capsys, 1, "fit", "tap", "a.csv", "-o", "no/x.yaml")
     assert "must end in .html or .png" in said(capsys, 1, "fit", "tap", "a.csv", "--report", "x.pdf")
     assert "must not hold a dot" in said(capsys, 1, "fit", "tap", "a.csv", "--name", "a.b", "--json")
     assert "is a file of this command already" in said(capsys, 1, "fit", "tap", "a.csv", "-o", "./a.csv", "--overwrite")
@@ -549,8 +549,8 @@ def test_what_cannot_be_synthesized_is_told_in_one_line(
     for told, code, arguments in (
         ("Missing option '-o'", 2, ("tap",)),
         ("must end in .npz", 1, ("tap", "-o", "x.csv")),
-        ("is there already", 1, ("tap", "-o", "old.npz")),
-        ("there is no folder", 1, ("tap", "-o", "no/x.npz")),
+        ("already exists", 1, ("tap", "-o", "old.npz")),
+        ("does not exist", 1, ("tap", "-o", "no/x.npz")),
         ("a material of your own is given with -c", 1, ("tap", "-o", "x.npz", "--material", "cork")),
         ('unknown material "wod"', 1, ("tap", "-o", "x.npz", "--material", "wod")),
         ("it has no tap", 1, ("tap", "-o", "x.npz", "--material", "cellophane")),

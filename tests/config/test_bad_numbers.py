@@ -167,8 +167,8 @@ def test_runs_refuse_what_they_cannot_take_in_one_line() -> None:
         (lambda: render({}, [["1", "2"]]), "position_m"),
         (lambda: render({}, [[1j, 0]]), "position_m"),
         (lambda: render({}, [[10**400, 0]]), "position_m"),
-        (lambda: render(None, hand), "a configuration is"),  # type: ignore[arg-type]
-        (lambda: render(1, hand), "a configuration is"),  # type: ignore[arg-type]
+        (lambda: render(None, hand), "a configuration must be"),  # type: ignore[arg-type]
+        (lambda: render(1, hand), "a configuration must be"),  # type: ignore[arg-type]
     ]
     for call, words in calls:
         with pytest.raises(InvalidError, match=words) as caught:

@@ -157,7 +157,7 @@ def test_the_device_as_a_force_sees_it() -> None:
 
 def test_start_is_inside_the_workspace() -> None:
     assert faults({"device": {"sim": {"start_m": [0, 0.1]}}}) == {
-        "device.sim": "start_m must be inside the workspace, 0.075 either way"
+        "device.sim": "start_m must be inside the workspace, -0.075 to 0.075 m"
     }
     assert load_config({"device": {"sim": {"start_m": [0, -0.1], "workspace_m": 0.1}}}).device.sim.start_m[1] == -0.1
 
@@ -166,7 +166,7 @@ def test_a_link_says_when_reports_come() -> None:
     assert load_config({}).device.sim.reports_s == (0, 0)
     sim = load_config({"device": {"sim": {"link": {"rate_hz": 250, "delay_frames": 3}}}}).device.sim
     assert sim.reports_s == pytest.approx((0.004, 0.012), rel=1e-15)
-    told = "with a link, report_interval_s and report_delay_s must be left out: the link says both"
+    told = "with a link, report_interval_s and report_delay_s must be left out: the link has both"
     for key in ("report_interval_s", "report_delay_s"):
         assert faults({"device": {"sim": {"link": {"rate_hz": 1000}, key: 0.001}}}) == {"device.sim": told}
     assert list(faults({"device": {"sim": {"link": {}}}})) == ["device.sim.link.rate_hz"]
@@ -342,13 +342,13 @@ def test_python_values_that_people_use() -> None:
 @pytest.mark.parametrize(
     ("data", "problem"),
     [
-        ({1: 2}, "keys are strings, this one is 1"),
-        ({"servo": {None: 2}}, "servo: keys are strings, this one is null"),
+        ({1: 2}, "keys must be strings, this one is 1"),
+        ({"servo": {None: 2}}, "servo: keys must be strings, this one is null"),
         ({"scene": {"objects": {"a": {"kind": "constant", "force_n": {0, 1}}}}}, "is not plain data"),
         ({"servo": {"rate_hz": np.array([True])}}, "servo.rate_hz: should be a valid number, is a list"),
         ({"servo": {"rate_hz": np.array(True)}}, "servo.rate_hz: should be a valid number, is true"),
         ({"servo": {"rate_hz": 1j}}, "is not plain data: a Python object of type complex"),
-        ({"servo": {"rate_hz": 10**5000}}, "should be a valid number, is a whole number of 16610 bits"),
+        ({"servo": {"rate_hz": 10**5000}}, "should be a valid number, is an integer of 16610 bits"),
         ({"servo": {"priority": 10**5000}}, "should be less than or equal to 99"),
         ({"servo": None}, "servo: should be a mapping, is null"),
         ({"servo\n" * 100: 1}, "unknown key; known: servo, device, materials, scene, flight"),
@@ -535,7 +535,7 @@ def test_schema_is_plain_json_with_words_and_units() -> None:
             assert mapping(described)["title"] == key
             assert key == "kind" or mapping(described)["description"], f"{name}.{key}"
     stiffness = mapping(mapping(models()["Material"]["properties"])["stiffness_n_per_m"])
-    assert stiffness["description"] == "Force per penetration or deflection. In N/m."
+    assert stiffness["description"] == "Normal force per penetration depth or deflection. In N/m."
     assert (stiffness["minimum"], stiffness["maximum"]) == (0, 1e5)
 
 

@@ -53,10 +53,10 @@ def test_a_document_is_known_by_its_keys(text: str, kind: str | None) -> None:
 
 
 def test_the_keys_are_those_of_the_models() -> None:
-    assert {*document_kinds.CONFIGURATION, "materials", "scene"} == set(Config.model_fields)
-    assert set(document_kinds.SCENE) == set(Scene.model_fields)
-    assert set(document_kinds.MATERIAL) == set(Material.model_fields)
-    of_operators = document_kinds.TELLING_KEYS["waypoints"] + document_kinds.TELLING_KEYS["gesture"]
+    assert {*document_kinds.CONFIGURATION_KEYS, "materials", "scene"} == set(Config.model_fields)
+    assert set(document_kinds.SCENE_KEYS) == set(Scene.model_fields)
+    assert set(document_kinds.MATERIAL_KEYS) == set(Material.model_fields)
+    of_operators = document_kinds.KEYS_OF_KIND["waypoints"] + document_kinds.KEYS_OF_KIND["gesture"]
     assert set(of_operators) == set(OperatorParams.model_fields)
     assert set(document_kinds.OBJECT_KINDS) == {
         kind for member in get_args(SceneObject) for kind in get_args(member.model_fields["kind"].annotation)
@@ -107,11 +107,11 @@ def test_a_file_for_another_command_is_named_with_that_command(
         np.savez(name, samples=np.zeros(3))
     else:
         Path(name).write_text(text)
-    it = "is no recording: it " if reader in ("replay", "fit tap") else ""
+    it = "not a recording: it " if reader in ("replay", "fit tap") else ""
     told = said(capsys, 1, *READERS[reader], name)
     meant = f"{it}holds {what}; use: hapticd {command} {name}"
     assert (
-        told == f"hapticd: {name}: {meant if text else 'is an archive, no YAML; a recording is for: hapticd replay'}\n"
+        told == f"hapticd: {name}: {meant if text else 'an archive, not YAML; for a recording use: hapticd replay'}\n"
     )
     assert os.listdir() == [name]
 

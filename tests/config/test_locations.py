@@ -40,7 +40,7 @@ def test_the_order(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert config_of() is default_config()
     system = written(locations.SYSTEM_CONFIG, 1001)
     assert config_of().servo.rate_hz == 1001
-    assert choose() == locations.Chosen("system", (system,), (f"{home}/.config/hapticd/config.yaml",))
+    assert choose() == locations.ConfigFiles("system", (system,), (f"{home}/.config/hapticd/config.yaml",))
     user = written(home / ".config/hapticd/config.yaml", 1002)
     assert choose().files == (user,)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(home / "xdg"))
@@ -49,9 +49,9 @@ def test_the_order(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert choose().files == (other,)
     first, second = written(home / "a.yaml", 1004), written(home / "b.yaml", 1005)
     monkeypatch.setenv("HAPTICD_CONFIG", f"{first}:{second}")
-    assert choose() == locations.Chosen("environment", (first, second), ())
+    assert choose() == locations.ConfigFiles("environment", (first, second), ())
     assert config_of().servo.rate_hz == 1005
-    assert choose([first]) == locations.Chosen("-c", (first,), ())
+    assert choose([first]) == locations.ConfigFiles("-c", (first,), ())
     assert config_of([first]).servo.rate_hz == 1004
     monkeypatch.setenv("HAPTICD_CONFIG", "")
     assert choose().files == (other,)
@@ -77,7 +77,7 @@ def test_nothing_takes_the_place_of_one_that_cannot_be_read(home: Path, monkeypa
     with pytest.raises(InvalidError, match=rf"^{user}:1:9: servo\.rate: unknown key; "):
         config_of()
     monkeypatch.setenv("HAPTICD_CONFIG", "gone.yaml")
-    with pytest.raises(HapticdError, match=r"^gone\.yaml: there is no such file; HAPTICD_CONFIG names it$"):
+    with pytest.raises(HapticdError, match=r"^gone\.yaml: no such file; HAPTICD_CONFIG names it$"):
         config_of()
 
 
@@ -90,7 +90,7 @@ def test_it_holds_for_every_command(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.setenv("HAPTICD_CONFIG", "gone.yaml")
-    assert said(capsys, 1, *command.split()) == "hapticd: gone.yaml: there is no such file; HAPTICD_CONFIG names it\n"
+    assert said(capsys, 1, *command.split()) == "hapticd: gone.yaml: no such file; HAPTICD_CONFIG names it\n"
 
 
 def test_help_names_the_variables(capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,6 +170,6 @@ def test_a_file_that_is_missing_is_one_line_of_many(
     assert main([command]) == 1
     captured = capsys.readouterr()
     told = captured.out.splitlines()
-    assert sum("gone.yaml: there is no such file; HAPTICD_CONFIG names it" in line for line in told) == 1
+    assert sum("gone.yaml: no such file; HAPTICD_CONFIG names it" in line for line in told) == 1
     assert len(told) >= sound
     assert len(captured.err.splitlines()) == 1

@@ -296,7 +296,7 @@ def test_a_gesture_that_does_not_fit_its_object() -> None:
         (
             FLOOR,
             ALL["puncture"],
-            ("gesture.object", '"it" cannot be punctured: no membrane, or a material without rupture'),
+            ("gesture.object", '"it" cannot be punctured: not a membrane, or its material has no rupture'),
         ),
         (
             replace(FLOOR, stiffness_n_per_m=0.0),

@@ -36,12 +36,10 @@ def test_a_file_of_the_name_comes_first() -> None:
 def test_unknown_names() -> None:
     with pytest.raises(HapticdError) as caught:
         file_of("sandpapr", "scenes")
-    assert str(caught.value) == "sandpapr: is no file here and no shipped scene; did you mean sandpaper?"
-    with pytest.raises(HapticdError, match=r"^x: is no file here and no shipped operator; shipped: around, "):
+    assert str(caught.value) == "sandpapr: neither a file nor a shipped scene; did you mean sandpaper?"
+    with pytest.raises(HapticdError, match=r"^x: neither a file nor a shipped operator; shipped: around, "):
         file_of("x", "operators")
-    with pytest.raises(
-        HapticdError, match=r"^comb\.yaml: there is no such file here; the shipped scene .* called comb$"
-    ):
+    with pytest.raises(HapticdError, match=r"^comb\.yaml: no such file; the shipped scene .* called comb$"):
         file_of("comb.yaml", "scenes")
 
 

@@ -14,7 +14,7 @@ from hapticd.base.core import EventKind, lib
 from hapticd.base.errors import InvalidError
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
-from hapticd.config.modes import MAX_POINTS
+from hapticd.config.modes import MAX_TABLE_POINTS
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import undisplayable
 from tests.support.rig import FLOOR, Rig
@@ -146,7 +146,7 @@ def test_compensated_taps_are_displayed_as_those_of_one_mode(compensation: str) 
 @pytest.mark.parametrize(
     ("tap", "told"),
     [
-        ({"frequency_hz": 100}, "has a mode_table, which says frequency and decay: leave out frequency_hz"),
+        ({"frequency_hz": 100}, "has a mode_table, which gives frequency and decay: leave out frequency_hz"),
         ({"decay_rate_per_s": 100}, "leave out decay_rate_per_s"),
         (
             {"mode_table": {**TABLE, "decay_times_s": [0.01]}},
@@ -159,7 +159,7 @@ def test_compensated_taps_are_displayed_as_those_of_one_mode(compensation: str) 
         ),
         (
             {"waveform": {"rate_hz": 1000, "samples": [0, 1, 0]}},
-            "has a waveform, and does not ring: leave out mode_table",
+            "has a waveform instead of a mode: leave out mode_table",
         ),
     ],
 )
@@ -193,9 +193,13 @@ def test_a_material_comes_back_as_it_was_given() -> None:
 
 
 def test_a_table_has_as_many_points_as_the_tick_takes() -> None:
-    assert MAX_POINTS == lib.HD_TUNE_POINTS
-    rises = (0.1 * np.arange(1, MAX_POINTS + 1)).tolist()
-    full = {"speeds_m_per_s": rises, "frequencies_hz": [100.0] * MAX_POINTS, "decay_times_s": [0.01] * MAX_POINTS}
+    assert MAX_TABLE_POINTS == lib.HD_TUNE_POINTS
+    rises = (0.1 * np.arange(1, MAX_TABLE_POINTS + 1)).tolist()
+    full = {
+        "speeds_m_per_s": rises,
+        "frequencies_hz": [100.0] * MAX_TABLE_POINTS,
+        "decay_times_s": [0.01] * MAX_TABLE_POINTS,
+    }
     rig, found, since = struck(material(full), 0.3)
-    assert rig.table.materials[0].mode_count == MAX_POINTS
+    assert rig.table.materials[0].mode_count == MAX_TABLE_POINTS
     assert np.abs(found - SLOPE * 0.3 * form(since, 100.0, 0.01)).max() < 1e-11 * np.abs(found).max()

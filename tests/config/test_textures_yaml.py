@@ -124,11 +124,11 @@ LOUD: Keys = {"variance_m2_per_s4": 1e10, "rms_m_per_s2": None, "coefficients": 
         ({**VIBRATION, "width_m": 0.003}, "width_m must be at most spacing_m, 0.002, is 0.003"),
         (
             without(VIBRATION, "velocity_gain_per_s"),
-            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0, or nothing is ever struck",
+            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0; otherwise it is silent",
         ),
         (
             without(VIBRATION, *MODE),
-            "needs a mode to ring with: frequency_hz and decay_time_s of its own, or a tap of the material",
+            "needs a mode: its own frequency_hz and decay_time_s, or a tap of the material",
         ),
         (
             without(VIBRATION, "frequency_hz"),
@@ -146,11 +146,11 @@ LOUD: Keys = {"variance_m2_per_s4": 1e10, "rms_m_per_s2": None, "coefficients": 
         ({**DAMPING, "depth_m": 0.001}, "depth_m belongs to display geometry, this one is damping"),
         (
             {**STOCHASTIC, "velocity_gain_per_s": 0},
-            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0, or it is never heard",
+            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0; otherwise it is silent",
         ),
         (
             {**STOCHASTIC, "velocity_gain_per_s": -1, "force_gain_m_per_s2_per_n": -1},
-            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0, or it is never heard",
+            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0; otherwise it is silent",
         ),
         (models({}, {"force_n": 2}, {}), "models[0] and models[2] are both at 0.1 m/s and 1 N"),
     ],

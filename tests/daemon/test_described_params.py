@@ -50,7 +50,7 @@ NAMES = {
 # What the daemon says where a rule of x-validation is broken.
 SAYS: Final = {
     "length": "must have a direction: a length of at least",
-    "patches": r"to_m must be more than from_m|overlap$|overlap;|leave a gap of",
+    "patches": r"above from_m|overlap$|overlap;|leave a gap of",
     "rising": r"above the one before|later than",
     "as_many": r"for each (speed|force)",
     "grooves": "width_m must be at most spacing_m",

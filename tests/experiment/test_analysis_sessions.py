@@ -293,7 +293,7 @@ def test_the_command(tapping: Path, tmp_path: Path) -> None:
         assert len(list(csv.reader(lines))) == 8
     again = runner.invoke(cli, arguments)
     assert isinstance(again.exception, HapticdError)
-    assert "is there already" in str(again.exception)
+    assert "already exists" in str(again.exception)
     as_json = json.loads(runner.invoke(cli, ["experiment", "analyze", str(tapping), "--json"]).output)
     assert set(as_json["tables"]) == {each.name for each in analyze([tapping]).tables}
 

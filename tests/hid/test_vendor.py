@@ -171,10 +171,14 @@ def test_a_single_axis_stays_where_it_is_along_the_other() -> None:
         (
             {"output__x": {"bit_size": 12}},
             "output.x",
-            "byte_order big needs whole bytes: bit_offset and bit_size must be multiples of 8",
+            "with byte_order big, bit_offset and bit_size must be multiples of 8",
         ),
-        ({"output__x": {"counts_per_n": 0}}, "output.x", "counts_per_n must be at least 0.001 either way, is 0"),
-        ({"input__x": {"counts_per_m": 0.5}}, "input.x", "counts_per_m must be at least 1 either way, is 0.5"),
+        (
+            {"output__x": {"counts_per_n": 0}},
+            "output.x",
+            "counts_per_n must be at least 0.001, or at most -0.001, is 0",
+        ),
+        ({"input__x": {"counts_per_m": 0.5}}, "input.x", "counts_per_m must be at least 1, or at most -1, is 0.5"),
         (
             {"output__y": {"zero_counts": 5000}},
             "output.y",
@@ -191,7 +195,7 @@ def test_wrong_descriptions(parts: dict[str, Any], where: str, problem: str) -> 
 def test_wrong_scripts() -> None:
     assert list(faults(REPORT | {"enable": ["0", "02 01"]})) == ["device.hid.report.enable[0]"]
     reason = faults(REPORT | {"disable": ["feature 02 01"]})
-    assert reason == {"device.hid.report": "disable takes output reports only, no feature reports"}
+    assert reason == {"device.hid.report": "disable must hold output reports only, not feature reports"}
 
 
 @pytest.mark.parametrize(

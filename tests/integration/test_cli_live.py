@@ -246,7 +246,7 @@ def test_files_for_another_command(shell: Shell) -> None:
     np.savez("r.npz", samples=np.zeros(3))
     assert (
         shell.fails("operator", "r.npz")
-        == "hapticd: r.npz: is an archive, no YAML; a recording is for: hapticd replay\n"
+        == "hapticd: r.npz: an archive, not YAML; for a recording use: hapticd replay\n"
     )
     assert shell.fails("operator", "wool.yaml").endswith(": holds materials; use: hapticd material set wool.yaml\n")
 
@@ -337,7 +337,7 @@ def test_record_npz(shell: Shell, daemon: Daemon) -> None:
     shell("scene", "set", "scene.yaml")
     shell("operator", "operator.yaml")
     with connect(daemon.directory) as client, client.samples() as batches:
-        assert "run.npz: is there already" in shell.fails("record", "run.npz", "--for", "600ms")
+        assert "run.npz: already exists" in shell.fails("record", "run.npz", "--for", "600ms")
         assert Path("run.npz").read_text() == "an old recording"
         result = json.loads(shell("record", "run.npz", "--for", "600ms", "--json", "--overwrite"))
         with np.load("run.npz") as archive:
@@ -374,7 +374,7 @@ def test_record_csv(shell: Shell) -> None:
 @pytest.mark.long
 def test_record_refuses_before_it_records(shell: Shell) -> None:
     assert "must end in .npz, .csv or .mcap" in shell.fails("record", "run.mat")
-    assert "there is no folder no" in shell.fails("record", "no/run.npz")
+    assert "the folder no does not exist" in shell.fails("record", "no/run.npz")
 
 
 @pytest.mark.long

@@ -41,7 +41,7 @@ WRONG: list[tuple[str, Call]] = [
     ("objects: must have texts as keys, has 1", lambda d: d.update_scene({1: None})),
     ("materials.a: must be what JSON can hold, is a Python object of type date",
      lambda d: d.set_materials({"a": date(2026, 1, 2)})),
-    ("scene.a: must be a whole number of at most 64 bits, is a whole number of 71 bits",
+    ("scene.a: must be an integer of at most 64 bits, is an integer of 71 bits",
      lambda d: d.apply(scene={"a": 2**70})),
     ("direction[1]: must be a number, is \"up\"",
      lambda d: d.play("wood", direction=[0, "up"], amplitude_m_per_s2=1)),

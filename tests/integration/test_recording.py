@@ -424,7 +424,7 @@ def test_missed_periods_are_told_and_stand_in_the_file(tmp_path: Path, directory
 def test_a_file_that_is_there_is_refused_before_anything_is_recorded(tmp_path: Path, directory: Path) -> None:
     (tmp_path / "run.events.csv").write_text("precious")
     told = Told(directory, samples(0, 100))
-    with pytest.raises(HapticdError, match=r"run.events.csv: is there already"):
+    with pytest.raises(HapticdError, match=r"run.events.csv: already exists"):
         told.record(tmp_path / "run.csv", 100)
     assert told.daemon is not None and told.daemon.requests == []
     assert sorted(os.listdir(tmp_path)) == ["run", "run.events.csv"]
@@ -443,7 +443,7 @@ def test_a_block_is_recorded_from_its_first_to_its_last_command(daemon: Daemon, 
             with pytest.raises(HapticdError, match="is not finished"):
                 _ = recorder.result
             last = client.mark("last")["tick"]
-        with pytest.raises(HapticdError, match="is there already"), client.record(target):
+        with pytest.raises(HapticdError, match="already exists"), client.record(target):
             raise AssertionError("the block is not entered")
         with client.record(target, overwrite=True):
             pass
@@ -528,7 +528,7 @@ def test_what_goes_wrong_in_a_block_is_what_is_told_and_the_recording_is_kept(da
         with pytest.raises(ZeroDivisionError), client.record(tmp_path / "run.npz"):
             raise ZeroDivisionError
         assert len(hapticd.load(tmp_path / "run.npz").samples) > 0
-        told = r"late.npz: another file has appeared there meanwhile; what was written is in .*late-2.npz"
+        told = r"late.npz: another program created this file meanwhile; the output is in .*late-2.npz"
         with pytest.raises(HapticdError, match=told), client.record(tmp_path / "late.npz"):
             (tmp_path / "late.npz").write_text("precious")
     assert (tmp_path / "late.npz").read_text() == "precious"
@@ -542,7 +542,7 @@ def test_a_block_of_asyncio_is_recorded(daemon: Daemon, tmp_path: Path) -> None:
             async with client.record(tmp_path / "run.npz", subject=3):
                 first = (await client.mark("first"))["tick"]
                 last = (await client.mark("last"))["tick"]
-            with pytest.raises(HapticdError, match="is there already"):
+            with pytest.raises(HapticdError, match="already exists"):
                 async with client.record(tmp_path / "run.npz"):
                     raise AssertionError("the block is not entered")
             return first, last
@@ -583,7 +583,7 @@ def test_a_file_of_the_flight_recorder_is_rendered_again(tmp_path: Path) -> None
         assert told.startswith(f"{target}: {len(held.samples):,} ticks in ")
         assert told.endswith(f" missed, {len(held.events):,} events\n") or " %), " in told
         again = flight(str(target))
-        assert again.returncode == 1 and "is there already; give another name, or --overwrite" in again.stderr
+        assert again.returncode == 1 and "already exists; give another name, or --overwrite" in again.stderr
         assert flight(str(target), "--overwrite").returncode == 0
         assert flight(str(tmp_path / "flight.mcap")).stdout.startswith(f"{tmp_path}/flight.mcap: ")
         assert (tmp_path / "flight.mcap").exists()

@@ -1,7 +1,7 @@
 """Check the wording of hapticd/: `python -m tests.project.check_words [PATH ...]` prints each place to mend.
 
-A place is an expression of the table "Words to avoid" (docs/contributing.md) in a comment, a docstring or a text of several
-words, or a module constant of one word, which says neither quantity nor unit.
+A place is an expression of the table "Words to avoid" (docs/contributing.md) in a comment, a docstring or a text of
+several words, or a module constant of one word, which says neither quantity nor unit.
 """
 
 from __future__ import annotations
@@ -24,10 +24,8 @@ CHECKED_PATHS: Final = ("hapticd",)
 
 EXEMPT_PATHS: Final = (
     "hapticd/analysis",
-    "hapticd/base",
     "hapticd/cli",
     "hapticd/client",
-    "hapticd/config",
     "hapticd/daemon",
     "hapticd/doctor",
     "hapticd/experiment",

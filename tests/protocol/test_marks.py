@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from hapticd.base.core import EVENT_DTYPE, MARKS, CommandKind, EventKind, Status, ffi, lib, records
+from hapticd.base.core import EVENT_DTYPE, MAX_PENDING_MARKS, CommandKind, EventKind, Status, ffi, lib, records
 from hapticd.config.configuration import Config, default_config
 from hapticd.daemon.command_ring import RingFullError
 from hapticd.daemon.engine import Engine
@@ -63,19 +63,19 @@ def flood(engine: Engine, path: object) -> None:
 def test_no_mark_is_lost_where_other_events_are(engine: Engine) -> None:
     path = new_operator([[1000.0, 0.0, 0.0]], "linear")
     flood(engine, path)
-    ticks = [engine.mark(Mark(f"mark {number}", number)) for number in range(MARKS)]
+    ticks = [engine.mark(Mark(f"mark {number}", number)) for number in range(MAX_PENDING_MARKS)]
     events, dropped = read_events(engine)
     assert dropped > 0
     marks = [event for event in events if event["kind"] == EventKind.MARK]
     assert [int(event["tick"]) for event in marks] == ticks
     told = [engine.take_mark(int(event["code"])) for event in marks]
-    assert told == [Mark(f"mark {number}", number) for number in range(MARKS)]
+    assert told == [Mark(f"mark {number}", number) for number in range(MAX_PENDING_MARKS)]
 
 
 def test_marks_under_way_are_bounded_until_their_events_are_read(engine: Engine) -> None:
-    for number in range(MARKS):
+    for number in range(MAX_PENDING_MARKS):
         engine.mark(Mark(str(number), None))
-    with pytest.raises(RingFullError, match=f"{MARKS} marks are under way"):
+    with pytest.raises(RingFullError, match=f"{MAX_PENDING_MARKS} marks are under way"):
         engine.mark(Mark("one more", None))
     events, _ = read_events(engine)
     for event in events:
@@ -91,7 +91,7 @@ def test_a_mark_that_the_command_ring_refuses_leaves_nothing(engine: Engine, mon
             raise RingFullError("full")
 
         patch.setattr(engine._ring, "send", full)
-        for _ in range(2 * MARKS):
+        for _ in range(2 * MAX_PENDING_MARKS):
             with pytest.raises(RingFullError, match="full"):
                 engine.mark(Mark("refused", None))
     engine.mark(Mark("taken", None))

@@ -106,7 +106,7 @@ def test_csv_has_every_bit_and_the_events_beside_it(tmp_path: Path) -> None:
     assert [event["missed"] for event in events] == ["", "2", "", ""]
     assert [event["object"] for event in events] == ["floor", "", "", "null"]
     assert json.loads((tmp_path / "run.about.json").read_text()) == recording.texts
-    with pytest.raises(HapticdError, match="is there already"):
+    with pytest.raises(HapticdError, match="already exists"):
         recording.save(tmp_path / "run.csv")
     recording.save(tmp_path / "run.csv", overwrite=True)
     assert sorted(os.listdir(tmp_path)) == ["run.about.json", "run.csv", "run.events.csv", "run.npz"]
@@ -149,7 +149,7 @@ def test_a_recording_into_another_form_is_exported_at_its_end(tmp_path: Path, en
 @pytest.mark.parametrize("there", ["run.npz", "run.csv", "run.events.csv", "run.about.json"])
 def test_no_file_of_an_export_is_replaced_unasked(tmp_path: Path, there: str) -> None:
     (tmp_path / there).write_text("precious")
-    with pytest.raises(HapticdError, match=f"{there}: is there already"), recording_into(tmp_path / "run.csv"):
+    with pytest.raises(HapticdError, match=f"{there}: already exists"), recording_into(tmp_path / "run.csv"):
         raise AssertionError("the block is not entered")
     assert os.listdir(tmp_path) == [there] and (tmp_path / there).read_text() == "precious"
 
@@ -183,7 +183,7 @@ def test_samples_are_laid_out_as_cdr_is() -> None:
 
 def test_a_recording_whose_export_fails_is_kept(tmp_path: Path) -> None:
     with (
-        pytest.raises(HapticdError, match=rf"run.mcap: is there already.*; the recording is in {tmp_path}/run.npz"),
+        pytest.raises(HapticdError, match=rf"run.mcap: already exists.*; the recording is in {tmp_path}/run.npz"),
         recording_into(tmp_path / "run.mcap") as writer,
     ):
         writer.write(some(3))

@@ -130,7 +130,7 @@ def test_a_recording_is_saved_as_another(tmp_path: Path) -> None:
     again = hapticd.load(tmp_path / "copy.npz")
     assert again.samples.tobytes() == recording.samples.tobytes()
     assert (again.events, again.texts) == (recording.events, recording.texts)
-    with pytest.raises(HapticdError, match="is there already"):
+    with pytest.raises(HapticdError, match="already exists"):
         recording.save(tmp_path / "copy.npz")
 
 
@@ -170,12 +170,12 @@ def test_a_simulation_has_truth_and_notes(tmp_path: Path, monkeypatch: pytest.Mo
     saved = hapticd.load(recording.save("copy.npz"))
     assert saved.truth is not None and saved.truth.tobytes() == recording.truth.tobytes()
     before = Path("run.npz").read_bytes()
-    assert "run.npz: is there already; give another name, or --overwrite" in said_to(command)
+    assert "run.npz: already exists; give another name, or --overwrite" in said_to(command)
     assert Path("run.npz").read_bytes() == before
     assert main([*command, "--overwrite"]) == 0
     assert hapticd.load("run.npz").notes == {}
     assert main(["replay", "run.npz", "-o", "again.npz"]) == 0
-    assert "again.npz: is there already" in said_to(["replay", "run.npz", "-o", "again.npz"])
+    assert "again.npz: already exists" in said_to(["replay", "run.npz", "-o", "again.npz"])
     assert main(["replay", "run.npz", "-o", "again.npz", "--overwrite"]) == 0
 
 

@@ -108,7 +108,7 @@ def test_what_fails_leaves_nothing_and_changes_nothing(tmp_path: Path) -> None:
 def test_a_file_that_is_there_is_not_replaced_unasked(tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     target.write_text("precious")
-    with pytest.raises(HapticdError, match=r"run.npz: is there already; give another name, or --overwrite"):
+    with pytest.raises(HapticdError, match=r"run.npz: already exists; give another name, or --overwrite"):
         RecordingWriter(target)
     assert os.listdir(tmp_path) == ["run.npz"] and target.read_text() == "precious"
     with RecordingWriter(target, overwrite=True) as writer:
@@ -181,8 +181,8 @@ def test_unwritable_targets_are_told_before_anything_is_written(tmp_path: Path) 
     for target, told in (
         (tmp_path / "run.txt", "must end in .npz, .csv or .mcap"),
         (tmp_path / "run", "must end in .npz, .csv or .mcap"),
-        (tmp_path / "directory.npz", "is a directory"),
-        (tmp_path / "missing" / "run.npz", "cannot be written: there is no folder"),
+        (tmp_path / "directory.npz", "not a regular file but a directory"),
+        (tmp_path / "missing" / "run.npz", "cannot be written: the folder"),
     ):
         with pytest.raises(HapticdError, match=told), recording_into(target):
             raise AssertionError("the block is not entered")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hapticd.base.core import OBJECT_DTYPE, WAVE_PARTS, CData, Shape, Status, Texture, ffi, invalid_reason, lib
+from hapticd.base.core import OBJECT_DTYPE, WAVEFORM_PARTS, CData, Shape, Status, Texture, ffi, invalid_reason, lib
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.config.scene import Scene, validate_scene
 from hapticd.rendering.compiler.table import Compiler, _place_of
@@ -612,7 +612,7 @@ def content(table: Any, compiler: Compiler, of: Scene) -> Iterator[tuple[str, ob
             parts = (
                 (table.materials[index].tap_first, 2 * copy.tap_count),
                 (table.materials[index].mode_first, 3 * copy.mode_count),
-                (table.materials[index].wave_first, copy.wave_count and copy.wave_count + WAVE_PARTS),
+                (table.materials[index].wave_first, copy.wave_count and copy.wave_count + WAVEFORM_PARTS),
             )
             return bytes(ffi.buffer(copy)), [bytes(ffi.buffer(table.numbers + first, 8 * n)) for first, n in parts]
         if copy.texture != Texture.NOISE:

@@ -36,7 +36,7 @@ def special(path: Path, kind: str) -> str:
 
 def refused(path: str | os.PathLike[str], kind: str) -> str:
     """What an error says of an output at `path`, which is one or leads to one."""
-    return f"{os.fspath(path)}: is there already and is {KINDS[kind]}, no regular file; give another name"
+    return f"{os.fspath(path)}: not a regular file but {KINDS[kind]}; give another name"
 
 
 @contextmanager

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hapticd.base.core import EventKind, lib
+from hapticd.base.core import MAX_WAVEFORM_SAMPLES, EventKind, lib
 from hapticd.base.errors import InvalidError
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
-from hapticd.config.waveform import MOST_SAMPLES, Curve, Waveform
+from hapticd.config.waveform import Curve, Waveform
 from hapticd.recording.replay import replay
 from hapticd.recording.simulated import simulate_files
 from hapticd.rendering.device_output import output_of
@@ -328,14 +328,14 @@ def test_waveforms_that_are_none_are_refused_in_a_line(waveform: dict[str, objec
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
-        ({"frequency_hz": 100}, "tap: has a waveform, and does not ring: leave out frequency_hz"),
+        ({"frequency_hz": 100}, "tap: has a waveform instead of a mode: leave out frequency_hz"),
         (
             {"frequency_hz": 100, "decay_time_s": 0.01},
-            "tap: has a waveform, and does not ring: leave out frequency_hz and decay_time_s",
+            "tap: has a waveform instead of a mode: leave out frequency_hz and decay_time_s",
         ),
         (
             {"second": {"frequency_hz": 100, "decay_time_s": 0.01, "ratio": 1}},
-            "tap: has a waveform, and does not ring: leave out second",
+            "tap: has a waveform instead of a mode: leave out second",
         ),
         ({"attack_slope_per_s": None}, "needs exactly one of attack_slope_per_s and amplitudes, has neither"),
         ({"direction": "normal", "angle_rad": 1}, "needs at most one of direction and angle_rad, has both"),
@@ -355,7 +355,7 @@ def test_a_tap_without_waveform_says_nothing_of_it() -> None:
 def test_grooves_do_not_ring_with_a_waveform() -> None:
     grooves: dict[str, Any] = {"kind": "grooves", "display": "vibration", "spacing_m": 0.002, "width_m": 0.0005}
     grooves["velocity_gain_per_s"] = 10
-    with pytest.raises(InvalidError, match="needs a mode to ring with"):
+    with pytest.raises(InvalidError, match="needs a mode: its own"):
         validate_materials({"m": {**material(), "texture": grooves}})
     own = {**grooves, "frequency_hz": 200, "decay_time_s": 0.003}
     assert validate_materials({"m": {**material(), "texture": own}})["m"].groove_mode is not None
@@ -365,7 +365,7 @@ def test_the_canonical_form_is_the_same_material() -> None:
     made = validate_materials({"m": material()})["m"]
     assert validate_materials({"m": made.to_dict()})["m"] == made
     assert made != validate_materials({"m": material([*PULSE[:-2], -0.06, 0.0])})["m"]
-    assert MOST_SAMPLES == lib.HD_WAVE_SAMPLES
+    assert MAX_WAVEFORM_SAMPLES == lib.HD_WAVE_SAMPLES
 
 
 @pytest.mark.parametrize("materials", [50, pytest.param(1000, marks=pytest.mark.slow)])

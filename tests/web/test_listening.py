@@ -103,7 +103,7 @@ def test_a_password_file_is_for_its_owner_alone_and_holds_no_password(tmp_path: 
     write_password(str(path), "rosewood comb")
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert b"rosewood" not in path.read_bytes()
-    with pytest.raises(HapticdError, match="is there already"):
+    with pytest.raises(HapticdError, match="already exists"):
         write_password(str(path), "rosewood comb")
     with pytest.raises(HapticdError, match="8 characters or more"):
         write_password(str(tmp_path / "short"), "rose")

@@ -18,7 +18,7 @@ from hapticd.analysis.calibration.sweep import HIGHEST_HZ, Axis, Record, Sweep, 
 from hapticd.analysis.drawing import require_matplotlib
 from hapticd.analysis.statistics import Estimate, require_scipy
 from hapticd.base.errors import HapticdError
-from hapticd.config.actuator import MOST_HZ
+from hapticd.config.actuator import MAX_BANDWIDTH_HZ
 from hapticd.config.configuration import Config
 from hapticd.rendering.rearm import Resting, at_rest
 
@@ -121,8 +121,10 @@ class Calibration:
 
     def _of_actuator(self) -> str:
         least_hz = self.bandwidth_at_least_hz
-        if least_hz >= MOST_HZ:
-            return f"actuator: its bandwidth is above {MOST_HZ:g} Hz, so that it needs none in the configuration"
+        if least_hz >= MAX_BANDWIDTH_HZ:
+            return (
+                f"actuator: its bandwidth is above {MAX_BANDWIDTH_HZ:g} Hz, so that it needs none in the configuration"
+            )
         return (
             f"actuator: its bandwidth is {least_hz:.0f} Hz or more (of second order: with a damping ratio from "
             f"{LEAST_RATIO:g} on), even if all of the delay is its lag; the fit does not tell a lag from a delay, so "
@@ -137,7 +139,7 @@ class Calibration:
             "response": {name: list(_response(fit, heard)) for name, _, fit, heard in self.curves()},
             "accelerometer_scale": None if self.heard is None else [each.scale for each in self.heard],
             "positions": self.resting.to_dict(),
-            "actuator_bandwidth_at_least_hz": min(MOST_HZ, self.bandwidth_at_least_hz),
+            "actuator_bandwidth_at_least_hz": min(MAX_BANDWIDTH_HZ, self.bandwidth_at_least_hz),
             "notes": self.notes(),
         }
 

@@ -9,7 +9,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.core import KICKS, CData, Texture, ffi
+from hapticd.base.core import MAX_CORRECTED_SAMPLES, CData, Texture, ffi
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.texture import FrequencyTable, Grooves
@@ -110,7 +110,7 @@ def _put_tap(
         ratio = tap.second.ratio
         record.second = mode_record(tap.second.mode, 0.0, abs(ratio) * coefficient, output, touched=touched)
         if ratio < 0:
-            for index in range(2 * KICKS):
+            for index in range(2 * MAX_CORRECTED_SAMPLES):
                 record.second.kicks[index] = -record.second.kicks[index]
             for key in _SIGNED:
                 setattr(record.second, key, -getattr(record.second, key))

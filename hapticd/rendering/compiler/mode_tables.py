@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.core import KICKS, TUNE_NODE, CData
+from hapticd.base.core import MAX_CORRECTED_SAMPLES, TUNE_NODE_NUMBERS, CData
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode, ModeTable
 from hapticd.config.texture import Grooves
@@ -29,7 +29,7 @@ GROOVE_NODES: Final = 17
 """So many frequencies of grooves are designed; at most HD_TUNE_NODES."""
 TAP_STEPS: Final = 16
 """Between the first speed of taps and the last are about so many steps; with the points at most HD_TUNE_NODES nodes."""
-_PEAK: Final = TUNE_NODE - 2
+_PEAK: Final = TUNE_NODE_NUMBERS - 2
 
 
 class TabledModes(NamedTuple):
@@ -50,7 +50,7 @@ class TabledModes(NamedTuple):
         record.tune_highest_rad_per_s, record.tune_mutes = _highest(output), output.undisplayable == "mute"
         if len(self.nodes) == 0:
             return
-        mode.kicks, mode.kick_count = [0.0] * (2 * KICKS), 0
+        mode.kicks, mode.kick_count = [0.0] * (2 * MAX_CORRECTED_SAMPLES), 0
         if not mode.touched_n_per_m > 0.0:
             mode.touched_n_per_m = TOUCHED_N_PER_M
         rotor, decay, omega, end_s = 0j, 0.0, 0.0, 0.0
@@ -116,7 +116,7 @@ def _nodes(
 ) -> tuple[Ringing | None, npt.NDArray[np.float64]]:
     """The tail that all these modes share, and the nodes (n, HD_TUNE_NODE) at their places, frequencies or speeds."""
     if output.compensation == "off":
-        return None, np.zeros((0, TUNE_NODE))
+        return None, np.zeros((0, TUNE_NODE_NUMBERS))
     assert output.dynamics is not None
     load = touched.load(output)
     pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load, touched.own)

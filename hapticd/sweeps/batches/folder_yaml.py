@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError
 
 from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.model import Model, Stiffness, faults_of
-from hapticd.base.yaml_source import MAX_BYTES, Document, load_bytes, read_file
+from hapticd.base.yaml_source import MAX_YAML_BYTES, Document, load_bytes, read_file
 from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.fit.options import FitOptions
 from hapticd.fit.recording import Kind
@@ -68,7 +68,7 @@ class FolderYaml:
 
     def __init__(self, path: str, shown: str) -> None:
         """Reads it; `shown` is its name in errors. Raises InvalidError, and HapticdError where it cannot be read."""
-        document = load_bytes(read_file(path, MAX_BYTES), shown)
+        document = load_bytes(read_file(path, MAX_YAML_BYTES), shown)
         refuse_other_kinds(document)
         if not isinstance(document.data, dict):
             text = "is empty" if document.data is None else "must be a mapping"

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hapticd.base.core import EventKind, lib
 from hapticd.base.errors import HapticdError
-from hapticd.config.scene import SURFACES, Box, Disc, SceneObject, Wall
+from hapticd.config.scene import SURFACE_MODELS, Box, Disc, SceneObject, Wall
 from hapticd.sweeps.columns import Column, Row
 from hapticd.sweeps.measures.measure import NoOptions
 from hapticd.sweeps.point import Point
@@ -79,7 +79,7 @@ def _crossings(item: SceneObject, time_s: Floats, positions: Floats, way: Way) -
 
 def _height_of(item: SceneObject, position: Floats) -> Floats:
     """Above the surface, below 0 inside, (n,); of a box the larger of the two distances of its faces."""
-    if not isinstance(item, SURFACES):
+    if not isinstance(item, SURFACE_MODELS):
         raise HapticdError(f"onset_error: a {item.kind} has no surface")
     if isinstance(item, Wall):
         return np.asarray((position - item.point_m) @ np.array(item.normal))
