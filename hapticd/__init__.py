@@ -137,7 +137,7 @@ __all__ = [
     "sweep",
 ]
 
-_HOMES: Final = {
+_NAMES_OF_MODULE: Final = {
     "base.core": "SAMPLE_DTYPE Flag",
     "base.errors": "HapticdError InvalidError Problem",
     "base.yaml_source": "Json",
@@ -156,14 +156,14 @@ _HOMES: Final = {
     "rendering.offline": "render simulate",
     "sweeps.sweep": "sweep",
 }
-"""The public names by the modules that they stand in, which TYPE_CHECKING imports for type checkers."""
-_MODULES: Final = {name: module for module, names in _HOMES.items() for name in names.split()}
+"""Public names by module; the imports above repeat them for type checkers."""
+_MODULE_OF_NAME: Final = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> object:
     if name == "aio":
         return importlib.import_module("hapticd.aio")
-    home = _MODULES.get(name)
+    home = _MODULE_OF_NAME.get(name)
     if home is None:
         raise AttributeError(f"module 'hapticd' has no attribute {name!r}")
     return getattr(importlib.import_module(f"hapticd.{home}"), name)

@@ -1,8 +1,8 @@
 """Build `hapticd._core`: every file of csrc/, behind the boundary that csrc/api/ declares.
 
-Run by setuptools (setup.py), never imported by the package. cffi reads the very headers that the C compiler
-reads, so the two cannot disagree; so does _stub.py, which makes the types for mypy. HAPTICD_WERROR=1 turns warnings
-into errors; a user's build never fails for a warning that a newer compiler has learned.
+Run by setuptools (setup.py), never imported by the package. cffi and _stub.py, which makes the types for mypy, read the
+same headers as the C compiler, so that they cannot disagree. HAPTICD_WERROR=1 turns warnings into errors, which users'
+builds do not do, since newer compilers have new warnings.
 """
 
 import os
@@ -11,16 +11,15 @@ from pathlib import Path
 
 from cffi import FFI
 
-ROOT = Path(__file__).resolve().parent.parent
-# Relative, because setuptools refuses absolute paths in its file lists; it runs in ROOT.
-SOURCES = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("csrc/*/*.c"))
-HEADERS = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("csrc/*/*.h"))
-WARNINGS = ["-Wall", "-Wextra", "-Wshadow", "-Wdouble-promotion"]
-# Results must be the same bits on every run and at every optimisation level: no contraction into fused
-# operations, nothing of fast-math even if the environment's CFLAGS ask for it. Nobody looks at libm's errno.
-# Two doubles that were just stored one by one and are loaded as one vector stall until the stores are
-# through; a tick is made of such pairs, so packing straight-line code costs it a third (docs/adr/0002).
-FLAGS = [
+SOURCE_ROOT = Path(__file__).resolve().parent.parent
+# Relative, because setuptools refuses absolute paths in its file lists; it runs in SOURCE_ROOT.
+C_SOURCES = sorted(str(path.relative_to(SOURCE_ROOT)) for path in SOURCE_ROOT.glob("csrc/*/*.c"))
+C_HEADERS = sorted(str(path.relative_to(SOURCE_ROOT)) for path in SOURCE_ROOT.glob("csrc/*/*.h"))
+WARNING_FLAGS = ["-Wall", "-Wextra", "-Wshadow", "-Wdouble-promotion"]
+# Results must be the same bits on every run and at every optimisation level: no fused multiply-add, and no fast-math
+# even if the environment's CFLAGS ask for it. libm's errno is not used. No vectorization of straight-line code: a
+# vector load after two scalar stores stalls, which makes a tick a third slower (docs/adr/0002).
+COMPILER_FLAGS = [
     "-std=c11",
     "-O2",
     "-fno-tree-slp-vectorize",
@@ -30,28 +29,30 @@ FLAGS = [
     "-fvisibility=hidden",
 ]
 
-API = "".join(
-    (ROOT / "csrc" / "api" / name).read_text(encoding="utf-8")
+ERROR_FLAGS = ["-Werror"] if os.environ.get("HAPTICD_WERROR") == "1" else []
+
+API_HEADER = "".join(
+    (SOURCE_ROOT / "csrc" / "api" / name).read_text(encoding="utf-8")
     for name in ("hd_api.h", "hd_api_device.h", "hd_api_servo.h")
 )
-STUB = ROOT / "hapticd" / "_core.pyi"
+STUB_PATH = SOURCE_ROOT / "hapticd" / "_core.pyi"
 
 ffibuilder = FFI()
-ffibuilder.cdef(API)
+ffibuilder.cdef(API_HEADER)
 ffibuilder.set_source(
     "hapticd._core",
     '#include "api/hd_core.h"',
-    sources=SOURCES,
-    depends=[*HEADERS, "hapticd/_build.py"],
+    sources=C_SOURCES,
+    depends=[*C_HEADERS, "hapticd/_build.py"],
     include_dirs=["csrc"],
     define_macros=[("_GNU_SOURCE", "1")],
-    extra_compile_args=[*FLAGS, *WARNINGS, *(["-Werror"] if os.environ.get("HAPTICD_WERROR") == "1" else [])],
+    extra_compile_args=[*COMPILER_FLAGS, *WARNING_FLAGS, *ERROR_FLAGS],
     libraries=["m", "pthread"],
 )
 
-stub = runpy.run_path(str(ROOT / "hapticd" / "_stub.py"))["stub_of"](API)
-if not STUB.exists() or STUB.read_text(encoding="utf-8") != stub:
-    STUB.write_text(stub, encoding="utf-8")
+stub = runpy.run_path(str(SOURCE_ROOT / "hapticd" / "_stub.py"))["stub_of"](API_HEADER)
+if not STUB_PATH.exists() or STUB_PATH.read_text(encoding="utf-8") != stub:
+    STUB_PATH.write_text(stub, encoding="utf-8")
 
 if __name__ == "__main__":
     ffibuilder.compile(verbose=True)

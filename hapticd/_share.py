@@ -1,7 +1,7 @@
-"""What a wheel brings for a prefix's share/: man pages by click-man, and click's completion scripts.
+"""Files of a wheel for share/: man pages by click-man, and click's completion scripts.
 
-Run by setuptools (setup.py), never imported by the package. It runs before anything is compiled, and with click alone
-of what the package needs.
+Run by setuptools (setup.py), never imported by the package. It runs before anything is compiled, and of the package's
+dependencies it needs only click.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from hapticd._version import __version__
 from hapticd.base.files import check_regular
 from hapticd.cli.machine import SHELLS, script
 
-_CHANGELOG: Final = Path(__file__).resolve().parent.parent / "CHANGELOG.md"
-_LITERAL: Final = re.compile(r"\x08\n(.*?)(?=\n\n|\Z)", re.DOTALL)
-"""A paragraph of a help text that is not wrapped, as click marks it."""
+_CHANGELOG_PATH: Final = Path(__file__).resolve().parent.parent / "CHANGELOG.md"
+_LITERAL_PARAGRAPH: Final = re.compile(r"\x08\n(.*?)(?=\n\n|\Z)", re.DOTALL)
+"""A paragraph of a help text that click does not wrap."""
 
 
 def write(folder: Path) -> list[str]:
-    """Writes all files, share/... below `folder`; returns their names there."""
+    """Write all files, share/... below `folder`, and return their names there."""
     root = _commands()
     files = [*(f"share/man/man1/{name}" for name in _page_names(root)), *SHELLS.values()]
     for file in files:
@@ -42,35 +42,35 @@ def write(folder: Path) -> list[str]:
 
 
 def _page_names(command: click.Command, path: str = "hapticd") -> Iterator[str]:
-    """The files of a command's man page and of those of its subcommands."""
+    """Yield the file names of the man pages of a command and of its subcommands."""
     yield f"{path}.1"
     for name, below in getattr(command, "commands", {}).items():
         yield from _page_names(below, f"{path}-{name}")
 
 
 def _commands() -> click.Command:
-    """The commands, all loaded, with help texts whose literal paragraphs roff leaves as they are."""
+    """Load all commands, with help texts whose literal paragraphs roff does not wrap."""
     ctx = click.Context(hapticd.cli.cli, info_name="hapticd")
     commands = {name: hapticd.cli.cli.get_command(ctx, name) for name in hapticd.cli.cli.list_commands(ctx)}
     return _for_roff(hapticd.cli.cli, {name: command for name, command in commands.items() if command is not None})
 
 
 def _for_roff(command: click.Command, below: Mapping[str, click.Command]) -> click.Command:
-    """A copy of a command and of what is below it."""
+    """Return a copy of a command and its subcommands, with help texts for roff."""
     made = copy(command)
     made.short_help = command.get_short_help_str(limit=200)
-    made.help = _LITERAL.sub(r".nf\n\1\n.fi", cleandoc(command.help or ""))
+    made.help = _LITERAL_PARAGRAPH.sub(r".nf\n\1\n.fi", cleandoc(command.help or ""))
     if isinstance(made, click.Group):
         made.commands = {name: _for_roff(each, getattr(each, "commands", {})) for name, each in below.items()}
     return made
 
 
 def _date() -> str:
-    """The day of the sources, or of the release as the changelog has it."""
+    """Return the date of the sources, or that of the release in the changelog."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     if epoch is not None:
         return datetime.datetime.fromtimestamp(int(epoch), datetime.UTC).date().isoformat()
     released = re.search(
-        rf"^## \[{re.escape(__version__)}\] - (.+)$", _CHANGELOG.read_text(encoding="utf-8"), re.MULTILINE
+        rf"^## \[{re.escape(__version__)}\] - (.+)$", _CHANGELOG_PATH.read_text(encoding="utf-8"), re.MULTILINE
     )
     return released[1] if released else ""

@@ -1,15 +1,15 @@
 """The types of the compiled extension, for mypy and editors: hapticd/_core.pyi, made from the headers of csrc/api/.
 
-A part of the build (_build.py), never imported by the package; git does not keep what it makes. The header holds
-declarations and numbers only, so that a few patterns read it; tests/project/test_core_layout.py compares what comes out
-with the compiled library.
+A part of the build (_build.py), never imported by the package; git ignores the stub. The header holds only
+declarations and numbers, so that a few patterns read it; tests/project/test_core_layout.py compares the stub with the
+compiled library.
 """
 
 import keyword
 import os
 import re
 
-_HEAD = '''"""Types of the compiled extension: written by hapticd/_stub.py from csrc/api/. Do not edit."""
+_STUB_HEAD = '''"""Types of the compiled extension: written by hapticd/_stub.py from csrc/api/. Do not edit."""
 
 from collections.abc import Callable, Iterator
 from enum import IntEnum, IntFlag
@@ -66,7 +66,7 @@ class FFI:
 
 
 def stub_of(header: str) -> str:
-    """The text of the stub: cffi's own types, an enum for each of the header's, and what the library has."""
+    """Return the text of the stub: cffi's types, an enum for each of the header's, and the library's functions."""
     code = re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL)
     enums, library = "", "\nclass Lib:\n"
     for name in re.findall(r"^#define (HD_\w+) \d+", code, re.MULTILINE):
@@ -82,7 +82,7 @@ def stub_of(header: str) -> str:
     for result, name, parameters in re.findall(r"^([a-z][\w ]*[ *])(hd_\w+)\(([^)]*)\);", code, re.MULTILINE):
         named = ["self", *(_parameter(one) for one in parameters.split(",") if one != "void"), "/"]
         library += f"    def {name}({', '.join(named)}) -> {_type(result)}: ...\n"
-    return f"{_HEAD}{enums}{library}\nffi: FFI\nlib: Lib\n"
+    return f"{_STUB_HEAD}{enums}{library}\nffi: FFI\nlib: Lib\n"
 
 
 def _parameter(declaration: str) -> str:

@@ -27,7 +27,7 @@ from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.protocol.calls import DaemonNotRunning, MissedPeriods, TelemetryLoss, Topic
 from hapticd.protocol.places import has_ended, no_telemetry
 from hapticd.protocol.results import ConfigResult, MaterialsResult, SceneResult, Status
-from hapticd.recording.missed_periods import MOST_GAPS, gaps_of, missed_periods, missed_text, share
+from hapticd.recording.missed_periods import MAX_LISTED_GAPS, gaps_of, missed_periods, missed_text, share
 from hapticd.recording.recording import Recording, load, recording_into, recording_path
 from hapticd.recording.writer import DiskFullError, RecordingWriter, Samples
 from hapticd.system.paths import RuntimePaths
@@ -261,7 +261,7 @@ class _Session:
             return
         ticks = samples["tick"].astype(np.int64)
         before = (self._writer.last_tick, self._writer.last_time_ns) if self._writer.count else None
-        self._gaps += gaps_of(ticks, before and before[0])[: MOST_GAPS - len(self._gaps)]
+        self._gaps += gaps_of(ticks, before and before[0])[: MAX_LISTED_GAPS - len(self._gaps)]
         since, rates = zip(*self._rates, strict=True)
         places = np.searchsorted(np.array(since), ticks, side="right") - 1
         missed = missed_periods(samples, np.array(rates)[places], before)

@@ -28,7 +28,7 @@ from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.daemon.flight_scene import FlightScene, Stretch
 from hapticd.protocol.changes import Change
-from hapticd.recording.missed_periods import MOST_GAPS, gaps_of, missed_periods, rates_of
+from hapticd.recording.missed_periods import MAX_LISTED_GAPS, gaps_of, missed_periods, rates_of
 from hapticd.system.repeated_lines import SHORTEST_S, Repeats
 
 AFTER_S: Final = 1.0
@@ -300,7 +300,7 @@ def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:
         "events": len(job.events),
         "lost": 0,
         "dropped": sum(length for _, length in gaps),
-        "gaps": gaps[:MOST_GAPS],
+        "gaps": gaps[:MAX_LISTED_GAPS],
         "missed_periods": missed_periods(samples, rates),
         "missing_revisions": stretch.missing(set(np.unique(samples["revision"]).tolist())),
         "started": None if job.started is None else asdict(job.started),

@@ -1,6 +1,6 @@
-"""Events as columns of a recording, and back: what each member is, and what stands for one that an event has not.
+"""Conversion of events to columns of a recording, and back: the kind of each member, and the value of a missing one.
 
-An event that comes back has the members and types that it had in telemetry, whatever the form of the file.
+An event that is read has the members and types that it had in telemetry.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 NO_TIME: Final = -(2**63)
-"""What a time of an event that has none is; numpy's own NaT."""
+"""Value of a missing time: numpy's NaT."""
 
-ROWS_BYTES: Final = 1 << 20
-"""Rows are made in stretches of about so many bytes: one long mark widens them all."""
+ROW_BLOCK_BYTES: Final = 1 << 20
+"""Rows are made in blocks of about 1 MiB, since a single long mark widens all rows."""
 
 
 class Kind(Enum):
-    """What a member is in JSON, and with it the form of its column."""
+    """JSON type of a member, which determines the type of its column."""
 
     TEXT = "string"
     INTEGER = "integer"
@@ -32,7 +32,7 @@ class Kind(Enum):
     JSON = "anything"
 
 
-MEMBERS: Final[dict[str, Kind]] = {
+EVENT_MEMBER_KINDS: Final[dict[str, Kind]] = {
     **dict.fromkeys(("event", "object", "problem", "text"), Kind.TEXT),
     **dict.fromkeys(("tick", "time_ns", "onset_time_ns", "count", "grooves", "missed", "revision"), Kind.INTEGER),
     "started_tick": Kind.INTEGER,
@@ -41,19 +41,20 @@ MEMBERS: Final[dict[str, Kind]] = {
     **dict.fromkeys(("appeared", "completed"), Kind.TRUTH),
     **dict.fromkeys(("faults", "data"), Kind.JSON),
 }
-"""Members of events as docs/protocol.md lists them."""
+"""Members of events that docs/protocol.md lists, and their kinds."""
 
-MEMBERS_OF_ALL: Final = ("event", "tick", "time_ns")
+COMMON_EVENT_MEMBERS: Final = ("event", "tick", "time_ns")
 """Members that every event has."""
 
-EVENT_MEMBERS: Final[dict[str, object]] = {
-    **{name: {"type": kind.value} for name, kind in MEMBERS.items()},
+EVENT_MEMBER_SCHEMAS: Final[dict[str, object]] = {
+    **{name: {"type": kind.value} for name, kind in EVENT_MEMBER_KINDS.items()},
     "faults": {"type": "array", "items": {"type": "string"}},
     "data": {},
 }
 """JSON Schema of each member."""
 
-MAY_BE_NONE: Final = frozenset(("object", "true_speed_m_per_s", "data"))
+NULLABLE_MEMBERS: Final = frozenset(("object", "true_speed_m_per_s", "data"))
+"""Members whose value may be None."""
 
 
 class Column(NamedTuple):
@@ -62,11 +63,12 @@ class Column(NamedTuple):
     name: str
     kind: Kind
     form: str
-    """numpy's."""
+    """Format of the numpy dtype."""
     absent: object
-    """What stands in the row of an event that has no such member, or None."""
+    """Value in the row of an event without the member, or with None."""
 
     def cell(self, event: Mapping[str, Any]) -> object:
+        """Return the column's value in the row of an event."""
         value = event.get(self.name)
         if value is None:
             return self.absent
@@ -78,13 +80,14 @@ def _text(kind: Kind, value: object) -> str:
 
 
 def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
-    """How many events there are, and the columns that hold them: one for each member that occurs. Without events there
-    are the columns of `MEMBERS_OF_ALL`, so that a file in which nothing happened is read like any other.
+    """Return the number of events, and a column for each member that occurs in them.
+
+    Without events there are the columns of `COMMON_EVENT_MEMBERS`. Types, and the values of missing members:
 
     - truth values: i1, 0 or 1; -1
-    - whole numbers: i8; 0, or NO_TIME where the name ends in `_ns`
-    - numbers, and of a member that nobody knows nothing but None: f8; NaN
-    - texts, and as JSON whatever else there is: text; ""
+    - integers: i8; 0, or NO_TIME if the name ends in `_ns`
+    - numbers, and unknown members that are always None: f8; NaN
+    - texts, and everything else as JSON: text; ""
     """
     found: dict[str, set[type]] = {}
     widths: dict[str, int] = {}
@@ -93,12 +96,12 @@ def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
         total += 1
         for name, value in event.items():
             found.setdefault(name, set()).add(type(value))
-            kind = MEMBERS.get(name)
+            kind = EVENT_MEMBER_KINDS.get(name)
             if value is not None and (kind in (Kind.TEXT, Kind.JSON) or not isinstance(value, int | float)):
                 widths[name] = max(widths.get(name, 1), len(_text(kind or Kind.TEXT, value)))
     columns = []
-    for name, types in (found or {name: set() for name in MEMBERS_OF_ALL}).items():
-        kind = MEMBERS.get(name) or _guessed(types - {type(None)})
+    for name, types in (found or {name: set() for name in COMMON_EVENT_MEMBERS}).items():
+        kind = EVENT_MEMBER_KINDS.get(name) or _guessed(types - {type(None)})
         forms: dict[Kind, tuple[str, object]] = {
             Kind.TRUTH: ("|i1", -1),
             Kind.INTEGER: ("<i8", NO_TIME if name.endswith("_ns") else 0),
@@ -109,7 +112,7 @@ def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
 
 
 def _guessed(types: set[type]) -> Kind:
-    """Of a member that this version does not know."""
+    """Return the kind of a member that this version does not know, by the types of its values."""
     if types == {bool}:
         return Kind.TRUTH
     if types == {int}:
@@ -118,30 +121,30 @@ def _guessed(types: set[type]) -> Kind:
 
 
 def dtype_of(columns: Iterable[Column]) -> np.dtype[np.void]:
-    """Of the array of events."""
+    """Return the dtype of the array of events."""
     return np.dtype([(column.name, column.form) for column in columns])
 
 
 def rows_of(events: Iterable[Mapping[str, Any]], columns: list[Column]) -> Iterator[npt.NDArray[np.void]]:
-    """The rows of the array, in stretches."""
+    """Yield the rows of the array of events, in blocks."""
     dtype = dtype_of(columns)
-    most = max(1, ROWS_BYTES // max(1, dtype.itemsize))
+    block_rows = max(1, ROW_BLOCK_BYTES // max(1, dtype.itemsize))
     rows: list[tuple[object, ...]] = []
     for event in events:
         rows.append(tuple(column.cell(event) for column in columns))
-        if len(rows) == most:
+        if len(rows) == block_rows:
             yield np.array(rows, dtype)
             rows = []
     if rows:
         yield np.array(rows, dtype)
 
 
-# ---- Back ----------------------------------------------------------------------------------------------------------
+# ---- Reading -------------------------------------------------------------------------------------------------------
 
 
 @lru_cache
 def members_of(event: str) -> frozenset[str] | None:
-    """The members of an event of this kind; None for one that this version does not know."""
+    """Return the members of an event of this kind, or None for a kind that this version does not know."""
     from hapticd.base.core import EVENT_DTYPE, EventKind, records
     from hapticd.protocol.events import event_map
 
@@ -154,7 +157,10 @@ def members_of(event: str) -> frozenset[str] | None:
 
 
 def events_of_rows(rows: npt.NDArray[np.void]) -> Iterator[dict[str, Any]]:
-    """The events in rows of a .npz. One of a kind that this version does not know has the members that are not 0."""
+    """Yield the events in rows of a .npz.
+
+    An event of a kind that this version does not know gets the members whose values are not those of missing ones.
+    """
     names = rows.dtype.names or ()
     forms = [rows.dtype[name].str[1:] for name in names]
     for row in zip(*(_values(rows[name]) for name in names), strict=True):
@@ -168,7 +174,7 @@ def events_of_rows(rows: npt.NDArray[np.void]) -> Iterator[dict[str, Any]]:
 
 
 def _values(column: npt.NDArray[Any]) -> list[Any]:
-    """What is in a column. Raises UnicodeDecodeError; numpy would make texts of whatever numbers stand there."""
+    """Return the values of a column. Raises UnicodeDecodeError for invalid text, which numpy would accept."""
     if column.dtype.kind != "U":
         return list(column.tolist())
     order = "utf-32-be" if column.dtype.str[0] == ">" else "utf-32-le"
@@ -177,7 +183,7 @@ def _values(column: npt.NDArray[Any]) -> list[Any]:
 
 
 def _is_absent(name: str, form: str, value: Any) -> bool:
-    """Whether a cell holds what stands for nothing; of a whole number it may be 0 all the same."""
+    """Return whether a cell holds the value of a missing member; an integer 0 may also be a value."""
     match form[0]:
         case "U":
             return bool(value == "")
@@ -188,15 +194,15 @@ def _is_absent(name: str, form: str, value: Any) -> bool:
 
 
 def _restored(name: str, form: str, value: Any, absent: bool) -> object:
-    if absent and name in MAY_BE_NONE:
+    if absent and name in NULLABLE_MEMBERS:
         return None
     if form == "i1":
         return bool(value)
-    return json.loads(value) if MEMBERS.get(name) is Kind.JSON else cast(object, value)
+    return json.loads(value) if EVENT_MEMBER_KINDS.get(name) is Kind.JSON else cast(object, value)
 
 
 def cell_of(name: str, value: object) -> object:
-    """A value as it stands in a .csv."""
-    if MEMBERS.get(name) is Kind.JSON or isinstance(value, list | dict | bool) or value is None:
+    """Return a value as it is written to a .csv."""
+    if EVENT_MEMBER_KINDS.get(name) is Kind.JSON or isinstance(value, list | dict | bool) or value is None:
         return json.dumps(value)
     return value

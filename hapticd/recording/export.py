@@ -1,18 +1,18 @@
-"""Recordings in other forms, for other programs: .mcap by the mcap package, .csv by pandas. Nothing here reads them.
+"""Export of recordings for other programs: .mcap by the mcap package, .csv by pandas. hapticd does not read them.
 
 .mcap, for the tools of robotics:
 
-    hapticd/samples    one message a tick: CDR by a ros2msg schema. Its bytes are those of the record, after the four
-                       that say so
+    hapticd/samples    one message per tick: CDR with a ros2msg schema. Its bytes are the 4 bytes of a CDR header, then
+                       the record
     hapticd/event      JSON: events
     hapticd/status     JSON: the status at the start
-    hapticd/change     JSON: what commands changed
+    hapticd/change     JSON: changes by commands
 
 `log_time` and `publish_time` are the tick's `time_ns`, CLOCK_MONOTONIC of the daemon's machine. Texts known at the
 start are attachments (`scene.json`, ...), those known at the end metadata.
 
-.csv: samples, one row a tick, vectors in two columns (`position_m_x`, `position_m_y`); events in a second file,
-`NAME.events.csv`, and the texts in a third, `NAME.about.json`. Arrays have no place in either form.
+.csv: samples, one row per tick, vectors in two columns (`position_m_x`, `position_m_y`); events in a second file,
+`NAME.events.csv`, and the texts in a third, `NAME.about.json`. Neither format holds arrays such as `truth`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from hapticd._version import __version__
 from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import whole_file, write_whole
-from hapticd.recording.event_columns import EVENT_MEMBERS, MEMBERS_OF_ALL, cell_of
+from hapticd.recording.event_columns import COMMON_EVENT_MEMBERS, EVENT_MEMBER_SCHEMAS, cell_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -44,31 +44,33 @@ if TYPE_CHECKING:
 Events: TypeAlias = Iterable[Mapping[str, Any]]
 Texts: TypeAlias = Mapping[str, Any]
 
-_PACKAGES: Final = {".mcap": ("mcap", "zstandard"), ".csv": ("pandas",)}
-"""What each form needs; its extra is named after the first."""
-_STRETCH_SAMPLES: Final = 100_000
+_PACKAGES_OF_SUFFIX: Final = {".mcap": ("mcap", "zstandard"), ".csv": ("pandas",)}
+"""Packages that each format needs; the first is also the name of the extra."""
+_BLOCK_SAMPLES: Final = 100_000
 """Samples that are converted at once."""
-_ATTACHED: Final = ("config", "scene", "materials", "status")
-_IN_METADATA: Final = ("recording", "flight")
+_ATTACHED_TEXTS: Final = ("config", "scene", "materials", "status")
+_METADATA_TEXTS: Final = ("recording", "flight")
 _ROS_TYPES: Final = {"u8": "uint64", "i8": "int64", "f8": "float64", "u4": "uint32", "i4": "int32", "f4": "float32"}
 _CDR_LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
-_SAMPLES, _EVENT, _STATUS, _CHANGE = range(1, 5)
-"""Channels, and the schemas of their messages; mcap's writer counts them from 1."""
+_SAMPLES_CHANNEL, _EVENT_CHANNEL, _STATUS_CHANNEL, _CHANGE_CHANNEL = range(1, 5)
+"""Ids of the channels and their schemas; mcap's writer numbers them from 1."""
 _STATUS_MEMBERS: Final = {
     name: {"type": kind}
     for name, kind in (("tick", "integer"), ("rate_hz", "number"), ("revision", "integer"), ("forces", "string"))
 }
 _JSON_CHANNELS: Final = {
-    "hapticd/event": ("hapticd.Event", EVENT_MEMBERS),
+    "hapticd/event": ("hapticd.Event", EVENT_MEMBER_SCHEMAS),
     "hapticd/status": ("hapticd.Status", _STATUS_MEMBERS),
     "hapticd/change": ("hapticd.Change", {"revision": {"type": "integer"}}),
 }
 
 
 def files_of(target: Path) -> list[Path]:
-    """The files of an export of this name, itself last. Raises HapticdError for another ending, and where what the
-    form needs is not installed."""
-    packages = _PACKAGES.get(target.suffix.lower())
+    """Return the files of an export of this name, `target` last.
+
+    Raises HapticdError for another ending, and if packages of the format are not installed.
+    """
+    packages = _PACKAGES_OF_SUFFIX.get(target.suffix.lower())
     if packages is None:
         raise HapticdError(f"{target}: must end in .npz, .csv or .mcap")
     try:
@@ -79,12 +81,12 @@ def files_of(target: Path) -> list[Path]:
         raise HapticdError(
             f"{target.suffix} needs the packages of the extra `{extra}`: pip install 'hapticd[{extra}]'"
         ) from None
-    beside = ("events.csv", "about.json") if "pandas" in packages else ()
-    return [*(target.with_name(f"{target.stem}.{ending}") for ending in beside), target]
+    endings = ("events.csv", "about.json") if "pandas" in packages else ()
+    return [*(target.with_name(f"{target.stem}.{ending}") for ending in endings), target]
 
 
 def export(samples: Samples, events: Events, texts: Texts, target: Path, overwrite: bool) -> None:
-    """Writes a recording in the form that the ending of `target` says. Raises HapticdError."""
+    """Write a recording in the format of the ending of `target`. Raises HapticdError."""
     files = files_of(target)
     if len(files) == 1:
         with whole_file(target, overwrite) as file:
@@ -93,14 +95,16 @@ def export(samples: Samples, events: Events, texts: Texts, target: Path, overwri
     write_whole(files[0], _events_csv(events), overwrite)
     write_whole(files[1], json.dumps(dict(texts), indent=1) + "\n", overwrite)
     with whole_file(target, overwrite) as file:
-        for first in range(0, max(1, len(samples)), _STRETCH_SAMPLES):
-            frame = frame_of(samples[first : first + _STRETCH_SAMPLES])
+        for first in range(0, max(1, len(samples)), _BLOCK_SAMPLES):
+            frame = frame_of(samples[first : first + _BLOCK_SAMPLES])
             frame.to_csv(file, index=False, header=first == 0, lineterminator="\n")
 
 
 def frame_of(samples: Samples) -> DataFrame:
-    """One row a tick, a column for each field, of a vector two; the index, `time_s`, is the time since the first one.
-    Raises HapticdError where pandas is missing."""
+    """Return samples as a DataFrame: one row per tick, a column for each field and for each component of a vector.
+
+    The index, `time_s`, is the time since the first sample. Raises HapticdError if pandas is not installed.
+    """
     try:
         import pandas
     except ImportError:
@@ -117,8 +121,8 @@ def frame_of(samples: Samples) -> DataFrame:
 
 
 def _events_csv(events: Events) -> str:
-    """A line of names, those that every event has among them, and a line for each event."""
-    names = dict.fromkeys((*MEMBERS_OF_ALL, *(name for event in events for name in event)))
+    """Return the text of a .csv of events: a header with all members that occur, and a line per event."""
+    names = dict.fromkeys((*COMMON_EVENT_MEMBERS, *(name for event in events for name in event)))
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, names)
     writer.writeheader()
@@ -145,21 +149,21 @@ def _write_mcap(samples: Samples, events: Events, texts: Texts, file: BinaryIO) 
         shape = {"$schema": "http://json-schema.org/draft-07/schema#", "type": "object", "properties": members}
         schema = writer.register_schema(name, "jsonschema", json.dumps(shape).encode())
         writer.register_channel(topic, "json", schema)
-    for name in _ATTACHED:
+    for name in _ATTACHED_TEXTS:
         if name in texts:
             writer.add_attachment(0, 0, f"{name}.json", "application/json", json.dumps(texts[name]).encode())
     by_time = attrgetter("time_ns")
     others = sorted(_other_messages(samples, events, texts), key=by_time)
     for message in heapq.merge(_sample_messages(samples), others, key=by_time):
         writer.add_message(message.channel, message.time_ns, message.data, message.time_ns, message.sequence)
-    for name in _IN_METADATA:
+    for name in _METADATA_TEXTS:
         if isinstance(texts.get(name), dict):
             writer.add_metadata(name, {key: json.dumps(value) for key, value in texts[name].items()})
     writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _sample_schema() -> str:
-    """The ros2msg definition of a record."""
+    """Return the ros2msg definition of a sample."""
     lines = []
     for name in SAMPLE_DTYPE.names or ():
         base, shape = SAMPLE_DTYPE[name].base, SAMPLE_DTYPE[name].shape
@@ -168,19 +172,19 @@ def _sample_schema() -> str:
 
 
 def _sample_messages(samples: Samples) -> Iterator[_Message]:
-    for first in range(0, len(samples), _STRETCH_SAMPLES):
-        part = samples[first : first + _STRETCH_SAMPLES]
+    for first in range(0, len(samples), _BLOCK_SAMPLES):
+        part = samples[first : first + _BLOCK_SAMPLES]
         data, size = part.tobytes(), part.dtype.itemsize
         for row, (tick, time_ns) in enumerate(zip(part["tick"].tolist(), part["time_ns"].tolist(), strict=True)):
             body = _CDR_LITTLE_ENDIAN + data[row * size : (row + 1) * size]
-            yield _Message(time_ns, _SAMPLES, tick & 0xFFFFFFFF, body)
+            yield _Message(time_ns, _SAMPLES_CHANNEL, tick & 0xFFFFFFFF, body)
 
 
 def _other_messages(samples: Samples, events: Events, texts: Texts) -> Iterator[_Message]:
     time_ns = int(samples["time_ns"][0]) if len(samples) else 0
     if texts.get("status"):
-        yield _json_message(time_ns, _STATUS, texts["status"])
-    # A change has the time of the first sample that it acts on; where there is none, of the change before it.
+        yield _json_message(time_ns, _STATUS_CHANNEL, texts["status"])
+    # A change has the time of the first sample that it acts on, or without one that of the change before it.
     revisions, rows = np.unique(samples["revision"], return_index=True)
     first_rows = dict(zip(revisions.tolist(), rows.tolist(), strict=True))
     for change in texts.get("changes", ()):
@@ -188,9 +192,9 @@ def _other_messages(samples: Samples, events: Events, texts: Texts) -> Iterator[
         if row is None and "tick" in change and len(samples):
             row = min(int(np.searchsorted(samples["tick"], np.uint64(change["tick"]))), len(samples) - 1)
         time_ns = time_ns if row is None else int(samples["time_ns"][row])
-        yield _json_message(time_ns, _CHANGE, change)
+        yield _json_message(time_ns, _CHANGE_CHANNEL, change)
     for event in events:
-        yield _json_message(int(event["time_ns"]), _EVENT, event)
+        yield _json_message(int(event["time_ns"]), _EVENT_CHANNEL, event)
 
 
 def _json_message(time_ns: int, channel: int, value: Any) -> _Message:

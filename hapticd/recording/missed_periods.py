@@ -1,4 +1,4 @@
-"""Periods of the servo that were due and in which no tick was rendered, counted from samples."""
+"""Missed periods: periods of the servo without a tick, counted from samples."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy.typing as npt
 from hapticd.base import wording
 from hapticd.base.core import Flag
 
-MOST_GAPS: Final = 1000
-"""Gaps that a recording lists; the ticks of its samples show all of them."""
+MAX_LISTED_GAPS: Final = 1000
+"""Gaps that a recording lists; the ticks of its samples show all."""
 
 
 def missed_periods(
@@ -20,9 +20,10 @@ def missed_periods(
     rate_hz: float | npt.NDArray[np.float64],
     before: tuple[int, int] | None = None,
 ) -> int:
-    """Periods missed between the first and the last of these samples; `rate_hz`: of all, or (n,) of each.
+    """Return the number of missed periods between the first and the last of these samples.
 
-    `before`: tick and time_ns of the sample before the first. Samples that were lost on the way are not missed periods.
+    `rate_hz` is the servo's rate, or that of each sample, shape (n,). `before` is tick and time_ns of the sample before
+    the first. Samples that telemetry lost are not missed periods.
     """
     if len(samples) == 0:
         return 0
@@ -30,7 +31,7 @@ def missed_periods(
     first = (int(ticks[0]) - 1, int(times[0])) if before is None else before
     steps = np.diff(ticks, prepend=first[0])
     elapsed = np.rint(np.diff(times, prepend=first[1]) * (np.asarray(rate_hz) * 1e-9))
-    # Ticks that a device's reports lead are not periods apart: where nothing was missed, nothing is counted.
+    # Ticks that a device's reports start are not exactly one period long: only those with a gap are counted.
     counted = (samples["flags"] & Flag.SKIPPED != 0) | (steps > 1)
     if before is None:
         counted[0] = False
@@ -40,7 +41,7 @@ def missed_periods(
 def rates_of(
     samples: npt.NDArray[np.void], changes: Iterable[Mapping[str, Any]], rate_hz: float
 ) -> npt.NDArray[np.float64]:
-    """The servo's rate at each sample, (n,), from the one at the start and from the changes after it."""
+    """Return the servo's rate at each sample, shape (n,), from the rate at the start and the changes."""
     rates = np.full(len(samples), float(rate_hz))
     for change in changes:
         if "rate_hz" in change:
@@ -50,18 +51,18 @@ def rates_of(
 
 
 def gaps_of(ticks: npt.NDArray[np.int64], before: int | None = None) -> list[tuple[int, int]]:
-    """Stretches of missing ticks: the first tick of each, and how many. `before`: the tick before the first."""
+    """Return the first tick and the length of each gap. `before` is the tick before the first."""
     steps = np.diff(ticks, prepend=ticks[:1] - 1 if before is None else before)
     return [(int(ticks[place] - steps[place] + 1), int(steps[place]) - 1) for place in np.flatnonzero(steps > 1)]
 
 
 def share(missed: int, rendered: int) -> float:
-    """Part of the periods that were due."""
+    """Return the fraction of missed periods."""
     return missed / (missed + rendered) if missed else 0.0
 
 
 def missed_text(missed: int, rendered: int) -> str:
-    """Missed periods, and their share of those that were due, in words."""
+    """Return the number and the fraction of missed periods as text."""
     if not missed:
         return "no period missed"
     return f"{wording.count(missed, 'period')} missed ({wording.percent(share(missed, rendered))})"

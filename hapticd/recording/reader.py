@@ -1,6 +1,6 @@
-"""Recordings, read: the samples are mapped into memory, not copied; whatever is damaged is one line.
+"""Reader of recordings. Samples are mapped into memory, not copied; of a damaged file the error is one line.
 
-What a member claims to hold is compared with what the archive has of it, before there is memory for it.
+The size that a member claims is compared with the archive before memory is allocated.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import one_line
 from hapticd.config.document_kinds import refuse_documents
-from hapticd.recording.event_columns import ROWS_BYTES, events_of_rows
+from hapticd.recording.event_columns import ROW_BLOCK_BYTES, events_of_rows
 from hapticd.recording.writer import Samples
 
 TEXT_MEMBERS: Final[tuple[str, ...]] = ("config", "scene", "materials", "changes", "status", "recording", "flight")
-"""What stands beside the samples, by name; whatever else a file holds is not read."""
+"""Names of the texts of a file; other members are not read."""
 
-_READ_BYTES: Final = 1 << 20
-_SHOWN_CHARACTERS: Final = 200
-"""Of what is wrong in a damaged file."""
-_MOST_UNPACKED, _MOST_RATIO = 2**30, 32
-"""Bytes that a member may have whatever it takes in the file, and beyond that, so many for each of its bytes there."""
+_READ_BLOCK_BYTES: Final = 1 << 20
+"""Bytes that are read at once to check a checksum."""
+_MAX_REASON_CHARACTERS: Final = 200
+"""Length to which the reason is cut in the error of a damaged file."""
+_MAX_UNPACKED_BYTES, _MAX_COMPRESSION_RATIO = 2**30, 32
+"""A member may have 1 GiB, or 32 times its compressed size if that is more."""
 _MAP_NORESERVE: Final = 0x4000
-"""Of Linux; Python 3.11 has no name for it. A file may be larger than the memory."""
+"""Linux' MAP_NORESERVE, which Python 3.11 does not define: a file may be larger than the memory."""
 _LOCAL_HEADER: Final = struct.Struct("<4s22xHH")
-"""Of a member of an archive: its mark, and the lengths of name and extra field that follow."""
+"""Local header of a zip member: signature, and the lengths of name and extra field."""
 READING_ERRORS: Final = (
     ValueError,
     LookupError,
@@ -52,7 +53,7 @@ READING_ERRORS: Final = (
     zipfile.BadZipFile,
     zlib.error,
 )
-"""What reading a file raises that holds something else than it should."""
+"""Exceptions that numpy and zipfile raise for a damaged file."""
 
 
 Contents: TypeAlias = tuple[Samples, list[dict[str, Any]], dict[str, Any], npt.NDArray[np.float64] | None]
@@ -60,29 +61,29 @@ Contents: TypeAlias = tuple[Samples, list[dict[str, Any]], dict[str, Any], npt.N
 
 
 def read(path: str | os.PathLike[str]) -> Contents:
-    """Reads a .npz of `hapticd record`, `simulate` or the flight recorder. Raises HapticdError where it is none."""
+    """Read a .npz of `hapticd record`, `simulate` or the flight recorder. Raises HapticdError for another file."""
     name = one_line(os.fspath(path))
     if Path(path).suffix.lower() != ".npz":
         refuse_documents(path)
-        raise HapticdError(f"{name}: must end in .npz; other forms are exports for other programs")
+        raise HapticdError(f"{name}: must end in .npz; other formats are exports for other programs")
     try:
-        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for, and a device has no end
-            raise HapticdError(f"{name}: is no regular file")
+        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe may block, and a device has no end
+            raise HapticdError(f"{name}: not a regular file")
         with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
             return _read(file, archive)
     except OSError as error:
         raise HapticdError(f"{name}: {error.strerror or error}") from None
     except MemoryError:
-        raise HapticdError(f"{name}: takes more memory than there is") from None
+        raise HapticdError(f"{name}: not enough memory") from None
     except READING_ERRORS as error:
-        why = one_line(str(error)[:_SHOWN_CHARACTERS]) or type(error).__name__
-        raise HapticdError(f"{name}: is damaged, or no recording of hapticd: {why}") from None
+        why = one_line(str(error)[:_MAX_REASON_CHARACTERS]) or type(error).__name__
+        raise HapticdError(f"{name}: damaged, or not a recording of hapticd: {why}") from None
 
 
 def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Contents:
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
     if "samples" not in members:
-        raise ValueError("it has no samples")
+        raise ValueError("no samples")
     samples = _read_samples(file, archive, members["samples"])
     truth = None
     if "truth" in members:
@@ -95,22 +96,22 @@ def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Contents:
 
 
 def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and type of a member; its data follow. Raises ValueError where there are not as many as it says."""
+    """Read shape and type of a member, up to its data. Raises ValueError if its size is not that of its data."""
     read_header = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
     }[np.lib.format.read_magic(member)]
     try:
         shape, by_columns, dtype = read_header(member)
-    except Exception:  # a parser of Python, on whatever stands there
-        raise ValueError(f"{info.filename} has a header that numpy does not write") from None
+    except Exception:  # numpy evaluates the header as a Python literal
+        raise ValueError(f"{info.filename} has an invalid header") from None
     size = math.prod(shape) * dtype.itemsize
     if dtype.hasobject or (by_columns and len(shape) > 1) or min(shape, default=0) < 0:
-        raise ValueError(f"{info.filename} holds no plain array")
+        raise ValueError(f"{info.filename} is not a plain array")
     if member.tell() + size != info.file_size:
-        raise ValueError(f"{info.filename} says that it has {size} bytes, and has not")
-    if size > max(_MOST_UNPACKED, _MOST_RATIO * info.compress_size):
-        raise ValueError(f"{info.filename} would take {size} bytes of memory, from {info.compress_size} of the file")
+        raise ValueError(f"{info.filename} should have {size} bytes of data, has {info.file_size - member.tell()}")
+    if size > max(_MAX_UNPACKED_BYTES, _MAX_COMPRESSION_RATIO * info.compress_size):
+        raise ValueError(f"{info.filename} would take {size} bytes of memory, for {info.compress_size} in the file")
     return shape, dtype
 
 
@@ -128,21 +129,21 @@ def _read_samples(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipIn
         shape, dtype = _read_head(member, info)
         begins = member.tell()
     if len(shape) != 1 or dtype.names is None:
-        raise ValueError("its samples are no records")
+        raise ValueError("its samples are not records")
     if info.compress_type == zipfile.ZIP_STORED and shape[0]:
         samples = _mapped(file, archive, info)[begins:].view(dtype)
     else:
         samples = _read_array(archive, info)
     if dtype == SAMPLE_DTYPE:
-        # Those of earlier versions were not aligned in their files; the core needs them to be.
+        # Files of earlier versions are not aligned; the core needs aligned samples.
         return samples if samples.flags.aligned else samples.copy()
     return _as_now(samples)
 
 
 def _mapped(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> npt.NDArray[np.uint8]:
-    """The bytes of a member that is not compressed; who writes to them changes his own copy."""
+    """Map the bytes of an uncompressed member into memory, copy-on-write."""
     with archive.open(info) as member:
-        while member.read(_READ_BYTES):  # at its end the archive's checksum is checked
+        while member.read(_READ_BLOCK_BYTES):  # at its end the archive's checksum is checked
             pass
     file.seek(info.header_offset)
     _, name_size, extra_size = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))
@@ -155,7 +156,7 @@ def _mapped(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipInfo) ->
 
 
 def _as_now(samples: Samples) -> Samples:
-    """Records with the fields of this version, of those of another. Raises ValueError where one is missing."""
+    """Convert samples of another version to the fields of this one. Raises ValueError if one is missing."""
     missing = [name for name in SAMPLE_DTYPE.names or () if name not in (samples.dtype.names or ())]
     if missing:
         raise ValueError(f"its samples have no {', '.join(missing)}")
@@ -165,14 +166,14 @@ def _as_now(samples: Samples) -> Samples:
 
 
 def _read_events(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[dict[str, Any]]:
-    """In stretches: one long mark widens all rows."""
+    """Yield the events, read in blocks, since a single long mark widens all rows."""
     with archive.open(info) as member:
         shape, dtype = _read_head(member, info)
         if len(shape) != 1:
-            raise ValueError(f"{info.filename} holds no events")
-        most = max(1, ROWS_BYTES // max(1, dtype.itemsize))
-        for first in range(0, shape[0], most):
-            count = min(most, shape[0] - first)
+            raise ValueError(f"{info.filename} is not an array of events")
+        block_rows = max(1, ROW_BLOCK_BYTES // max(1, dtype.itemsize))
+        for first in range(0, shape[0], block_rows):
+            count = min(block_rows, shape[0] - first)
             yield from events_of_rows(np.frombuffer(member.read(count * dtype.itemsize), dtype, count))
         member.read(1)  # at its end the archive's checksum is checked
 
@@ -181,6 +182,6 @@ def _read_text(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> str:
     with archive.open(info) as member:
         shape, dtype = _read_head(member, info)
         if shape != () or dtype.kind != "U":
-            raise ValueError(f"{info.filename} is no text")
-        # Not by numpy, which makes strings of whatever numbers stand there.
+            raise ValueError(f"{info.filename} is not a text")
+        # Not decoded by numpy, which accepts invalid text.
         return member.read().decode("utf-32-be" if dtype.str[0] == ">" else "utf-32-le").rstrip("\0")

@@ -1,5 +1,6 @@
-"""A recording as its reader sees it, `hapticd.load`, and where one goes that is written: into a .npz. A target of
-another form is exported at the end, from the .npz beside it.
+"""A recording as its user sees it, `hapticd.load`, and the files of a new recording.
+
+A recording is always written to a .npz. A target of another format is exported from it at the end.
 
 recording = hapticd.load("tap.npz")          # of `hapticd record`, `simulate` or the flight recorder
 recording.samples["force_n"]                 # (n, 2), numpy
@@ -37,29 +38,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a file of `hapticd record`, `hapticd simulate` or the flight recorder holds."""
+    """Content of a file of `hapticd record`, `hapticd simulate` or the flight recorder."""
 
     path: str
     samples: Samples
-    """(n,) records of `hapticd.SAMPLE_DTYPE`, one a tick."""
+    """(n,) records of `hapticd.SAMPLE_DTYPE`, one per tick."""
     events: list[dict[str, Any]] = field(repr=False)
-    """As in telemetry, whatever the form of the file."""
+    """Events with the members that they have in telemetry."""
     texts: Mapping[str, Any] = field(repr=False)
-    """What stands beside them, by name, as the file has it."""
+    """Other content of the file, by name: scene, materials, configuration and more."""
     truth: npt.NDArray[np.float64] | None = field(default=None, repr=False)
-    """(n, 4), of a simulation in a .npz: the handle's own x, y in m, and its velocity along x, y in m/s."""
+    """(n, 4), of a simulation: the handle's exact x, y in m, and its velocity along x, y in m/s."""
 
     def __repr__(self) -> str:
         return f"<hapticd.Recording {self.path}: {len(self.samples):,} ticks, {len(self.events):,} events>"
 
     @property
     def marks(self) -> list[dict[str, Any]]:
-        """The events `mark`, in their order: `tick`, `time_ns`, `text` and `data` of each."""
+        """Events of the kind `mark`, in order, with `tick`, `time_ns`, `text` and `data`."""
         return [event for event in self.events if event.get("event") == "mark"]
 
     @property
     def scene(self) -> dict[str, Any]:
-        """The scene at the start; empty where the file does not have it."""
+        """The scene at the start; empty if the file does not hold it."""
         return self._map("scene")
 
     @property
@@ -74,77 +75,84 @@ class Recording:
 
     @property
     def status(self) -> dict[str, Any]:
-        """The result of get_status at the start (of a flight recorder's file, when it was written); empty where no
-        daemon was recorded."""
+        """Result of get_status at the start; in a file of the flight recorder, when it was written.
+
+        Empty if no daemon was recorded.
+        """
         return self._map("status")
 
     @property
     def changes(self) -> list[dict[str, Any]]:
-        """What commands changed on the way; the first entry has the revision at the start."""
+        """Changes by commands; the first entry has the revision at the start."""
         changes = self.texts.get("changes")
         return [change for change in changes if isinstance(change, dict)] if isinstance(changes, list) else []
 
     @property
     def notes(self) -> dict[str, Json]:
-        """What `--note` said, as texts, or `daemon.record(path, trial=3)`, with its types."""
+        """Notes of `--note`, as texts, or of `daemon.record(path, trial=3)`, with their types."""
         notes = self._about.get("notes")
         return dict(notes) if isinstance(notes, dict) else {}
 
     @property
     def started(self) -> Moment | None:
-        """The daemon's clocks when the recording began; None of a simulation, or where nobody asked."""
+        """The daemon's clocks when the recording began; None for a simulation or if they were not read."""
         return moment_of(self._about.get("started"))
 
     @property
     def ended(self) -> Moment | None:
-        """The daemon's clocks when it ended."""
+        """The daemon's clocks when the recording ended, or None."""
         return moment_of(self._about.get("ended"))
 
     @property
     def ended_because(self) -> str | None:
-        """Why it ended early; None where it did not."""
+        """Why the recording ended early, or None."""
         reason = self._about.get("ended_because", self._about.get("ended"))
         return reason if isinstance(reason, str) else None
 
     @property
     def rate_hz(self) -> float:
-        """Ticks a second at the start."""
+        """Ticks per second at the start. Raises HapticdError if the file does not have it."""
         servo = self.config.get("servo")
         configured = servo.get("rate_hz") if isinstance(servo, dict) else None
         first = self.changes[0].get("rate_hz") if self.changes else None
         found = first or self.status.get("rate_hz") or configured
         if isinstance(found, bool) or not isinstance(found, int | float) or not found > 0:
-            raise HapticdError(f"{self.path}: does not say at which rate it was recorded")
+            raise HapticdError(f"{self.path}: holds no servo rate")
         return float(found)
 
     @cached_property
     def missed_periods(self) -> int:
-        """Periods in which the servo rendered no tick though one was due, between the first sample and the last."""
+        """Number of the servo's periods without a tick, between the first sample and the last."""
         counted = self._about.get("missed_periods")
         if type(counted) is int:
             return counted
         return missed_periods(self.samples, rates_of(self.samples, self.changes, self.rate_hz))
 
     def utc(self) -> npt.NDArray[np.datetime64]:
-        """(n,): the time of day of each sample, UTC, by the clocks at the start. Raises HapticdError where the file
-        does not have them."""
+        """Return the time of day of each sample, UTC, shape (n,), by the clocks at the start.
+
+        Raises HapticdError if the file does not hold them.
+        """
         moment = self.started or self.ended
         if moment is None:
-            raise HapticdError(f"{self.path}: does not say the time of day")
+            raise HapticdError(f"{self.path}: holds no time of day")
         times = self.samples["time_ns"].astype(np.int64) + (moment.realtime_ns - moment.monotonic_ns)
         return times.view("M8[ns]")
 
     def to_pandas(self) -> DataFrame:
-        """The samples as a DataFrame: one row a tick, a column for each field, of a vector two (`force_n_x`,
-        `force_n_y`). The index, `time_s`, is the time since the first sample in s.
+        """Return the samples as a DataFrame with one row per tick.
 
-        `frame.set_index(recording.utc())` has the time of day instead. Raises HapticdError where pandas is missing.
+        It has a column for each field, and two for a vector (`force_n_x`, `force_n_y`). The index, `time_s`, is the
+        time since the first sample in s; `frame.set_index(recording.utc())` has the time of day instead. Raises
+        HapticdError if pandas is not installed.
         """
         return frame_of(self.samples)
 
     def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
-        """Writes it into another file: a .npz, or an export for other programs, .csv or .mcap, by its ending; `truth`
-        is in .npz alone. Returns `path`. Raises HapticdError."""
+        """Write the recording to another file, by its ending a .npz, or an export for other programs: .csv or .mcap.
+
+        Only a .npz holds `truth`. Returns `path`. Raises HapticdError.
+        """
         target = Path(path)
         check_saved(target, overwrite)
         if target.suffix.lower() != ".npz":
@@ -169,27 +177,29 @@ class Recording:
 
 
 def check_saved(target: str | os.PathLike[str], overwrite: bool) -> None:
-    """Raises HapticdError for a target of another ending, and where one of its files is no regular file, or, without
-    `overwrite`, is there already."""
+    """Raise HapticdError if a recording cannot be saved as `target`.
+
+    That is: its ending is another one, or one of its files exists and `overwrite` is False, or is not a regular file.
+    """
     path = Path(target)
     for file in (path,) if path.suffix.lower() == ".npz" else reversed(files_of(path)):
         check_new(file, overwrite)
 
 
 def load(path: str | os.PathLike[str]) -> Recording:
-    """Reads a recording: the .npz of `hapticd record`, `hapticd simulate` or `hapticd flight`.
+    """Read a recording: the .npz of `hapticd record`, `hapticd simulate` or `hapticd flight`.
 
     Its samples are mapped into memory: they take none until they are used, and the file may be larger than the memory.
-    Raises HapticdError (one line) where the file is none.
+    Raises HapticdError (one line) if the file is not a recording.
     """
     return Recording(os.fspath(arguments.path("path", path)), *read(path))
 
 
-# ---- Where one goes --------------------------------------------------------------------------------------------------
+# ---- Files of a new recording ------------------------------------------------------------------------------------------
 
 
 def recording_path(target: str | os.PathLike[str]) -> Path:
-    """The .npz of a recording into `target`. Raises HapticdError for an ending of another form."""
+    """Return the path of the .npz of a recording into `target`. Raises HapticdError for an unknown ending."""
     path = Path(target)
     if path.suffix.lower() == ".npz":
         return path
@@ -198,17 +208,17 @@ def recording_path(target: str | os.PathLike[str]) -> Path:
 
 
 def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
-    """As `check_saved`, also for the .npz of an export. Raises HapticdError."""
+    """Raise HapticdError as `check_saved` does, also for the .npz of an export."""
     check_saved(target, overwrite)
     check_new(recording_path(target), overwrite)
 
 
 @contextmanager
 def recording_into(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator[RecordingWriter]:
-    """The writer of a recording, which is to be finished in the block.
+    """Open the writer of a recording, which must be finished in the block.
 
-    Raises HapticdError: as `check_target` does before anything is written, and at the end where another file had
-    appeared at the target, which says where the recording is.
+    Raises HapticdError as `check_target` does, before anything is written. At the end it raises HapticdError if
+    another program has created the target meanwhile, or the export failed; the text then names the recording's file.
     """
     check_target(target, overwrite)
     recording = recording_path(target)
@@ -220,5 +230,5 @@ def recording_into(target: str | os.PathLike[str], overwrite: bool = False) -> I
         try:
             load(recording).save(target, overwrite)
         except (HapticdError, MemoryError) as error:
-            why = error if isinstance(error, HapticdError) else f"{target}: takes more memory than there is"
+            why = error if isinstance(error, HapticdError) else f"{target}: not enough memory"
             raise HapticdError(f"{why}; the recording is in {recording}") from None

@@ -1,7 +1,7 @@
-"""Recordings that were killed: their partial files are found, reported, and made files of.
+"""Recovery of recordings that were killed: finds their partial files, reports them, and completes them.
 
-Nothing here is a condition of recording: `hapticd record` says what lies beside its target and goes on, and `hapticd
-recover` makes files of it. What cannot be read stays as it is.
+`hapticd record` reports partial files in the folder of its target and continues; `hapticd recover` makes recordings of
+them. Unreadable partial files stay unchanged.
 """
 
 from __future__ import annotations
@@ -18,41 +18,41 @@ from hapticd.recording.reader import READING_ERRORS
 from hapticd.recording.recording import recording_path
 from hapticd.recording.writer import NOTES_ENDING, RecordingWriter
 
-_DAMAGED: Final = "is damaged, and left as it is"
+_DAMAGED_TEXT: Final = "damaged; left unchanged"
+"""Reason why a damaged partial file was not recovered."""
 
 
 class Recovered(NamedTuple):
-    """Of the partial files of killed recordings: the files that were made of them, and why of others none was, a line
-    each."""
+    """Recordings that were made of partial files, and a line for each partial file that could not be recovered."""
 
     files: list[Path]
     problems: list[str]
 
 
 def _parts(recording: Path) -> list[Path]:
-    """The partial files of recordings into this file."""
+    """Return the partial files of recordings into this file."""
     place = Path(os.path.realpath(recording))
     return sorted(place.parent.glob(f".{glob.escape(place.name)}.*.part"))
 
 
-def partial_files_beside(target: str | os.PathLike[str]) -> str | None:
-    """What to say of them before a recording into `target`."""
+def partial_files_warning(target: str | os.PathLike[str]) -> str | None:
+    """Return a warning about partial files of earlier recordings into `target`, or None if there are none."""
     recording = recording_path(target)
     name, parts = os.fspath(recording), _parts(recording)
     if not parts:
         return None
     more = f" and {len(parts) - 1} more" if len(parts) > 1 else ""
     return (
-        f"{one_line(name)}: {one_line(parts[0].name)}{more} beside it is of another recording: under way, or killed; "
-        f"`hapticd recover {shlex.quote(name)}` makes a file of what was killed"
+        f"{one_line(name)}: {one_line(parts[0].name)}{more} in its folder: another recording is running, or was "
+        f"killed; `hapticd recover {shlex.quote(name)}` recovers killed ones"
     )
 
 
 def recover(target: str | os.PathLike[str]) -> Recovered:
-    """Makes files of what recordings into `target` left that were killed: NAME.recovered.npz beside it.
+    """Make recordings of the partial files that killed recordings into `target` left: NAME.recovered.npz.
 
-    Those of processes that still record are let alone, and so is what cannot be read. Raises HapticdError for a target
-    of another ending.
+    Partial files of running processes, and unreadable ones, stay unchanged. Raises HapticdError for a target with an
+    unknown ending.
     """
     recording, recovered = recording_path(target), Recovered([], [])
     for part in _parts(recording):
@@ -65,17 +65,17 @@ def recover(target: str | os.PathLike[str]) -> Recovered:
 
 
 def _recover(recording: Path, part: Path) -> Path | str:
-    """The file that was made, or why none was."""
+    """Return the recording that was made, or why none was."""
     if not part.with_suffix(NOTES_ENDING).exists():
-        return _DAMAGED
+        return _DAMAGED_TEXT
     try:
         writer = RecordingWriter(recording, resume=part)
     except BlockingIOError:
-        return "is still being recorded"
+        return "its recording is still running"
     except OSError as error:
-        return f"cannot be taken up: {error.strerror}"
+        return f"cannot be read: {error.strerror}"
     except READING_ERRORS:
-        return _DAMAGED
+        return _DAMAGED_TEXT
     with writer:
         if not writer.count:
             writer.discard()
@@ -85,7 +85,7 @@ def _recover(recording: Path, part: Path) -> Path | str:
         try:
             writer.finish({"recording": {**writer.about, **about}})
         except HapticdError as error:
-            return f"cannot be finished, and is left as it is ({error})"
+            return f"cannot be finished, left unchanged ({error})"
         except READING_ERRORS:
-            return _DAMAGED
+            return _DAMAGED_TEXT
         return writer.target

@@ -1,18 +1,18 @@
-"""Recordings rendered again: the servo's own tick, with the input of the recorded ticks.
+"""Replay of recordings: the servo's tick with the recorded input, and comparison of the forces.
 
 A tick is a function of scene, state and input. Samples hold the input (position, velocity, time, whether forces were
-on), a recording holds the scenes and what was played and reset, and the state is that of a servo as long as it began
-from the same. So a replay begins where nothing was left of what had been before: at tick 0, or at a tick at which
-nothing is touched, rings or ramps. It begins again where ticks are missing, after a fault, at another rate, and after a
-streamed force, which no recording holds. What it renders should be the recorded forces, bit for bit. Where it is not,
-something was not as the recording says it.
+on), and a recording holds the scenes and the commands `play` and `reset`. The state is that of the servo if it began
+from the same state. So a replay begins where the state is known: at tick 0, or at a tick at which nothing is touched,
+rings or ramps. It begins again after missing ticks, after a fault, at another rate, and after a streamed force, which
+recordings do not hold. The rendered forces should equal the recorded ones, bit for bit. If they do not, the recording
+does not hold all that had an influence.
 
-Files of the flight recorder tell the scene at their beginning and what changed since, as recordings do. What was before
-the first change that such a file tells is not rendered.
+Files of the flight recorder hold the scene at their beginning and later changes, as recordings do. Ticks before the
+first change of such a file are not rendered.
 
-What a recording does not hold: the number of contacts that an object had before (which its noise begins from),
-membranes that had been punctured before, what a device played by itself, when in its period a real device's report
-came, and in which order the servo had met objects that are touched together (a sum's last bits).
+A recording does not hold: the number of earlier contacts of an object (from which its noise begins), membranes that
+were punctured before, effects that the device played, the time within a period at which a real device's report
+arrived, and the order in which the servo found objects that are touched together (the last bits of a sum).
 """
 
 from __future__ import annotations
@@ -42,25 +42,28 @@ from hapticd.recording.writer import Samples
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import Rerun
 
-FORCES: Final = ("contact_force_n", "vibration_force_n", "force_n")
-"""What is compared."""
+FORCE_FIELDS: Final = ("contact_force_n", "vibration_force_n", "force_n")
+"""Fields of the samples that are compared."""
 
-NEEDED: Final = ("config", "scene", "materials", "changes")
-"""What must stand in a recording beside the samples."""
+REQUIRED_TEXTS: Final = ("config", "scene", "materials", "changes")
+"""Texts that a recording must hold."""
 
-_LEFT_OUT: Final = {
+_REASON_OF_LEFT_OUT: Final = {
     "fault": "with a fault latched",
     "scene": "whose scene is not in the file",
     "streamed": "with a streamed force",
     "begun_before": "until nothing was touched, rang or ramped",
 }
-_LEFT_OVER: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
-_NO_TIME: Final = 0xFFFFFFFF
+"""Words of a summary for the keys of `Replay.left_out`."""
+_UNSETTLED_FLAGS: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
+"""Flags of a tick whose state depends on earlier ticks."""
+_MAX_PERIODS: Final = 0xFFFFFFFF
+"""Maximum number of periods between two ticks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Between the recorded and the rendered force, as the length of the vector between them, N."""
+    """Magnitude of the difference between the recorded and the rendered force, in N: maximum and RMS."""
 
     largest_n: float
     rms_n: float
@@ -68,39 +71,39 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A recording, rendered again."""
+    """A recording that was rendered again."""
 
     samples: Samples
     """(m,) records of SAMPLE_DTYPE: the ticks that were rendered again."""
     recorded: Samples
-    """(m,) the same ticks, as they were recorded."""
+    """(m,) the same ticks as recorded."""
     events: list[dict[str, object]]
-    """Those of the ticks rendered again, as maps."""
+    """Events of the rendered ticks."""
     ticks: int
-    """How many the recording has."""
+    """Number of ticks of the recording."""
     identical: int
-    """Ticks whose three forces are the recorded ones, bit for bit."""
+    """Number of ticks whose three forces equal the recorded ones, bit for bit."""
     first_different: int | None
-    """The first tick whose forces are not."""
+    """First tick with a different force, or None."""
     differences: dict[str, Difference]
-    """By field, over all ticks that were rendered again."""
+    """Difference over all rendered ticks, by field."""
     missing_revisions: tuple[int, ...]
-    """Revisions whose scene is not in the recording; their ticks were not rendered again."""
+    """Revisions whose scene is not in the recording; their ticks were not rendered."""
     left_out: Mapping[str, int]
-    """Why ticks were not rendered again, and how many: `fault` (one was latched), `scene` (it is not in the recording),
-    `streamed` (a force was streamed, which is not in the recording), `begun_before` (what was touched, rang or ramped
-    began before, or what was played before is not in the file)."""
+    """Number of ticks that were not rendered, by reason: `fault` (a fault was latched), `scene` (the scene is not in the
+    recording), `streamed` (a force was streamed, which is not in the recording), `begun_before` (a contact, mode or
+    ramp began before the recording, or an earlier `play` is not in the file)."""
     doubts: tuple[str, ...]
-    """What the recording does not say, and may be why forces are others; none where all are as recorded."""
+    """Possible reasons for different forces that the recording does not hold; empty if all forces are identical."""
     settled: bool
-    """False: the recording has no tick to begin from, and what was before it is taken for nothing."""
+    """False if no tick has a known state to begin from; then the state before the recording is assumed to be empty."""
     texts: Mapping[str, Any]
-    """What stands in the recording beside the samples."""
+    """Texts of the recording; see `hapticd.Recording`."""
     source: str | os.PathLike[str]
-    """The recording."""
+    """Path of the recording."""
 
     def summary(self) -> str:
-        """One line for people."""
+        """Return the result as one line of text."""
         ticks = len(self.samples)
         text = f"{ticks:,} of {wording.count(self.ticks, 'tick')} rendered again, "
         if self.identical == ticks:
@@ -118,11 +121,13 @@ class Replay:
         return text + "".join(f"; {doubt}" for doubt in self.doubts)
 
     def write(self, target: str | os.PathLike[str], overwrite: bool = False) -> None:
-        """Writes what was rendered as another recording. Raises HapticdError where the disk does not take it, where the
-        target is there already, and where it would take the place of the recording itself."""
+        """Write the rendered ticks as another recording.
+
+        Raises HapticdError if it cannot be written, if the target already exists, or if it is the recording itself.
+        """
         made = recording_path(target)
         if made.exists() and made.samefile(self.source):
-            raise HapticdError(f"{os.fspath(target)}: {made} is what was rendered again; give another name")
+            raise HapticdError(f"{os.fspath(target)}: {made} is the replayed recording; give another name")
         with recording_into(target, overwrite) as writer:
             last = ("changes", "recording", "flight")
             first = {name: text for name, text in self.texts.items() if name not in last}
@@ -130,7 +135,7 @@ class Replay:
             writer.finish()
 
     def to_dict(self) -> dict[str, object]:
-        """As plain data, without samples and events."""
+        """Return the result as plain data, without samples and events."""
         return {
             "ticks": self.ticks,
             "replayed": len(self.samples),
@@ -145,39 +150,39 @@ class Replay:
 
 
 def replay(path: str | os.PathLike[str]) -> Replay:
-    """Renders a recording (.npz) again, and compares; a sample takes about 400 bytes of memory meanwhile.
+    """Render a recording (.npz) again, and compare the forces. It takes about 400 bytes of memory per sample.
 
-    Raises HapticdError where the file is no recording, does not hold what it was rendered with, or holds what this
-    version does not take.
+    Raises HapticdError if the file is not a recording, does not hold scene, materials, configuration and changes, or
+    holds values that this version refuses.
     """
     recorded = load(path)
-    missing = [name for name in NEEDED if not recorded.texts.get(name)]
+    missing = [name for name in REQUIRED_TEXTS if not recorded.texts.get(name)]
     if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
         raise HapticdError(
-            f"{os.fspath(path)}: cannot be rendered again: its scene is not in it, as of all scenes of more than "
-            f"{FLIGHT_OBJECTS:,} objects, or {FLIGHT_PIECES:,} patches and models, in files of the flight recorder"
+            f"{os.fspath(path)}: cannot be rendered again: files of the flight recorder do not hold scenes of more "
+            f"than {FLIGHT_OBJECTS:,} objects, or {FLIGHT_PIECES:,} patches and models"
         )
     if missing:
-        raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with (no {', '.join(missing)})")
+        raise HapticdError(f"{os.fspath(path)}: cannot be rendered again: it holds no {', '.join(missing)}")
     try:
         return _replay(recorded)
     except HapticdError as error:
         raise HapticdError(f"{os.fspath(path)}: {error}") from None
     except MemoryError:
-        raise HapticdError(f"{os.fspath(path)}: takes more memory than there is") from None
+        raise HapticdError(f"{os.fspath(path)}: not enough memory") from None
     except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError) as error:
-        raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with: {error!r}") from None
+        raise HapticdError(f"{os.fspath(path)}: cannot be rendered again: {error!r}") from None
 
 
 def _replay(recorded: Recording) -> Replay:
     samples, texts = recorded.samples, recorded.texts
     servo, status = texts["config"]["servo"], texts.get("status") or {}
-    # A daemon that has stepped down has another rate than its configuration.
+    # After a step down the daemon's rate differs from its configuration.
     rate_hz = status.get("rate_hz", servo["rate_hz"])
     revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist()), rate_hz))
     known = [revision.number for revision in revisions]
     rates_hz = rates_of(samples, texts["changes"], rate_hz)
-    # The flight recorder says from which tick on every command is in its file; `hapticd record` has them all.
+    # Files of the flight recorder hold all commands from the tick `complete_from` on; other recordings hold all.
     complete_from = int((texts.get("flight") or {}).get("complete_from", 0))
     is_known = np.isin(samples["revision"], known) & (samples["tick"] >= complete_from)
     stretches, settled = _stretches(samples, rates_hz, is_known, texts)
@@ -202,7 +207,7 @@ def _replay(recorded: Recording) -> Replay:
     events: list[dict[str, object]] = []
     for stretch, muted in stretches:
         rerun.restart(muted)
-        if rates_hz[stretch.start] != rate_hz:  # its first revision is turned to below
+        if rates_hz[stretch.start] != rate_hz:  # its first revision is set below
             rate_hz = float(rates_hz[stretch.start])
             rerun.change_rate(outputs[rate_hz])
         periods[stretch.start] = 1
@@ -217,12 +222,12 @@ def _replay(recorded: Recording) -> Replay:
             at += len(rendered)
             events += [event_map(event, rerun.name_of(event)) for event in happened]
     if not count:
-        raise HapticdError(f"no tick of it can be rendered again: {_left_out_text(_left_out(samples, known, 0))}")
+        raise HapticdError(f"no tick can be rendered again: {_left_out_text(_left_out(samples, known, 0))}")
     before = samples
     if count < len(samples):
         before = np.concatenate([samples[stretch] for stretch, _ in stretches])
     different = np.zeros(len(again), bool)
-    for name in FORCES:
+    for name in FORCE_FIELDS:
         different |= (again[name].view(np.uint64) != before[name].view(np.uint64)).any(axis=1)
     first = int(before["tick"][np.argmax(different)]) if different.any() else None
     missing = sorted(set(np.unique(samples["revision"]).tolist()) - set(known))
@@ -233,7 +238,7 @@ def _replay(recorded: Recording) -> Replay:
         len(samples),
         int(len(again) - different.sum()),
         first,
-        {name: _difference(again[name] - before[name]) for name in FORCES},
+        {name: _difference(again[name] - before[name]) for name in FORCE_FIELDS},
         tuple(missing),
         _left_out(samples, known, len(again)),
         _doubts(configs[rate_hz].device, revisions) if different.any() else (),
@@ -244,7 +249,7 @@ def _replay(recorded: Recording) -> Replay:
 
 
 def _left_out(samples: Samples, known: list[int], rendered: int) -> dict[str, int]:
-    """Why ticks were not rendered again, and how many: see `Replay.left_out`."""
+    """Return the number of ticks that were not rendered, by reason; see `Replay.left_out`."""
     faults = samples["flags"] & Flag.FAULT != 0
     unknown = ~np.isin(samples["revision"], known) & ~faults
     streamed = (samples["flags"] & Flag.STREAMED != 0) & ~faults & ~unknown
@@ -254,7 +259,7 @@ def _left_out(samples: Samples, known: list[int], rendered: int) -> dict[str, in
 
 
 def _left_out_text(left_out: Mapping[str, int]) -> str:
-    return ", ".join(f"{count:,} {_LEFT_OUT[why]}" for why, count in left_out.items())
+    return ", ".join(f"{count:,} {_REASON_OF_LEFT_OUT[why]}" for why, count in left_out.items())
 
 
 def _difference(between: npt.NDArray[np.float64]) -> Difference:
@@ -263,7 +268,7 @@ def _difference(between: npt.NDArray[np.float64]) -> Difference:
 
 
 def _doubts(device: Device, revisions: list[_Revision]) -> tuple[str, ...]:
-    """Which of the things that no recording says may matter in this one."""
+    """Return possible reasons for different forces: influences that recordings do not hold."""
     noise = any(
         isinstance(revision.materials[name].texture, Stochastic | Autoregressive)
         for revision in revisions
@@ -274,17 +279,17 @@ def _doubts(device: Device, revisions: list[_Revision]) -> tuple[str, ...]:
     membranes = any(item.kind == "membrane" for revision in revisions for item in revision.scene.objects.values())
     doubts = []
     if noise:
-        doubts.append("noise of textures depends on how often an object had been touched before")
+        doubts.append("noise of textures depends on the number of earlier contacts")
     if membranes:
         doubts.append("membranes may have been punctured before")
     if device.kind != "sim":
-        doubts.append("when in its period a report of the device came is not recorded")
+        doubts.append("the arrival of the device's reports within a period is not recorded")
         if device.hid.offload == "auto":
-            doubts.append("nor is what the device played by itself")
+            doubts.append("effects that the device played are not recorded")
     return tuple(doubts)
 
 
-# ---- What was rendered ---------------------------------------------------------------------------------------------
+# ---- Scenes ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,12 +298,12 @@ class _Revision:
     scene: Scene
     materials: Mapping[str, Material]
     changed: tuple[str, ...]
-    """Objects that are not those of the one before in this list, in the order in which they changed."""
+    """Ids of objects that changed since the previous revision of the list, in the order of their changes."""
     rate_hz: float
 
 
 def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> Iterator[_Revision]:
-    """Those of the recording that samples were rendered with, in order."""
+    """Yield the revisions of the recording that samples were rendered with, in order."""
     scene = validate_scene(texts["scene"], ("scene",))
     materials: dict[str, Material] = validate_materials(texts["materials"])
     pending = dict.fromkeys(scene.objects)
@@ -326,25 +331,27 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> It
 
 
 def _turn(rerun: Rerun, revisions: list[_Revision], place: int, to: int) -> int:
-    """From the revision at `place` to another, which is a later one as a rule; a place below 0: from nothing."""
+    """Change the scene from the revision at index `place` to the one at `to`; below 0 there is no scene yet."""
     if to > place:
         changed = [id for revision in revisions[place + 1 : to + 1] for id in revision.changed]
     else:
         changed = [*revisions[place].scene.objects, *revisions[to].scene.objects]
     revision = revisions[to]
-    # In the same order each time, because the order in which forces are added up follows from it.
+    # The order of the changed objects determines the order in which forces are summed.
     rerun.turn_to(revision.scene, dict.fromkeys(changed), revision.materials, revision.number)
     return to
 
 
-# ---- Where it begins, and the input of each tick -------------------------------------------------------------------
+# ---- Begin, and input of each tick -----------------------------------------------------------------------------------
 
 
 def _stretches(
     samples: Samples, rates_hz: npt.NDArray[np.float64], known: npt.NDArray[np.bool_], texts: Mapping[str, Any]
 ) -> tuple[list[tuple[slice, bool]], bool]:
-    """Ticks that can be rendered one after the other, and whether the command is zero when they begin; and whether
-    they begin where nothing is left of what was before."""
+    """Return stretches of consecutive ticks, each with whether its command begins at zero; and `settled`.
+
+    `settled` is whether the stretches begin with a known state.
+    """
     flags = samples["flags"]
     usable = known & (flags & (Flag.FAULT | Flag.STREAMED) == 0)
     follows = np.diff(samples["tick"].astype(np.int64), prepend=-2) == 1
@@ -352,8 +359,8 @@ def _stretches(
     begins = np.flatnonzero(usable & ~(follows & np.roll(usable, 1)))
     ends = np.flatnonzero(usable & ~np.append((follows & usable)[1:], False)) + 1
     at_start = samples["tick"] == 0
-    # Of two such ticks the second: what is left of an object that went away acts in the last tick of its ramp, too.
-    quiet = flags & _LEFT_OVER == 0
+    # The second of two such ticks: the force of a removed object still acts in the last tick of its ramp.
+    quiet = flags & _UNSETTLED_FLAGS == 0
     fit = (quiet & np.roll(quiet, 1) & follows) | at_start
     runs = list(zip(begins.tolist(), ends.tolist(), strict=True))
     settled = bool((usable & fit).any())
@@ -364,8 +371,8 @@ def _stretches(
             if len(left) == 0:
                 continue
             begin += int(left[0])
-        # A daemon's command comes in over the ramp when it starts; a simulation's is there.
-        # One whose signs are checked meanwhile has none yet.
+        # When a daemon starts, its command rises over the ramp; that of a simulation does not.
+        # During the check of signs the command is zero.
         on = int(flags[begin]) & (Flag.FORCES_ON | Flag.CHECKING) == Flag.FORCES_ON
         muted = "status" in texts if at_start[begin] else not on
         stretches.append((slice(begin, end), muted))
@@ -373,7 +380,7 @@ def _stretches(
 
 
 def _parts(samples: Samples, stretch: slice, commands: Mapping[int, object]) -> Iterator[slice]:
-    """A stretch, cut where the revision changes and where commands were taken."""
+    """Yield the parts of a stretch between changes of the revision and commands."""
     inside = samples[stretch]
     edges = {0, len(inside), *(np.flatnonzero(np.diff(inside["revision"])) + 1).tolist()}
     first = int(inside["tick"][0])
@@ -383,7 +390,7 @@ def _parts(samples: Samples, stretch: slice, commands: Mapping[int, object]) -> 
 
 
 def _commands(texts: Mapping[str, Any]) -> dict[int, list[dict[str, Any]]]:
-    """What was played and reset, by the tick that took it."""
+    """Return the commands `play` and `reset` by the tick at which they took effect."""
     commands: dict[int, list[dict[str, Any]]] = {}
     for change in texts["changes"]:
         if "tick" in change:
@@ -401,16 +408,16 @@ def _carry_out(rerun: Rerun, command: Mapping[str, Any], time_ns: int) -> None:
 
 
 def _periods(samples: Samples, rates_hz: npt.NDArray[np.float64]) -> npt.NDArray[np.uint32]:
-    """Since the tick before: more than one where periods were missed."""
+    """Return the periods between each tick and the one before, shape (n,); above 1 if periods were missed."""
     elapsed = np.diff(samples["time_ns"], prepend=samples["time_ns"][:1]) * (rates_hz / 1e9)
     missed = samples["flags"] & Flag.SKIPPED != 0
-    return np.where(missed, np.clip(np.rint(elapsed), 1, _NO_TIME), 1).astype(np.uint32)
+    return np.where(missed, np.clip(np.rint(elapsed), 1, _MAX_PERIODS), 1).astype(np.uint32)
 
 
 def _intervals(
     samples: Samples, periods: npt.NDArray[np.uint32], rates_hz: npt.NDArray[np.float64], device: Device
 ) -> npt.NDArray[np.float64]:
-    """Between the report of each tick and the one before; 0 where none came."""
+    """Return the time in s between the position report of each tick and the one before; 0 without a new report."""
     report_s = device.sim.reports_s[0] if device.kind == "sim" else 0.0
     fresh = samples["flags"] & Flag.REPEATED == 0
     intervals = np.zeros(len(samples))
@@ -420,6 +427,6 @@ def _intervals(
     if report_s:
         elapsed = np.maximum(np.rint(elapsed / report_s), 1.0) * report_s
     intervals[places] = elapsed
-    # The first report has none before it.
+    # No report came before the first.
     intervals[samples["tick"] == 0] = 0.0
     return intervals

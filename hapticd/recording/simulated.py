@@ -1,4 +1,4 @@
-"""What `hapticd simulate` does: a scene and an operator from files, rendered into a recording."""
+"""`hapticd simulate`: renders a scene and an operator from files into a recording."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def simulate_files(
     overwrite: bool = False,
     notes: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Runs a scene or a configuration with the simulated joystick, into a file if one is named; without a rate at its
-    own. Returns what `simulate --json` prints; `largest_force_n` is the largest magnitude of the command.
+    """Simulate a scene or a configuration with the simulated joystick, and write a recording if `output` is given.
 
-    Raises HapticdError or InvalidError for what cannot be read, run or written, before anything is run for a file that
-    is there already and not to be replaced.
+    Without `rate_hz` the configuration's rate holds. Returns the result of `simulate --json`; `largest_force_n` is the
+    maximum magnitude of the command. Raises HapticdError or InvalidError for files that cannot be read or written and
+    for invalid values; for an existing output that must not be replaced before the simulation.
     """
     with nullcontext() if output is None else recording_into(output, overwrite) as writer:
         config = configuration(scene)
@@ -70,6 +70,6 @@ def _write(writer: RecordingWriter, config: Config, run: Run, notes: Mapping[str
 
 
 def configuration(path: str) -> Config:
-    """That of a file which holds a scene or a whole one. Raises HapticdError or InvalidError."""
+    """Load a configuration from a file that holds one, or only a scene. Raises HapticdError or InvalidError."""
     refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene")
     return load_config(path)

@@ -1,15 +1,15 @@
-"""Recordings, written: a .npz that numpy.load reads without pickle.
+"""Writer of recordings: a .npz that numpy.load reads without pickle.
 
-Samples go into a hidden partial file beside the target as they come, so that memory stays bounded however long a
-recording is. It is an archive from its first byte on: the samples are its first member, whose header and checksum are
-put in front of them at the end, when their number is known; events and texts follow. Until then these stand in a second
-partial file, the notes, one JSON value a line. The target is put in place at the end, by a rename.
+Samples are appended to a hidden partial file in the target's folder, so that memory stays bounded for any length of a
+recording. This file becomes the archive: the samples are its first member, whose header and checksum are written in
+front of them at the end, when their number is known; events and texts follow. Until then events and texts are in a
+second partial file, the notes, one JSON value per line. At the end the archive is renamed to the target.
 
-A recording that fails leaves no file and changes none, with two exceptions. On a full disk the newest samples give way
-to what else belongs to the file, which is then finished. A process that was killed leaves its partial files, and so
-does one whose file could not get its name, or not be written any further; recovery.py makes a file of them.
+A recording that fails leaves no file and changes none, with two exceptions. On a full disk the newest samples are
+dropped, so that the file can be finished. The partial files stay if the process is killed, if the archive cannot be
+renamed, or if writing fails for another reason; recovery.py makes a recording of them.
 
-The section Files of docs/protocol.md says what a recording holds.
+The section Files of docs/protocol.md describes the content of a recording.
 """
 
 from __future__ import annotations
@@ -40,47 +40,49 @@ Texts: TypeAlias = Mapping[str, object]
 
 NOTES_ENDING: Final = ".notes"
 """Ending of the second partial file."""
-_STRETCH_SAMPLES: Final = 10_000
+_WRITE_BLOCK_SAMPLES: Final = 10_000
 """Samples that `write_all` writes at once."""
-_GIVEN_UP_BYTES: Final = 1 << 18
-"""Samples that give way at once where a disk is full."""
-_READ_BYTES: Final = 1 << 20
-_ALIGNED_BYTES: Final = 64
-"""Samples begin at a multiple of it, so that they can be mapped into memory."""
-_FIELD: Final = re.compile("[<>|]?[iuf][1248]")
-_FULL: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+_DROPPED_BLOCK_BYTES: Final = 1 << 18
+"""Size of the samples that are dropped at once on a full disk."""
+_CHECKSUM_BLOCK_BYTES: Final = 1 << 20
+"""Bytes that are read at once for the checksum."""
+_SAMPLE_ALIGNMENT_BYTES: Final = 64
+"""Samples begin at a multiple of 64 bytes, so that they can be mapped into memory."""
+_FIELD_FORMAT: Final = re.compile("[<>|]?[iuf][1248]")
+"""Format of a field of samples: a plain number."""
+_DISK_FULL_ERRORS: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+"""Errors of a full disk, an exceeded quota or the maximum size of a file."""
 
 
 class DiskFullError(HapticdError):
-    """The disk takes no more. What was written before is whole, and can be finished."""
+    """The disk is full. The samples before are complete, and the recording can be finished."""
 
 
 class RecordingWriter:
-    """Writes one recording. An unfinished one is deleted at the end of its `with`; if finishing failed, its partial
-    files stay for `hapticd recover`.
+    """Writer of one recording, a context manager.
 
-    Its methods raise HapticdError where the disk does not take what is written; DiskFullError where it is only full.
+    An unfinished recording is deleted at the end of its `with`; if finishing failed, its partial files stay for
+    `hapticd recover`. Methods raise HapticdError if writing fails, DiskFullError if the disk is full.
     """
 
     def __init__(self, target: str | os.PathLike[str], overwrite: bool = False, *, resume: Path | None = None) -> None:
-        """`resume`: a partial file that a killed process left, to be finished here.
+        """Begin a recording; `resume` is a partial file that a killed process left, to be finished.
 
-        Raises HapticdError where the target cannot be written, or is there already and not to be replaced; with
-        `resume` BlockingIOError where the process still lives, and OSError, ValueError and others where it cannot be
-        read.
+        Raises HapticdError if the target cannot be written, or exists and `overwrite` is False. With `resume` it
+        raises BlockingIOError if the process still runs, and OSError, ValueError and others for an unreadable file.
         """
         self._name = os.fspath(target)
         self.target = Path(os.path.realpath(target))
-        """Where it goes; once it is finished, where it is."""
+        """Path of the recording; after `finish` its actual path."""
         self.displaced = False
-        """Another file had appeared at the target, so that it has another name."""
+        """Whether another program created the target meanwhile, so that the recording has another name."""
         self.count = 0
-        """Samples written."""
+        """Number of samples written."""
         self.event_count = 0
         self.last_tick, self.last_time_ns = -1, 0
         self.texts: dict[str, object] = {}
         self.about: dict[str, object] = {}
-        """What of `recording` is known at the start."""
+        """Members of the text `recording` that are known at the start."""
         self._overwrite = overwrite
         self._dtype: np.dtype[np.void] = np.dtype([])
         self._start = self._header_size = 0
@@ -109,25 +111,27 @@ class RecordingWriter:
 
     @property
     def written_bytes(self) -> int:
-        """On the disk so far; another thread may ask."""
+        """Bytes written until now; may be read by another thread."""
         return self._part.size + self._notes.size
 
     def begin(self, texts: Texts, about: Texts | None = None) -> None:
-        """What is known at the start, by name, and of the text `recording`; it is in the file also where the recording
-        is killed."""
+        """Write the texts, and members of the text `recording`, that are known at the start.
+
+        A recovered recording holds them too.
+        """
         self.texts, self.about = dict(texts), dict(about or {})
         self._note("texts", self.texts)
         self._note("about", self.about)
 
     def write(self, samples: Samples) -> None:
-        """Appends samples; all have one dtype."""
+        """Append samples, always of the same dtype."""
         if not self._dtype.names:
             self._dtype = samples.dtype
             self._note("dtype", np.lib.format.dtype_to_descr(samples.dtype))
             self._leave_room()
             self._note("start", self._start)
         elif self._dtype != samples.dtype:
-            raise HapticdError("the daemon changed the form of its samples; record again")
+            raise HapticdError("the daemon changed the format of its samples; record again")
         if len(samples):
             with self._naming_errors():
                 if not self._part.size:
@@ -137,37 +141,37 @@ class RecordingWriter:
             self.last_tick, self.last_time_ns = int(samples["tick"][-1]), int(samples["time_ns"][-1])
 
     def write_event(self, event: Texts) -> None:
-        """Appends an event."""
+        """Append an event."""
         self._note("event", event)
         self.event_count += 1
 
     def write_change(self, change: Texts) -> None:
-        """Appends what a command changed."""
+        """Append a change by a command."""
         self._note("change", change)
 
     def write_all(self, texts: Texts, changes: Iterable[Texts], samples: Samples, events: Iterable[Texts]) -> None:
-        """All of a recording, which is then to be finished."""
+        """Write a complete recording, except for the call of `finish`."""
         self.begin(texts)
         for change in changes:
             self.write_change(change)
-        for first in range(0, len(samples), _STRETCH_SAMPLES):
-            self.write(samples[first : first + _STRETCH_SAMPLES])
+        for first in range(0, len(samples), _WRITE_BLOCK_SAMPLES):
+            self.write(samples[first : first + _WRITE_BLOCK_SAMPLES])
         for event in events:
             self.write_event(event)
 
     def finish(
         self, texts: Callable[[], Texts] | Texts | None = None, arrays: Mapping[str, npt.NDArray[Any]] | None = None
     ) -> None:
-        """Puts the target in place, with `texts` as JSON and `arrays` as they are.
+        """Finish the recording with `texts`, as JSON, and `arrays`, and rename it to the target.
 
-        `texts` may be a function, which is called again once samples were given up.
+        `texts` may be a function, which is called again after samples were dropped.
         """
         while True:
             try:
                 self._finish(self.texts | dict((texts() if callable(texts) else texts) or {}), arrays or {})
                 return
             except OSError as error:
-                if error.errno not in _FULL or self._keep_partial_files or not self._give_up_newest():
+                if error.errno not in _DISK_FULL_ERRORS or self._keep_partial_files or not self._give_up_newest():
                     self._fail(error)
 
     def __enter__(self) -> Self:
@@ -176,22 +180,22 @@ class RecordingWriter:
     def __exit__(self, *_: object) -> None:
         self._close()
 
-    # ---- The archive -----------------------------------------------------------------------------------------------
+    # ---- The archive -------------------------------------------------------------------------------------------------
 
     def _leave_room(self, start: int | None = None) -> None:
-        """For the headers in front of the samples, which begin at `start`."""
+        """Reserve room for the headers in front of the samples, which begin at `start`."""
         outer = len(_zip_info(0, 0).FileHeader(zip64=True))
         least = outer + len(_npy_header(self._dtype, 10**18))
-        self._start = least + -least % _ALIGNED_BYTES if start is None else max(start, least)
+        self._start = least + -least % _SAMPLE_ALIGNMENT_BYTES if start is None else max(start, least)
         self._header_size = self._start - outer
 
     @property
     def _end(self) -> int:
-        """Of the samples, bytes."""
+        """End of the samples in the partial file, in bytes."""
         return self._start + self.count * self._dtype.itemsize
 
     def _finish(self, texts: Texts, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Raises OSError, and can then be called again."""
+        """Finish the recording. Raises OSError; then it can be called again."""
         if not self._start:
             self._leave_room()
         self._part.cut(self._end)
@@ -226,12 +230,12 @@ class RecordingWriter:
 
     def _checksum(self, header: bytes) -> int:
         checksum = zlib.crc32(header)
-        for at in range(self._start, self._end, _READ_BYTES):
-            checksum = zlib.crc32(self._part.read(at, min(_READ_BYTES, self._end - at)), checksum)
+        for at in range(self._start, self._end, _CHECKSUM_BLOCK_BYTES):
+            checksum = zlib.crc32(self._part.read(at, min(_CHECKSUM_BLOCK_BYTES, self._end - at)), checksum)
         return checksum
 
     def _write_events(self, archive: zipfile.ZipFile) -> None:
-        """Row by row: one long mark makes every row as long, which compression then takes away again."""
+        """Write the events in blocks. A single long mark widens all rows, which compression undoes."""
         total, columns = columns_of(self._read_events())
         info = zipfile.ZipInfo("events.npy")
         info.compress_type = zipfile.ZIP_DEFLATED
@@ -241,22 +245,22 @@ class RecordingWriter:
                 member.write(rows.tobytes())
 
     def _read_events(self) -> Iterator[dict[str, Any]]:
-        """Those of the samples that there are; all where no sample was given up."""
+        """Yield the events of the remaining samples; all if no sample was dropped."""
         for event in self._read_notes("event"):
             if not self._gave_up_samples or int(event.get("tick", 0)) <= self.last_tick:
                 yield event
 
-    # ---- What a full disk and a killed process leave ---------------------------------------------------------------
+    # ---- Full disk, and killed process -------------------------------------------------------------------------------
 
     def _give_up_newest(self) -> bool:
-        """Gives up the newest samples to make room; False where none are left."""
+        """Drop the newest samples to make room, and return whether any are left."""
         if self.count == 0:
             return False
-        self._keep(max(0, self.count - _GIVEN_UP_BYTES // self._dtype.itemsize))
+        self._keep(max(0, self.count - _DROPPED_BLOCK_BYTES // self._dtype.itemsize))
         return self.count > 0
 
     def _keep(self, count: int) -> None:
-        """Of the samples in the partial file the first `count`."""
+        """Keep the first `count` samples of the partial file."""
         self.count = count
         self._part.cut(self._end)
         if count:
@@ -266,21 +270,21 @@ class RecordingWriter:
         self.event_count = sum(1 for _ in self._read_events())
 
     def _resume(self) -> None:
-        """Takes up what a killed process wrote. Raises ValueError and others for what is none of ours."""
+        """Read the partial files of a killed process. Raises ValueError and others for unknown content."""
         for texts in self._read_notes("texts"):
             self.texts = texts
         for about in self._read_notes("about"):
             self.about = about
         for description in self._read_notes("dtype"):
             fields = [(name, form, *map(tuple, rest)) for name, form, *rest in description]
-            if not all(_FIELD.fullmatch(form) for _, form, *_ in fields):
-                raise ValueError("a field of samples is no plain number")
+            if not all(_FIELD_FORMAT.fullmatch(form) for _, form, *_ in fields):
+                raise ValueError("a field of samples is not a plain number")
             self._dtype = np.dtype(fields)
-            # Earlier versions began them right after the headers, and did not say so.
+            # In earlier versions samples begin right after the headers, and the notes do not hold it.
             self._leave_room(next(self._read_notes("start"), 0))
         if self._dtype.names:
             written = max(0, self._part.size - self._start) // self._dtype.itemsize
-            # Behind them there may be what else an archive has, where it was killed while it was finished.
+            # If it was killed while it finished, other members may follow the samples.
             self._keep(min([written, *self._read_notes("ends_after")]))
 
     def _note(self, tag: str, value: object) -> None:
@@ -298,22 +302,22 @@ class RecordingWriter:
         try:
             yield
         except OSError as error:
-            if error.errno in _FULL:
+            if error.errno in _DISK_FULL_ERRORS:
                 raise DiskFullError(f"{self._name}: cannot be written: {error.strerror}") from None
             self._fail(error)
 
     def _fail(self, error: OSError) -> NoReturn:
         message = f"{self._name}: cannot be written: {error.strerror}"
-        # A disk that is full has no room for what was not finished; elsewhere it may be all that there is of an hour.
-        if self.count and error.errno not in _FULL and self._part.is_there():
+        # Partial files stay, unless the disk is full: they may hold an hour of samples.
+        if self.count and error.errno not in _DISK_FULL_ERRORS and self._part.is_there():
             self._keep_partial_files = True
             command = f"hapticd recover {shlex.quote(self._name)}"
-            message += f"; what was recorded is kept, and `{command}` makes a file of it"
+            message += f"; the samples are kept, and `{command}` makes a recording of them"
         self._close()
         raise HapticdError(message) from None
 
     def discard(self) -> None:
-        """Deletes what is not finished, also what is being recovered."""
+        """Delete the partial files, also those that are being recovered."""
         self._keep_partial_files = False
         self._close()
 
@@ -323,11 +327,10 @@ class RecordingWriter:
 
 
 class _PartialFile:
-    """A file in the making, locked while its process lives: what is appended is in it whole, or not at all."""
+    """A partial file, locked while its process runs. Data are appended completely or not at all."""
 
     def __init__(self, path: Path, resume: bool) -> None:
-        """A new file, or with `resume` one that is there. Raises BlockingIOError (somebody is still writing it),
-        OSError."""
+        """Create a file, or with `resume` open one. Raises OSError: BlockingIOError if another process writes it."""
         self.path = path
         self._file: BinaryIO = open(path, "r+b", 0) if resume else create(path, buffering=0)  # noqa: SIM115
         try:
@@ -338,12 +341,12 @@ class _PartialFile:
         self.size = os.fstat(self._file.fileno()).st_size
 
     def append(self, data: bytes) -> None:
-        """Raises OSError; then there is as much in it as before."""
-        rest, at = memoryview(data), self.size
+        """Append data. Raises OSError; then the file is unchanged."""
+        remaining, at = memoryview(data), self.size
         try:
-            while rest:
-                written = os.pwrite(self._file.fileno(), rest, at)
-                at, rest = at + written, rest[written:]
+            while remaining:
+                written = os.pwrite(self._file.fileno(), remaining, at)
+                at, remaining = at + written, remaining[written:]
         except OSError:
             os.ftruncate(self._file.fileno(), self.size)
             raise
@@ -351,7 +354,7 @@ class _PartialFile:
         self.check_there()
 
     def check_there(self) -> None:
-        """Raises OSError for a file that somebody removed."""
+        """Raise OSError if the file was removed."""
         if not self.is_there():
             raise FileNotFoundError(errno.ENOENT, "it was removed while it was being written")
 
@@ -362,12 +365,12 @@ class _PartialFile:
         return os.pread(self._file.fileno(), size, at)
 
     def cut(self, size: int) -> None:
-        """Makes it so long."""
+        """Truncate the file to `size` bytes."""
         os.ftruncate(self._file.fileno(), size)
         self.size = size
 
     def lines(self) -> Iterator[bytes]:
-        """Its whole lines."""
+        """Yield the complete lines."""
         with open(self.path, "rb") as file:
             yield from (line for line in file if line.endswith(b"\n"))
 
@@ -381,7 +384,7 @@ class _PartialFile:
 
 @contextmanager
 def _closing(file: BinaryIO) -> Iterator[BinaryIO]:
-    """Closes a file; where it failed before, a full disk may refuse again what closing would still write."""
+    """Close a file at the end of the block; after an error, ignore a second one, which a full disk causes."""
     try:
         yield file
     except BaseException:
@@ -396,7 +399,7 @@ def _line(tag: str, value: object) -> bytes:
 
 
 def _npy_header(dtype: np.dtype[Any], count: int, size: int = 0) -> bytes:
-    """The header of a .npy file of (count,) records, of `size` bytes at least."""
+    """Return the header of a .npy file of records, shape (count,), padded to `size` bytes."""
     file = io.BytesIO()
     header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": (count,)}
     np.lib.format.write_array_header_1_0(file, header)
@@ -406,7 +409,7 @@ def _npy_header(dtype: np.dtype[Any], count: int, size: int = 0) -> bytes:
 
 
 def _zip_info(size: int, checksum: int) -> zipfile.ZipInfo:
-    """The samples as the archive's first member; its header has one length, whatever the size."""
+    """Return the archive's entry of the samples, its first member. The length of its header is constant."""
     info = zipfile.ZipInfo("samples.npy")
     info.header_offset, info.CRC = 0, checksum
     info.file_size = info.compress_size = size

@@ -206,8 +206,8 @@ def test_what_a_killed_recording_left_is_told_by_the_next(daemon: Daemon, tmp_pa
         out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0 and "nothing lost" in out
     assert err == (
-        f"hapticd: {target}: {part.name} beside it is of another recording: under way, or killed; "
-        f"`hapticd recover {target}` makes a file of what was killed\n"
+        f"hapticd: {target}: {part.name} in its folder: another recording is running, or was killed; "
+        f"`hapticd recover {target}` recovers killed ones\n"
     )
     assert recover(target).files == [tmp_path / "run.recovered.npz"]
     assert sorted(os.listdir(tmp_path)) == ["run.npz", "run.recovered.npz"]

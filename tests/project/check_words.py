@@ -32,15 +32,10 @@ EXEMPT_PATHS: Final = (
     "hapticd/fit",
     "hapticd/hid",
     "hapticd/protocol",
-    "hapticd/recording",
     "hapticd/rendering",
     "hapticd/sweeps",
     "hapticd/system",
     "hapticd/web",
-    "hapticd/__init__.py",
-    "hapticd/_build.py",
-    "hapticd/_share.py",
-    "hapticd/_stub.py",
 )
 """Rooms that are still to be reworded. pyproject.toml exempts the same from ruff's D rules."""
 

@@ -138,7 +138,7 @@ def test_a_recording_into_another_form_is_exported_at_its_end(tmp_path: Path, en
         writer.finish({"scene": {}})
         assert not target.exists()
     assert target.exists() and hapticd.load(tmp_path / "run.npz").samples.tobytes() == some(3).tobytes()
-    with pytest.raises(HapticdError, match=r"must end in \.npz; other forms are exports for other programs"):
+    with pytest.raises(HapticdError, match=r"must end in \.npz; other formats are exports for other programs"):
         hapticd.load(target)
     with recording_into(target, overwrite=True) as writer:
         writer.write(some(4))

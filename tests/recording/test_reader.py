@@ -67,26 +67,26 @@ OTHER_SAMPLES = [(name, *rest) for name, *rest in SAMPLES if name != "force_n"]
 @pytest.mark.parametrize(
     ("members", "told"),
     [
-        ({"samples": None}, "it has no samples"),
-        ({"samples": b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**31)}, "header that numpy does not write"),
-        ({"samples": array((10**15,), SAMPLES)}, "samples.npy says that it has 112000000000000000 bytes, and has not"),
-        ({"samples": array((1,), "|O", b"cos\nsystem\n.")}, "samples.npy holds no plain array"),
-        ({"samples": array((2,), "<f8", bytes(16))}, "its samples are no records"),
+        ({"samples": None}, "no samples"),
+        ({"samples": b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**31)}, "samples.npy has an invalid header"),
+        ({"samples": array((10**15,), SAMPLES)}, "samples.npy should have 112000000000000000 bytes of data, has"),
+        ({"samples": array((1,), "|O", b"cos\nsystem\n.")}, "samples.npy is not a plain array"),
+        ({"samples": array((2,), "<f8", bytes(16))}, "its samples are not records"),
         ({"samples": array((1,), OTHER_SAMPLES, bytes(96))}, "its samples have no force_n"),
         (
             {"truth": array((100, 3), "<f8", bytes(2400))},
             "truth has shape (100, 3) of float64, not (100, 4) of float64",
         ),
-        ({"scene": array((1,), "<f8", bytes(8))}, "scene.npy is no text"),
+        ({"scene": array((1,), "<f8", bytes(8))}, "scene.npy is not a text"),
         ({"scene": array((), "<U2", "{:".encode("utf-32-le"))}, "Expecting property name enclosed in double quotes"),
         ({"scene": array((), "<U1", b"\xff\xff\xff\x7f")}, "codec can't decode bytes"),
         ({"events": array((1,), [("event", "<U1")], b"\xff\xff\xff\x7f")}, "codec can't decode bytes"),
-        ({"events": array((10**15,), [("event", "<U1")])}, "says that it has 4000000000000000 bytes, and has not"),
+        ({"events": array((10**15,), [("event", "<U1")])}, "should have 4000000000000000 bytes of data, has"),
     ],
 )
 def test_a_damaged_member_is_one_line(tmp_path: Path, members: dict[str, bytes | None], told: str) -> None:
     found = refusal(archive(tmp_path / "a.npz", **members))
-    assert found.startswith("a.npz: is damaged, or no recording of hapticd: ") and told in found
+    assert found.startswith("a.npz: damaged, or not a recording of hapticd: ") and told in found
 
 
 @pytest.mark.parametrize("at", [0.1, 0.5, 0.9])
@@ -95,28 +95,28 @@ def test_a_changed_byte_is_noticed(tmp_path: Path, at: float) -> None:
     content = bytearray(path.read_bytes())
     content[int(at * 100 * SAMPLE_DTYPE.itemsize)] ^= 1
     path.write_bytes(content)
-    assert refusal(path) == "a.npz: is damaged, or no recording of hapticd: Bad CRC-32 for file 'samples.npy'"
+    assert refusal(path) == "a.npz: damaged, or not a recording of hapticd: Bad CRC-32 for file 'samples.npy'"
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 and so on", b"tick,time_ns\n1", b"\x89MCAP0\r\n\x01"])
 def test_what_is_no_recording_is_one_line(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.npz").write_bytes(content)
-    assert refusal(tmp_path / "a.npz") == "a.npz: is damaged, or no recording of hapticd: File is not a zip file"
+    assert refusal(tmp_path / "a.npz") == "a.npz: damaged, or not a recording of hapticd: File is not a zip file"
     assert refusal(tmp_path / "b.npz") == "b.npz: No such file or directory"
-    assert refusal(tmp_path / "a.mcap") == "a.mcap: must end in .npz; other forms are exports for other programs"
+    assert refusal(tmp_path / "a.mcap") == "a.mcap: must end in .npz; other formats are exports for other programs"
 
 
 def test_a_recording_cut_short_is_one_line(tmp_path: Path) -> None:
     path = recorded(tmp_path / "a.npz")
     os.truncate(path, path.stat().st_size // 2)
-    assert refusal(path).startswith("a.npz: is damaged, or no recording of hapticd: ")
+    assert refusal(path).startswith("a.npz: damaged, or not a recording of hapticd: ")
 
 
 def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.npz")
     (tmp_path / "b.npz").mkdir()
     for name in ("a.npz", "b.npz"):
-        assert refusal(tmp_path / name) == f"{name}: is no regular file"
+        assert refusal(tmp_path / name) == f"{name}: not a regular file"
 
 
 def test_more_memory_than_there_is_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,7 +124,7 @@ def test_more_memory_than_there_is_is_one_line(tmp_path: Path, monkeypatch: pyte
         raise MemoryError
 
     monkeypatch.setattr(reader, "_read", none)
-    assert refusal(recorded(tmp_path / "a.npz")) == "a.npz: takes more memory than there is"
+    assert refusal(recorded(tmp_path / "a.npz")) == "a.npz: not enough memory"
 
 
 def test_samples_take_no_memory_until_they_are_used(tmp_path: Path) -> None:

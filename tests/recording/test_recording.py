@@ -94,7 +94,7 @@ def test_the_time_of_day_of_each_sample(tmp_path: Path) -> None:
     assert recording.utc()[[0, 1]].astype(np.int64).tolist() == [1_700_000_000_000_005_000, 1_700_000_000_000_105_000]
     assert recording.started is not None
     assert recording.started.utc == datetime(2023, 11, 14, 22, 13, 20, 1, UTC)
-    with pytest.raises(HapticdError, match="does not say the time of day"):
+    with pytest.raises(HapticdError, match="holds no time of day"):
         hapticd.load(write(tmp_path / "none.npz", {"started": None})).utc()
 
 

@@ -17,7 +17,7 @@ import pytest
 from hapticd.base.errors import HapticdError
 from hapticd.cli import main
 from hapticd.recording.recording import load
-from hapticd.recording.recovery import partial_files_beside, recover
+from hapticd.recording.recovery import partial_files_warning, recover
 from hapticd.recording.writer import RecordingWriter
 from tests.recording.test_writer import noisy, some
 
@@ -84,7 +84,9 @@ def test_a_recording_under_way_is_let_alone(tmp_path: Path) -> None:
     with RecordingWriter(target) as writer:
         writer.write(some(3))
         found = recover(target)
-        assert not found.files and [line.split(": ")[1] for line in found.problems] == ["is still being recorded"]
+        assert not found.files and [line.split(": ")[1] for line in found.problems] == [
+            "its recording is still running"
+        ]
         writer.write(some(3, 3))
         writer.finish({"scene": {}})
     assert len(load(target).samples) == 6
@@ -113,11 +115,11 @@ def test_what_cannot_get_its_name_is_kept(tmp_path: Path, monkeypatch: pytest.Mo
         writer.write(noisy(20_000, 0))
         writer.finish({})
     assert str(caught.value) == (
-        f"{target}: cannot be written: Permission denied; what was recorded is kept, and `hapticd recover '{target}'` "
+        f"{target}: cannot be written: Permission denied; the samples are kept, and `hapticd recover '{target}'` "
         "makes a file of it"
     )
     monkeypatch.undo()
-    told = partial_files_beside(target)
+    told = partial_files_warning(target)
     assert told is not None and f"hapticd recover '{target}'" in told
     (made,) = recover(target).files
     assert load(made).samples.tobytes() == noisy(20_000, 0).tobytes()
@@ -175,7 +177,7 @@ def test_a_damaged_part_stops_no_recording_and_shows_nothing(
                 (tmp_path / name).unlink()
             else:
                 damages(source, tmp_path / name)
-        assert bool(partial_files_beside(target)) == any(name.endswith(".part") for name in os.listdir(tmp_path)), (
+        assert bool(partial_files_warning(target)) == any(name.endswith(".part") for name in os.listdir(tmp_path)), (
             number
         )
         with RecordingWriter(target) as writer:
@@ -199,7 +201,7 @@ def test_what_is_left_stays_where_the_disk_takes_no_file_of_it(tmp_path: Path, m
     before = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
     monkeypatch.setattr(os, "fsync", full)
     (told,) = recover(target).problems
-    assert "cannot be finished, and is left as it is" in told and "No space left on device" in told
+    assert "cannot be finished, left unchanged" in told and "No space left on device" in told
     monkeypatch.undo()
     assert {path.name: path.stat().st_size for path in tmp_path.iterdir()} == before
     (made,) = recover(target).files

@@ -20,7 +20,7 @@ from hapticd.config.configuration import default_config, load_config
 from hapticd.config.modes import Mode
 from hapticd.config.scene import validate_scene
 from hapticd.recording.recording import load
-from hapticd.recording.replay import FORCES, _Revision, _turn, replay
+from hapticd.recording.replay import FORCE_FIELDS, _Revision, _turn, replay
 from hapticd.recording.simulated import simulate_files
 from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.device_output import output_of
@@ -323,7 +323,7 @@ def test_ticks_with_a_streamed_force_are_left_out_and_told(tmp_path: Path) -> No
     assert "1,000 with a streamed force" in again.summary()
     samples["flags"] |= np.uint32(Flag.STREAMED)
     write(tmp_path / "run.npz", samples, config)
-    with pytest.raises(HapticdError, match="no tick of it can be rendered again: 10,000 with a streamed force"):
+    with pytest.raises(HapticdError, match="no tick can be rendered again: 10,000 with a streamed force"):
         replay(tmp_path / "run.npz")
 
 
@@ -360,7 +360,7 @@ def test_the_command_and_the_function(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["replay", str(tmp_path / "run.npz"), "-o", str(target), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["ticks"], told["replayed"], told["identical"], told["first_different"]) == (10_000,) * 3 + (None,)
-    assert told["differences"].keys() == set(FORCES)
+    assert told["differences"].keys() == set(FORCE_FIELDS)
     assert hapticd.replay(target).identical == 10_000, "what was rendered is a recording again"
     assert load(target).samples.tobytes() == load(tmp_path / "run.npz").samples.tobytes()
 
@@ -374,7 +374,7 @@ def test_what_does_not_say_what_it_was_rendered_with(tmp_path: Path, left_out: s
     samples = render_run(config, strokes(0.1), RATE_HZ).samples
     write(tmp_path / "run.npz", samples, config)
     rewrite(tmp_path / "run.npz", left_out, None)
-    with pytest.raises(HapticdError, match=f"run.npz: does not say what it was rendered with .{told}"):
+    with pytest.raises(HapticdError, match=f"run.npz: cannot be rendered again: it holds {told}"):
         replay(tmp_path / "run.npz")
 
 
@@ -386,7 +386,7 @@ def test_what_does_not_say_what_it_was_rendered_with(tmp_path: Path, left_out: s
         ("config", {"servo": {}}, "KeyError"),
         ("scene", {"objects": {"floor": {**FLOOR, "material": "nothing"}}}, "nothing"),
         ("scene", {"objects": {"floor": {"kind": "cube"}}}, "cube"),
-        ("changes", [{"revision": 9}], "no tick of it can be rendered again: 1,000 whose scene is not in the file"),
+        ("changes", [{"revision": 9}], "no tick can be rendered again: 1,000 whose scene is not in the file"),
         ("changes", [7], "TypeError"),
     ],
 )

@@ -18,7 +18,7 @@ import pytest
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, records
 from hapticd.base.errors import HapticdError
 from hapticd.protocol.events import event_map
-from hapticd.recording.event_columns import EVENT_MEMBERS, NO_TIME, columns_of, dtype_of, rows_of
+from hapticd.recording.event_columns import EVENT_MEMBER_SCHEMAS, NO_TIME, columns_of, dtype_of, rows_of
 from hapticd.recording.recording import check_target, load, recording_into
 from hapticd.recording.writer import DiskFullError, RecordingWriter
 from tests.support.special_files import KINDS, refused, special, untouched
@@ -307,7 +307,7 @@ def test_the_schema_of_events_names_every_member() -> None:
     for kind in EventKind:
         event["kind"] = kind
         found |= event_map(event, "x").keys()
-    assert set(EVENT_MEMBERS) == found
+    assert set(EVENT_MEMBER_SCHEMAS) == found
 
 
 def test_another_dtype_is_refused(tmp_path: Path) -> None:

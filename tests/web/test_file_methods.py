@@ -163,7 +163,7 @@ def test_what_is_no_recording_is_refused_without_its_path(tmp_path: Path) -> Non
         (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04" + b"\xff" * 100)
         async with site(tmp_path) as (_, page):
             said = (await problem(page, "web.playback_open", {"name": "bad.npz"}))["message"]
-            assert said.startswith("bad.npz: is damaged, or no recording of hapticd")
+            assert said.startswith("bad.npz: damaged, or not a recording of hapticd")
             assert str(tmp_path) not in said
 
     asyncio.run(test())

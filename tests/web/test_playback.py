@@ -127,7 +127,7 @@ def test_what_cannot_be_played_is_refused() -> None:
         Playback(recording(0))
     with pytest.raises(HapticdError, match="no rate of a servo"):
         Playback(recording(texts={"config": {"servo": {"rate_hz": 1e300}}}))
-    with pytest.raises(HapticdError, match="does not say at which rate"):
+    with pytest.raises(HapticdError, match="holds no servo rate"):
         Playback(recording(texts={"config": {}}))
 
 

@@ -23,7 +23,7 @@ from hapticd.config.scene import Scene, SceneObject
 from hapticd.config.schema import closed
 from hapticd.daemon.methods import METHOD_PARAMS
 from hapticd.protocol.events import event_map
-from hapticd.recording.event_columns import EVENT_MEMBERS, MAY_BE_NONE
+from hapticd.recording.event_columns import EVENT_MEMBER_SCHEMAS, NULLABLE_MEMBERS
 
 # ---- Draft 7, which OpenRPC and AsyncAPI have, of what pydantic gives, 2020-12 ---------------------------------------
 
@@ -210,8 +210,8 @@ def event_schema() -> dict[str, Json]:
 
 
 def _event_member(name: str) -> Json:
-    described: Any = EVENT_MEMBERS[name]
-    return {"anyOf": [described, {"type": "null"}]} if described and name in MAY_BE_NONE else described
+    described: Any = EVENT_MEMBER_SCHEMAS[name]
+    return {"anyOf": [described, {"type": "null"}]} if described and name in NULLABLE_MEMBERS else described
 
 
 def samples_schema() -> dict[str, Json]:
