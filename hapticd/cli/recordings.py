@@ -62,10 +62,10 @@ def record_command(file: str, duration_s: float | None, notes: dict[str, str], o
     """
     from hapticd.client.record import record
     from hapticd.recording.recording import check_target
-    from hapticd.recording.recovery import partial_files_beside
+    from hapticd.recording.recovery import partial_files_warning
 
     check_target(file, overwrite)
-    found = partial_files_beside(file)
+    found = partial_files_warning(file)
     if found is not None:
         note(found)
     with daemon() as client, stopped_by_signals() as stop, doing() as show:

@@ -195,7 +195,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
     return Recording(os.fspath(arguments.path("path", path)), *read(path))
 
 
-# ---- Files of a new recording ------------------------------------------------------------------------------------------
+# ---- Files of a new recording ----------------------------------------------------------------------------------------
 
 
 def recording_path(target: str | os.PathLike[str]) -> Path:

@@ -36,7 +36,7 @@ def _parts(recording: Path) -> list[Path]:
 
 
 def partial_files_warning(target: str | os.PathLike[str]) -> str | None:
-    """Return a warning about partial files of earlier recordings into `target`, or None if there are none."""
+    """Return a warning about partial files of earlier recordings into `target`, or None if none exist."""
     recording = recording_path(target)
     name, parts = os.fspath(recording), _parts(recording)
     if not parts:

@@ -90,8 +90,8 @@ class Replay:
     missing_revisions: tuple[int, ...]
     """Revisions whose scene is not in the recording; their ticks were not rendered."""
     left_out: Mapping[str, int]
-    """Number of ticks that were not rendered, by reason: `fault` (a fault was latched), `scene` (the scene is not in the
-    recording), `streamed` (a force was streamed, which is not in the recording), `begun_before` (a contact, mode or
+    """Number of ticks that were not rendered, by reason: `fault` (a fault was latched), `scene` (the scene is not in
+    the recording), `streamed` (a force was streamed, which is not in the recording), `begun_before` (a contact, mode or
     ramp began before the recording, or an earlier `play` is not in the file)."""
     doubts: tuple[str, ...]
     """Possible reasons for different forces that the recording does not hold; empty if all forces are identical."""

@@ -116,7 +116,7 @@ def test_what_cannot_get_its_name_is_kept(tmp_path: Path, monkeypatch: pytest.Mo
         writer.finish({})
     assert str(caught.value) == (
         f"{target}: cannot be written: Permission denied; the samples are kept, and `hapticd recover '{target}'` "
-        "makes a file of it"
+        "makes a recording of them"
     )
     monkeypatch.undo()
     told = partial_files_warning(target)
