@@ -21,7 +21,7 @@ from hapticd.config.modes import Mode
 from hapticd.config.scene import TOUCHING_M, SceneObject, Wall, patches_in_order, used_materials
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
-from hapticd.rendering.compensation import LARGEST, Load, Shape, shapes_of
+from hapticd.rendering.compensation import MAX_STRIKE_FORCE_RATIO, Load, Shape, shapes_of
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayed_error import displayed_error
 from hapticd.rendering.filter_design import power_above, stochastic_filter
@@ -253,7 +253,7 @@ def _compensation_warnings(name: str, material: Material, output: Output) -> Ite
         shape = None if shapes is None else shapes[touched.own]
         if shape is not None and shape.limited:
             problem = (
-                f"needs more than {LARGEST:g} times the force that its amplitude is worth on this device, and is given "
+                f"needs more than {MAX_STRIKE_FORCE_RATIO:g} times the force that its amplitude is worth on this device, and is given "
                 f"that; its acceleration is off by {100 * shape.error:.2g} %"
             )
             yield Problem(path_text(("materials", name, *mode_path(use))), problem)

@@ -22,7 +22,14 @@ from hapticd.config.configuration import Compensation
 from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.modes import Mode
 from hapticd.config.waveform import Waveform
-from hapticd.rendering.compensation import HIGH, LOW_HZ, Load, pole_of, pole_shape, shape_of
+from hapticd.rendering.compensation import (
+    ERROR_BAND_RATE_FRACTION,
+    ERROR_BAND_LOW_HZ,
+    Load,
+    pole_of,
+    pole_shape,
+    shape_of,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -80,7 +87,7 @@ def band_error(
     measured: npt.ArrayLike,
     reference: npt.ArrayLike,
     sample_rate_hz: float,
-    low_hz: float = LOW_HZ,
+    low_hz: float = ERROR_BAND_LOW_HZ,
     high_hz: float | None = None,
 ) -> float:
     """RMS of (measured - reference) over RMS of reference, both limited to low_hz to high_hz.
@@ -94,7 +101,7 @@ def band_error(
     one, other = (np.asarray(each, dtype=np.float64) for each in (measured, reference))
     if one.ndim != 1 or one.shape != other.shape or not len(one):
         raise ValueError(f"measured and reference must have one shape (n,), have {one.shape} and {other.shape}")
-    high = HIGH * sample_rate_hz if high_hz is None else high_hz
+    high = ERROR_BAND_RATE_FRACTION * sample_rate_hz if high_hz is None else high_hz
     wanted = float(np.linalg.norm(band_lines(other, sample_rate_hz, low_hz, high)))
     if not wanted > 0:
         raise ValueError(f"the reference has no energy from {low_hz:g} to {high:g} Hz")
@@ -108,7 +115,9 @@ def waveform_error(waveform: Waveform, dynamics: Dynamics, rate_hz: float, effec
     force = effective_mass_kg * waveform.curve.at(np.arange(ticks) / rate_hz)
     middles = (np.arange(ticks * FINER) + 0.5) / (rate_hz * FINER)
     moved = handle_acceleration(force, dynamics, rate_hz)
-    return band_error(moved, waveform.curve.at(middles), rate_hz * FINER, LOW_HZ, HIGH * rate_hz)
+    return band_error(
+        moved, waveform.curve.at(middles), rate_hz * FINER, ERROR_BAND_LOW_HZ, ERROR_BAND_RATE_FRACTION * rate_hz
+    )
 
 
 def displayed_error(

@@ -9,7 +9,7 @@ from hapticd.base.errors import Problem, path_text
 from hapticd.config.configuration import Config
 from hapticd.config.scene import Scene, field_ids
 from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.contact_sets import MOST_LINES, MOST_REPORTED, ContactSets
+from hapticd.rendering.contact_sets import MAX_STABILITY_LINES, MAX_REPORTED_SETS, ContactSets
 from hapticd.rendering.device_output import loop_of, output_of
 from hapticd.rendering.stability import Loop, Margin
 from hapticd.rendering.stability_remedy import with_remedy
@@ -26,7 +26,7 @@ class Stability:
     unsafe: int = 0
     """How many are not safe."""
     worst: tuple[Margin, ...] = ()
-    """Up to MOST_REPORTED, the least margin first: those that are not safe, or any where that was asked for."""
+    """Up to MAX_REPORTED_SETS, the least margin first: those that are not safe, or any where that was asked for."""
 
     @property
     def harmful(self) -> tuple[Margin, ...]:
@@ -46,9 +46,9 @@ class Stability:
     def problems(self) -> list[Problem]:
         """A line for each set that is unsafe, and one for the rest of those that are reported."""
         harmful = self.harmful
-        found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MOST_LINES]]
-        if len(harmful) > MOST_LINES:
-            more = f"{self.unsafe - MOST_LINES} more sets of objects are not safe, see `hapticd check`"
+        found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MAX_STABILITY_LINES]]
+        if len(harmful) > MAX_STABILITY_LINES:
+            more = f"{self.unsafe - MAX_STABILITY_LINES} more sets of objects are not safe, see `hapticd check`"
             found.append(Problem("scene.objects", more))
         return found
 
@@ -78,7 +78,7 @@ def evaluate(compiler: Compiler, scene: Scene, loop: Loop, unsafe: bool = True) 
     """The sets of a scene, which the compiler's table is made of. `unsafe`: report only sets that are not safe."""
     surfaces = compiler.surfaces()
     sets = ContactSets(surfaces, loop)
-    found = sets.worst(MOST_REPORTED, unsafe=unsafe)
+    found = sets.worst(MAX_REPORTED_SETS, unsafe=unsafe)
     everywhere = field_ids(scene.objects) if sets.fields else ()
     named = [((*compiler.names_of(slots), *everywhere), place) for slots, place in found]
     worst = (

@@ -206,7 +206,7 @@ class Loop:
         """How many periods reach_s has beyond the half period of a hold."""
         return self.timing.reach_s / self.timing.period_s - 0.5
 
-    def let_go(self) -> Loop:
+    def without_hand(self) -> Loop:
         """The same without a hand."""
         handle = replace(self.dynamics, grip_mass_kg=0.0, grip_damping_n_s_per_m=0.0, grip_stiffness_n_per_m=0.0)
         return replace(self, dynamics=handle)

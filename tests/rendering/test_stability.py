@@ -389,7 +389,7 @@ def crowd(random: np.random.Generator, count: int) -> dict[str, Any]:
 @pytest.mark.parametrize("way", ["pairs", "whole"])
 def test_whatever_holds_a_point_at_once_is_within_a_set(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if way == "whole":
-        monkeypatch.setattr(contact_sets, "MOST_PAIRS", 0)
+        monkeypatch.setattr(contact_sets, "MAX_COMPARED_PAIRS", 0)
     for seed in range(4):
         random = np.random.default_rng(seed)
         objects = crowd(random, 25)
@@ -498,12 +498,12 @@ def test_many_sets_are_counted_and_few_told() -> None:
     }
     materials = {"m": {"stiffness_n_per_m": 800}}
     stability = stability_of(load_config({**LINKED, "materials": materials, "scene": {"objects": objects}}))
-    assert (stability.sets, stability.unsafe, len(stability.worst)) == (60, 60, contact_sets.MOST_REPORTED)
+    assert (stability.sets, stability.unsafe, len(stability.worst)) == (60, 60, contact_sets.MAX_REPORTED_SETS)
     lines = [str(problem) for problem in stability.problems()]
-    assert len(lines) == contact_sets.MOST_LINES + 1
+    assert len(lines) == contact_sets.MAX_STABILITY_LINES + 1
     assert (
         lines[-1]
-        == f"scene.objects: {60 - contact_sets.MOST_LINES} more sets of objects are not safe, see `hapticd check`"
+        == f"scene.objects: {60 - contact_sets.MAX_STABILITY_LINES} more sets of objects are not safe, see `hapticd check`"
     )
 
 

@@ -34,7 +34,7 @@ from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.scene import Scene, Wall
 from hapticd.config.texture import Grooves
-from hapticd.rendering.compensation import HIGH, LOW_HZ
+from hapticd.rendering.compensation import ERROR_BAND_RATE_FRACTION, ERROR_BAND_LOW_HZ
 from hapticd.rendering.device_output import Output, output_of
 from hapticd.rendering.displayability import displayed_mode
 from hapticd.rendering.displayed_error import FINER, band_error, band_lines, waveform
@@ -223,9 +223,9 @@ def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) 
 
 def compared(measured: Floats, reference: Floats, rate_hz: float, output: Output) -> tuple[float, float]:
     """Error and strength of an acceleration, (n,) at rate_hz from the onset, against the library's."""
-    high_hz = HIGH * min(output.rate_hz, rate_hz)
-    error = band_error(measured, reference, rate_hz, LOW_HZ, high_hz)
-    one, other = (band_lines(each, rate_hz, LOW_HZ, high_hz) for each in (measured, reference))
+    high_hz = ERROR_BAND_RATE_FRACTION * min(output.rate_hz, rate_hz)
+    error = band_error(measured, reference, rate_hz, ERROR_BAND_LOW_HZ, high_hz)
+    one, other = (band_lines(each, rate_hz, ERROR_BAND_LOW_HZ, high_hz) for each in (measured, reference))
     return error, float(np.vdot(other, one).real / np.vdot(other, other).real)
 
 
