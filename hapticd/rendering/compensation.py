@@ -441,17 +441,22 @@ def shape_of(
 
 @lru_cache(maxsize=4096)
 def shapes_of(
-    mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load, own: bool
+    mode: Mode,
+    dynamics: Dynamics,
+    rate_hz: float,
+    compensation: Literal["mass", "full"],
+    load: Load,
+    best_in_contact: bool,
 ) -> tuple[Shape, Shape]:
     """Return the shapes that are struck without a surface and against the surface of `load`, with the same poles.
 
-    The poles are those that are best against the surface if `own` is true, otherwise those that are best without one.
-    C is linear in the stiffness of the surface, so the core interpolates linearly between the two shapes.
+    The poles are those that are best against the surface if `best_in_contact`, otherwise those that are best without
+    one. C is linear in the stiffness of the surface, so the core interpolates linearly between the two shapes.
     """
     if compensation == "mass" or load == load.free:
         chosen = shape_of(mode, dynamics, rate_hz, compensation, load)
         return chosen, chosen
-    first, second = (load, load.free) if own else (load.free, load)
+    first, second = (load, load.free) if best_in_contact else (load.free, load)
     chosen = shape_of(mode, dynamics, rate_hz, compensation, first)
     tail = () if chosen.tail is None else (chosen.tail.pole,)
     band = _Band(mode, dynamics, rate_hz, second, tail, bool(chosen.kicks))
@@ -461,7 +466,7 @@ def shapes_of(
         other = band.with_kicks(*tail, np.array(chosen.kicks).ravel())[0]
     else:
         other = band.with_tail(*tail)
-    return (other, chosen) if own else (chosen, other)
+    return (other, chosen) if best_in_contact else (chosen, other)
 
 
 def tuned_shapes(
@@ -470,7 +475,7 @@ def tuned_shapes(
     rate_hz: float,
     compensation: Literal["mass", "full"],
     load: Load,
-    own: bool,
+    best_in_contact: bool,
 ) -> list[tuple[Shape, Shape]]:
     """Return shapes_of for each of `modes`, which change gradually from one to the next.
 
@@ -480,7 +485,7 @@ def tuned_shapes(
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
         return [(shape, shape) for shape in plain]
     tails = _tails(modes[len(modes) // 2], rate_hz)
-    loads = (load, load.free) if own else (load.free, load)
+    loads = (load, load.free) if best_in_contact else (load.free, load)
     first, second = ([_Band(mode, dynamics, rate_hz, each, tails) for mode in modes] for each in loads)
     # With each of the two tails, and without a tail by two gains.
     designs: list[Callable[[_Band], Shape]] = [
@@ -493,7 +498,7 @@ def tuned_shapes(
     tailed, plainer = min((0, 1), key=errors.__getitem__), min((2, 3), key=errors.__getitem__)
     best = tailed if errors[tailed] < errors[plainer] - MIN_TAIL_ERROR_REDUCTION else plainer
     others = [designs[best](band) for band in second]
-    return list(zip(others, found[best], strict=True) if own else zip(found[best], others, strict=True))
+    return list(zip(others, found[best], strict=True) if best_in_contact else zip(found[best], others, strict=True))
 
 
 def peak_between(one: Shape, other: Shape) -> float:

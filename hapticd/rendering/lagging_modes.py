@@ -23,11 +23,11 @@ from hapticd.rendering.compensation import Load, part_shown, pole_shape
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import Touched, displayed_mode, mode_path, modes_of, struck_shapes, touched_by
 
-TOLERATED: Final = 0.1
+MAX_AMPLITUDE_ERROR: Final = 0.1
 """A mode whose amplitude is shown to within this part needs no word. Of order 1 that is half the bandwidth."""
-_STEP: Final = 1.5
-_HALVINGS: Final = 3
-_FREE: Final = Dynamics(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_BANDWIDTH_SEARCH_FACTOR: Final = 1.5
+_BANDWIDTH_BISECTIONS: Final = 3
+_UNKNOWN_HANDLE: Final = Dynamics(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """A handle that nobody knows, which is struck without compensation: its mass cancels."""
 
 
@@ -35,7 +35,7 @@ def lag_warnings(materials: Mapping[str, Material], output: Output) -> list[Prob
     """A warning for each mode of these materials that the actuator does not show as the compensation would have it."""
     if output.actuator is None:
         return []
-    return [each for name, material in materials.items() for each in _of_material(name, material, output)]
+    return [each for name, material in materials.items() for each in _material_lag_warnings(name, material, output)]
 
 
 def shown_part(mode: Mode, output: Output, touched: Touched) -> complex:
@@ -46,16 +46,16 @@ def shown_part(mode: Mode, output: Output, touched: Touched) -> complex:
 @lru_cache(maxsize=256)
 def _contained(mode: Mode, output: Output, touched: Touched) -> complex:
     shapes = struck_shapes(mode, output, touched)
-    dynamics, rate_hz = output.dynamics or _FREE, output.carried_hz
+    dynamics, rate_hz = output.dynamics or _UNKNOWN_HANDLE, output.carried_hz
     if shapes is None:
         load = Load(actuator=output.actuator)
         return part_shown(mode, dynamics, rate_hz, pole_shape(mode, dynamics, rate_hz, 1 + 0j, load), load)
-    met = (touched.stiffness_n_per_m, touched.damping_n_s_per_m) if touched.own else (0.0, 0.0)
+    met = (touched.stiffness_n_per_m, touched.damping_n_s_per_m) if touched.best_in_contact else (0.0, 0.0)
     load = Load(*met, output.age_s, output.actuator)
-    return part_shown(mode, dynamics, rate_hz, shapes[touched.own], load)
+    return part_shown(mode, dynamics, rate_hz, shapes[touched.best_in_contact], load)
 
 
-def _of_material(name: str, material: Material, output: Output) -> Iterator[Problem]:
+def _material_lag_warnings(name: str, material: Material, output: Output) -> Iterator[Problem]:
     assert output.actuator is not None
     for use, mode in modes_of(material):
         carried, _ = displayed_mode(mode, output)
@@ -63,7 +63,7 @@ def _of_material(name: str, material: Material, output: Output) -> Iterator[Prob
             continue
         touched = touched_by(material, use)
         part = shown_part(carried, output, touched)
-        if not _does(part):
+        if not _is_shown(part):
             known = f"an actuator of {_hz(output.actuator.bandwidth_hz)} (order {output.actuator.order})"
             problem = (
                 f"{known} shows {100 * abs(part):.3g} % of this mode of {_hz(carried.frequency_hz)}, {_phase(part)}, "
@@ -78,19 +78,19 @@ def _phase(part: complex) -> str:
     return f"{abs(late)} degrees {'late' if late > 0 else 'early'}" if late != 0 else "in phase"
 
 
-def _does(part: complex) -> bool:
-    return abs(abs(part) - 1) <= TOLERATED
+def _is_shown(part: complex) -> bool:
+    return abs(abs(part) - 1) <= MAX_AMPLITUDE_ERROR
 
 
 def _remedies(mode: Mode, output: Output, touched: Touched) -> Iterator[str]:
-    """What would show the mode to within TOLERATED."""
+    """What would show the mode to within MAX_AMPLITUDE_ERROR."""
     if output.compensation == "off":
         compensated = replace(output, compensation="full")
         if output.dynamics is None:
             yield "device.handle and compensation: full would make up for it as far as twice the force does"
         else:
             part = shown_part(mode, compensated, touched)
-            if _does(part):
+            if _is_shown(part):
                 yield f"compensation: full would show {100 * abs(part):.3g} %"
     bandwidth_hz = _needed_hz(mode, output, touched)
     if bandwidth_hz is None:
@@ -107,14 +107,14 @@ def _needed_hz(mode: Mode, output: Output, touched: Touched) -> float | None:
 
     def does(bandwidth_hz: float) -> bool:
         faster = own.model_copy(update={"bandwidth_hz": bandwidth_hz})
-        return _does(shown_part(mode, replace(output, actuator=faster), touched))
+        return _is_shown(shown_part(mode, replace(output, actuator=faster), touched))
 
     low = high = own.bandwidth_hz
     while not does(high):
         if high == MOST_HZ:
             return None
-        low, high = high, min(MOST_HZ, high * _STEP)
-    for _ in range(_HALVINGS):
+        low, high = high, min(MOST_HZ, high * _BANDWIDTH_SEARCH_FACTOR)
+    for _ in range(_BANDWIDTH_BISECTIONS):
         middle = math.sqrt(low * high)
         low, high = (low, middle) if does(middle) else (middle, high)
     return high

@@ -265,12 +265,12 @@ class Simulation:
         """Strikes a mode at the next tick."""
         _play(self._state, self._scene.output, mode, 1.0, direction, coefficient_m_per_s2)
 
-    def go_on(self, duration_s: float) -> Floats:
+    def advance(self, duration_s: float) -> Floats:
         """The handle's own position (m) and velocity (m/s) at the ticks to come, (n, 4)."""
         return self.run(duration_s)[1]
 
     def run(self, duration_s: float) -> tuple[Samples, Floats, Events]:
-        """Samples, (n,), the handle's own motion as of go_on, (n, 4), and events of the ticks to come, one at least."""
+        """Samples, (n,), the handle's own motion as of advance, (n, 4), and events of the ticks to come, one at least."""
         count = max(1, round(duration_s * self._scene.rate_hz))
         samples, truth = np.empty(count, SAMPLE_DTYPE), np.empty((count, 4))
         events = self._recorder.run(

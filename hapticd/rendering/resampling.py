@@ -10,7 +10,7 @@ import numpy as np
 
 from hapticd.base.lattice import Reflection, with_poles
 from hapticd.rendering.filter_design import (
-    COARSE,
+    COARSE_RULE,
     MAX_ORDER,
     Array,
     ComplexArray,
@@ -67,7 +67,7 @@ def resampled(model: Reflection, from_rate_hz: float, to_rate_hz: float) -> Resa
     # Angles of the new rate, as far as the band goes; poles are where the model has them.
     poles = poles_of(model)
     band = min(math.pi, math.pi / ratio)
-    own, own_weight = pole_mesh(poles, band, MAX_ORDER, COARSE)
+    own, own_weight = pole_mesh(poles, band, MAX_ORDER, COARSE_RULE)
     angle, weight = own * ratio, own_weight * ratio
     power = power_at(model, None, own)
     # Upward it is all of it; poles all but on the circle would make the integral say otherwise.
@@ -183,7 +183,7 @@ def _fits_beyond(power: Array, angle: Array, weight: Array, poles: ComplexArray,
     edge = math.pi * ratio
     # Panels that grow with the distance from the edge, where the skirt is steep.
     count = math.ceil(20 * math.log(1 / ratio)) + 1
-    beyond, beyond_weight = panel_nodes(np.geomspace(edge, math.pi, count + 1), COARSE)
+    beyond, beyond_weight = panel_nodes(np.geomspace(edge, math.pi, count + 1), COARSE_RULE)
     inside = len(angle)
     nodes = _Nodes.at(np.concatenate((angle, beyond)), np.concatenate((weight, beyond_weight)))
     fall = max(_SKIRT, 1 + power[-1] * edge / (_LEAK * math.pi))

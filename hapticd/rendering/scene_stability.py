@@ -9,7 +9,7 @@ from hapticd.base.errors import Problem, path_text
 from hapticd.config.configuration import Config
 from hapticd.config.scene import Scene, field_ids
 from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.contact_sets import MAX_STABILITY_LINES, MAX_REPORTED_SETS, ContactSets
+from hapticd.rendering.contact_sets import MAX_REPORTED_SETS, MAX_STABILITY_LINES, ContactSets
 from hapticd.rendering.device_output import loop_of, output_of
 from hapticd.rendering.stability import Loop, Margin
 from hapticd.rendering.stability_remedy import with_remedy

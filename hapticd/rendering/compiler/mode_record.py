@@ -9,7 +9,7 @@ from hapticd.base.core import KICKS
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import Ringing, Shape
 from hapticd.rendering.device_output import Output
-from hapticd.rendering.displayability import UNTOUCHED, Touched, displayed_mode, struck_shapes
+from hapticd.rendering.displayability import NO_SURFACE, Touched, displayed_mode, struck_shapes
 
 Effect: TypeAlias = tuple[int, float, float]
 """What a device plays in place of a mode: its id, its largest level over the coefficient, and how long, s."""
@@ -25,7 +25,7 @@ def mode_record(
     coefficient_per_unit: float,
     output: Output,
     effect: Effect | None = None,
-    touched: Touched = UNTOUCHED,
+    touched: Touched = NO_SURFACE,
 ) -> tuple[float | list[float], ...]:
     """The numbers of a `struct hd_mode`, in its order. `touched`: the surface that its compensation is chosen
     for; what presses in fact is known when it is struck.

@@ -23,7 +23,13 @@ from hapticd.config.modes import Mode, ModeTable
 from hapticd.config.texture import Grooves
 from hapticd.rendering.compensation import Ringing, Shape, peak_between, tuned_shapes
 from hapticd.rendering.device_output import Output
-from hapticd.rendering.displayability import DISPLAYABLE, TOUCHED_N_PER_M, UNTOUCHED, Touched, touched_by
+from hapticd.rendering.displayability import (
+    DEFAULT_SURFACE_N_PER_M,
+    DISPLAYABLE_RATE_FRACTION,
+    NO_SURFACE,
+    Touched,
+    touched_by,
+)
 
 GROOVE_NODES: Final = 17
 """So many frequencies of grooves are designed; at most HD_TUNE_NODES."""
@@ -52,7 +58,7 @@ class TabledModes(NamedTuple):
             return
         mode.kicks, mode.kick_count = [0.0] * (2 * KICKS), 0
         if not mode.touched_n_per_m > 0.0:
-            mode.touched_n_per_m = TOUCHED_N_PER_M
+            mode.touched_n_per_m = DEFAULT_SURFACE_N_PER_M
         rotor, decay, omega, end_s = 0j, 0.0, 0.0, 0.0
         if self.tail is not None:
             pole, end_s = self.tail.pole, self.tail.end_s
@@ -63,7 +69,7 @@ class TabledModes(NamedTuple):
 
 def _highest(output: Output) -> float:
     """rad/s."""
-    return 2.0 * math.pi * DISPLAYABLE * output.carried_hz
+    return 2.0 * math.pi * DISPLAYABLE_RATE_FRACTION * output.carried_hz
 
 
 def tabled_grooves(material: Material, output: Output) -> TabledModes | None:
@@ -76,7 +82,7 @@ def tabled_grooves(material: Material, output: Output) -> TabledModes | None:
     count = GROOVE_NODES if high > low else 1
     frequencies = tuple(float(w) for w in np.geomspace(low, high, count))
     decay = modes[0].decay_rate_per_s
-    tail, nodes = _nodes(frequencies, tuple(Mode(decay, w) for w in frequencies), output, UNTOUCHED)
+    tail, nodes = _nodes(frequencies, tuple(Mode(decay, w) for w in frequencies), output, NO_SURFACE)
     grid = 2.0 * math.pi * np.array(table.frequencies_hz)
     numbers = np.concatenate((table.speeds_m_per_s, table.forces_n, grid.ravel(), nodes.ravel()))
     return TabledModes(Mode(decay, low), tail, nodes, numbers)
@@ -119,7 +125,7 @@ def _nodes(
         return None, np.zeros((0, TUNE_NODE))
     assert output.dynamics is not None
     load = touched.load(output)
-    pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load, touched.own)
+    pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load, touched.best_in_contact)
     rows = np.array([_row(place, *pair) for place, pair in zip(places, pairs, strict=True)])
     # A strike between two nodes is no larger than the line between their peaks.
     for column, which in ((_PEAK, 1), (_PEAK + 1, 0)):
