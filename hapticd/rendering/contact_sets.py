@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 from hapticd.base.core import Shape
 from hapticd.rendering.stability import (
-    CORNER,
-    GROWS,
+    MAX_STABLE_RADIUS,
+    WORST_NORMAL_FACTOR,
     Floats,
     Limit,
     Loop,
@@ -172,7 +172,7 @@ def _contributions(surfaces: SurfaceTable, properties: SurfaceProperties, loop: 
     def noise(along: Floats, across: Floats) -> Floats:
         size = np.abs(normal).sum(axis=1)
         straight = [size * (along * np.abs(normal[:, i]) + across * np.abs(tangent[:, i])) for i in (0, 1)]
-        return np.where(plane[:, None], np.stack(straight, axis=1), (CORNER * (along + across))[:, None])
+        return np.where(plane[:, None], np.stack(straight, axis=1), (WORST_NORMAL_FACTOR * (along + across))[:, None])
 
     return np.concatenate(
         (
@@ -345,10 +345,10 @@ class ContactSets:
             limited: Limit = (
                 "passivity" if self._passivity_factor[place] <= self._noise_factor[place] else "quantisation"
             )
-            if radius[index] > GROWS:
+            if radius[index] > MAX_STABLE_RADIUS:
                 limited = "eigenvalues"
             verdict: Verdict = "safe" if self.safe[place] else "unproved"
-            if max(radius[index], free[index]) > GROWS or not self._noise_held[place]:
+            if max(radius[index], free[index]) > MAX_STABLE_RADIUS or not self._noise_held[place]:
                 verdict = "unsafe"
             found.append(
                 Margin(

@@ -1,4 +1,4 @@
-"""How the contact sets of a scene stand, as it is reported: by `hapticd check` and by a run."""
+"""Stability of a scene's contact sets, as `hapticd check` and runs report it."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ from hapticd.rendering.stability_remedy import with_remedy
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """How the sets of a scene stand, or why nobody knows."""
+    """Stability of the contact sets of a scene, or the reason why it is unknown."""
 
     unknown: str | None
-    """One line; None: it is known."""
+    """The reason, on one line; None if the stability is known."""
     assumed: Loop | None
+    """The loop for which it was computed."""
     sets: int = 0
     unsafe: int = 0
-    """How many are not safe."""
+    """Number of sets that are not proved safe."""
     worst: tuple[Margin, ...] = ()
-    """Up to MAX_REPORTED_SETS, the least margin first: those that are not safe, or any where that was asked for."""
+    """Up to MAX_REPORTED_SETS sets, the smallest margin first: those not proved safe, or all if requested."""
 
     @property
     def harmful(self) -> tuple[Margin, ...]:
-        """Those that are more than unproved."""
+        """The reported sets with the verdict unsafe, without those that are only unproved."""
         return tuple(margin for margin in self.worst if margin.verdict == "unsafe")
 
     def to_dict(self) -> dict[str, object]:
-        """As `hapticd check --json` has it."""
+        """Return the map that `hapticd check --json` prints."""
         return {
             "unknown": self.unknown,
             "assumed": None if self.assumed is None else self.assumed.to_dict(),
@@ -44,7 +45,7 @@ class Stability:
         }
 
     def problems(self) -> list[Problem]:
-        """A line for each set that is unsafe, and one for the rest of those that are reported."""
+        """Return a line for each of the first unsafe sets, and one for the number of the others."""
         harmful = self.harmful
         found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MAX_STABILITY_LINES]]
         if len(harmful) > MAX_STABILITY_LINES:
@@ -54,7 +55,7 @@ class Stability:
 
 
 def place_of(objects: Sequence[str]) -> str:
-    """Where a set stands in a configuration, and what acts with it."""
+    """Return the place of a set's first object in the configuration, with the names of the other objects."""
     first, others = objects[0], objects[1:]
     place = path_text(("scene", "objects", first))
     if not others:
@@ -64,8 +65,10 @@ def place_of(objects: Sequence[str]) -> str:
 
 
 def sets_of(config: Config) -> ContactSets | None:
-    """The contact sets of a configuration's scene, with the simulated joystick or with `device.handle`; None: mass and
-    damping of the handle are not known."""
+    """Return the contact sets of a configuration's scene, with the simulated joystick or with `device.handle`.
+
+    Returns None if mass and damping of the handle are unknown.
+    """
     loop = loop_of(config, config.servo.rate_hz)
     if loop is None:
         return None
@@ -75,7 +78,10 @@ def sets_of(config: Config) -> ContactSets | None:
 
 
 def evaluate(compiler: Compiler, scene: Scene, loop: Loop, unsafe: bool = True) -> Stability:
-    """The sets of a scene, which the compiler's table is made of. `unsafe`: report only sets that are not safe."""
+    """Return the stability of a scene, whose objects are in the compiler's table.
+
+    `unsafe` limits the report to sets that are not proved safe.
+    """
     surfaces = compiler.surfaces()
     sets = ContactSets(surfaces, loop)
     found = sets.worst(MAX_REPORTED_SETS, unsafe=unsafe)
