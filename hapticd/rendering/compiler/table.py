@@ -7,8 +7,7 @@
     noises[]     of the materials with noise, each at its index; `numbers` holds their filters
 
 The compiler rewrites only what changed, so an update of one object costs the same in a large scene as in a small one.
-The lowest free place is used first, so the arrays never have more places than the largest scene needed. All input has been
-validated.
+The lowest free place is used first, so arrays have no more places than the largest scene needed. All input is valid.
 """
 
 from __future__ import annotations
