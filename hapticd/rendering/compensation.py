@@ -118,13 +118,11 @@ class Shape:
     """Upper bound of the samples' magnitude, for any onset between two ticks."""
     peak_time_s: float
     error: float
-    """Displayed error: RMS difference of the handle's acceleration from the mode, over the RMS of the mode, in the
-    band."""
+    """Displayed error: RMS of the handle's acceleration minus the mode, over the RMS of the mode, in the band."""
     limited: bool
     """Whether its peak would have exceeded MAX_STRIKE_FORCE_RATIO, to which it was scaled down."""
     kicks: tuple[tuple[float, float], ...] = ()
-    """Corrections (c, d) added to the first samples, one each: c + d x for an onset x periods before the first
-    sample."""
+    """Corrections (c, d) of the first samples, one each: c + d x for an onset x periods before the first one."""
 
 
 def pole_of(mode: Mode) -> complex:
@@ -230,8 +228,7 @@ class _Band:
     """Acceleration of one device for a struck mode and possible tails, with the first tick as time 0.
 
     All weighted spectra lie in a space of few dimensions. Vectors are coordinates in an orthonormal base of it, which
-    preserves norms and least squares. With the first tick as time 0, onsets differ only in the target spectrum and in
-    the number of ticks.
+    preserves norms and least squares. Onsets differ only in the target spectrum and in the number of ticks.
     """
 
     def __init__(
@@ -326,8 +323,7 @@ class _Band:
     def with_kicks(self, tail: complex, kicks: _Floats | None = None) -> tuple[Shape, float]:
         """Return the shape of mode, tail and kicks, and its displayed error, RMS over _ONSET_FRACTIONS.
 
-        All gains are found together by least squares over these onsets. If `kicks` is given, only mode and tail are
-        fitted.
+        All gains are fitted together by least squares over these onsets; if `kicks` is given, mode and tail only.
         """
         poles = [self._pole, tail]
         rung = [np.array(self.columns(poles, part)).T for part in _ONSET_FRACTIONS]
@@ -386,8 +382,7 @@ def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
 def _tails(mode: Mode, rate_hz: float) -> list[complex]:
     """Return the poles of the tails to try.
 
-    The slow one compensates the transient of the hand's spring and damper, the one at the upper end of the band that
-    of the first held samples.
+    The slow one is for the transient of the hand's spring and damper, the fast one for that of the first held samples.
     """
     slow = _MODE_TIME_CONSTANTS / (_MODE_TIME_CONSTANTS / mode.decay_rate_per_s + MAX_TAIL_EXTENSION_S)
     highest = 2 * math.pi * ERROR_BAND_RATE_FRACTION * rate_hz
@@ -421,7 +416,7 @@ def shape_of(
 ) -> Shape:
     """Return the shape that is struck for a mode that the rate can carry.
 
-    `rate_hz` is how often the force changes at the device. The result is deterministic and cached; `full` takes a few
+    `rate_hz` is how often the force changes at the device. The result is deterministic; `full` takes some
     milliseconds.
     """
     if compensation == "mass":

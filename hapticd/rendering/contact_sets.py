@@ -194,7 +194,7 @@ def _largest_eigenvalue(rows: Floats) -> Floats:
 
 
 _SlotsOfSet: TypeAlias = Callable[[int], tuple[int, ...]]
-"""The slots of a set, in rising order."""
+"""Returns the slots of the set at a place, in ascending order."""
 
 
 def _sets_of(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _SlotsOfSet]:
@@ -311,8 +311,7 @@ class ContactSets:
     def worst(self, most: int, *, unsafe: bool) -> list[tuple[tuple[int, ...], int]]:
         """Return slots and place of up to `most` different sets, those nearest to their limits first.
 
-        They are sorted by margin without damping, margin, and stiffness. `unsafe` selects sets that are not proved
-        safe.
+        They are sorted by margin without damping, margin, and stiffness. `unsafe` omits sets that are proved safe.
         """
         order = np.lexsort((-self.stiffness_n_per_m, self.factor, self._undamped_factor))
         if unsafe:

@@ -1,12 +1,11 @@
 """Upper bounds of a disc's stiffness along its radius and around it, down to the depth of a firm press.
 
 The proxy moves R/r as far as a probe at radius r, and friction and grooves fade out towards the centre
-(docs/adr/0027). With friction or shaped grooves, the stiffness is given by the second derivatives, in polar
-coordinates, of
+(docs/adr/0027). With friction or shaped grooves, the second derivatives, in polar coordinates, of
 
-    K/2 (R - r - g H(s))^2 + g k/2 (s - anchor)^2.
+    K/2 (R - r - g H(s))^2 + g k/2 (s - anchor)^2
 
-Without either it never exceeds K.
+give the stiffness. Without either it never exceeds K.
 """
 
 from __future__ import annotations

@@ -31,8 +31,7 @@ from hapticd.rendering.undisplayable_text import Undisplayable, Use
 DISPLAYABLE_RATE_FRACTION: Final = 0.4
 """Highest displayable frequency, as a fraction of the rate of servo or link, whichever is lower."""
 DEFAULT_SURFACE_N_PER_M: Final = 800.0
-"""Stiffness of the surface for which modes without a surface are compensated in contact: that of the shipped
-materials."""
+"""Stiffness of the surface, as of the shipped materials, for which modes without an own surface are compensated."""
 MIN_NORMAL_STIFFNESS_PART: Final = 0.5
 """A strike along which at least this part of the surface's stiffness acts is compensated best in contact."""
 FAST_STROKE_M_PER_S: Final = 0.5
@@ -123,7 +122,7 @@ def struck_shapes(mode: Mode, output: Output, touched: Touched = NO_SURFACE) -> 
 
 
 def waveform_of(material: Material) -> Waveform | None:
-    """Return the waveform that the material's tap plays, or None if it plays a mode or none."""
+    """Return the waveform that the material's tap plays, or None if it plays none."""
     return None if material.tap is None else material.tap.waveform
 
 
@@ -142,8 +141,7 @@ def displayed_wave_rate(waveform: Waveform, output: Output) -> float | None:
 def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
     """Return the peak and mean (Hz) for which the texture's filter is designed, or None if it is muted.
 
-    A texture with a peak above 0.4 of the rate is muted, or its peak is lowered to that and its mean by the same
-    factor.
+    A peak above 0.4 of the rate is muted, or lowered to that together with the mean, by the same factor.
     """
     highest = DISPLAYABLE_RATE_FRACTION * output.carried_hz
     if texture.peak_hz <= highest:

@@ -27,8 +27,7 @@ CHECKED_SPEEDS_M_PER_S: Final = (0.05, 0.1, 0.2, 0.5)
 CHECKED_FORCES_N: Final = (0.3, 1.0)
 """Forces with which the hand presses in these strokes."""
 CHECKED_DAMPING_PART: Final = 0.8
-"""Part of the hand's damping that is simulated, as a margin: a hand near the limit may be set off by another
-motion."""
+"""Part of the hand's damping that is simulated. The margin is for hands that another motion would set off."""
 _STROKE_LENGTH_M: Final = 0.02
 """Length of a stroke."""
 _MAX_PRESS_DEPTH_M: Final = 0.4

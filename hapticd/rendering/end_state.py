@@ -30,8 +30,7 @@ FIRST_COMPARISON_WINDOWS: Final = 64
 MAX_CYCLE_ENERGY_DEVIATION: Final = 0.01
 """In a regular cycle the energy of no window deviates from the mean by more than this part."""
 MIN_ENERGY_TREND: Final = 0.1
-"""An irregular motion (chaotic, or beating) grows or falls if its energy changes by more than this part within the
-last quarter of the time."""
+"""Change of the energy in the last quarter of the time, as a part, beyond which an irregular motion grows or falls."""
 WAIT_AFTER_MOTION_S: Final = 0.2
 """Time from the hand's last waypoint to the beginning of the analysis."""
 

@@ -24,8 +24,7 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import Touched, displayed_mode, mode_path, modes_of, struck_shapes, touched_by
 
 MAX_AMPLITUDE_ERROR: Final = 0.1
-"""A mode whose amplitude is shown to within this part is not reported; for order 1 it is a mode at half the
-bandwidth."""
+"""A mode whose amplitude is shown to within this part is not reported: at order 1, up to half the bandwidth."""
 _BANDWIDTH_SEARCH_FACTOR: Final = 1.5
 """Factor between the bandwidths that are tried."""
 _BANDWIDTH_BISECTIONS: Final = 3

@@ -198,7 +198,7 @@ class Rerun:
             lib.hd_state_mute(self._state)
 
     def change_rate(self, output: Output) -> None:
-        """Set another output, which the next `turn_to` compiles; it must come before any tick."""
+        """Set another output. `turn_to` must follow before the next tick."""
         self._output = output
         self._compiler.turn_to(output)
 

@@ -78,8 +78,7 @@ class Resting:
 def at_rest(position_m: Floats, step_m: float, rate_hz: float) -> Resting:
     """Return the noise of positions (n,) at a rate, of a handle that nothing drives.
 
-    A position is NaN in a tick without a new one. Slow motion is removed as a straight line over each
-    DETREND_WINDOW_S.
+    A tick without a new position has NaN. Slow motion is removed as a straight line over each DETREND_WINDOW_S.
     """
     known = np.flatnonzero(~np.isnan(position_m))
     if len(known) == 0:

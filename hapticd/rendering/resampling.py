@@ -21,13 +21,11 @@ from hapticd.rendering.filter_design import (
 )
 
 MAX_RESAMPLING_ERROR_DB: Final = 0.5
-"""A resampled model is accepted if its spectrum is within this of the original, down to COMPARED_RANGE_DB below the
-peak."""
+"""A resampled model is accepted if its spectrum has at most this error within COMPARED_RANGE_DB of the peak."""
 COMPARED_RANGE_DB: Final = 30.0
 """Range below its peak in which the spectrum of a model is compared."""
 _WHITE_NOISE_FRACTION: Final = 1e-7
-"""White power that is added before a prediction filter is computed, as a fraction, so that the recursion never
-fails."""
+"""White power that is added before the prediction filter is computed, as a fraction, against rounding errors."""
 _MIN_SKIRT_EXPONENT: Final = 12.0
 """Beyond the band of a model that is shown at a higher rate, power falls at least with this power of the frequency."""
 _MAX_SKIRT_POWER_FRACTION: Final = 0.05

@@ -36,8 +36,7 @@ SPEED_ESTIMATE_ERROR_GAIN: Final = 7.0 / 3.0
 """Largest gain from errors of the estimator's lines to its speed, which it extrapolates by up to 2/3 of the change
 since the previous line: 1 + 2 * 2/3 (csrc/tick/hd_velocity.c)."""
 WINDOW_MEAN_ENERGY_GAIN: Final = 2.0
-"""Largest energy of means over windows of changing length, over the energy of the averaged signal (Hardy's
-inequality)."""
+"""Largest energy of means over windows of changing length, over that of the averaged signal (Hardy)."""
 ASSUMED_PRESS_N: Final = 1.0
 """Force under which groove flanks and ramps between materials are judged, as they stiffen with it."""
 WORST_NORMAL_FACTOR: Final = (1.0 + math.sqrt(2.0)) / 2.0
@@ -254,8 +253,7 @@ class Margin:
     limit_n_per_m: float
     """`margin` times the stiffness."""
     held_limit_n_per_m: float
-    """Largest stiffness at which the loop with the configured hand does not grow; infinite if it does not up to 1e7
-    N/m."""
+    """Largest stiffness at which the loop with the configured hand does not grow; infinite above 1e7 N/m."""
     margin: float
     """The set is safe in any hand up to this factor on all its stiffnesses, with unchanged damping. Infinite without
     stiffness and faults, 0 if no factor is sufficient."""
@@ -266,8 +264,7 @@ class Margin:
     free_radius: float
     """Spectral radius with the handle released."""
     remedy: str = ""
-    """Keys to lower, and their values, so that the set is safe; empty if `limit_n_per_m` is sufficient or nothing
-    is."""
+    """Keys to lower, and their values, so that the set is safe; empty if `limit_n_per_m` says it or nothing helps."""
 
     @property
     def safe(self) -> bool:
@@ -309,8 +306,8 @@ def limits(
     """Return the factors on all stiffnesses up to which a set is passive and up to which friction absorbs its noise.
 
     All arrays are (n,): stiffness and damping that count for passivity, the noise that grows with the stiffness, and
-    the noise that does not, both for the worse axis. A factor is infinite if no stiffness violates the condition, and
-    0 if every stiffness does.
+    the noise that does not, both for the worse axis. A factor is infinite without a limit, and 0 if no stiffness is
+    safe.
     """
     b, c = loop.dynamics.handle_damping_n_s_per_m, loop.dynamics.friction_n / loop.timing.gain
     left = b - loop.damping_echo * damping_n_s_per_m

@@ -20,8 +20,8 @@ from hapticd.rendering.surface_properties import depends_on_radius, properties_o
 from hapticd.rendering.surface_table import SurfaceTable
 
 _SurfaceKind: TypeAlias = tuple[int, int, float]
-"""What determines a margin besides position and orientation: material, first piece (-1: no patches), and the radius if
-it matters (else 0)."""
+"""Properties that margins depend on at any position: material, first piece (-1: no patches), radius (0:
+irrelevant)."""
 _PLANE_SHAPES: Final = frozenset((int(Shape.WALL), int(Shape.MEMBRANE)))
 """Shapes that push along one normal."""
 _DISC_SHAPE: Final = int(Shape.DISC)

@@ -44,8 +44,7 @@ def material_record(
 ) -> tuple[CData, Numbers]:
     """Return a `struct hd_material *` and the material's numbers, whose indices are not yet set in it.
 
-    `noise_index` is the index of its noise, if its texture is one. `effects` are the effects that a device plays in
-    place of modes.
+    `noise_index` is the index of its noise, if any. `effects` are what a device plays in place of modes.
     """
     record, numbers = ffi.new("struct hd_material *"), Numbers()
     record.stiffness_n_per_m = material.stiffness_n_per_m

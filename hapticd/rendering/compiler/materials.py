@@ -165,8 +165,7 @@ class Materials:
     def prepare(self, name: str, material: Material) -> Steps[None]:
         """Compute in advance what is slow in a material that will be compiled under this name.
 
-        That is filters, compensated shapes, and the spectrum of a waveform. Pauses after each filter, and after the
-        rest.
+        That is filters, with a pause after each, compensated shapes, and the spectrum of a waveform.
         """
         used = self._used.get(self._index.get(name, -1))
         if used is not None and used.material is material:

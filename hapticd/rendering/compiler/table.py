@@ -118,8 +118,7 @@ class Compiler:
         self._walls = PatchedWalls(self._materials)
         self._fields: dict[str, _Field] = {}
         self._field_sums = [0, 0, 0, 0]
-        """Sums over all fields in 1/_QUANTA_PER_UNIT: exact after any number of changes (docs/adr/0005), without a new
-        sum."""
+        """Sums over all fields in 1/_QUANTA_PER_UNIT, updated exactly at each change of a field (docs/adr/0005)."""
         self._changed: set[int] = set()
         self.touched: dict[int, None] = {}
         """Slots of surfaces that the last update wrote, or of which it changed a material."""
