@@ -430,8 +430,9 @@ def shape_of(
     if not kickable:
         return best
     kicked, kicked_error = band.with_kicks(tails[0])
-    worth = kicked_error < band.error_over_onsets(best) - MIN_KICK_ERROR_REDUCTION
-    return kicked if worth and not kicked.limited else best
+    if kicked.limited or kicked_error >= band.error_over_onsets(best) - MIN_KICK_ERROR_REDUCTION:
+        return best
+    return kicked
 
 
 @lru_cache(maxsize=4096)
