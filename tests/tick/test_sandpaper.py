@@ -571,8 +571,8 @@ def test_models_shown_at_their_own_rate_are_the_models() -> None:
 
 @pytest.mark.parametrize("rate", [1e3, 2e3, 1e4])
 def test_models_shown_at_another_rate_keep_their_spectrum_where_their_power_is(rate: float) -> None:
-    """`noise.resampled` aims at MAX_RESAMPLING_ERROR_DB; within 20 dB of the peak these models are met to 1 dB. What lies beyond the
-    band is left out: the RMS is that of the band."""
+    """`resampled` aims at MAX_RESAMPLING_ERROR_DB; within 20 dB of the peak these models are met to 1 dB. The RMS is
+    that of the band, without what lies beyond it."""
     rig = rig_of(autoregressive(MODELS), rate)
     noise = noise_of(rig)
     for index, (a, innovation) in enumerate(MODELS.values()):
