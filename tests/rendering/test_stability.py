@@ -27,8 +27,8 @@ from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import render, simulate_run
 from hapticd.rendering.scene_stability import Stability
 from hapticd.rendering.stability import (
-    MAX_STABLE_RADIUS,
     ASSUMED_PRESS_N,
+    MAX_STABLE_RADIUS,
     Loop,
     Timing,
     held_factor,
@@ -509,10 +509,8 @@ def test_many_sets_are_counted_and_few_told() -> None:
     assert (stability.sets, stability.unsafe, len(stability.worst)) == (60, 60, contact_sets.MAX_REPORTED_SETS)
     lines = [str(problem) for problem in stability.problems()]
     assert len(lines) == contact_sets.MAX_STABILITY_LINES + 1
-    assert (
-        lines[-1]
-        == f"scene.objects: {60 - contact_sets.MAX_STABILITY_LINES} more sets of objects are not safe, see `hapticd check`"
-    )
+    more = 60 - contact_sets.MAX_STABILITY_LINES
+    assert lines[-1] == f"scene.objects: {more} more sets of objects are not safe, see `hapticd check`"
 
 
 def test_virtual_damping_is_unproved_until_it_shakes_the_handle() -> None:
