@@ -207,8 +207,8 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
 
 
 def arrival(link: Link | None, begin: int, rate_hz: float) -> int:
-    """When the force of a tick begins at the actuator, in parts of a period of which PARTS_PER_PERIOD are one: it waits for its
-    frame."""
+    """When the force of a tick begins at the actuator, in 1/PARTS_PER_PERIOD of a period: it waits for
+    its frame."""
     onset = begin * PARTS_PER_PERIOD
     if link is None:
         return onset
