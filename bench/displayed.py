@@ -21,7 +21,7 @@ from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import pole_gain, pole_shape, shape_of
-from hapticd.rendering.displayed_error import FINER, band_error, handle_acceleration, waveform
+from hapticd.rendering.displayed_error import PARTS_PER_PERIOD, band_error, handle_acceleration, waveform
 
 if TYPE_CHECKING:
     from hapticd.sweeps.measures.sweep_point import SweepPoint
@@ -82,10 +82,10 @@ def tapped(
 def moved_error(mode: Mode, grip: str, compensation: Compensation, rate_hz: float, part: float = AT_TICK) -> float:
     """Displayed error of the motion. What the handle could not do before the first tick counts."""
     force = tapped(mode, grip, compensation, rate_hz, part)
-    late = round(part * FINER)
-    moved = np.concatenate((np.zeros(late), handle_acceleration(force, held(grip), rate_hz, FINER)))
-    wanted = waveform(mode, len(moved), FINER * rate_hz)
-    return band_error(moved, wanted, FINER * rate_hz, 30.0, 0.4 * rate_hz)
+    late = round(part * PARTS_PER_PERIOD)
+    moved = np.concatenate((np.zeros(late), handle_acceleration(force, held(grip), rate_hz, PARTS_PER_PERIOD)))
+    wanted = waveform(mode, len(moved), PARTS_PER_PERIOD * rate_hz)
+    return band_error(moved, wanted, PARTS_PER_PERIOD * rate_hz, 30.0, 0.4 * rate_hz)
 
 
 def walled(force_n: Floats, grip: str, rate_hz: float) -> Floats:
@@ -106,9 +106,9 @@ def walled(force_n: Floats, grip: str, rate_hz: float) -> Floats:
 def wall_error(mode: Mode, grip: str, known: bool, part: float = AT_TICK) -> float:
     """Displayed error with `full` on a surface of WALL_N_PER_M; not `known`: with the forces of a tap on nothing."""
     force = tapped(mode, grip, "full", RATE_HZ, part, WALL_N_PER_M if known else 0.0)
-    moved = np.concatenate((np.zeros(round(part * FINER)), walled(force, grip, RATE_HZ)))
-    wanted = waveform(mode, len(moved), FINER * RATE_HZ)
-    return band_error(moved, wanted, FINER * RATE_HZ, 30.0, 0.4 * RATE_HZ)
+    moved = np.concatenate((np.zeros(round(part * PARTS_PER_PERIOD)), walled(force, grip, RATE_HZ)))
+    wanted = waveform(mode, len(moved), PARTS_PER_PERIOD * RATE_HZ)
+    return band_error(moved, wanted, PARTS_PER_PERIOD * RATE_HZ, 30.0, 0.4 * RATE_HZ)
 
 
 def on_wall(point: SweepPoint) -> dict[str, float]:

@@ -282,7 +282,7 @@ def settle(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> Outcome:
     device = config.device
     samples, _, _ = loop.run(case.waypoints[-1][0] + AFTER_S)
     return Outcome(
-        end=end_state(loop.go_on, longest_s),
+        end=end_state(loop.advance, longest_s),
         given_j=given(case, mode),
         bound_j=device.max_force_n * device.max_speed_m_per_s * (1 + case.age) / case.rate_hz,
         restrained=int(((samples["flags"] & Flag.RESTRAINED) != 0).sum()),
@@ -293,8 +293,8 @@ def settle(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> Outcome:
 def drives_itself(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> bool:
     """Whether it rests without vibration."""
     loop = Simulation(CompiledScene(case.config(mode, vibration=False)), case.waypoints)
-    loop.go_on(case.waypoints[-1][0] + AFTER_S)
-    return end_state(loop.go_on, longest_s).fate == "rests"
+    loop.advance(case.waypoints[-1][0] + AFTER_S)
+    return end_state(loop.advance, longest_s).fate == "rests"
 
 
 def changed_n(off: Outcome, control: Outcome) -> float:

@@ -441,7 +441,7 @@ def limits(point: SweepPoint) -> dict[str, float]:
     factors = evaluated(config).factors(0)
     loop = _loop(config)
     passive, quiet = stiffness * factors["passivity"], stiffness * factors["quantisation"]
-    free, held = linear_limit(loop.let_go()), linear_limit(loop)
+    free, held = linear_limit(loop.without_hand()), linear_limit(loop)
     light = simulated_limit(source, LIGHT, min(passive, quiet), free)
     return {
         "passive": min(passive, NO_LIMIT),

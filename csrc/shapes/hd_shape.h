@@ -17,9 +17,9 @@
  *   config/operator.py                 the texts that list the shapes which a gesture can touch
  *   rendering/compiler/table.py        its number beside _WALL, and _place_of (assert_never)
  *   rendering/joystick.py              target_of (assert_never): where a gesture touches it
- *   rendering/contact_sets.py          _regions: where it can be touched; _rows, if it pushes along one normal alone
+ *   rendering/contact_sets.py          _regions: where it can be touched; _contributions, if it pushes along one normal
  *   rendering/stability_remedy.py      `deepens`, if a softer one is touched deeper; round_rubs, if it is round
- *   rendering/surface_properties.py    _round, if it is round
+ *   rendering/surface_properties.py    _put_discs, if it is round
  *   client/watch.py                    draw_scene: how `hapticd watch` draws it
  *   analysis/check.py                  a limit of its own, as _gone_through of a disc
  *   sweeps/measures/onset.py           _height_of: from where the handle is let fall on it

@@ -37,7 +37,7 @@ from hapticd.rendering.displayability import (
     waveform_of,
 )
 from hapticd.rendering.displayed_error import waveform_error
-from hapticd.rendering.driven_hand import driven
+from hapticd.rendering.driven_hand import driven_hand_warnings
 from hapticd.rendering.filter_design import peak_of
 from hapticd.rendering.lagging_modes import lag_warnings
 from hapticd.rendering.resampling import resampled
@@ -134,7 +134,7 @@ def check(config: Config) -> Report:
         told += lag_warnings(shown, output)
         slowed = {problem.where for problem in told}
         others = [*warnings(scene.objects, materials, output)]
-        others += [] if device.loop is None else driven(config, device.loop, shown)
+        others += [] if device.loop is None else driven_hand_warnings(config, device.loop, shown)
         told += [problem for problem in others if problem.where not in slowed]
     unknown = Stability(device.unknown, None)
     return Report(

@@ -62,7 +62,7 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
 
 
 def _print(report: Report) -> None:
-    from hapticd.rendering.rearm import words as rearm_words
+    from hapticd.rendering.rearm import rearm_text
 
     output, stability = report.output, report.stability
     link = "" if output.link_rate_hz is None else f", forces carried at {wording.si(output.link_rate_hz, 'Hz')}"
@@ -85,7 +85,7 @@ def _print(report: Report) -> None:
             "error: RMS of the difference between the handle's acceleration and the library's, over the library's RMS, "
             f"from 30 Hz to 0.4 of the rate, with compensation: {output.compensation}"
         )
-    again = rearm_words(output.rearm_m, report.encoder_step_m, output.rate_hz)
+    again = rearm_text(output.rearm_m, report.encoder_step_m, output.rate_hz)
     if again is not None:
         click.echo(again)
     if stability.sets:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from hapticd.config.modes import Mode
 from hapticd.hid.plan import Numbers, Scale
-from hapticd.rendering.displayability import DISPLAYABLE
+from hapticd.rendering.displayability import DISPLAYABLE_RATE_FRACTION
 
 LONGEST_S: Final = 0.1
 """No effect plays longer: nothing but its end stops it where the daemon is gone."""
@@ -113,7 +113,7 @@ def streamed_error(mode: Mode, carried_hz: float) -> float:
     sqrt(2 - 2 sin(h) / h), h = w / (2 rate), is that of a steady sine once its delay is taken off. 1 above 0.4 of the
     rate, where nothing is shown, or something else.
     """
-    if mode.frequency_hz > DISPLAYABLE * carried_hz:
+    if mode.frequency_hz > DISPLAYABLE_RATE_FRACTION * carried_hz:
         return 1.0
     half = 0.5 * mode.angular_frequency_rad_per_s / carried_hz
     return math.sqrt(max(0.0, 2.0 - 2.0 * math.sin(half) / half))

@@ -16,7 +16,7 @@ from hapticd.config.materials import Material
 from hapticd.config.scene import SceneObject, Wall, material_names, material_places
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import (
-    DISPLAYABLE,
+    DISPLAYABLE_RATE_FRACTION,
     material_rate_faults,
     material_warnings,
     patch_warnings,
@@ -68,7 +68,9 @@ class MaterialReport(NamedTuple):
 def above_rate(frequency_hz: float, shown_hz: float | None, output: Output) -> str:
     """What becomes of a frequency that the rate cannot carry."""
     shown = "it is silent" if shown_hz is None else f"it is shown at {shown_hz:g} Hz"
-    return f"{frequency_hz:g} Hz is above {DISPLAYABLE * output.carried_hz:g} Hz, 0.4 of the rate: {shown}"
+    return (
+        f"{frequency_hz:g} Hz is above {DISPLAYABLE_RATE_FRACTION * output.carried_hz:g} Hz, 0.4 of the rate: {shown}"
+    )
 
 
 def change_warnings(

@@ -1,19 +1,20 @@
-"""What is struck for a mode, so that handle and hand accelerate as the library says.
+"""Compensation: the forces of a strike that make handle and hand accelerate as the material's mode says.
 
-A force F held from tick to tick accelerates the device (m + m_h) x'' + (b + b_h) x' + k x = F by
+A force F_k, held from tick k to the next, accelerates the device (m + m_h) x'' + (b + b_h) x' + k x = F by
 
     X(s) = s^2 / ((m + m_h) s^2 + (b + b_h) s + k) * (1 - exp(-s T))/s * sum_k F_k exp(-s k T),      s = 2 pi i f.
 
-Wanted is the spectrum of exp(-B t) sin(w t), w / ((s + B)^2 + w^2). The pole p = -B + i w alone is displayed with the
-right amplitude and phase where F_k = Im(C exp(p k T)),
+The target is the spectrum of exp(-B t) sin(w t), w / ((s + B)^2 + w^2). The part of it at the pole p = -B + i w is
+displayed with the right amplitude and phase if F_k = Im(C exp(p k T)),
 
-    C = ((m + m_h) + (b + b_h)/p + k/p^2) * p T / (1 - exp(-p T)),
+    C = ((m + m_h) + (b + b_h)/p + k/p^2) * p T / (1 - exp(-p T)).
 
-but a device that was at rest answers with a transient, too. `full` adds a tail, a second decaying pole, and chooses
-both complex amplitudes by least squares over the band in which the error is reported.
+The device, which was at rest, also answers with a transient. `compensation: full` therefore adds a tail, a second
+decaying pole, and finds both complex amplitudes by least squares over the band in which the error is reported. At the
+onset it may also correct the first HD_KICKS samples one by one; such a correction is called a kick.
 
-A surface that is touched meanwhile acts on the handle, too: what it does to a motion, held and lagging as every force,
-is part of the device. So is the lag of the actuator, by which every force goes.
+A surface in contact acts on the handle, too. Its stiffness and damping, sampled and held as every force, are part of
+the device. The actuator delays all these forces by its lag.
 """
 
 from __future__ import annotations
@@ -28,32 +29,32 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.core import MAX_CORRECTED_SAMPLES as _CORE_KICKS
+from hapticd.base.core import MAX_CORRECTED_SAMPLES
 from hapticd.config.actuator import Actuator
 from hapticd.config.dynamics import Dynamics
 from hapticd.config.modes import Mode
 
-LOW_HZ: Final = 30.0
-"""The error is reported from here on; below, the hand's own motion is."""
-HIGH: Final = 0.4
-"""It is reported up to this fraction of the rate."""
-LARGEST: Final = 2.0
-"""No strike is given a force of more than this times (m + m_h) A."""
-TAIL_S: Final = 0.05
-"""A tail ends at most this much later than its mode."""
-WORTH: Final = 0.005
-"""A tail that lowers the error by less than this is left away: it costs an active mode."""
+ERROR_BAND_LOW_HZ: Final = 30.0
+"""Lower end of the band in which the displayed error is reported. Below it the hand moves by intention."""
+ERROR_BAND_RATE_FRACTION: Final = 0.4
+"""Upper end of the band in which the displayed error is reported, as a fraction of the rate."""
+MAX_STRIKE_FORCE_RATIO: Final = 2.0
+"""Largest force of a strike, in units of (m + m_h) A. A larger one is scaled down to it."""
+MAX_TAIL_EXTENSION_S: Final = 0.05
+"""Longest time by which a tail may outlast its mode."""
+MIN_TAIL_ERROR_REDUCTION: Final = 0.005
+"""A tail costs an active mode, so it is used only if it lowers the displayed error by at least this part."""
+MIN_KICK_RATE_FRACTION: Final = 0.05
+"""Lowest frequency of a mode that gets kicks, as a fraction of the rate. The first samples of slower ones are small."""
+MIN_KICK_ERROR_REDUCTION: Final = 0.01
+"""Kicks are used only if they lower the displayed error, RMS over all onsets, by at least this."""
 
-KICKS: Final = _CORE_KICKS
-"""So many samples after an onset may be corrected one by one, by what is known of its place between two ticks."""
-KICKED: Final = 0.05
-"""Modes from this part of the rate on are: of others the first samples hold little."""
-KICKS_WORTH: Final = 0.01
-"""They are left away where they lower the error over all onsets by less than this."""
-
-_ONSETS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
-_TIME_CONSTANTS: Final = 5.0
-_PEAK_SAMPLES: Final = 512
+_ONSET_FRACTIONS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Onsets over which kicks are designed, in periods before the first tick."""
+_MODE_TIME_CONSTANTS: Final = 5.0
+"""A mode ends five time constants after its last strike."""
+_PEAK_GRID_SAMPLES: Final = 512
+"""Samples of the grid on which the peak of a strike is searched."""
 
 _Complex: TypeAlias = npt.NDArray[np.complex128]
 _Floats: TypeAlias = npt.NDArray[np.float64]
@@ -61,95 +62,102 @@ _Floats: TypeAlias = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What a strike meets beside handle and hand: the surface along its direction, and the actuator."""
+    """What a strike acts on in addition to handle and hand: the surface along its direction, and the actuator."""
 
     stiffness_n_per_m: float = 0.0
     damping_n_s_per_m: float = 0.0
     age_s: float = 0.0
-    """Between a position and the surface's force that answers it."""
+    """Time from a position to the moment at which the surface's force for it acts."""
     actuator: Actuator | None = None
 
     @property
     def free(self) -> Load:
-        """The same where nothing is touched."""
+        """This load without the surface."""
         return Load(actuator=self.actuator)
 
     def lag(self, s: _Complex) -> _Complex:
-        """What the actuator makes of a force."""
+        """Return the transfer function of the actuator at the complex frequencies `s`."""
         return np.ones_like(s) if self.actuator is None else self.actuator.response(s)
 
     def surface(self, s: _Complex, period_s: float) -> _Complex:
-        """Force of the surface over minus the position, N/m: sampled, damping by differences, held for a period."""
+        """Return the dynamic stiffness of the surface at `s`, minus force over position, N/m.
+
+        The position is sampled, damping uses its difference over a period, and the force is held for a period.
+        """
         if self.stiffness_n_per_m == 0.0 and self.damping_n_s_per_m == 0.0:
             return np.zeros_like(s)
-        turned = -np.expm1(-s * period_s) / period_s
-        sampled = self.stiffness_n_per_m + self.damping_n_s_per_m * turned
-        return np.asarray(sampled * turned / s * np.exp(-s * self.age_s) * self.lag(s), np.complex128)
+        difference = -np.expm1(-s * period_s) / period_s
+        sampled = self.stiffness_n_per_m + self.damping_n_s_per_m * difference
+        return np.asarray(sampled * difference / s * np.exp(-s * self.age_s) * self.lag(s), np.complex128)
 
 
-NOTHING: Final = Load()
+NO_LOAD: Final = Load()
+"""No surface, and an actuator without lag."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ringing:
-    """Im(gain exp(pole t)) for 0 <= t <= end_s, then nothing."""
+    """The signal Im(gain exp(pole t)) for 0 <= t <= end_s, and 0 afterwards."""
 
     pole: complex
     gain: complex
 
     @property
     def end_s(self) -> float:
-        """Five time constants, as of every mode."""
-        return _TIME_CONSTANTS / -self.pole.real
+        """Duration: five time constants, as for every mode."""
+        return _MODE_TIME_CONSTANTS / -self.pole.real
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The force of a strike, in units of (m + m_h) A, that begins at a tick."""
+    """The force of a strike that begins at a tick, in units of (m + m_h) A."""
 
     mode: Ringing
     tail: Ringing | None
     peak: float
-    """No sample of it is larger, wherever the onset lies between two ticks."""
+    """Upper bound of the samples' magnitude, for any onset between two ticks."""
     peak_time_s: float
     error: float
-    """Displayed error: RMS of what the handle's acceleration differs by, over the RMS of the mode, in the band."""
+    """Displayed error: RMS of the handle's acceleration minus the mode, over the RMS of the mode, in the band."""
     limited: bool
-    """It would have to be larger than LARGEST, and was scaled back to that."""
+    """Whether its peak would have exceeded MAX_STRIKE_FORCE_RATIO, to which it was scaled down."""
     kicks: tuple[tuple[float, float], ...] = ()
-    """Added to the first samples, one each: (c, d) is c + d x, the onset x of a period before the first of them."""
+    """Corrections (c, d) of the first samples, one each: c + d x for an onset x periods before the first one."""
 
 
 def pole_of(mode: Mode) -> complex:
-    """-B + i w."""
+    """Return the pole -B + i w of a mode, in 1/s."""
     return complex(-mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
 
 
 def hold_gain(pole: complex, period_s: float) -> complex:
-    """p T / (1 - exp(-p T)): what makes up for a force that is held for a period."""
-    turned = cmath.exp(pole * period_s)  # at most 1, where exp(-p T) may be beyond all numbers
+    """Return p T / (1 - exp(-p T)), the gain that compensates a force's being held for a period."""
+    turned = cmath.exp(pole * period_s)  # at most 1, whereas exp(-p T) may overflow
     return pole * period_s * turned / (turned - 1)
 
 
-def pole_gain(mode: Mode, dynamics: Dynamics, period_s: float, load: Load = NOTHING) -> complex:
-    """C of the equation above, over (m + m_h)."""
+def pole_gain(mode: Mode, dynamics: Dynamics, period_s: float, load: Load = NO_LOAD) -> complex:
+    """Return C of the module's equation over (m + m_h), with the surface and the lag of `load`."""
     p = pole_of(mode)
     at = np.array([p], np.complex128)
     with np.errstate(over="ignore", invalid="ignore"):
-        met = complex(load.surface(at, period_s)[0])
-    # A mode that is over within a tick meets nothing.
-    stiffness = dynamics.grip_stiffness_n_per_m + (met if cmath.isfinite(met) else 0.0)
+        surface = complex(load.surface(at, period_s)[0])
+    # For a mode that ends within a tick the surface overflows and is left out.
+    stiffness = dynamics.grip_stiffness_n_per_m + (surface if cmath.isfinite(surface) else 0.0)
     device = 1 + (dynamics.damping_n_s_per_m / p + stiffness / p**2) / dynamics.mass_kg
     return device * hold_gain(p, period_s) / complex(load.lag(at)[0])
 
 
 class _Grid:
-    """The band of one mode, sampled; `weight` is the square root of the quadrature's. Sums of ticks are kept."""
+    """Frequencies that sample the error band of one mode, with cached spectra of sampled decaying poles.
+
+    `weight` is the square root of the quadrature weights, so that a norm of weighted spectra is an RMS over the band.
+    """
 
     def __init__(self, mode: Mode, rate_hz: float) -> None:
-        high = HIGH * rate_hz
-        low = min(LOW_HZ, mode.frequency_hz / 2, high / 2)
-        # Even steps see the ends of what was cut, even ratios the device, and the rest a mode that hardly decays.
+        high = ERROR_BAND_RATE_FRACTION * rate_hz
+        low = min(ERROR_BAND_LOW_HZ, mode.frequency_hz / 2, high / 2)
+        # Linear steps resolve truncated ends, geometric steps the device, `near` the peak of a mode that decays slowly.
         width = mode.decay_rate_per_s / (2 * math.pi)
         reach = math.asinh(high / width)
         near = mode.frequency_hz + width * np.sinh(np.linspace(-reach, reach, 201))
@@ -170,31 +178,31 @@ class _Grid:
 
     @cached_property
     def late(self) -> list[_Complex]:
-        """exp(-s k T) of the first samples."""
-        return [np.exp(-self.s * k * self.period_s) for k in range(KICKS)]
+        """exp(-s k T) of each of the first samples, which a kick may correct."""
+        return [np.exp(-self.s * k * self.period_s) for k in range(MAX_CORRECTED_SAMPLES)]
 
     @cached_property
     def early(self) -> list[_Complex]:
-        """What is wanted, for each of the onsets, as seen from the first tick."""
-        return [self.wanted * np.exp(self.s * part * self.period_s) for part in _ONSETS]
+        """Weighted spectra of the mode for each of _ONSET_FRACTIONS, with the first tick as time 0."""
+        return [self.wanted * np.exp(self.s * part * self.period_s) for part in _ONSET_FRACTIONS]
 
     def response(self, dynamics: Dynamics, load: Load) -> _Complex:
-        """The acceleration of the device for what is struck, weighted."""
+        """Return the weighted response of the device's acceleration to sampled forces in units of (m + m_h)."""
         stiffness, damping = dynamics.grip_stiffness_n_per_m, dynamics.damping_n_s_per_m
         device = (dynamics.mass_kg * self.s + damping) * self.s + stiffness
         hold = (1 - np.exp(-self.s * self.period_s)) / self.s
-        if load != NOTHING:
+        if load != NO_LOAD:
             device = device + load.surface(self.s, self.period_s)
             hold = hold * load.lag(self.s)
         return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
 
     def count(self, pole: complex, part: float) -> int:
-        """Of the ticks up to five time constants, the first of them `part` of a period after the onset."""
+        """Return the number of ticks up to five time constants, the first of them `part` periods after the onset."""
         late_s = part * self.period_s
-        return math.floor((_TIME_CONSTANTS / -pole.real - late_s) / self.period_s + 1e-9) + 1
+        return math.floor((_MODE_TIME_CONSTANTS / -pole.real - late_s) / self.period_s + 1e-9) + 1
 
     def pair(self, pole: complex, count: int) -> tuple[_Complex, _Complex]:
-        """The spectra of Im(exp(p t)) and of Re(exp(p t)) at so many ticks."""
+        """Return the spectra of Im(exp(p t)) and Re(exp(p t)), sampled at `count` ticks."""
         found = self._pairs.get((pole, count))
         if found is None:
             one, other = self._sum(pole, count), self._sum(pole.conjugate(), count)
@@ -202,7 +210,7 @@ class _Grid:
         return found
 
     def _sum(self, pole: complex, count: int) -> _Complex:
-        """Of exp((p - s) k T) over k < count."""
+        """Return the sum of exp((p - s) k T) over k < count."""
         step = (pole - self.s) * self.period_s
         below = self._below.get(pole)
         if below is None:
@@ -212,16 +220,15 @@ class _Grid:
 
 @lru_cache(maxsize=4)
 def _grid(mode: Mode, rate_hz: float) -> _Grid:
-    """A mode is designed for several loads, one after the other."""
+    """Return the grid of a mode, cached because a mode is designed for several loads in a row."""
     return _Grid(mode, rate_hz)
 
 
 class _Band:
-    """What a mode and some tails, when they are struck, accelerate one device by, seen from their first tick.
+    """Acceleration of one device for a struck mode and possible tails, with the first tick as time 0.
 
-    All of it, weighted, lies in a space of few dimensions: vectors are coordinates in an orthonormal base of it, in
-    which least squares and norms are what they are over the whole band. From the first tick all onsets see the same
-    but for the place of what is wanted and for how many ticks there are.
+    All weighted spectra lie in a space of few dimensions. Vectors are coordinates in an orthonormal base of it, which
+    preserves norms and least squares. Onsets differ only in the target spectrum and in the number of ticks.
     """
 
     def __init__(
@@ -231,14 +238,14 @@ class _Band:
         rate_hz: float,
         load: Load,
         tails: Sequence[complex] = (),
-        attacked: bool = False,
+        with_onsets: bool = False,
     ) -> None:
-        """`attacked`: onsets are anywhere between two ticks, and kicks too."""
+        """Compute the base; `with_onsets` includes onsets anywhere between two ticks, and kicks."""
         grid = self._grid = _grid(mode, rate_hz)
         self._made_for = mode, dynamics, load
         self._pole = pole_of(mode)
         response = grid.response(dynamics, load)
-        self._parts = _ONSETS if attacked else _ONSETS[:1]
+        self._parts = _ONSET_FRACTIONS if with_onsets else _ONSET_FRACTIONS[:1]
         self._rung: dict[tuple[complex, int], int] = {}
         spectra: list[_Complex] = []
         for pole in (self._pole, *tails):
@@ -246,21 +253,23 @@ class _Band:
                 self._rung[pole, count] = len(spectra)
                 spectra += [response * each for each in grid.pair(pole, count)]
         self._kicks = len(spectra)
-        if attacked:
+        if with_onsets:
             spectra += [response * each for each in grid.late]
         self._wanted = len(spectra)
-        spectra += [grid.wanted] if not attacked else grid.early
-        whole = np.array(spectra)
-        stacked = np.concatenate((whole.real, whole.imag), axis=1).T
+        spectra += [grid.wanted] if not with_onsets else grid.early
+        matrix = np.array(spectra)
+        stacked = np.concatenate((matrix.real, matrix.imag), axis=1).T
         self._base: _Floats = np.asarray(np.linalg.qr(stacked, mode="r"), np.float64)
 
     def wanted(self, part: float = 0.0) -> _Floats:
-        """The acceleration of the mode, for an onset `part` of a period before the first tick."""
+        """Return the acceleration of the mode for an onset `part` periods before the first tick."""
         return np.asarray(self._base[:, self._wanted + self._parts.index(part)], np.float64)
 
     def columns(self, poles: Sequence[complex], part: float = 0.0) -> list[_Floats]:
-        """The acceleration for Im(exp(p t)) and for Re(exp(p t)) of each pole, of the ticks up to five time constants,
-        the first of them `part` of a period after the onset."""
+        """Return the accelerations for Im(exp(p t)) and Re(exp(p t)) of each pole.
+
+        The ticks end five time constants after the onset; the first of them is `part` periods after it.
+        """
         found = []
         for pole in poles:
             at = self._rung[pole, self._grid.count(pole, part)]
@@ -270,59 +279,61 @@ class _Band:
         return found
 
     def error(self, columns: list[_Floats], gains: _Floats, part: float = 0.0) -> float:
-        """Of these gains, Re and Im of each pole in turn."""
+        """Return the displayed error of `gains`, which hold Re and Im of each pole in turn."""
         return float(np.linalg.norm(gains @ np.array(columns) - self.wanted(part))) / self._grid.wanted_norm
 
     def shape(self, poles: Sequence[complex], gains: _Floats) -> Shape:
-        """Of these gains, scaled back to LARGEST."""
+        """Return the shape with these poles and gains, scaled down to MAX_STRIKE_FORCE_RATIO where necessary."""
         ringing = [Ringing(pole, complex(*gains[2 * i : 2 * i + 2])) for i, pole in enumerate(poles)]
         mode, tail = ringing[0], ringing[1] if len(ringing) > 1 else None
         peak, peak_time_s = _peak(mode, tail)
-        limited = peak > LARGEST
+        limited = peak > MAX_STRIKE_FORCE_RATIO
         if limited:
-            factor = LARGEST / peak
+            factor = MAX_STRIKE_FORCE_RATIO / peak
             mode = Ringing(mode.pole, factor * mode.gain)
             tail = None if tail is None else Ringing(tail.pole, factor * tail.gain)
-            gains, peak = factor * gains, LARGEST
+            gains, peak = factor * gains, MAX_STRIKE_FORCE_RATIO
         return Shape(mode, tail, peak, peak_time_s, self.error(self.columns(poles), gains), limited)
 
     def alone(self, gain: complex) -> Shape:
-        """The mode's pole alone, with this gain."""
+        """Return the shape of the mode's pole alone, with this gain."""
         return self.shape([self._pole], np.array([gain.real, gain.imag]))
 
     def by_hold_gain(self) -> Shape:
-        """The mode's pole alone, with the gain that makes up for hold and actuator."""
+        """Return the shape of the mode's pole alone, with the gain that compensates hold and actuator."""
         _, _, load = self._made_for
         lag = complex(load.lag(np.array([self._pole], np.complex128))[0])
         return self.alone(hold_gain(self._pole, self._grid.period_s) / lag)
 
     def by_pole_gain(self) -> Shape:
-        """The mode's pole alone, with the gain C."""
+        """Return the shape of the mode's pole alone, with the gain C."""
         mode, dynamics, load = self._made_for
         return self.alone(pole_gain(mode, dynamics, self._grid.period_s, load))
 
     def plain(self) -> Shape:
-        """Of the mode's pole alone, what leaves less."""
+        """Return the shape of the mode's pole alone that has the smaller error: by hold gain or by pole gain."""
         return min(self.by_hold_gain(), self.by_pole_gain(), key=lambda shape: shape.error)
 
-    def tailed(self, tail: complex) -> Shape:
-        """Gain and tail together, by least squares."""
+    def with_tail(self, tail: complex) -> Shape:
+        """Return the shape of the mode and this tail, with gains found together by least squares."""
         poles = [self._pole, tail]
         gains = np.linalg.lstsq(np.array(self.columns(poles)).T, self.wanted(), rcond=None)[0]
         return self.shape(poles, np.asarray(gains, np.float64))
 
-    def attacked(self, tail: complex, kicks: _Floats | None = None) -> tuple[Shape, float]:
-        """Gain, tail and kicks together, by least squares over onsets anywhere between two ticks, and the displayed
-        error over them, RMS. With `kicks` given, only gain and tail."""
+    def with_kicks(self, tail: complex, kicks: _Floats | None = None) -> tuple[Shape, float]:
+        """Return the shape of mode, tail and kicks, and its displayed error, RMS over _ONSET_FRACTIONS.
+
+        All gains are fitted together by least squares over these onsets; if `kicks` is given, mode and tail only.
+        """
         poles = [self._pole, tail]
-        rung = [np.array(self.columns(poles, part)).T for part in _ONSETS]
-        # For 1 and for `part` in each of the first samples alone.
-        late = [self._base[:, self._kicks + k] for k in range(KICKS)]
-        kicked = [np.array([scale * each for each in late for scale in (1.0, part)]).T for part in _ONSETS]
-        wanted = np.concatenate([self.wanted(part) for part in _ONSETS])
-        whole = [np.hstack(pair) for pair in zip(rung, kicked, strict=True)]
+        rung = [np.array(self.columns(poles, part)).T for part in _ONSET_FRACTIONS]
+        # Two columns for each of the first samples: c (factor 1) and d (factor `part`).
+        late = [self._base[:, self._kicks + k] for k in range(MAX_CORRECTED_SAMPLES)]
+        kicked = [np.array([scale * each for each in late for scale in (1.0, part)]).T for part in _ONSET_FRACTIONS]
+        wanted = np.concatenate([self.wanted(part) for part in _ONSET_FRACTIONS])
+        columns = [np.hstack(pair) for pair in zip(rung, kicked, strict=True)]
         if kicks is None:
-            found: _Floats = np.asarray(np.linalg.lstsq(np.vstack(whole), wanted, rcond=None)[0], np.float64)
+            found: _Floats = np.asarray(np.linalg.lstsq(np.vstack(columns), wanted, rcond=None)[0], np.float64)
         else:
             fixed = np.concatenate([each @ kicks for each in kicked])
             own = np.linalg.lstsq(np.vstack(rung), wanted - fixed, rcond=None)[0]
@@ -330,17 +341,17 @@ class _Band:
         shape = self.shape(poles, found[:4])
         pairs = found[4:].reshape(-1, 2)
         peak = shape.peak + float(max(np.abs(pairs[:, 0]).max(), np.abs(pairs.sum(1)).max()))
-        errors = [self.error(list(each.T), found, part) for each, part in zip(whole, _ONSETS, strict=True)]
+        errors = [self.error(list(each.T), found, part) for each, part in zip(columns, _ONSET_FRACTIONS, strict=True)]
         kicked_pairs = tuple((float(c), float(d)) for c, d in pairs)
-        shape = replace(shape, peak=peak, error=errors[0], limited=peak > LARGEST, kicks=kicked_pairs)
+        shape = replace(shape, peak=peak, error=errors[0], limited=peak > MAX_STRIKE_FORCE_RATIO, kicks=kicked_pairs)
         return shape, _root_mean_square(errors)
 
-    def anywhere(self, shape: Shape) -> float:
-        """The displayed error of a shape without kicks over the same onsets, RMS."""
+    def error_over_onsets(self, shape: Shape) -> float:
+        """Return the displayed error of a shape without kicks, RMS over _ONSET_FRACTIONS."""
         sounding = [shape.mode] if shape.tail is None else [shape.mode, shape.tail]
         poles = [each.pole for each in sounding]
         gains = np.array([x for each in sounding for x in (each.gain.real, each.gain.imag)])
-        return _root_mean_square([self.error(self.columns(poles, part), gains, part) for part in _ONSETS])
+        return _root_mean_square([self.error(self.columns(poles, part), gains, part) for part in _ONSET_FRACTIONS])
 
 
 def _root_mean_square(errors: list[float]) -> float:
@@ -348,17 +359,17 @@ def _root_mean_square(errors: list[float]) -> float:
 
 
 def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
-    """A bound of the magnitude over all times, and where it is nearly reached.
+    """Return an upper bound of the magnitude over all times, and the time at which it is nearly reached.
 
-    Between samples h apart, a function is at most h^2/8 times its largest curvature above them.
+    Between samples at a distance h, a function exceeds the larger one by at most h^2/8 times its largest curvature.
     """
     sounding = [mode] if tail is None else [mode, tail]
     highest, where, begin = 0.0, 0.0, 0.0
     for end in sorted({each.end_s for each in sounding}):
         here = [each for each in sounding if each.end_s >= end]
-        time = np.linspace(begin, end, _PEAK_SAMPLES)
+        time = np.linspace(begin, end, _PEAK_GRID_SAMPLES)
         sounds = ((each.gain * np.exp(each.pole * time)).imag for each in here)
-        value = np.abs(sum(sounds, np.zeros(_PEAK_SAMPLES)))
+        value = np.abs(sum(sounds, np.zeros(_PEAK_GRID_SAMPLES)))
         curvature = sum(abs(each.gain) * abs(each.pole) ** 2 for each in here)
         least = float(value.max())
         bound = min(least + (time[1] - time[0]) ** 2 / 8 * curvature, sum(abs(each.gain) for each in here))
@@ -369,21 +380,25 @@ def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
 
 
 def _tails(mode: Mode, rate_hz: float) -> list[complex]:
-    """Poles of the tails that are tried: slow and long for what the hand's spring and damper leave, and as fast as the
-    band for what the first held samples leave."""
-    slow = _TIME_CONSTANTS / (_TIME_CONSTANTS / mode.decay_rate_per_s + TAIL_S)
-    highest = 2 * math.pi * HIGH * rate_hz
+    """Return the poles of the tails to try.
+
+    The slow one is for the transient of the hand's spring and damper, the fast one for that of the first held samples.
+    """
+    slow = _MODE_TIME_CONSTANTS / (_MODE_TIME_CONSTANTS / mode.decay_rate_per_s + MAX_TAIL_EXTENSION_S)
+    highest = 2 * math.pi * ERROR_BAND_RATE_FRACTION * rate_hz
     return [complex(-slow, min(slow / 2, highest)), complex(-3 * mode.decay_rate_per_s, highest)]
 
 
-def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, load: Load = NOTHING) -> Shape:
-    """The mode's pole alone, with this gain in units of (m + m_h)."""
+def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, load: Load = NO_LOAD) -> Shape:
+    """Return the shape of the mode's pole alone, with this gain in units of (m + m_h)."""
     return _Band(mode, dynamics, rate_hz, load).alone(gain)
 
 
-def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NOTHING) -> complex:
-    """How much of the waveform the handle's acceleration contains, in the band: 1 where it is all of it. `shape` begins
-    at a tick."""
+def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NO_LOAD) -> complex:
+    """Return the complex fraction of the mode that the handle's acceleration contains in the band; 1 is all of it.
+
+    `shape` begins at a tick.
+    """
     grid = _grid(mode, rate_hz)
     struck = np.zeros_like(grid.wanted)
     for ringing in (shape.mode, shape.tail):
@@ -397,49 +412,57 @@ def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, loa
 
 @lru_cache(maxsize=4096)
 def shape_of(
-    mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load = NOTHING
+    mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load = NO_LOAD
 ) -> Shape:
-    """What is struck for a mode that the rate can carry; `rate_hz` is how often the force changes at the device.
+    """Return the shape that is struck for a mode that the rate can carry.
 
-    Deterministic. `full` takes a few milliseconds, once.
+    `rate_hz` is how often the force changes at the device. The result is deterministic; `full` takes some
+    milliseconds.
     """
     if compensation == "mass":
         return _Band(mode, dynamics, rate_hz, load).by_hold_gain()
     tails = _tails(mode, rate_hz)
-    long = 1 / mode.decay_rate_per_s >= 2 * KICKS / rate_hz / _TIME_CONSTANTS
-    attacked = long and mode.frequency_hz >= KICKED * rate_hz
-    band = _Band(mode, dynamics, rate_hz, load, tails, attacked)
-    plain, best = band.plain(), min(map(band.tailed, tails), key=lambda shape: shape.error)
-    best = best if best.error < plain.error - WORTH else plain
-    if not attacked:
+    long = 1 / mode.decay_rate_per_s >= 2 * MAX_CORRECTED_SAMPLES / rate_hz / _MODE_TIME_CONSTANTS
+    kickable = long and mode.frequency_hz >= MIN_KICK_RATE_FRACTION * rate_hz
+    band = _Band(mode, dynamics, rate_hz, load, tails, kickable)
+    plain, best = band.plain(), min(map(band.with_tail, tails), key=lambda shape: shape.error)
+    best = best if best.error < plain.error - MIN_TAIL_ERROR_REDUCTION else plain
+    if not kickable:
         return best
-    kicked, anywhere = band.attacked(tails[0])
-    return kicked if not kicked.limited and anywhere < band.anywhere(best) - KICKS_WORTH else best
+    kicked, kicked_error = band.with_kicks(tails[0])
+    if kicked.limited or kicked_error >= band.error_over_onsets(best) - MIN_KICK_ERROR_REDUCTION:
+        return best
+    return kicked
 
 
 @lru_cache(maxsize=4096)
 def shapes_of(
-    mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load, own: bool
+    mode: Mode,
+    dynamics: Dynamics,
+    rate_hz: float,
+    compensation: Literal["mass", "full"],
+    load: Load,
+    best_in_contact: bool,
 ) -> tuple[Shape, Shape]:
-    """What is struck where nothing is touched, and against the surface of `load`, with the same poles: those that are
-    best against the surface where it is the mode's `own`, else those that are best without.
+    """Return the shapes that are struck without a surface and against the surface of `load`, with the same poles.
 
-    C is linear in the stiffness that is met: in between, and somewhat beyond, straight lines do for both.
+    The poles are those that are best against the surface if `best_in_contact`, otherwise those that are best without
+    one. C is linear in the stiffness of the surface, so the core interpolates linearly between the two shapes.
     """
     if compensation == "mass" or load == load.free:
         chosen = shape_of(mode, dynamics, rate_hz, compensation, load)
         return chosen, chosen
-    first, second = (load, load.free) if own else (load.free, load)
+    first, second = (load, load.free) if best_in_contact else (load.free, load)
     chosen = shape_of(mode, dynamics, rate_hz, compensation, first)
     tail = () if chosen.tail is None else (chosen.tail.pole,)
     band = _Band(mode, dynamics, rate_hz, second, tail, bool(chosen.kicks))
     if not tail:
         other = band.plain()
     elif chosen.kicks:
-        other = band.attacked(*tail, np.array(chosen.kicks).ravel())[0]
+        other = band.with_kicks(*tail, np.array(chosen.kicks).ravel())[0]
     else:
-        other = band.tailed(*tail)
-    return (other, chosen) if own else (chosen, other)
+        other = band.with_tail(*tail)
+    return (other, chosen) if best_in_contact else (chosen, other)
 
 
 def tuned_shapes(
@@ -448,35 +471,37 @@ def tuned_shapes(
     rate_hz: float,
     compensation: Literal["mass", "full"],
     load: Load,
-    own: bool,
+    best_in_contact: bool,
 ) -> list[tuple[Shape, Shape]]:
-    """As shapes_of, of modes that change steadily from one to the next.
+    """Return shapes_of for each of `modes`, which change gradually from one to the next.
 
-    All have the poles of the same tail, or none has one, and none has kicks: so gains change steadily, too.
+    All share the pole of one tail, or none has a tail; none has kicks. So their gains change gradually, too.
     """
     if compensation == "mass":
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
         return [(shape, shape) for shape in plain]
     tails = _tails(modes[len(modes) // 2], rate_hz)
-    loads = (load, load.free) if own else (load.free, load)
+    loads = (load, load.free) if best_in_contact else (load.free, load)
     first, second = ([_Band(mode, dynamics, rate_hz, each, tails) for mode in modes] for each in loads)
-    # Each of two tails, or none.
-    ways: list[Callable[[_Band], Shape]] = [
-        *(partial(_Band.tailed, tail=tail) for tail in tails),
+    # With each of the two tails, and without a tail by two gains.
+    designs: list[Callable[[_Band], Shape]] = [
+        *(partial(_Band.with_tail, tail=tail) for tail in tails),
         _Band.by_hold_gain,
         _Band.by_pole_gain,
     ]
-    found = [[way(band) for band in first] for way in ways]
+    found = [[design(band) for band in first] for design in designs]
     errors = [sum(shape.error for shape in shapes) / len(modes) for shapes in found]
     tailed, plainer = min((0, 1), key=errors.__getitem__), min((2, 3), key=errors.__getitem__)
-    best = tailed if errors[tailed] < errors[plainer] - WORTH else plainer
-    others = [ways[best](band) for band in second]
-    return list(zip(others, found[best], strict=True) if own else zip(found[best], others, strict=True))
+    best = tailed if errors[tailed] < errors[plainer] - MIN_TAIL_ERROR_REDUCTION else plainer
+    others = [designs[best](band) for band in second]
+    return list(zip(others, found[best], strict=True) if best_in_contact else zip(found[best], others, strict=True))
 
 
 def peak_between(one: Shape, other: Shape) -> float:
-    """The peak of what lies half way between two shapes, at the pole half way between theirs, over that of the straight
-    line between their peaks."""
+    """Return the peak half way between two shapes, over the mean of their peaks.
+
+    Half way means the mean of the gains, at the mean of the modes' poles.
+    """
     mode = Ringing((one.mode.pole + other.mode.pole) / 2, (one.mode.gain + other.mode.gain) / 2)
     tail = None
     if one.tail is not None and other.tail is not None:

@@ -1,10 +1,12 @@
-"""Which surfaces of a scene can be touched at the same time, and how stable each such set is.
+"""Contact sets: which surfaces of a scene can be touched at the same time, and how stable each such set is.
 
-It reads the compiled table, whole arrays at a time. A surface is the region in which a probe can touch it: a wall is a
-strip below its surface, as deep as the force limit presses, a membrane a strip about it, a box or a disc all of it.
-Two surfaces act together where their regions meet. A set is a pair that meets and whatever meets both, or a surface
-that meets none: whatever a probe touches at once lies within one of the sets. Where too many meet to compare them pair
-by pair, all are one set. Either way a set may be too large, but never too small.
+The analysis reads the arrays of the compiled table. The region of a surface is where a probe can touch it. For a wall
+it is a strip below the surface, as deep as the force limit presses; for a membrane a strip around it; for a box or a
+disc all of its area. Two surfaces act together if their regions meet.
+
+A contact set is a pair that meets plus all surfaces that meet both, or a surface that meets none. All surfaces that a
+probe touches at once lie within one of the sets. If there are too many pairs to compare, all surfaces form one set. A
+set may therefore be too large, but never too small.
 """
 
 from __future__ import annotations
@@ -18,8 +20,8 @@ import numpy.typing as npt
 
 from hapticd.base.core import Shape
 from hapticd.rendering.stability import (
-    CORNER,
-    GROWS,
+    MAX_STABLE_RADIUS,
+    WORST_NORMAL_FACTOR,
     Floats,
     Limit,
     Loop,
@@ -32,28 +34,31 @@ from hapticd.rendering.stability import (
 from hapticd.rendering.surface_properties import SurfaceProperties, properties_of
 from hapticd.rendering.surface_table import Ints, SurfaceTable
 
-MOST_PAIRS: Final = 500_000
-"""So many pairs are compared, or all surfaces are one set."""
-MOST_TRIPLES: Final = 2_000_000
-"""The same for triples."""
-MOST_TRIES: Final = 400
-"""So many of the worst sets are searched for different ones."""
-MOST_REPORTED: Final = 20
-"""Sets that are reported one by one."""
-MOST_LINES: Final = 5
-"""Sets that are reported as lines."""
-_TOUCHING_M: Final = 1e-12
+MAX_COMPARED_PAIRS: Final = 500_000
+"""Above this number of pairs all surfaces form one contact set."""
+MAX_COMPARED_TRIPLES: Final = 2_000_000
+"""Above this number of triples all surfaces form one contact set."""
+MAX_SEARCHED_SETS: Final = 400
+"""Number of the worst sets among which different ones are searched."""
+MAX_REPORTED_SETS: Final = 20
+"""Number of sets that are reported one by one."""
+MAX_STABILITY_LINES: Final = 5
+"""Number of sets that are reported as warnings, a line each."""
+_BOX_MARGIN_M: Final = 1e-12
+"""Margin of axis-aligned bounding boxes against rounding."""
 
 
 class _Regions(NamedTuple):
-    """Rectangles, or circles, in which each surface can be touched; arrays (n, 2), (n, 2) and (n, 2)."""
+    """Rectangles or circles in which each surface can be touched; arrays (n, 2), `round` and `reachable` (n,)."""
 
     center: Floats
     normal: Floats
     half: Floats
     """Half extents along the tangent (n_y, -n_x) and along the normal."""
     round: npt.NDArray[np.bool_]
+    """Whether the region is a circle, with the radius half[:, 0]."""
     reachable: npt.NDArray[np.bool_]
+    """Whether the region lies, at least in part, within the workspace."""
 
 
 def _regions(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) -> _Regions:
@@ -77,8 +82,11 @@ def _regions(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) 
 
 
 def _meet(regions: _Regions, a: Ints, b: Ints) -> npt.NDArray[np.bool_]:
-    """Whether the regions a and b meet: no axis separates them, of either or from centre to centre."""
-    apart = np.zeros(len(a), dtype=bool)
+    """Return whether the regions a and b meet, by the separating axis theorem.
+
+    The axes are normal and tangent of each rectangle, and the line between the centres.
+    """
+    separated = np.zeros(len(a), dtype=bool)
     away = regions.center[b] - regions.center[a]
     distance = np.hypot(away[:, 0], away[:, 1])
     between = away / np.maximum(distance, 1e-300)[:, None]
@@ -94,22 +102,24 @@ def _meet(regions: _Regions, a: Ints, b: Ints) -> npt.NDArray[np.bool_]:
         found: npt.NDArray[np.bool_] = np.abs(np.einsum("ij,ij->i", away, axis)) > reach(a, axis) + reach(b, axis)
         return found
 
-    apart |= separates(between)
+    separated |= separates(between)
     for which in (a, b):
         normal = regions.normal[which]
         tangent = np.stack((normal[:, 1], -normal[:, 0]), axis=1)
         straight = ~regions.round[which]
-        apart |= straight & (separates(normal) | separates(tangent))
-    return ~apart
+        separated |= straight & (separates(normal) | separates(tangent))
+    return ~separated
 
 
-def _near(regions: _Regions, which: Ints) -> tuple[Ints, Ints] | None:
-    """Pairs of the surfaces `which` whose upright boxes meet, the lower slot first, in order; None: more than
-    MOST_PAIRS."""
+def _overlapping_boxes(regions: _Regions, which: Ints) -> tuple[Ints, Ints] | None:
+    """Return the pairs of the surfaces `which` whose axis-aligned bounding boxes overlap, sorted, lower slot first.
+
+    Returns None if there are more than MAX_COMPARED_PAIRS.
+    """
     normal, half = np.abs(regions.normal[which]), regions.half[which]
     extent = half[:, :1] * normal[:, ::-1] + half[:, 1:] * normal
-    # What _meet says of boxes that just touch does not depend on how their ends are rounded.
-    extent = np.where(regions.round[which][:, None], half[:, :1], extent) + _TOUCHING_M
+    # The margin leaves boxes that just touch to _meet, independent of rounding.
+    extent = np.where(regions.round[which][:, None], half[:, :1], extent) + _BOX_MARGIN_M
     low, high = regions.center[which] - extent, regions.center[which] + extent
     order = np.argsort(low[:, 0], kind="stable")
     ends = np.searchsorted(low[order, 0], high[order, 0], side="right")
@@ -119,7 +129,7 @@ def _near(regions: _Regions, which: Ints) -> tuple[Ints, Ints] | None:
         own, others = order[place], order[place + 1 : end]
         found.append(others[(low[others, 1] <= high[own, 1]) & (high[others, 1] >= low[own, 1])])
         total += len(found[-1])
-        if total > MOST_PAIRS:
+        if total > MAX_COMPARED_PAIRS:
             return None
     one, other = which[np.repeat(order, list(map(len, found)))], which[np.concatenate(found)]
     a, b = np.minimum(one, other), np.maximum(one, other)
@@ -127,28 +137,31 @@ def _near(regions: _Regions, which: Ints) -> tuple[Ints, Ints] | None:
     return a[rising], b[rising]
 
 
-def _joined(count: int, a: Ints, b: Ints) -> tuple[Ints, Ints]:
-    """All that each meets, one after the other: where those of each begin (count + 1,), and who they are."""
+def _neighbours(count: int, a: Ints, b: Ints) -> tuple[Ints, Ints]:
+    """Return for each of `count` surfaces those that it meets: starts (count + 1,) and slots, concatenated."""
     ends = np.concatenate((a, b))
     order = np.lexsort((np.concatenate((b, a)), ends))
     starts = np.concatenate(([0], np.cumsum(np.bincount(ends, minlength=count))))
     return starts, np.concatenate((b, a))[order]
 
 
-_COLUMNS: Final = 12
-"""Of what surfaces add to a set: stiffness xx, xy, yy; damping xx, xy, yy; noise of x and y that grows with stiffness,
-and that which does not; mu K / 2 and 2 mu D, by which delayed friction follows the normal force."""
+_SUM_COLUMNS: Final = 12
+"""Number of columns that are summed over the surfaces of a set.
+
+Columns: stiffness xx, xy, yy; damping xx, xy, yy; noise of x and y that grows with the stiffness; noise of x and y
+that does not; mu K / 2 and 2 mu D, by which delayed friction follows the normal force.
+"""
 
 
-def _rows(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) -> Floats:
-    """What each surface adds to a set: (n, _COLUMNS)."""
+def _contributions(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) -> Floats:
+    """Return what each surface contributes to a set, (n, _SUM_COLUMNS)."""
     objects = surfaces.objects
     normal = objects["normal"]
     tangent = np.stack((normal[:, 1], -normal[:, 0]), axis=1)
     plane = (objects["shape"] == Shape.WALL) | (objects["shape"] == Shape.MEMBRANE)
 
     def matrix(along: Floats, across: Floats) -> Floats:
-        # What may push any way pushes every way.
+        # A box or disc may push along any direction, so it counts with the larger value in every direction.
         along, across = (np.where(plane, each, np.maximum(along, across)) for each in (along, across))
         terms = [
             along * normal[:, i] * normal[:, j] + across * tangent[:, i] * tangent[:, j]
@@ -159,7 +172,7 @@ def _rows(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) -> 
     def noise(along: Floats, across: Floats) -> Floats:
         size = np.abs(normal).sum(axis=1)
         straight = [size * (along * np.abs(normal[:, i]) + across * np.abs(tangent[:, i])) for i in (0, 1)]
-        return np.where(plane[:, None], np.stack(straight, axis=1), (CORNER * (along + across))[:, None])
+        return np.where(plane[:, None], np.stack(straight, axis=1), (WORST_NORMAL_FACTOR * (along + across))[:, None])
 
     return np.concatenate(
         (
@@ -174,23 +187,23 @@ def _rows(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) -> 
     )
 
 
-def _largest(rows: Floats) -> Floats:
-    """The larger eigenvalue of symmetric 2 by 2 matrices xx, xy, yy: (n, 3) to (n,)."""
+def _largest_eigenvalue(rows: Floats) -> Floats:
+    """Return the larger eigenvalue of symmetric 2 by 2 matrices, given as xx, xy, yy: (n, 3) to (n,)."""
     xx, xy, yy = rows[:, 0], rows[:, 1], rows[:, 2]
     return np.asarray(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy))
 
 
-_Members: TypeAlias = Callable[[int], tuple[int, ...]]
-"""The slots of a set, in rising order."""
+_SlotsOfSet: TypeAlias = Callable[[int], tuple[int, ...]]
+"""Returns the slots of the set at a place, in ascending order."""
 
 
-def _sets(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _Members]:
-    """The sums of the sets that the surfaces `which` make, (n, _COLUMNS), and who is in each."""
+def _sets_of(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _SlotsOfSet]:
+    """Return the sums of the sets that the surfaces `which` form, (n, _SUM_COLUMNS), and a function for members."""
     reached = which[regions.reachable[which]]
     far = which[~regions.reachable[which]]
     if len(reached) == 0:
         return np.asarray(rows[far]), lambda place: (int(far[place]),)
-    pairs = _near(regions, reached)
+    pairs = _overlapping_boxes(regions, reached)
     if pairs is not None:
         meets = _meet(regions, *pairs)
         found = _pair_sets(rows, pairs[0][meets], pairs[1][meets], which)
@@ -200,18 +213,21 @@ def _sets(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _Member
     return sums, lambda place: tuple(reached.tolist()) if place == 0 else (int(far[place - 1]),)
 
 
-def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _Members] | None:
-    """A pair that meets with what meets both of it, or a surface that meets none; None: more than MOST_TRIPLES."""
-    starts, others = _joined(len(rows), a, b)
+def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _SlotsOfSet] | None:
+    """Return the sets of pairs and single surfaces as `_sets_of` does; None: more than MAX_COMPARED_TRIPLES.
+
+    The set of a pair that meets contains all surfaces that meet both.
+    """
+    starts, others = _neighbours(len(rows), a, b)
     degree = np.diff(starts)
     fewer, more = np.where(degree[a] <= degree[b], (a, b), (b, a))
     count = degree[fewer]
-    if count.sum() > MOST_TRIPLES:
+    if count.sum() > MAX_COMPARED_TRIPLES:
         return None
     alone = which[degree[which] == 0]
     sums = rows[a] + rows[b]
     if len(a) > 0:
-        # What meets the one of a pair that meets fewer, and also the other.
+        # Candidates: neighbours of the pair's surface with fewer of them; `common` marks those of the other one, too.
         pair = np.repeat(np.arange(len(a)), count)
         within = np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count)
         third = others[starts[fewer[pair]] + within]
@@ -231,102 +247,107 @@ def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _Me
 
 
 class ContactSets:
-    """The sets of a scene, and how each stands."""
+    """The contact sets of a scene, with margin and verdict of each."""
 
     def __init__(self, surfaces: SurfaceTable, loop: Loop) -> None:
         self._loop = loop
         properties = properties_of(surfaces)
-        rows = _rows(surfaces, properties, loop)
+        rows = _contributions(surfaces, properties, loop)
         pushes = (surfaces.objects["shape"] != Shape.NONE) & rows.any(axis=1)
-        base = np.zeros(_COLUMNS)
+        base = np.zeros(_SUM_COLUMNS)
         base[[0, 2]] = surfaces.field_stiffness_n_per_m
         base[[3, 5]] = surfaces.field_damping_n_s_per_m
         base[6:8] = 0.5 * loop.encoder_step_m * surfaces.field_stiffness_n_per_m
         base[8:10] = loop.speed_step_m_per_s * surfaces.field_damping_n_s_per_m
         self.fields = bool(base.any())
-        """Whether fields push in every set."""
+        """Whether fields contribute to every set."""
         which = np.flatnonzero(pushes).astype(np.int64)
         if len(which) > 0:
-            sums, self._members = _sets(rows, _regions(surfaces, properties, loop), which)
+            sums, self._members = _sets_of(rows, _regions(surfaces, properties, loop), which)
             sums = sums + base
         else:
-            sums, self._members = (base[None] if self.fields else np.zeros((0, _COLUMNS))), lambda place: ()
+            sums, self._members = (base[None] if self.fields else np.zeros((0, _SUM_COLUMNS))), lambda place: ()
         self._sums = sums
-        self.stiffness_n_per_m = _largest(sums[:, :3])
-        """(n,), of each set."""
-        self.damping_n_s_per_m = _largest(sums[:, 3:6])
-        """(n,), of each set."""
-        self._passive, self._silent = limits(
+        self.stiffness_n_per_m = _largest_eigenvalue(sums[:, :3])
+        """(n,): largest eigenvalue of each set's stiffness."""
+        self.damping_n_s_per_m = _largest_eigenvalue(sums[:, 3:6])
+        """(n,): largest eigenvalue of each set's damping."""
+        self._passivity_factor, self._noise_factor = limits(
             self.stiffness_n_per_m + loop.lag * sums[:, 10],
             self.damping_n_s_per_m + loop.late_periods * sums[:, 11],
             sums[:, 6:8].max(axis=1, initial=0.0),
             sums[:, 8:10].max(axis=1, initial=0.0) + 0.5 * loop.force_step_n,
             loop,
         )
-        # The same with its damping left out: what stiffness alone does.
+        # The same limits without damping.
         none = np.zeros(len(sums))
         still = limits(
             self.stiffness_n_per_m, none, sums[:, 6:8].max(axis=1, initial=0.0), none + 0.5 * loop.force_step_n, loop
         )
-        self._held_still = still[1] >= 1.0
-        self._undamped = np.minimum(*still)
-        self.factor = np.minimum(self._passive, self._silent)
-        """(n,): a set is safe with its stiffnesses so many times as large."""
-        # Energy that is neither given nor taken may go on for ever; friction that just holds, holds.
-        self.safe = (self._passive > 1.0) & (self._silent >= 1.0)
-        """(n,)."""
+        self._noise_held = still[1] >= 1.0
+        self._undamped_factor = np.minimum(*still)
+        self.factor = np.minimum(self._passivity_factor, self._noise_factor)
+        """(n,): a set is safe up to this factor on all its stiffnesses."""
+        # At the passivity limit an oscillation may last for ever; friction that equals the noise still holds it.
+        self.safe = (self._passivity_factor > 1.0) & (self._noise_factor >= 1.0)
+        """(n,): whether each set is proved stable in any hand."""
 
     def __len__(self) -> int:
         return len(self._sums)
 
     def members(self, place: int) -> tuple[int, ...]:
-        """The slots of a set, in rising order."""
+        """Return the slots of a set, in ascending order."""
         return self._members(place)
 
     def matrices(self, place: int) -> tuple[Floats, Floats]:
-        """Stiffness and damping of a set, as spectral_radius takes them: (2, 2) each."""
+        """Return stiffness and damping of a set, (2, 2) each, as spectral_radius takes them."""
         row = self._sums[place : place + 1]
         return _matrices(row[:, :3])[0], _matrices(row[:, 3:6])[0]
 
     def factors(self, place: int) -> dict[Limit, float]:
-        """By which factor the stiffness of a set may grow, by condition."""
-        return {"passivity": float(self._passive[place]), "quantisation": float(self._silent[place])}
+        """Return the factor by which the stiffness of a set may grow, for each condition."""
+        return {"passivity": float(self._passivity_factor[place]), "quantisation": float(self._noise_factor[place])}
 
     def worst(self, most: int, *, unsafe: bool) -> list[tuple[tuple[int, ...], int]]:
-        """Slots and place of up to `most` different sets, or of unsafe ones, the stiffest beside its limit first."""
-        order = np.lexsort((-self.stiffness_n_per_m, self.factor, self._undamped))
+        """Return slots and place of up to `most` different sets, those nearest to their limits first.
+
+        They are sorted by margin without damping, margin, and stiffness. `unsafe` omits sets that are proved safe.
+        """
+        order = np.lexsort((-self.stiffness_n_per_m, self.factor, self._undamped_factor))
         if unsafe:
             order = order[~self.safe[order]]
         found: dict[tuple[int, ...], int] = {}
-        for place in order[:MOST_TRIES].tolist():
+        for place in order[:MAX_SEARCHED_SETS].tolist():
             if len(found) == most:
                 break
             found.setdefault(self._members(place), place)
         return list(found.items())
 
     def margins(self, chosen: Sequence[tuple[tuple[str, ...], int]]) -> list[Margin]:
-        """The margins of sets, given as names and place."""
+        """Return the margins of sets, given as names and place."""
         if not chosen:
             return []
         places = [place for _, place in chosen]
-        # Many sets of a scene are alike; what is passive does not grow in any hand.
+        # Equal sets are computed once. A passive set does not grow: the search starts at its passivity factor.
         alike, which = np.unique(
-            np.column_stack((self._sums[places, :6], np.minimum(self._passive[places], 1e9))),
+            np.column_stack((self._sums[places, :6], np.minimum(self._passivity_factor[places], 1e9))),
             axis=0,
             return_inverse=True,
         )
         stiffness, damping = _matrices(alike[:, :3]), _matrices(alike[:, 3:6])
         radius = spectral_radius(stiffness, damping, self._loop)[which]
-        free = spectral_radius(stiffness, damping, self._loop.let_go())[which]
+        free = spectral_radius(stiffness, damping, self._loop.without_hand())[which]
         held = held_factor(stiffness, damping, self._loop, alike[:, 6])[which]
         found = []
         for index, (names, place) in enumerate(chosen):
             size, factor = float(self.stiffness_n_per_m[place]), float(self.factor[place])
-            limited: Limit = "passivity" if self._passive[place] <= self._silent[place] else "quantisation"
-            if radius[index] > GROWS:
+            limited: Limit = (
+                "passivity" if self._passivity_factor[place] <= self._noise_factor[place] else "quantisation"
+            )
+            if radius[index] > MAX_STABLE_RADIUS:
                 limited = "eigenvalues"
             verdict: Verdict = "safe" if self.safe[place] else "unproved"
-            if max(radius[index], free[index]) > GROWS or not self._held_still[place]:
+            if max(radius[index], free[index]) > MAX_STABLE_RADIUS or not self._noise_held[place]:
                 verdict = "unsafe"
             found.append(
                 Margin(
@@ -346,12 +367,15 @@ class ContactSets:
 
 
 def safe_around(surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> bool:
-    """Whether every set that has one of these surfaces is safe; without any, whether the fields alone are."""
+    """Return whether every contact set that contains one of these surfaces is safe.
+
+    Without surfaces, return whether the fields alone are.
+    """
     if not slots:
         return bool(ContactSets(surfaces.of(np.zeros(0, np.int64)), loop).safe.all())
     own = np.array(slots)
     every = np.flatnonzero(surfaces.objects["shape"] != Shape.NONE)
-    if len(own) * len(every) <= MOST_TRIPLES:
+    if len(own) * len(every) <= MAX_COMPARED_TRIPLES:
         a, b = np.repeat(own, len(every)), np.tile(every, len(own))
         every = np.union1d(own, b[_meet(_regions(surfaces, properties_of(surfaces), loop), a, b)])
     sets = ContactSets(surfaces.of(every), loop)
@@ -360,5 +384,5 @@ def safe_around(surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> boo
 
 
 def _matrices(rows: Floats) -> Floats:
-    """xx, xy, yy to symmetric matrices: (n, 3) to (n, 2, 2)."""
+    """Return symmetric matrices from xx, xy, yy: (n, 3) to (n, 2, 2)."""
     return np.asarray(rows[:, [0, 1, 1, 2]].reshape(-1, 2, 2))

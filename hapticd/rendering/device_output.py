@@ -1,4 +1,4 @@
-"""What rendering has to know of a configuration's device: how its forces come out, and what closes its loop."""
+"""What rendering needs to know of a configuration's device: how forces reach it, and what closes the loop."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from hapticd.config.configuration import Compensation, Config, Device
 from hapticd.config.dynamics import Dynamics
 from hapticd.rendering.stability import Loop, Timing, timing
 
-UNKNOWN_HANDLE: Final = "device.handle is not given: mass_kg, damping_n_s_per_m and friction_n of the handle decide it"
+UNKNOWN_HANDLE: Final = "device.handle is not given; it needs mass_kg, damping_n_s_per_m and friction_n"
 """Why the stability of a real joystick is not known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """What the device and the rate make of a scene."""
+    """Properties of device and rate by which a scene is compiled."""
 
     rate_hz: float
     effective_mass_kg: float
@@ -24,27 +24,27 @@ class Output:
     max_speed_m_per_s: float
     undisplayable: Literal["mute", "lower"]
     link_rate_hz: float | None = None
-    """Forces that the link to the device carries in a second; None: as many as there are ticks."""
+    """Forces that the link to the device carries each second; None: one each tick."""
     compensation: Compensation = "off"
     dynamics: Dynamics | None = None
-    """The device that strikes are compensated for; None: it is not known."""
+    """Handle and hand for which strikes are compensated; None: unknown."""
     rearm_m: float = 0.0
-    """A surface is tapped again when the probe was so far from it."""
+    """Distance to which the probe must withdraw from a surface before it can tap it again."""
     age_s: float = 0.0
-    """Between a position and the moment at which the force acts that is put when it is read, where it is known."""
+    """Time from a position to the moment at which the force computed from it acts; 0 if unknown."""
     actuator: Actuator | None = None
-    """Its lag, as far as it is known."""
+    """Lag of the actuator; None: unknown."""
 
     @property
     def carried_hz(self) -> float:
-        """Forces a second that reach the device: the rate of the servo, or of the link if that is lower."""
+        """Forces per second that reach the device: the rate of the servo, or of the link if that is lower."""
         return self.rate_hz if self.link_rate_hz is None else min(self.rate_hz, self.link_rate_hz)
 
 
 def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None) -> Output:
-    """What a configuration's device makes of a scene at a rate.
+    """Return the output properties of a configuration's device at a rate.
 
-    `link_rate_hz`: forces a second that the device takes; None: what the simulated joystick's link carries.
+    `link_rate_hz` is the number of forces per second that the device takes. The simulated joystick uses its own link.
     """
     device = config.device
     if device.kind == "sim" and device.sim.link is not None:
@@ -72,10 +72,10 @@ def loop_of(
     force_step_n: float = 0.0,
     link_rate_hz: float | None = None,
 ) -> Loop | None:
-    """What closes the loop of a configuration's device at a rate; None where `device.handle` is needed and missing.
+    """Return the closed loop of a configuration's device at a rate, or None if `device.handle` is needed and missing.
 
-    Resolution, force step and link are those of a real device (0 and None: not known); the simulated one has its own.
-    Of a real link it is assumed, as of the simulated one, that positions are a frame old and forces act a frame later.
+    Resolution, force step and link rate are those of a real device (0 and None: unknown); the simulated joystick has
+    its own. A real link is assumed to delay positions by a frame and forces by another frame.
     """
     device, sim = config.device, config.device.sim
     dynamics = device.dynamics
@@ -104,6 +104,6 @@ def loop_of(
 
 
 def _lagging(device: Device, timing: Timing) -> Timing:
-    """The timing behind the actuator, where its lag is known."""
+    """Return the timing with the actuator's lag added, if that is known."""
     known = device.lag
-    return timing if known is None else timing.behind(*known.shares())
+    return timing if known is None else timing.with_actuator(*known.shares())

@@ -1,11 +1,11 @@
-"""How stiff a disc is along its radius and around it, at most, as deep as a press reaches.
+"""Upper bounds of a disc's stiffness along its radius and around it, down to the depth of a firm press.
 
-The proxy goes R/r as far as a probe at r from the centre, and what depends on it fades towards the centre
-(docs/adr/0027). Where friction or grooves have a shape, the disc is as stiff as the second derivatives of
+The proxy moves R/r as far as a probe at radius r, and friction and grooves fade out towards the centre
+(docs/adr/0027). With friction or shaped grooves, the second derivatives, in polar coordinates, of
 
     K/2 (R - r - g H(s))^2 + g k/2 (s - anchor)^2
 
-say, in polar coordinates. Without either it is never stiffer than K: around the centre it gives way.
+give the stiffness. Without either it never exceeds K.
 """
 
 from __future__ import annotations
@@ -20,27 +20,31 @@ from hapticd.base.core import Texture
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
-WHOLE: Final = 0.5
-BARE: Final = 0.2
-"""From so far out, in radii, all of it is there; so near to the centre nothing: csrc/shapes/hd_disc.c."""
-_STEPS: Final = 65
+FULL_RADIUS_FRACTION: Final = 0.5
+"""At r/R above this, friction and grooves act fully (csrc/shapes/hd_disc.c)."""
+ZERO_RADIUS_FRACTION: Final = 0.2
+"""At r/R below this, friction and grooves do not act (csrc/shapes/hd_disc.c)."""
+_RADIAL_SAMPLES: Final = 65
+"""Radii at which the bounds are evaluated."""
 
 
 class RoundProperties(NamedTuple):
-    """Arrays (n,), N/m."""
+    """Upper bounds of stiffness of discs; arrays (n,), N/m."""
 
     normal: Floats
+    """Stiffness along the radius."""
     tangent: Floats
+    """Stiffness around the disc."""
     spring: Floats
-    """Of `tangent`, friction's own."""
+    """The part of `tangent` that is friction's spring."""
     rubbed: Floats
-    """What friction follows the normal force with."""
+    """Change of the friction force per metre along the radius."""
 
 
 def fading(part: Floats) -> tuple[Floats, Floats, Floats]:
-    """g at r/R, and its first and second derivative after r/R."""
-    width = WHOLE - BARE
-    x = np.clip((part - BARE) / width, 0.0, 1.0)
+    """Return the fading g at r/R, and its first and second derivatives with respect to r/R."""
+    width = FULL_RADIUS_FRACTION - ZERO_RADIUS_FRACTION
+    x = np.clip((part - ZERO_RADIUS_FRACTION) / width, 0.0, 1.0)
     within = (x > 0.0) & (x < 1.0)
     return (
         x * x * (3.0 - 2.0 * x),
@@ -50,7 +54,7 @@ def fading(part: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def round_properties(radius_m: Floats, materials: npt.NDArray[np.void], press_n: float) -> RoundProperties:
-    """Of discs (n,) of these materials, MATERIAL_DTYPE (n,), pressed with up to press_n."""
+    """Return the bounds for discs (n,) of these materials, MATERIAL_DTYPE (n,), pressed with up to `press_n`."""
     radius = radius_m[:, None]
     stiffness = materials["stiffness_n_per_m"][:, None]
     mu = materials["friction_coefficient"][:, None]
@@ -59,16 +63,16 @@ def round_properties(radius_m: Floats, materials: npt.NDArray[np.void], press_n:
     height = np.where(grooved, materials["depth_m"][:, None], 0.0)
     turn = 2.0 * math.pi / np.where(grooved, materials["width_m"][:, None], 1.0)
     deepest = np.minimum(1.0, (press_n / np.maximum(stiffness, 1e-9) + height) / radius)
-    part = np.maximum(1.0 - deepest * np.linspace(0.0, 1.0, _STEPS), 1e-3)
+    part = np.maximum(1.0 - deepest * np.linspace(0.0, 1.0, _RADIAL_SAMPLES), 1e-3)
     pressed = np.minimum(press_n, stiffness * radius * (1.0 - part))
     g, rise, bend = fading(part)
     lever = g / part
-    # Grooves: of R - r - g H, with H, H' and H'' at most these.
+    # Grooves: bounds of the first and second derivatives of R - r - g H.
     slope = 0.5 * height * turn * lever
     steep = 1.0 + rise * height / radius
     curvature = 0.5 * height * turn**2 * lever / part
     leaning = np.abs(rise - lever) / (part * radius)
-    # Friction: stretched by mu F_n / k at most.
+    # Friction: its spring is stretched by at most mu F_n / k.
     rubs = mu * pressed
     softness = np.where(spring > 0.0, rubs**2 / np.where(spring > 0.0, spring, 1.0), 0.0)
     cross = pressed * 0.5 * height * turn * leaning + rubs * leaning

@@ -1,9 +1,9 @@
-"""What of a scene and its materials this device and rate can show, and what becomes of the rest.
+"""What of a scene and its materials this device and rate can display, and how the rest is displayed.
 
-What the rate cannot carry is muted or lowered. `displayed_mode`, `displayed_wave_rate` and `displayed_pair` decide how,
-for whoever compiles or strikes a mode. Three functions only report: `undisplayable` what is muted or lowered,
-`rate_faults` what is refused because the rate cannot carry it at all, `warnings` what is shown, but not as it was
-meant. Places are those of a configuration file: `materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
+A vibration that the rate cannot carry is muted or lowered in frequency. `displayed_mode`, `displayed_wave_rate` and
+`displayed_pair` decide how. Three functions report: `undisplayable` what is muted or lowered; `rate_faults` what is
+refused; `warnings` what is displayed with a deviation. Places are those of a configuration file:
+`materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
 """
 
 import math
@@ -21,33 +21,33 @@ from hapticd.config.modes import Mode
 from hapticd.config.scene import TOUCHING_DISTANCE_M, SceneObject, Wall, patches_in_order, used_materials
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
-from hapticd.rendering.compensation import LARGEST, Load, Shape, shapes_of
+from hapticd.rendering.compensation import MAX_STRIKE_FORCE_RATIO, Load, Shape, shapes_of
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayed_error import displayed_error
 from hapticd.rendering.filter_design import power_above, stochastic_filter
 from hapticd.rendering.resampling import resampled
 from hapticd.rendering.undisplayable_text import Undisplayable, Use
 
-DISPLAYABLE: Final = 0.4
-"""What lies above this fraction of the rate, of servo or link, whichever is lower, is not displayed as it is."""
-TOUCHED_N_PER_M: Final = 800.0
-"""The surface that a mode without one of its own may meet: that of the shipped materials."""
-MOSTLY_ACROSS: Final = 0.5
-"""A strike that meets this part of the surface's stiffness or more is compensated best where it is touched."""
-STROKE_M_PER_S: Final = 0.5
-"""A fast stroke: a groove's shape that it passes in less than two ticks is hardly displayed."""
-MAX_LOSS: Final = 0.01
-"""More of a recorded texture's power than this is not lost silently."""
-MAX_ERROR_DB: Final = 3.0
-"""Nor is its spectrum farther off than this."""
+DISPLAYABLE_RATE_FRACTION: Final = 0.4
+"""Highest displayable frequency, as a fraction of the rate of servo or link, whichever is lower."""
+DEFAULT_SURFACE_N_PER_M: Final = 800.0
+"""Stiffness of the surface, as of the shipped materials, for which modes without an own surface are compensated."""
+MIN_NORMAL_STIFFNESS_PART: Final = 0.5
+"""A strike along which at least this part of the surface's stiffness acts is compensated best in contact."""
+FAST_STROKE_M_PER_S: Final = 0.5
+"""Speed of a fast stroke, at which a groove's shape should last at least two ticks."""
+MAX_POWER_LOSS: Final = 0.01
+"""Largest part of a texture's power that may be lost without a warning."""
+MAX_SPECTRUM_ERROR_DB: Final = 3.0
+"""Largest error of a texture's spectrum without a warning."""
 
 
 def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
-    """The mode as the rate can carry it, and the factor on its coefficient that keeps the first peak.
+    """Return the mode as the rate can carry it, and the factor on its coefficient that keeps the first peak.
 
-    Above 0.4 of the rate a mode is muted (None) or lowered to 0.4 of the rate, which is the link's if that is lower.
+    Above 0.4 of the rate of servo or link, whichever is lower, a mode is muted (None) or lowered to that frequency.
     """
-    highest = 2.0 * math.pi * DISPLAYABLE * output.carried_hz
+    highest = 2.0 * math.pi * DISPLAYABLE_RATE_FRACTION * output.carried_hz
     if mode.angular_frequency_rad_per_s <= highest:
         return mode, 1.0
     if output.undisplayable == "mute":
@@ -57,9 +57,9 @@ def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
 
 
 def strike_error(mode: Mode, output: Output) -> float | None:
-    """Displayed error of a strike that begins at a tick (hapticd.rendering.displayed_error).
+    """Return the displayed error of a strike that begins at a tick (hapticd.rendering.displayed_error).
 
-    None where the mode is muted or lowered, or where mass and damping of the handle are not known.
+    Returns None if the mode is muted or lowered, or if mass and damping of the handle are unknown.
     """
     if output.dynamics is None or displayed_mode(mode, output)[0] is not mode:
         return None
@@ -75,71 +75,75 @@ def strike_error(mode: Mode, output: Output) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Touched:
-    """The surface that a strike meets, and how the strike is directed to it."""
+    """The surface that a strike acts against, and the strike's direction relative to it."""
 
     stiffness_n_per_m: float = 0.0
     damping_n_s_per_m: float = 0.0
     across: float = 1.0
-    """What of them acts along the strike: (n . d)^2 of the surface's normal n and the strike's direction d."""
+    """Part of stiffness and damping that acts along the strike: (n . d)^2 of the normal n and the direction d."""
 
     @property
     def met_n_per_m(self) -> float:
-        """The stiffness that a mode is designed for: the surface's, or TOUCHED_N_PER_M where there is none."""
-        return self.stiffness_n_per_m or TOUCHED_N_PER_M
+        """The stiffness for which a mode is compensated: the surface's, or DEFAULT_SURFACE_N_PER_M without one."""
+        return self.stiffness_n_per_m or DEFAULT_SURFACE_N_PER_M
 
     def load(self, output: Output) -> Load:
-        """What a strike against it meets."""
+        """Return the load on a strike against this surface."""
         return Load(self.met_n_per_m, self.damping_n_s_per_m, output.age_s, output.actuator)
 
     @property
-    def own(self) -> bool:
-        """Whether a mode is compensated best where it is touched; else where nothing is."""
-        return self.stiffness_n_per_m > 0.0 and self.across >= MOSTLY_ACROSS
+    def best_in_contact(self) -> bool:
+        """Whether a mode is compensated best in contact with the surface, rather than without it."""
+        return self.stiffness_n_per_m > 0.0 and self.across >= MIN_NORMAL_STIFFNESS_PART
 
 
-UNTOUCHED: Final = Touched()
+NO_SURFACE: Final = Touched()
+"""A strike without a surface."""
 
 
 def touched_by(material: Material, use: Use) -> Touched:
-    """What a strike of this material meets: its tap itself, all others nothing of their own."""
+    """Return the surface that a strike of this material acts against: its own for a tap, none for all others."""
     if use not in ("tap", "second") or material.tap is None:
-        return UNTOUCHED
+        return NO_SURFACE
     return Touched(material.stiffness_n_per_m, material.damping_n_s_per_m, material.tap.aim[0] ** 2)
 
 
-def struck_shapes(mode: Mode, output: Output, touched: Touched = UNTOUCHED) -> tuple[Shape, Shape] | None:
-    """The forces by which a mode that the rate can carry is struck: where nothing is touched, and against this surface
-    straight from the front (one of TOUCHED_N_PER_M where there is none). None where nothing is compensated.
+def struck_shapes(mode: Mode, output: Output, touched: Touched = NO_SURFACE) -> tuple[Shape, Shape] | None:
+    """Return the shapes in which a mode that the rate can carry is struck: without a surface, and against this one.
 
-    The core goes on a straight line from one to the other by the stiffness that acts along the strike.
+    The second is for a strike along the normal, of DEFAULT_SURFACE_N_PER_M if there is no surface. The core
+    interpolates between both by the stiffness that acts along the strike. Returns None if nothing is compensated.
     """
     if output.compensation == "off":
         return None
     assert output.dynamics is not None
     load, rate_hz = touched.load(output), output.carried_hz
-    return shapes_of(mode, output.dynamics, rate_hz, output.compensation, load, touched.own)
+    return shapes_of(mode, output.dynamics, rate_hz, output.compensation, load, touched.best_in_contact)
 
 
 def waveform_of(material: Material) -> Waveform | None:
-    """What the material's tap plays, if it does not ring."""
+    """Return the waveform that the material's tap plays, or None if it plays none."""
     return None if material.tap is None else material.tap.waveform
 
 
 def displayed_wave_rate(waveform: Waveform, output: Output) -> float | None:
-    """Samples a second with which a waveform is played: its own, if half of its energy lies below 0.4 of the rate (the
-    link's if that is lower). Otherwise it is muted (None), or slowed down until half of it does."""
-    highest, middle = DISPLAYABLE * output.carried_hz, waveform.curve.middle_hz
+    """Return the samples per second at which a waveform is played, or None if it is muted.
+
+    That is its own rate if half of its energy lies below 0.4 of the rate of servo or link, whichever is lower.
+    Otherwise it is muted, or slowed down until half of its energy does.
+    """
+    highest, middle = DISPLAYABLE_RATE_FRACTION * output.carried_hz, waveform.curve.middle_hz
     if middle <= highest:
         return waveform.rate_hz
     return None if output.undisplayable == "mute" else waveform.rate_hz * highest / middle
 
 
 def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
-    """Peak and mean (Hz) that the texture's filter is designed for; None where it is muted.
+    """Return the peak and mean (Hz) for which the texture's filter is designed, or None if it is muted.
 
-    A peak above 0.4 of the rate is muted, or lowered to 0.4 of the rate and the mean by the same factor.
+    A peak above 0.4 of the rate is muted, or lowered to that together with the mean, by the same factor.
     """
-    highest = DISPLAYABLE * output.carried_hz
+    highest = DISPLAYABLE_RATE_FRACTION * output.carried_hz
     if texture.peak_hz <= highest:
         return texture.peak_hz, texture.mean_hz
     if output.undisplayable == "mute":
@@ -148,7 +152,7 @@ def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] |
 
 
 def modes_of(material: Material) -> list[tuple[Use, Mode]]:
-    """The modes of a material, and what strikes them."""
+    """Return the modes of a material, and what strikes them."""
     modes: tuple[tuple[Use, Mode | None], ...] = (
         *(("tap", mode) for mode in (() if material.tap is None else material.tap.modes)),
         ("second", None if material.tap is None or material.tap.second is None else material.tap.second.mode),
@@ -159,13 +163,13 @@ def modes_of(material: Material) -> list[tuple[Use, Mode]]:
 
 
 def mode_path(use: Use) -> Path:
-    """Where a mode stands in its material."""
+    """Return the path of a mode within its material."""
     keys: dict[Use, Path] = {"groove": ("texture",), "second": ("tap", "second")}
     return keys.get(use, (use,))
 
 
 def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Undisplayable]:
-    """The modes and textures of these materials that the rate cannot carry."""
+    """Return the modes, waveforms and textures of these materials that the rate cannot carry."""
     found: list[Undisplayable] = []
     for name, material in materials.items():
         for use, mode in modes_of(material):
@@ -179,14 +183,14 @@ def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Und
                 slowed_hz = None if rate_hz is None else middle_hz * rate_hz / waveform.rate_hz
                 found.append(Undisplayable(name, "tap", middle_hz, slowed_hz))
         texture = material.texture
-        if isinstance(texture, Stochastic) and texture.peak_hz > DISPLAYABLE * output.carried_hz:
+        if isinstance(texture, Stochastic) and texture.peak_hz > DISPLAYABLE_RATE_FRACTION * output.carried_hz:
             pair = displayed_pair(texture, output)
             found.append(Undisplayable(name, "texture", texture.peak_hz, None if pair is None else pair[0]))
     return found
 
 
 def rate_faults(objects: Mapping[str, SceneObject], materials: Mapping[str, Material], output: Output) -> list[Problem]:
-    """What of the materials in use has to be refused, because no sampled signal of this rate has it."""
+    """Return the faults of the materials in use that must be refused, because no signal of this rate can have them."""
     return [
         fault
         for name, material in materials_in(objects, materials).items()
@@ -195,7 +199,7 @@ def rate_faults(objects: Mapping[str, SceneObject], materials: Mapping[str, Mate
 
 
 def material_rate_faults(name: str, material: Material, output: Output) -> list[Problem]:
-    """As rate_faults, of one material."""
+    """Return rate_faults of one material."""
     texture = material.texture
     if not isinstance(texture, Stochastic):
         return []
@@ -208,7 +212,7 @@ def material_rate_faults(name: str, material: Material, output: Output) -> list[
 
 
 def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Material], output: Output) -> list[Problem]:
-    """What of the scene is displayed, but not as it was meant, and how it is displayed then."""
+    """Return what of the scene is displayed with a deviation, and how."""
     found: list[Problem] = []
     for name, material in materials_in(objects, materials).items():
         found += material_warnings(name, material, output)
@@ -219,7 +223,7 @@ def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Materia
 
 
 def material_warnings(name: str, material: Material, output: Output) -> list[Problem]:
-    """As warnings, of one material."""
+    """Return the warnings of one material."""
     found = [*_compensation_warnings(name, material, output), *_waveform_warnings(name, material, output)]
     match material.texture:
         case Grooves() as texture:
@@ -232,7 +236,7 @@ def material_warnings(name: str, material: Material, output: Output) -> list[Pro
 
 
 def materials_in(objects: Mapping[str, SceneObject], materials: Mapping[str, Material]) -> dict[str, Material]:
-    """Those of the materials that these objects are made of, in their order."""
+    """Return those of the materials that these objects are made of, in their order."""
     used = used_materials(objects.values())
     return {name: material for name, material in materials.items() if name in used}
 
@@ -250,11 +254,11 @@ def _compensation_warnings(name: str, material: Material, output: Output) -> Ite
         shown, _ = displayed_mode(mode, output)
         touched = touched_by(material, use)
         shapes = None if shown is None else struck_shapes(shown, output, touched)
-        shape = None if shapes is None else shapes[touched.own]
+        shape = None if shapes is None else shapes[touched.best_in_contact]
         if shape is not None and shape.limited:
             problem = (
-                f"needs more than {LARGEST:g} times the force that its amplitude is worth on this device, and is given "
-                f"that; its acceleration is off by {100 * shape.error:.2g} %"
+                f"would need more than {MAX_STRIKE_FORCE_RATIO:g} times the force of its amplitude on this device, "
+                f"(m + m_h) A, and is limited to that; its acceleration is off by {100 * shape.error:.2g} %"
             )
             yield Problem(path_text(("materials", name, *mode_path(use))), problem)
 
@@ -264,19 +268,20 @@ def _waveform_warnings(name: str, material: Material, output: Output) -> Iterato
     if waveform is None:
         return
     place = path_text(("materials", name, "tap", "waveform"))
-    above = waveform.curve.energy_above(DISPLAYABLE * output.carried_hz)
-    if above > MAX_LOSS and displayed_wave_rate(waveform, output) == waveform.rate_hz:
+    highest_hz = DISPLAYABLE_RATE_FRACTION * output.carried_hz
+    above = waveform.curve.energy_above(highest_hz)
+    if above > MAX_POWER_LOSS and displayed_wave_rate(waveform, output) == waveform.rate_hz:
         what = "the link's" if output.carried_hz < output.rate_hz else "a rate of"
         problem = (
-            f"has {100 * above:.3g} % of its energy above {_hz(DISPLAYABLE * output.carried_hz)}, which {what} "
-            f"{_hz(output.carried_hz)} cannot carry as it is"
+            f"has {100 * above:.3g} % of its energy above {_hz(highest_hz)}, which {what} "
+            f"{_hz(output.carried_hz)} cannot carry"
         )
         yield Problem(place, problem)
     if output.compensation != "off":
         yield Problem(
             place,
-            f"is not compensated for handle, hand and hold: compensation: {output.compensation} is for modes; it is "
-            "played as with compensation: off",
+            f"is not compensated for handle, hand and hold, as compensation: {output.compensation} applies to modes "
+            "only; it is played as with compensation: off",
         )
 
 
@@ -287,14 +292,14 @@ def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Pr
         held_m_per_s = texture.spacing_m * output.carried_hz
         problem = (
             f"{texture.spacing_m:g} is less than the probe may travel in a {one}, {travel_m:g} at the device's "
-            f"max_speed_m_per_s; up to {held_m_per_s:g} m/s a {one} passes one groove at most"
+            f"max_speed_m_per_s; up to {held_m_per_s:g} m/s it passes at most one groove in a {one}"
         )
         yield _texture_problem(name, "spacing_m", problem)
-    least_m = 2 * STROKE_M_PER_S / output.carried_hz
+    least_m = 2 * FAST_STROKE_M_PER_S / output.carried_hz
     if texture.display != "vibration" and texture.width_m < least_m * (1 - 1e-9):
         problem = (
-            f"{texture.width_m:g} is passed in less than two {two} at {STROKE_M_PER_S:g} m/s, "
-            f"and its shape is hardly displayed; from {least_m:g} on it is"
+            f"{texture.width_m:g} is passed in less than two {two} at {FAST_STROKE_M_PER_S:g} m/s, "
+            f"too fast for its shape to be displayed; must be at least {least_m:g}"
         )
         yield _texture_problem(name, "width_m", problem)
 
@@ -311,40 +316,43 @@ def _stochastic_warnings(name: str, texture: Stochastic, output: Output) -> Iter
         )
         yield _texture_problem(name, "mean_hz", problem)
     if output.carried_hz < output.rate_hz:
-        above = power_above(shown, DISPLAYABLE * output.carried_hz, output.rate_hz)
-        if above > MAX_LOSS:
+        above = power_above(shown, DISPLAYABLE_RATE_FRACTION * output.carried_hz, output.rate_hz)
+        if above > MAX_POWER_LOSS:
             yield _texture_problem(name, "mean_hz", _above_problem(above, output))
 
 
 def _above_problem(above: float, output: Output) -> str:
+    highest = _hz(DISPLAYABLE_RATE_FRACTION * output.carried_hz)
     return (
-        f"has {100 * above:.3g} % of its power above {_hz(DISPLAYABLE * output.carried_hz)}, more than the link's "
-        f"{_hz(output.carried_hz)} can carry as it is"
+        f"has {100 * above:.3g} % of its power above {highest}, which the link's {_hz(output.carried_hz)} cannot carry"
     )
 
 
 @lru_cache(maxsize=8)
 def _losses(texture: Autoregressive, rate_hz: float, carried_hz: float) -> list[list[float]]:
-    """What each model loses when it is shown at a rate: the fractions of power that are cut off, the errors of spectra
-    in dB, and the fractions of power above what the link carries, if that is the lower rate."""
+    """Return what each model loses at a rate, as three lists with an entry for each model.
+
+    They are the fraction of power cut off, the error of the spectrum in dB, and the fraction of power above what the
+    link carries, if that is the lower rate.
+    """
     shown = [resampled(reflection_of(model.coefficients), texture.rate_hz, rate_hz) for model in texture.models]
-    limit_hz = DISPLAYABLE * carried_hz if carried_hz < rate_hz else math.inf
+    limit_hz = DISPLAYABLE_RATE_FRACTION * carried_hz if carried_hz < rate_hz else math.inf
     above = [power_above((each.reflection, None), limit_hz, rate_hz) for each in shown]
     return [[1 - each.kept for each in shown], [each.error_db for each in shown], above]
 
 
 def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output) -> Iterator[Problem]:
-    """Of the worst model of each kind, of equals the first."""
+    """Yield a warning for each kind of loss, for the model with the largest one (of equals the first)."""
     losses = _losses(texture, output.rate_hz, output.carried_hz)
     loss, error_db, above = map(max, losses)
     more = "" if len(texture.models) == 1 else ", more than any other model"
     problems = (
-        (loss > MAX_LOSS, f"loses {100 * loss:.3g} % of its power at a rate of {_hz(output.rate_hz)}{more}"),
+        (loss > MAX_POWER_LOSS, f"loses {100 * loss:.3g} % of its power at a rate of {_hz(output.rate_hz)}{more}"),
         (
-            error_db > MAX_ERROR_DB,
+            error_db > MAX_SPECTRUM_ERROR_DB,
             f"is shown with a spectrum that is off by up to {error_db:.2g} dB at a rate of {_hz(output.rate_hz)}{more}",
         ),
-        (above > MAX_LOSS, f"{_above_problem(above, output)}{more}"),
+        (above > MAX_POWER_LOSS, f"{_above_problem(above, output)}{more}"),
     )
     for (is_large, problem), figures in zip(problems, losses, strict=True):
         if is_large:
@@ -353,13 +361,13 @@ def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output)
 
 
 def patch_warnings(wall: Wall, root: Path) -> list[Problem]:
-    """As warnings, of a wall's patches; `where` begins with `root`, the wall's own place. MAX_FAULTS are reported."""
-    found = islice(_narrow(wall), MAX_FAULTS)
+    """Return the warnings of a wall's patches, up to MAX_FAULTS; their places begin with `root`, the wall's own."""
+    found = islice(_narrow_patches(wall), MAX_FAULTS)
     return [Problem(path_text((*root, "patches", index)), problem) for index, problem in found]
 
 
-def _narrow(wall: Wall) -> Iterator[tuple[int, str]]:
-    """The index of each patch that is too narrow for the ramp, or too near another one, and what is wrong with it."""
+def _narrow_patches(wall: Wall) -> Iterator[tuple[int, str]]:
+    """Yield index and problem of each patch that is narrower than the ramp, or nearer than it to another one."""
     patches, ramp_m = wall.patches, wall.patch_ramp_m
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None

@@ -1,12 +1,12 @@
-"""What the handle's acceleration is, of a force that is held from tick to tick, and how far it is from what was wanted.
+"""Acceleration of the handle for a force that is held from tick to tick, and its error.
 
 The device is linear (hapticd.config.dynamics): (m + m_h) x'' + (b + b_h) x' + k x = F. Accelerations are means over
-the time between two samples: of a device, the difference of its velocities, which is exact; of a mode, the integral of
+the time between two samples. Those of a device are exact differences of its velocity, those of a mode the integral of
 its closed form.
 
-The displayed error is the RMS of the difference over the RMS of what was wanted, both limited to a band, 30 Hz to 0.4
-of the rate. It begins at the onset. A link or a report that comes late delays the force and changes none of its shape:
-who measures takes the time at which the force begins at the device as the onset.
+The displayed error is the RMS of the difference from the target over the RMS of the target, both limited to a band, 30
+Hz to 0.4 of the rate. It begins at the onset. A delay of link or report shifts the force without changing its shape. A
+measurement therefore takes the time at which the force begins at the device as the onset.
 """
 
 from __future__ import annotations
@@ -22,28 +22,37 @@ from hapticd.config.configuration import Compensation
 from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.modes import Mode
 from hapticd.config.waveform import Waveform
-from hapticd.rendering.compensation import HIGH, LOW_HZ, Load, pole_of, pole_shape, shape_of
+from hapticd.rendering.compensation import (
+    ERROR_BAND_LOW_HZ,
+    ERROR_BAND_RATE_FRACTION,
+    Load,
+    pole_of,
+    pole_shape,
+    shape_of,
+)
 
 Floats = npt.NDArray[np.float64]
 
-FINER: Final = 16
-"""A period is cut into so many parts, to see what a held force does within it."""
-_SETTLED_S: Final = 0.05
-"""So long the handle is observed after a waveform has ended."""
+PARTS_PER_PERIOD: Final = 16
+"""Parts of a period in which accelerations are computed, to resolve the motion under a held force."""
+_SETTLING_TIME_S: Final = 0.05
+"""Time for which the handle is observed after a waveform has ended."""
 
 
-def handle_acceleration(force_n: npt.ArrayLike, dynamics: Dynamics, rate_hz: float, finer: int = FINER) -> Floats:
-    """Acceleration of a handle that was at rest, m/s^2, of forces (n,) held for 1/rate_hz each.
+def handle_acceleration(
+    force_n: npt.ArrayLike, dynamics: Dynamics, rate_hz: float, finer: int = PARTS_PER_PERIOD
+) -> Floats:
+    """Return the acceleration of a handle, at rest before, for forces (n,) held for 1/rate_hz each.
 
-    (n * finer,): means over each of `finer` equal parts of a period.
+    The result is (n * finer,), m/s^2: means over each of `finer` equal parts of a period.
     """
     forces = np.asarray(force_n, dtype=np.float64)
-    whole, pushed = held_motion(dynamics, 1.0 / rate_hz)
+    step, step_push = held_motion(dynamics, 1.0 / rate_hz)
     states = np.empty((len(forces), 2))
     now = np.zeros(2)
     for tick, force in enumerate(forces):
         states[tick] = now
-        now = whole @ now + pushed * force
+        now = step @ now + step_push * force
     part, push = held_motion(dynamics, 1.0 / rate_hz / finer)
     velocity = np.empty((len(forces), finer + 1))
     for index in range(finer + 1):
@@ -54,9 +63,9 @@ def handle_acceleration(force_n: npt.ArrayLike, dynamics: Dynamics, rate_hz: flo
 
 
 def waveform(mode: Mode, count: int, sample_rate_hz: float, since_s: float = 0.0) -> Floats:
-    """exp(-B t) sin(w t), as means over the `count` times between samples, (count,); the first begins at t = since_s.
+    """Return means of exp(-B t) sin(w t) over `count` intervals of 1/sample_rate_hz, (count,).
 
-    Nothing sounds before t = 0.
+    The first interval begins at t = since_s. The signal is 0 before t = 0.
     """
     edges = np.maximum(since_s + np.arange(count + 1) / sample_rate_hz, 0.0)
     p = pole_of(mode)
@@ -67,8 +76,10 @@ def waveform(mode: Mode, count: int, sample_rate_hz: float, since_s: float = 0.0
 def band_lines(
     signal: npt.ArrayLike, sample_rate_hz: float, low_hz: float, high_hz: float
 ) -> npt.NDArray[np.complex128]:
-    """The lines of a signal (n,) from low_hz to high_hz, (lines,): padded with zeros to twice its length, and until the
-    lines are 1 Hz apart at most, it goes through the FFT."""
+    """Return the spectral lines of a signal (n,) from low_hz to high_hz, (lines,).
+
+    The signal is padded with zeros to at least twice its length, and until the lines have a distance of at most 1 Hz.
+    """
     one = np.asarray(signal, dtype=np.float64)
     length = 1 << math.ceil(math.log2(max(2 * len(one), sample_rate_hz)))
     frequency = np.fft.rfftfreq(length, 1.0 / sample_rate_hz)
@@ -80,21 +91,21 @@ def band_error(
     measured: npt.ArrayLike,
     reference: npt.ArrayLike,
     sample_rate_hz: float,
-    low_hz: float = LOW_HZ,
+    low_hz: float = ERROR_BAND_LOW_HZ,
     high_hz: float | None = None,
 ) -> float:
-    """RMS of (measured - reference) over RMS of reference, both limited to low_hz to high_hz.
+    """Return the RMS of (measured - reference) over the RMS of reference, both limited to low_hz to high_hz.
 
-    Both are (n,), in the same unit, and begin at the onset; nothing is taken to be there before and after. `high_hz` is
-    by default 0.4 of the sample rate. The band is cut in the spectrum: by Parseval the squares of its lines
-    (band_lines) are the energy. No filter rings, none has a phase.
+    Both are (n,), in the same unit, and begin at the onset; they are 0 before and after. `high_hz` is 0.4 of the
+    sample rate by default. The band is cut in the spectrum: by Parseval's theorem the squares of its lines
+    (band_lines) sum up to the energy. No filter adds ringing or phase.
 
-    Raises ValueError for arrays of other shapes, a band without lines, and a reference without energy in it.
+    Raises ValueError for arrays of other shapes, a band without lines, or a reference without energy in it.
     """
     one, other = (np.asarray(each, dtype=np.float64) for each in (measured, reference))
     if one.ndim != 1 or one.shape != other.shape or not len(one):
         raise ValueError(f"measured and reference must have one shape (n,), have {one.shape} and {other.shape}")
-    high = HIGH * sample_rate_hz if high_hz is None else high_hz
+    high = ERROR_BAND_RATE_FRACTION * sample_rate_hz if high_hz is None else high_hz
     wanted = float(np.linalg.norm(band_lines(other, sample_rate_hz, low_hz, high)))
     if not wanted > 0:
         raise ValueError(f"the reference has no energy from {low_hz:g} to {high:g} Hz")
@@ -102,13 +113,21 @@ def band_error(
 
 
 def waveform_error(waveform: Waveform, dynamics: Dynamics, rate_hz: float, effective_mass_kg: float) -> float:
-    """Displayed error of a tap that is a waveform and begins at a tick, as displayed_error has it; nothing is
-    compensated for, and the actuator follows at once."""
-    ticks = math.ceil((waveform.length_s + _SETTLED_S) * rate_hz)
+    """Return the displayed error of a tap that plays a waveform and begins at a tick.
+
+    It is defined as in displayed_error, without compensation and without a lag of the actuator.
+    """
+    ticks = math.ceil((waveform.length_s + _SETTLING_TIME_S) * rate_hz)
     force = effective_mass_kg * waveform.curve.at(np.arange(ticks) / rate_hz)
-    middles = (np.arange(ticks * FINER) + 0.5) / (rate_hz * FINER)
+    middles = (np.arange(ticks * PARTS_PER_PERIOD) + 0.5) / (rate_hz * PARTS_PER_PERIOD)
     moved = handle_acceleration(force, dynamics, rate_hz)
-    return band_error(moved, waveform.curve.at(middles), rate_hz * FINER, LOW_HZ, HIGH * rate_hz)
+    return band_error(
+        moved,
+        waveform.curve.at(middles),
+        rate_hz * PARTS_PER_PERIOD,
+        ERROR_BAND_LOW_HZ,
+        ERROR_BAND_RATE_FRACTION * rate_hz,
+    )
 
 
 def displayed_error(
@@ -119,12 +138,12 @@ def displayed_error(
     effective_mass_kg: float | None = None,
     actuator: Actuator | None = None,
 ) -> float:
-    """Displayed error of a strike that begins at a tick; 0.1 is 10 %.
+    """Return the displayed error of a strike that begins at a tick; 0.1 is 10 %.
 
     `mode` is one that the rate carries, as it is displayed (displayability.displayed_mode). `rate_hz` is how often the
-    force changes at the device: the servo's rate, or the link's if that is lower. `effective_mass_kg` counts where
-    compensation is off; by default it is that of handle and hand. `actuator` is what every force goes by. The spectra
-    are closed forms (compensation.py).
+    force changes at the device: the servo's rate, or the link's if that is lower. `effective_mass_kg` is used if
+    compensation is off; its default is the mass of handle and hand. `actuator` lags all forces. The spectra are closed
+    forms (compensation.py).
     """
     load = Load(actuator=actuator)
     if compensation != "off":

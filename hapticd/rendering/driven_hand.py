@@ -1,9 +1,9 @@
-"""Whether a texture drives a light hand along the surface by itself, after the hand has stopped.
+"""Whether a texture keeps a light hand moving along the surface after the hand has stopped.
 
-A strike acts along the motion and grows with speed and force, so that each groove gives energy. A hand that takes less
-than that goes on from groove to groove by itself. Noise grows with speed, too: where its gain is large it moves the
-hand that moves it. Spring, damper, friction, texture and the force limit have no closed form together: it is found with
-the servo's own tick and the simulated joystick, in a few milliseconds a run.
+A strike acts along the motion and grows with speed and force, so each groove adds energy. If the hand dissipates less,
+it keeps moving from groove to groove. Noise grows with speed, too: with a large gain it moves the hand, whose motion
+sustains the noise. Spring, damper, friction, texture and the force limit have no closed form together, so the check
+runs the servo's own tick with the simulated joystick, in a few milliseconds a run.
 """
 
 from __future__ import annotations
@@ -22,35 +22,42 @@ from hapticd.config.texture import Grooves
 from hapticd.rendering.offline import Run, simulate_run
 from hapticd.rendering.stability import Loop
 
-SPEEDS_M_PER_S: Final = (0.05, 0.1, 0.2, 0.5)
-PRESSES_N: Final = (0.3, 1.0)
-LIGHTER: Final = 0.8
-"""A hand is checked with this part of its damping: where it just stands another way of moving may set it off."""
-_WAY_M: Final = 0.02
-_DEEPEST_M: Final = 0.4
-"""What gives way further than this is pressed with less."""
-_LONGEST_S: Final = 20.0
-_LOOKED_AT_S: Final = 1.0
-_STILL: Final = 0.05
-"""Noise that has not fallen to this part of its largest by then is kept up by the hand that it moves."""
+CHECKED_SPEEDS_M_PER_S: Final = (0.05, 0.1, 0.2, 0.5)
+"""Speeds of the strokes that are simulated."""
+CHECKED_FORCES_N: Final = (0.3, 1.0)
+"""Forces with which the hand presses in these strokes."""
+CHECKED_DAMPING_PART: Final = 0.8
+"""Part of the hand's damping that is simulated. The margin is for hands that another motion would set off."""
+_STROKE_LENGTH_M: Final = 0.02
+"""Length of a stroke."""
+_MAX_PRESS_DEPTH_M: Final = 0.4
+"""Largest depth of the hand's reference; a softer surface is pressed with less force."""
+_MAX_SETTLING_S: Final = 20.0
+"""Longest time that the hand gets to settle after a stroke."""
+_OBSERVED_END_S: Final = 1.0
+"""Time at the end of a run in which strikes and noise are counted."""
+_MAX_RESIDUAL_NOISE_PART: Final = 0.05
+"""Noise that stays above this part of its largest force is sustained by the hand that it moves."""
 
 
-def driven(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Problem]:
-    """A line for each of the materials whose texture drives the hand of `loop`, pressed and moved as people do.
+def driven_hand_warnings(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Problem]:
+    """Return a warning for each of the materials whose texture drives the hand of `loop` in typical strokes.
 
-    A handle without a hand has nothing that presses it, and is not checked; nor is anything where vibrations are off.
+    Nothing is checked without a hand, as nothing presses then, nor with vibrations off.
     """
     hand = loop.dynamics
     if hand.grip_stiffness_n_per_m <= 0.0 or not config.scene.display.vibration:
         return []
     found = []
-    for name in sounding(shown):
-        runs = (_run(config, loop, name, speed, press) for speed in SPEEDS_M_PER_S for press in PRESSES_N)
+    for name in materials_with_vibration(shown):
+        runs = (
+            _run(config, loop, name, speed, press) for speed in CHECKED_SPEEDS_M_PER_S for press in CHECKED_FORCES_N
+        )
         if isinstance(shown[name].texture, Grooves):
-            most = max(map(_strikes, runs))
+            most = max(map(_late_strikes, runs))
             drives = f"strikes drive this hand over the grooves after it has stopped, {most} strikes a second"
         else:
-            most = sum(map(_sounds, runs))
+            most = sum(map(_is_noise_sustained, runs))
             drives = "noise drives this hand along the surface after it has stopped"
         if most > 0:
             less = "a firmer grip (more damping), dry friction, or a lower gain of the texture stops it"
@@ -58,41 +65,41 @@ def driven(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Pr
     return found
 
 
-def sounding(shown: Mapping[str, Material]) -> Iterable[str]:
-    """The materials that have grooves which strike, or noise."""
+def materials_with_vibration(shown: Mapping[str, Material]) -> Iterable[str]:
+    """Yield the names of the materials that have noise, or grooves displayed as strikes."""
     for name, material in shown.items():
         texture = material.texture
         if texture is not None and (not isinstance(texture, Grooves) or texture.display == "vibration"):
             yield name
 
 
-def _strikes(run: Run) -> int:
-    """Strikes in the last second of a run."""
-    last_s = len(run.samples) / run.rate_hz - _LOOKED_AT_S
+def _late_strikes(run: Run) -> int:
+    """Return the number of strikes in the last second of a run."""
+    last_s = len(run.samples) / run.rate_hz - _OBSERVED_END_S
     return int((run.events[run.events["kind"] == EventKind.GROOVE]["time_ns"] * 1e-9 > last_s).sum())
 
 
-def _sounds(run: Run) -> bool:
-    """Whether noise goes on in the last second of a run."""
+def _is_noise_sustained(run: Run) -> bool:
+    """Return whether noise lasts into the last second of a run."""
     force = np.abs(run.samples["vibration_force_n"][:, 0])
-    late = force[-round(_LOOKED_AT_S * run.rate_hz) :]
-    return bool(late.max() > _STILL * force.max())
+    late = force[-round(_OBSERVED_END_S * run.rate_hz) :]
+    return bool(late.max() > _MAX_RESIDUAL_NOISE_PART * force.max())
 
 
 def _run(config: Config, loop: Loop, name: str, speed: float, press: float) -> Run:
-    """The hand presses, moves along, stops, and has time to come to rest before the last second."""
+    """Simulate a stroke: the hand presses, moves along, stops, and settles before the last second."""
     hand = loop.dynamics
     stiffness = hand.grip_stiffness_n_per_m
-    deep = min(_DEEPEST_M, press / stiffness + press / max(config.materials[name].stiffness_n_per_m, 1e-3))
-    moved = [[0.0, 0.0, 0.001], [0.3, 0.0, -deep], [0.3 + _WAY_M / speed, _WAY_M, -deep]]
-    # By itself a swing falls to 1/1000 within 14 m / b.
+    deep = min(_MAX_PRESS_DEPTH_M, press / stiffness + press / max(config.materials[name].stiffness_n_per_m, 1e-3))
+    moved = [[0.0, 0.0, 0.001], [0.3, 0.0, -deep], [0.3 + _STROKE_LENGTH_M / speed, _STROKE_LENGTH_M, -deep]]
+    # A free oscillation falls to 1/1000 within 14 m / b.
     rest_s = 14.0 * hand.mass_kg / max(hand.damping_n_s_per_m, 1e-9)
-    lasting_s = moved[-1][0] + min(_LONGEST_S, 1.0 + rest_s) + _LOOKED_AT_S
-    return simulate_run(_alone(config, loop, name, 2.0 * deep + 0.1), moved, lasting_s, check_stability=False)
+    lasting_s = moved[-1][0] + min(_MAX_SETTLING_S, 1.0 + rest_s) + _OBSERVED_END_S
+    return simulate_run(_floor_config(config, loop, name, 2.0 * deep + 0.1), moved, lasting_s, check_stability=False)
 
 
-def _alone(config: Config, loop: Loop, name: str, workspace_m: float) -> Config:
-    """The material as a floor, with the device and hand of the loop."""
+def _floor_config(config: Config, loop: Loop, name: str, workspace_m: float) -> Config:
+    """Return a configuration with the material as a floor, and the device and hand of the loop."""
     hand = loop.dynamics
     sim = Sim(
         handle_mass_kg=hand.handle_mass_kg,
@@ -107,7 +114,7 @@ def _alone(config: Config, loop: Loop, name: str, workspace_m: float) -> Config:
         hand=Hand(
             mass_kg=hand.grip_mass_kg,
             stiffness_n_per_m=hand.grip_stiffness_n_per_m,
-            damping_n_s_per_m=LIGHTER * hand.grip_damping_n_s_per_m,
+            damping_n_s_per_m=CHECKED_DAMPING_PART * hand.grip_damping_n_s_per_m,
         ),
     )
     floor = Wall(kind="wall", point_m=(0.0, 0.0), normal=(0.0, 1.0), material=name)

@@ -1,7 +1,8 @@
-"""How a simulated motion ends: at rest, or in a cycle that goes on for ever.
+"""How a simulated motion ends: at rest, or in a cycle that lasts for ever.
 
-A drop of energy proves nothing, as a motion that comes down to a limit cycle drops, too. So the energy of stretches of
-half a second is followed until the handle rests, or until it no longer changes over hundreds of stretches.
+A falling energy proves nothing, as the energy of a motion that approaches a limit cycle falls, too. So the energy is
+followed in windows of half a second until the handle rests, or until the energy no longer changes over hundreds of
+windows.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ from hapticd.config.configuration import Config
 from hapticd.rendering.offline import CompiledScene, Simulation
 
 Fate = Literal["rests", "cycles", "grows", "falls"]
-"""`falls`: the energy still falls after the longest time; nobody knows to what."""
+"""`falls`: the energy still falls after the longest time; its limit is unknown."""
 
-STRETCH_S: Final = 0.5
-NOTHING_M_PER_S: Final = 1e-7
-"""A handle whose speed stays within this of its mean over two stretches, and does not grow, is at rest."""
-FIRST_LOOK: Final = 64
-"""Energies are compared after so many stretches, and whenever their number has doubled."""
-STEADY: Final = 0.01
-"""In a regular cycle no stretch has an energy further from their mean than this part of it."""
-CHANGES: Final = 0.1
-"""What is not regular (chaotic, or beating) grows or falls if its energy changes by more than this part within the last
-quarter of the time."""
-RESTED_S: Final = 0.2
-"""A motion is judged from so long after the hand's last waypoint on."""
+ENERGY_WINDOW_S: Final = 0.5
+"""Length of the windows over which the energy is averaged."""
+REST_SPEED_M_PER_S: Final = 1e-7
+"""A handle is at rest if its speed stays within this of its mean over two windows and does not grow."""
+FIRST_COMPARISON_WINDOWS: Final = 64
+"""Energies are compared after this number of windows, and each time that their number has doubled."""
+MAX_CYCLE_ENERGY_DEVIATION: Final = 0.01
+"""In a regular cycle the energy of no window deviates from the mean by more than this part."""
+MIN_ENERGY_TREND: Final = 0.1
+"""Change of the energy in the last quarter of the time, as a part, beyond which an irregular motion grows or falls."""
+WAIT_AFTER_MOTION_S: Final = 0.2
+"""Time from the hand's last waypoint to the beginning of the analysis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,59 +41,65 @@ class EndState:
 
     fate: Fate
     peak_m_per_s: float
-    """How far the speed of an axis was from its mean, at most, in the last stretch."""
+    """Largest deviation of an axis's speed from its mean in the last window."""
     after_s: float
-    """So long it took to be certain."""
+    """Time until the result was certain."""
 
 
-def end_state(go_on: Callable[[float], npt.NDArray[np.float64]], longest_s: float = 640.0) -> EndState:
-    """The end of the motion that `go_on` continues.
+def end_state(advance: Callable[[float], npt.NDArray[np.float64]], longest_s: float = 640.0) -> EndState:
+    """Return the end of the motion that `advance` continues.
 
-    `go_on(duration_s)` returns position and velocity, (n, 4) in m and m/s, at the ticks of the time to come. The hand
-    must have stopped to move, and vibrations must be off. A handle that slides at a constant speed is at rest.
+    `advance(duration_s)` returns position and velocity, (n, 4) in m and m/s, at the next ticks. The hand must have
+    stopped moving, and vibrations must be off. A handle that slides at a constant speed is at rest.
 
-    A cycle is certain where the energies of the last half of all stretches agree to 1 %, and what is left of a trend
-    has at least halved while the time doubled (a slow decay doubles it). Everything else is followed for `longest_s`.
+    A cycle is certain if the energies of the last half of all windows agree to 1 %, and the remaining trend has at
+    least halved while the time doubled (a slow decay would double it). Every other motion is followed for `longest_s`.
     """
     energies: list[float] = []
-    look = FIRST_LOOK
+    next_comparison = FIRST_COMPARISON_WINDOWS
     before, trend = math.inf, 0.0
     weights = np.empty(0)
     peak = 0.0
-    while len(energies) * STRETCH_S < longest_s:
-        speeds = go_on(STRETCH_S)[:, 2:]
+    while len(energies) * ENERGY_WINDOW_S < longest_s:
+        speeds = advance(ENERGY_WINDOW_S)[:, 2:]
         if len(weights) != len(speeds):
-            # A smooth window: the energy of a cycle does not depend on where in it the stretch begins.
+            # A smooth window makes the energy independent of the phase at which the window begins.
             weights = np.hanning(len(speeds) + 2)[1:-1]
             weights /= weights.sum()
         speeds = speeds - weights @ speeds
         peak = float(np.abs(speeds).max())
         energies.append(float(weights @ np.einsum("ij,ij->i", speeds, speeds)))
-        if max(peak, before) <= NOTHING_M_PER_S and peak <= before:
-            return EndState("rests", peak, len(energies) * STRETCH_S)
+        if max(peak, before) <= REST_SPEED_M_PER_S and peak <= before:
+            return EndState("rests", peak, len(energies) * ENERGY_WINDOW_S)
         before = peak
-        if len(energies) == look:
-            look *= 2
+        if len(energies) == next_comparison:
+            next_comparison *= 2
             last = np.array(energies[len(energies) // 2 :])
-            now = abs(_change(energies))
-            regular = float(np.abs(last / last.mean() - 1.0).max()) < STEADY
+            now = abs(_log_energy_change(energies))
+            regular = float(np.abs(last / last.mean() - 1.0).max()) < MAX_CYCLE_ENERGY_DEVIATION
             if regular and now <= max(0.5 * trend, 1e-9):
-                return EndState("cycles", peak, len(energies) * STRETCH_S)
+                return EndState("cycles", peak, len(energies) * ENERGY_WINDOW_S)
             trend = now
-    change = _change(energies)
-    fate: Fate = "grows" if change > CHANGES else "falls" if change < -CHANGES or _fades(energies) else "cycles"
-    return EndState(fate, peak, len(energies) * STRETCH_S)
+    change = _log_energy_change(energies)
+    fate: Fate = (
+        "grows"
+        if change > MIN_ENERGY_TREND
+        else "falls"
+        if change < -MIN_ENERGY_TREND or _decays_slowly(energies)
+        else "cycles"
+    )
+    return EndState(fate, peak, len(energies) * ENERGY_WINDOW_S)
 
 
-def _change(energies: list[float]) -> float:
-    """Of the energy, from the third quarter of the time to the fourth, as the logarithm of their ratio."""
+def _log_energy_change(energies: list[float]) -> float:
+    """Return the logarithm of the energy in the fourth quarter of the time over that in the third."""
     quarter = max(1, len(energies) // 4)
     third, fourth = (math.fsum(energies[-end : len(energies) - end + quarter]) for end in (2 * quarter, quarter))
     return math.log(max(fourth, 1e-300) / max(third, 1e-300))
 
 
-def _fades(energies: list[float]) -> bool:
-    """Whether each eighth of the last half has less energy than the one before, by no less each time: a slow decay."""
+def _decays_slowly(energies: list[float]) -> bool:
+    """Return whether the energy falls in each eighth of the last half, finally at 75 % or more of the first rate."""
     eighth = max(1, len(energies) // 8)
     means = [math.fsum(energies[len(energies) - k * eighth :][:eighth]) for k in (4, 3, 2, 1)]
     falls = np.diff(np.log(np.maximum(means, 1e-300)))
@@ -105,7 +112,7 @@ def end_of(
     longest_s: float = 640.0,
     interpolation: Literal["linear", "minimum_jerk"] = "linear",
 ) -> EndState:
-    """How the motion of the simulated handle ends once the hand's reference rests, as end_state judges it."""
+    """Return how the motion of the simulated handle ends once the hand's reference rests, by end_state."""
     simulation = Simulation(CompiledScene(config), waypoints, interpolation)
-    simulation.go_on(waypoints[-1][0] + RESTED_S)
-    return end_state(simulation.go_on, longest_s)
+    simulation.advance(waypoints[-1][0] + WAIT_AFTER_MOTION_S)
+    return end_state(simulation.advance, longest_s)

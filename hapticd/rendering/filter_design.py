@@ -31,23 +31,23 @@ Array: TypeAlias = npt.NDArray[np.float64]
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 
 MAX_ORDER: Final = 32
-"""HD_NOISE_ORDER."""
+"""Highest order of a noise filter, HD_NOISE_ORDER."""
 
-NARROWEST_HZ: Final = 20.0
-"""The smallest half-power bandwidth of a designed peak: the RMS of a minute of such noise scatters by 0.8 %."""
+MIN_BANDWIDTH_HZ: Final = 20.0
+"""Smallest half-power bandwidth of a designed peak: the RMS of a minute of such noise scatters by 0.8 %."""
 
-_EDGE: Final = 5e-4
+_EDGE_RATE_FRACTION: Final = 5e-4
 """Peaks nearer than this fraction of the rate to 0 or to half the rate are moved to it."""
-_SHARPEST: Final = 2e-4
-"""Half the smallest half-power bandwidth in radians: keeps pole radii at 0.9999 and below."""
-_DIP: Final = 0.25
-"""1/(1 + this) is the power, over the peak's, that a rival end of the spectrum may have: the peak is 1 dB over it."""
+_MIN_HALF_BANDWIDTH_RAD: Final = 2e-4
+"""Half the smallest half-power bandwidth, in radians: keeps pole radii at 0.9999 and below."""
+_END_DIP_RATIO: Final = 0.25
+"""An end of the spectrum may have at most 1/(1 + this) of the peak's power, so that the peak is 1 dB above it."""
 
 _Rule: TypeAlias = tuple[Array, Array]
-_FINE: Final[_Rule] = np.polynomial.legendre.leggauss(12)
-"""Nodes and weights of a panel."""
-COARSE: Final[_Rule] = np.polynomial.legendre.leggauss(6)
-"""Enough for a fit: integrals of a spectrum whose poles are as near as a panel is long are off by 3e-8."""
+_FINE_RULE: Final[_Rule] = np.polynomial.legendre.leggauss(12)
+"""Gauss-Legendre nodes and weights of a panel."""
+COARSE_RULE: Final[_Rule] = np.polynomial.legendre.leggauss(6)
+"""Nodes and weights for fits: integrals of a spectrum whose poles are a panel's length away are off by 3e-8."""
 
 
 # ---- Filters and their spectra -------------------------------------------------------------------------------
@@ -55,9 +55,12 @@ COARSE: Final[_Rule] = np.polynomial.legendre.leggauss(6)
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """A lattice with output of unit power. `taps` (one more than `reflection`, squares adding up to one) weigh the
-    orthonormal backward errors; None: the all-pole output. `peak_hz` and `mean_hz` are those of its analytic spectrum:
-    where its density is largest, and its power centroid from 0 to half the rate."""
+    """A lattice filter with output of unit power.
+
+    `taps` (one more than `reflection`, with squares adding up to one) weight the orthonormal backward errors; None
+    selects the all-pole output. `peak_hz` is the frequency of the largest density of the analytic spectrum. `mean_hz`
+    is its power centroid from 0 to half the rate.
+    """
 
     reflection: Reflection
     taps: tuple[float, ...] | None
@@ -65,7 +68,7 @@ class Filter:
     mean_hz: float
 
     def met(self, peak_hz: float, mean_hz: float, within: float = 0.03) -> bool:
-        """Whether the filter has this peak and this mean, each within a fraction of it."""
+        """Return whether the filter has this peak and this mean, each to within the fraction `within`."""
         return abs(self.peak_hz - peak_hz) <= within * peak_hz and abs(self.mean_hz - mean_hz) <= within * mean_hz
 
 
@@ -74,14 +77,17 @@ Spectral: TypeAlias = Filter | tuple[Sequence[float], Sequence[float] | None]
 
 
 def power_spectrum(source: Spectral, frequency_hz: npt.ArrayLike, rate_hz: float) -> Array:
-    """Analytic one-sided density, 1/Hz, at `frequency_hz` (any shape): its integral from 0 to rate/2 is 1."""
+    """Return the analytic one-sided density, 1/Hz, at `frequency_hz` (any shape).
+
+    Its integral from 0 to rate/2 is 1.
+    """
     reflection, taps = (source.reflection, source.taps) if isinstance(source, Filter) else source
     angle = 2 * np.pi / rate_hz * np.asarray(frequency_hz, dtype=np.float64)
     return power_at(reflection, taps, angle) * (2 / rate_hz)
 
 
 def power_above(source: Spectral, frequency_hz: float, rate_hz: float) -> float:
-    """The fraction of the power above a frequency: the integral of power_spectrum from there to rate/2."""
+    """Return the fraction of the power above a frequency: the integral of power_spectrum from there to rate/2."""
     reflection, taps = (source.reflection, source.taps) if isinstance(source, Filter) else source
     if frequency_hz >= rate_hz / 2:
         return 0.0
@@ -91,7 +97,7 @@ def power_above(source: Spectral, frequency_hz: float, rate_hz: float) -> float:
 
 
 def power_at(reflection: Sequence[float], taps: Sequence[float] | None, angle: Array) -> Array:
-    """|H|^2 at these angles; its mean over 0 .. pi is 1."""
+    """Return |H|^2 at these angles; its mean over 0 .. pi is 1."""
     delay = np.exp(-1j * angle)
     forward = np.ones_like(delay)
     backward = np.ones_like(delay)
@@ -108,12 +114,14 @@ def power_at(reflection: Sequence[float], taps: Sequence[float] | None, angle: A
 
 
 def _mesh(
-    poles: Iterable[tuple[float, float]], limit: float = math.pi, panels: int = 1, rule: _Rule = _FINE
+    poles: Iterable[tuple[float, float]], limit: float = math.pi, panels: int = 1, rule: _Rule = _FINE_RULE
 ) -> tuple[Array, Array]:
-    """Nodes and weights on 0 .. limit that integrate a rational spectrum with poles (angle, distance from the circle).
+    """Return nodes and weights on 0 .. limit that integrate a rational spectrum.
 
-    Composite Gauss-Legendre. Around each pole the panels are graded by factors of two down to the
-    pole's distance, so no panel is longer than about its own distance to any pole, and each converges at once."""
+    The poles are given as (angle, distance from the circle). The rule is composite Gauss-Legendre. Around each pole
+    the panels are graded by factors of two down to the pole's distance. So no panel is longer than about its own
+    distance to any pole, and each converges fast.
+    """
     breaks: list[Array] = [np.linspace(0.0, limit, panels + 1)]
     for angle, distance in poles:
         levels = math.ceil(math.log2(limit / distance)) + 1 if distance < limit else 1
@@ -124,13 +132,17 @@ def _mesh(
 
 
 def panel_nodes(edges: Array, rule: _Rule) -> tuple[Array, Array]:
+    """Return the nodes and weights of `rule` on the panels between `edges`."""
     half = np.diff(edges)[:, None] / 2
     nodes = edges[:-1, None] + half * (1 + rule[0])
     return nodes.ravel(), (half * rule[1]).ravel()
 
 
 def poles_of(reflection: Sequence[float]) -> ComplexArray:
-    """Eigenvalues of one step of the lattice without input: well-conditioned where roots of A are not."""
+    """Return the poles of a lattice, as eigenvalues of one step of it without input.
+
+    They are well-conditioned where the roots of A are not.
+    """
     state = np.eye(len(reflection))
     after = np.zeros_like(state)
     forward = np.zeros(len(reflection))
@@ -144,14 +156,17 @@ def poles_of(reflection: Sequence[float]) -> ComplexArray:
     return np.asarray(np.linalg.eigvals(after), dtype=np.complex128)
 
 
-def pole_mesh(poles: ComplexArray, limit: float = math.pi, panels: int = 1, rule: _Rule = _FINE) -> tuple[Array, Array]:
+def pole_mesh(
+    poles: ComplexArray, limit: float = math.pi, panels: int = 1, rule: _Rule = _FINE_RULE
+) -> tuple[Array, Array]:
+    """Return nodes and weights on 0 .. limit that integrate the spectrum of a filter with these poles."""
     upper = poles[poles.imag >= 0]
     places = zip(np.angle(upper).tolist(), np.maximum(np.abs(1 - np.abs(upper)), 1e-9).tolist(), strict=True)
     return _mesh(places, limit, panels, rule)
 
 
-def _measured(reflection: Reflection, taps: tuple[float, ...] | None) -> tuple[float, float]:
-    """Angles of the peak and of the power centroid."""
+def _peak_and_mean(reflection: Reflection, taps: tuple[float, ...] | None) -> tuple[float, float]:
+    """Return the angles of the peak and of the power centroid."""
     nodes, weights = pole_mesh(poles_of(reflection))
     power = power_at(reflection, taps, nodes)
     mean = float(weights @ (nodes * power) / (weights @ power))
@@ -164,8 +179,8 @@ def _measured(reflection: Reflection, taps: tuple[float, ...] | None) -> tuple[f
 
 
 def peak_of(reflection: Reflection, rate_hz: float) -> float:
-    """Where an all-pole model's spectrum is highest, Hz."""
-    return _measured(reflection, None)[0] * rate_hz / (2 * math.pi)
+    """Return the frequency at which an all-pole model's spectrum is highest, Hz."""
+    return _peak_and_mean(reflection, None)[0] * rate_hz / (2 * math.pi)
 
 
 # ---- Noise with a given peak and mean ------------------------------------------------------------------------
@@ -173,63 +188,70 @@ def peak_of(reflection: Reflection, rate_hz: float) -> float:
 
 @lru_cache(maxsize=4096)
 def stochastic_filter(peak_hz: float, mean_hz: float, rate_hz: float) -> Filter:
-    """The noise whose density is largest at `peak_hz` and whose power centroid from 0 to rate/2 is `mean_hz`.
+    """Return the filter of noise with its largest density at `peak_hz` and its power centroid at `mean_hz`.
 
     Every shape is P = N/(N + c t^2 M), t = y - y_peak, with polynomials N, M >= 0 in y that are 1 at the peak. P is 1
-    at the peak and at most 1 elsewhere, so the peak holds by construction and c alone remains to set the mean:
+    at the peak and at most 1 elsewhere, so the peak holds by construction and only c is left to set the mean:
 
     - N = M = 1: AR(2);
     - a zero at rate/2 (or, mirrored, at 0), N linear, M = 1: order 2, lowers (raises) the mean;
     - a pair of zeros, N = 1 + n t^2: order 2 over a floor of white noise;
-    - that real zero and a real pole as well, M linear: order 3, lowers (raises) the mean down to half of the peak.
+    - the same real zero and a real pole, M linear: order 3, lowers (raises) the mean down to half of the peak.
 
-    The first shape in this order that has the pair wins; of several solutions the one whose half-power bandwidth is
-    nearest to half of the peak frequency. Bounds keep it noise with a peak: bandwidth at least NARROWEST_HZ (or a
-    quarter of the peak frequency, whichever is less), and 1 dB of dip before an end of the spectrum that could rival
-    the peak. Where no shape has the pair the nearest is given: the peak stays and the mean is the closest that any
-    of them has. (Only peaks within 0.0005 of the rate of 0 or of rate/2 move.)
+    The first shape in this order that has both peak and mean is returned; of several solutions, the one whose
+    half-power bandwidth is nearest to half of the peak frequency. Two bounds keep the peak distinct. The bandwidth is
+    at least MIN_BANDWIDTH_HZ (or a quarter of the peak frequency, whichever is less). At an end of the spectrum that
+    could rival the peak, the density is 1 dB lower. If no shape has both, the peak stays, and the shape with the
+    nearest mean is returned. Only peaks within 0.0005 of the rate of 0 or of rate/2 move.
 
-    ValueError unless 0 < peak_hz, mean_hz < rate_hz/2.
+    Raises ValueError unless 0 < peak_hz, mean_hz < rate_hz/2.
     """
     half = rate_hz / 2
     if not (math.isfinite(rate_hz) and 0 < peak_hz < half and 0 < mean_hz < half):
         raise ValueError(f"peak and mean must be between 0 and half the rate, {half:g} Hz")
-    peak = min(max(math.pi * peak_hz / half, 2 * math.pi * _EDGE), math.pi - 2 * math.pi * _EDGE)
+    peak = min(
+        max(math.pi * peak_hz / half, 2 * math.pi * _EDGE_RATE_FRACTION), math.pi - 2 * math.pi * _EDGE_RATE_FRACTION
+    )
     mean = math.pi * mean_hz / half
-    reflection, taps = _design(peak, mean, math.pi * NARROWEST_HZ / half)
-    found_peak, found_mean = _measured(reflection, taps)
+    reflection, taps = _design(peak, mean, math.pi * MIN_BANDWIDTH_HZ / half)
+    found_peak, found_mean = _peak_and_mean(reflection, taps)
     return Filter(reflection, taps, found_peak * half / math.pi, found_mean * half / math.pi)
 
 
 @dataclass(frozen=True, slots=True)
 class _Family:
-    """Spectra of one kind. What is left to choose is their size: the distance in y at which the power is halved,
-    c = 1/size^2; over a floor, the size is given and the floor's density over the peak's is left."""
+    """Spectra of one kind, with a size as the free parameter.
+
+    The size is the distance in y at which the power is halved, c = 1/size^2. Over a floor the size of the peak is
+    fixed, and the free parameter is the density of the floor over the peak's.
+    """
 
     peak: float
-    """Its angle."""
+    """Angle of the peak."""
     nodes: Array
     weights: Array
-    """An integral over 0 .. pi."""
+    """Weights of the nodes for integrals over 0 .. pi."""
     zero: bool
-    """At the angle pi."""
+    """Whether there is a zero at the angle pi."""
     pole: bool
+    """Whether there is a real pole."""
     floor: float
-    """More than 0: a pair of zeros, and a peak of this size."""
+    """If positive, there is a pair of zeros, and the peak has this size."""
 
     @property
     def y_peak(self) -> float:
+        """The value of y = 1 - cos w at the peak."""
         return 2 * math.sin(self.peak / 2) ** 2
 
     def tilt(self, size: Array) -> Array:
-        """M = 1 + tilt t, with the tilt that leaves the end at angle 0 just 1 dB under the peak, if any does."""
+        """Return `tilt` of M = 1 + tilt t that leaves the end at angle 0 just 1 dB below the peak; 0 without a pole."""
         if not self.pole:
             return np.zeros_like(size)
-        end = _DIP * 2 / (2 - self.y_peak) * (size / self.y_peak) ** 2
+        end = _END_DIP_RATIO * 2 / (2 - self.y_peak) * (size / self.y_peak) ** 2
         return (1 - np.minimum(end, 1.0)) / self.y_peak
 
     def mean(self, size: Array) -> Array:
-        """Power centroids (angles) for sizes [n]."""
+        """Return the power centroids (angles) for sizes (n,)."""
         t = 2 * np.sin((self.nodes - self.peak) / 2) * np.sin((self.nodes + self.peak) / 2)
         if self.floor:
             square = (t / self.floor) ** 2
@@ -241,6 +263,7 @@ class _Family:
         return mean
 
     def realised(self, size: float) -> tuple[Reflection, tuple[float, ...] | None]:
+        """Return reflection coefficients and taps of the spectrum of this size."""
         if self.floor:
             zeros = [_inside(complex(self.y_peak, self.floor / math.sqrt(size)))] if size > 0 else []
             return realised([_inside(complex(self.y_peak, self.floor))], zeros)
@@ -253,21 +276,27 @@ class _Family:
 
 
 def _inside(y: complex) -> complex:
-    """The root z within the unit circle of (1 - z)(1 - 1/z) = 2y, upper half for a pair; 1 - z keeps its digits."""
+    """Return the root z within the unit circle of (1 - z)(1 - 1/z) = 2y, the upper one of a pair.
+
+    1 - z keeps its precision.
+    """
     root = np.sqrt(y * (y - 2))
     z = 1 - min(y + root, y - root, key=lambda distance: abs(1 - distance))
     return complex(z.real, abs(z.imag))
 
 
 def _design(peak: float, mean: float, narrowest: float) -> tuple[Reflection, tuple[float, ...] | None]:
-    """Reflection and taps for a peak and a mean given as angles. `narrowest`: half of the smallest bandwidth."""
+    """Return reflection and taps for a peak and a mean, given as angles.
+
+    `narrowest` is half of the smallest bandwidth.
+    """
     near = min(peak, math.pi - peak)
 
     def size_of(half_bandwidth: float) -> float:
-        """How far y is from its value at the peak, half a bandwidth away from it (cos a - cos b as a product)."""
+        """Return the distance of y from y_peak at half a bandwidth from the peak (cos a - cos b as a product)."""
         return 2 * math.sin(half_bandwidth / 2) * math.sin(near + half_bandwidth / 2)
 
-    least = max(min(narrowest, near / 8), _SHARPEST)
+    least = max(min(narrowest, near / 8), _MIN_HALF_BANDWIDTH_RAD)
     sharpest, preferred = size_of(least), size_of(near / 4)
     meshes = {
         mirrored: (at, aim, *_mesh([(0.0, least), (at, least), (math.pi, least)]))
@@ -285,10 +314,12 @@ def _design(peak: float, mean: float, narrowest: float) -> tuple[Reflection, tup
         at, aim, nodes, weights = meshes[mirrored]
         family = _Family(at, nodes, weights, zero, pole, floor)
         if floor:
-            sizes, wanted = np.linspace(0.0, 1 / (1 + _DIP), 33), 0.0
+            sizes, wanted = np.linspace(0.0, 1 / (1 + _END_DIP_RATIO), 33), 0.0
         else:
             y = family.y_peak
-            broadest = y * math.sqrt((2 - y) / (2 * _DIP)) if zero else max(y, 2 - y) / math.sqrt(_DIP)
+            broadest = (
+                y * math.sqrt((2 - y) / (2 * _END_DIP_RATIO)) if zero else max(y, 2 - y) / math.sqrt(_END_DIP_RATIO)
+            )
             sizes, wanted = np.geomspace(sharpest, broadest, 33), preferred
         error = family.mean(sizes) - aim
         hits = np.flatnonzero((np.abs(error[:-1]) < 1e-9) | (error[:-1] * error[1:] < 0))
@@ -303,7 +334,7 @@ def _design(peak: float, mean: float, narrowest: float) -> tuple[Reflection, tup
 
 
 def _refined(family: _Family, aim: float, low: float, high: float) -> float:
-    """The size between two whose mean is `aim`."""
+    """Return the size between `low` and `high` for which the mean is `aim`."""
     for _ in range(4):
         sizes = np.linspace(low, high, 9)
         error = family.mean(sizes) - aim
@@ -320,7 +351,7 @@ def _refined(family: _Family, aim: float, low: float, high: float) -> float:
 def _mirror(
     design: tuple[Reflection, tuple[float, ...] | None], mirrored: bool
 ) -> tuple[Reflection, tuple[float, ...] | None]:
-    """The filter with z for -z: the spectrum is turned round, 0 for rate/2."""
+    """Return the filter with z replaced by -z if `mirrored`: its spectrum is reversed, with 0 and rate/2 exchanged."""
     if not mirrored:
         return design
     reflection, taps = design

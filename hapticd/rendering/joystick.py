@@ -1,4 +1,4 @@
-"""The simulated joystick and its operator: C objects made from validated configuration, and what gestures ask of it."""
+"""The simulated joystick and its operator: C objects from validated configuration, and what gestures need of them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from hapticd.config.scene import SURFACE_MODELS, Box, Disc, Membrane, SceneObjec
 
 
 def new_sim(sim: Sim, rate_hz: float) -> CData:
-    """A `struct hd_sim *` at rest, freed with the last reference to it.
+    """Return a `struct hd_sim *` at rest, freed with the last reference to it.
 
-    Raises HapticdError where the figures do not fit together.
+    Raises HapticdError if the parameters do not fit together.
     """
     made = lib.hd_sim_new(_sim_config(sim), 1.0 / rate_hz)
     if made == ffi.NULL:
@@ -29,7 +29,10 @@ def new_sim(sim: Sim, rate_hz: float) -> CData:
 
 
 def set_rate(joystick: CData, sim: Sim, rate_hz: float) -> None:
-    """Time of a `struct hd_sim *` goes on at another rate. Raises HapticdError where it cannot be simulated so."""
+    """Continue a `struct hd_sim *` at another rate.
+
+    Raises HapticdError if it cannot be simulated at that rate.
+    """
     if lib.hd_sim_set_period(joystick, _sim_config(sim), 1.0 / rate_hz) != Status.OK:
         raise HapticdError(f"device.sim: {invalid_reason()}")
 
@@ -64,7 +67,7 @@ def _sim_config(sim: Sim) -> CData:
 
 
 def new_operator(waypoints: Sequence[Sequence[float]], interpolation: Literal["linear", "minimum_jerk"]) -> CData:
-    """A `struct hd_operator *` over waypoints [t_s, x_m, y_m], freed with the last reference to it.
+    """Return a `struct hd_operator *` over waypoints [t_s, x_m, y_m], freed with the last reference to it.
 
     Raises HapticdError for waypoints that are not finite or not in order.
     """
@@ -77,7 +80,7 @@ def new_operator(waypoints: Sequence[Sequence[float]], interpolation: Literal["l
 
 
 def grip_of(sim: Sim) -> Grip:
-    """The hand, and what it moves, as gestures need to know them."""
+    """Return the hand and the mass that it moves, as gestures need them."""
     return Grip(
         stiffness_n_per_m=sim.hand.stiffness_n_per_m,
         damping_n_s_per_m=sim.hand.damping_n_s_per_m + sim.handle_damping_n_s_per_m,
@@ -85,10 +88,10 @@ def grip_of(sim: Sim) -> Grip:
     )
 
 
-def way_of(operator: Operator, config: Config) -> npt.NDArray[np.float64]:
-    """The way of the hand of the simulated joystick from its start, rows [t_s, x_m, y_m], shape (n, 3).
+def waypoints_of(operator: Operator, config: Config) -> npt.NDArray[np.float64]:
+    """Return the path of the simulated hand from its start, rows [t_s, x_m, y_m], shape (n, 3).
 
-    Raises InvalidError for a gesture that the scene does not fit.
+    Raises InvalidError for a gesture that does not fit the scene.
     """
     objects = config.scene.objects
     return operator.waypoints_for(
@@ -100,9 +103,9 @@ def way_of(operator: Operator, config: Config) -> npt.NDArray[np.float64]:
 
 
 def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Target | None:
-    """What a gesture needs to know of an object; None for what cannot be touched.
+    """Return what a gesture needs to know of an object, or None for one that cannot be touched.
 
-    Of a box that is its upper face (as it lies when its angle is 0), of a disc the tangent at its top, without end.
+    For a box it is the upper face (as at angle 0), for a disc the tangent at its top, of infinite extent.
     """
     if not isinstance(item, SURFACE_MODELS):
         return None

@@ -1,8 +1,8 @@
-"""Modes that the actuator is too slow for: what is left of each, and what would be right.
+"""Modes for which the actuator is too slow: what it shows of each, and what would be sufficient.
 
-What is shown of a mode is the part of the waveform that the handle's acceleration contains (its projection on the
-waveform, 30 Hz to 0.4 of the rate), over the same of an actuator that follows at once. Amplitude and phase of that
-complex number are reported.
+The shown part of a mode is the part of the waveform that the handle's acceleration contains (its projection on the
+waveform, 30 Hz to 0.4 of the rate), over the same with an ideal actuator. Amplitude and phase of this complex number
+are reported.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from functools import lru_cache
 from typing import Final
 
 from hapticd.base.errors import Problem, path_text
-from hapticd.config.actuator import MAX_BANDWIDTH_HZ
 from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
@@ -23,39 +22,41 @@ from hapticd.rendering.compensation import Load, part_shown, pole_shape
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import Touched, displayed_mode, mode_path, modes_of, struck_shapes, touched_by
 
-TOLERATED: Final = 0.1
-"""A mode whose amplitude is shown to within this part needs no word. Of order 1 that is half the bandwidth."""
-_STEP: Final = 1.5
-_HALVINGS: Final = 3
-_FREE: Final = Dynamics(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""A handle that nobody knows, which is struck without compensation: its mass cancels."""
+MAX_AMPLITUDE_ERROR: Final = 0.1
+"""A mode whose amplitude is shown to within this part is not reported: at order 1, up to half the bandwidth."""
+_BANDWIDTH_SEARCH_FACTOR: Final = 1.5
+"""Factor between the bandwidths that are tried."""
+_BANDWIDTH_BISECTIONS: Final = 3
+"""Bisections of the interval in which the bandwidth becomes sufficient."""
+_UNKNOWN_HANDLE: Final = Dynamics(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Handle used if the device's is unknown. Strikes are not compensated then, and its mass cancels."""
 
 
 def lag_warnings(materials: Mapping[str, Material], output: Output) -> list[Problem]:
-    """A warning for each mode of these materials that the actuator does not show as the compensation would have it."""
+    """Return a warning for each mode of these materials that the actuator does not show as intended."""
     if output.actuator is None:
         return []
-    return [each for name, material in materials.items() for each in _of_material(name, material, output)]
+    return [each for name, material in materials.items() for each in _material_lag_warnings(name, material, output)]
 
 
 def shown_part(mode: Mode, output: Output, touched: Touched) -> complex:
-    """What is shown of a mode that the rate carries, over what an actuator that follows at once would show."""
+    """Return what is shown of a mode that the rate carries, over what an ideal actuator would show."""
     return _contained(mode, output, touched) / _contained(mode, replace(output, actuator=None), touched)
 
 
 @lru_cache(maxsize=256)
 def _contained(mode: Mode, output: Output, touched: Touched) -> complex:
     shapes = struck_shapes(mode, output, touched)
-    dynamics, rate_hz = output.dynamics or _FREE, output.carried_hz
+    dynamics, rate_hz = output.dynamics or _UNKNOWN_HANDLE, output.carried_hz
     if shapes is None:
         load = Load(actuator=output.actuator)
         return part_shown(mode, dynamics, rate_hz, pole_shape(mode, dynamics, rate_hz, 1 + 0j, load), load)
-    met = (touched.stiffness_n_per_m, touched.damping_n_s_per_m) if touched.own else (0.0, 0.0)
-    load = Load(*met, output.age_s, output.actuator)
-    return part_shown(mode, dynamics, rate_hz, shapes[touched.own], load)
+    surface = (touched.stiffness_n_per_m, touched.damping_n_s_per_m) if touched.best_in_contact else (0.0, 0.0)
+    load = Load(*surface, output.age_s, output.actuator)
+    return part_shown(mode, dynamics, rate_hz, shapes[touched.best_in_contact], load)
 
 
-def _of_material(name: str, material: Material, output: Output) -> Iterator[Problem]:
+def _material_lag_warnings(name: str, material: Material, output: Output) -> Iterator[Problem]:
     assert output.actuator is not None
     for use, mode in modes_of(material):
         carried, _ = displayed_mode(mode, output)
@@ -63,7 +64,7 @@ def _of_material(name: str, material: Material, output: Output) -> Iterator[Prob
             continue
         touched = touched_by(material, use)
         part = shown_part(carried, output, touched)
-        if not _does(part):
+        if not _is_shown(part):
             known = f"an actuator of {_hz(output.actuator.bandwidth_hz)} (order {output.actuator.order})"
             problem = (
                 f"{known} shows {100 * abs(part):.3g} % of this mode of {_hz(carried.frequency_hz)}, {_phase(part)}, "
@@ -78,45 +79,49 @@ def _phase(part: complex) -> str:
     return f"{abs(late)} degrees {'late' if late > 0 else 'early'}" if late != 0 else "in phase"
 
 
-def _does(part: complex) -> bool:
-    return abs(abs(part) - 1) <= TOLERATED
+def _is_shown(part: complex) -> bool:
+    """Return whether the amplitude of the shown part is within MAX_AMPLITUDE_ERROR of 1."""
+    return abs(abs(part) - 1) <= MAX_AMPLITUDE_ERROR
 
 
 def _remedies(mode: Mode, output: Output, touched: Touched) -> Iterator[str]:
-    """What would show the mode to within TOLERATED."""
+    """Yield what would show the mode to within MAX_AMPLITUDE_ERROR."""
     if output.compensation == "off":
         compensated = replace(output, compensation="full")
         if output.dynamics is None:
-            yield "device.handle and compensation: full would make up for it as far as twice the force does"
+            yield "device.handle and compensation: full would compensate it, with up to twice the force"
         else:
             part = shown_part(mode, compensated, touched)
-            if _does(part):
+            if _is_shown(part):
                 yield f"compensation: full would show {100 * abs(part):.3g} %"
     bandwidth_hz = _needed_hz(mode, output, touched)
     if bandwidth_hz is None:
-        yield f"no bandwidth of up to {_hz(MAX_BANDWIDTH_HZ)} would do"
+        yield f"no bandwidth up to {_hz(MOST_HZ)} would do"
     else:
         yield f"an actuator of {_hz(bandwidth_hz)} would do"
 
 
 def _needed_hz(mode: Mode, output: Output, touched: Touched) -> float | None:
-    """A bandwidth above the actuator's own that shows the mode, with the same order and damping; less than 6 % lower it
-    does not, or no more."""
+    """Return a bandwidth above the actuator's that shows the mode, with the same order and damping, or None.
+
+    It exceeds the smallest sufficient bandwidth by less than 6 %.
+    """
     own = output.actuator
     assert own is not None
 
-    def does(bandwidth_hz: float) -> bool:
+    def is_sufficient(bandwidth_hz: float) -> bool:
+        """Return whether this bandwidth shows the mode."""
         faster = own.model_copy(update={"bandwidth_hz": bandwidth_hz})
-        return _does(shown_part(mode, replace(output, actuator=faster), touched))
+        return _is_shown(shown_part(mode, replace(output, actuator=faster), touched))
 
     low = high = own.bandwidth_hz
-    while not does(high):
-        if high == MAX_BANDWIDTH_HZ:
+    while not is_sufficient(high):
+        if high == MOST_HZ:
             return None
-        low, high = high, min(MAX_BANDWIDTH_HZ, high * _STEP)
-    for _ in range(_HALVINGS):
+        low, high = high, min(MOST_HZ, high * _BANDWIDTH_SEARCH_FACTOR)
+    for _ in range(_BANDWIDTH_BISECTIONS):
         middle = math.sqrt(low * high)
-        low, high = (low, middle) if does(middle) else (middle, high)
+        low, high = (low, middle) if is_sufficient(middle) else (middle, high)
     return high
 
 

@@ -1,6 +1,6 @@
 """Rendering without a daemon: the servo's own tick, without clock, thread or I/O.
 
-`render` takes positions and gives forces (open loop); `simulate` closes the loop with the simulated joystick. The same
+`render` computes forces from positions (open loop); `simulate` closes the loop with the simulated joystick. The same
 input gives the same bits on every run.
 """
 
@@ -39,42 +39,45 @@ from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import Output, loop_of, output_of
 from hapticd.rendering.displayability import materials_in, rate_faults, undisplayable, warnings
-from hapticd.rendering.joystick import new_operator, new_sim, way_of
+from hapticd.rendering.joystick import new_operator, new_sim, waypoints_of
 from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.undisplayable_text import Undisplayable
 
 Samples: TypeAlias = npt.NDArray[np.void]
-"""Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record a tick, with the fields and units of telemetry."""
+"""Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record for each tick, with the fields and units of telemetry."""
 
 Events: TypeAlias = npt.NDArray[np.void]
 """Shape (m,), dtype `hapticd.base.core.EVENT_DTYPE`."""
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 MAX_DURATION_S = 3600.0
+"""Longest duration of a run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What a run gave."""
+    """The result of a run."""
 
     samples: Samples
-    """(n,) records, one a tick."""
+    """(n,) records, one for each tick."""
     events: Events
     objects: dict[tuple[int, int], str]
-    """Ids of the objects that events speak of, by their slot and generation."""
+    """Ids of the objects that events refer to, by slot and generation."""
     truth: Floats | None
-    """(n, 4) the simulated handle's own position (m) and velocity (m/s) at each tick; None for `render`."""
+    """(n, 4) exact position (m) and velocity (m/s) of the simulated handle at each tick; None for `render`."""
     undisplayable: tuple[Undisplayable, ...]
-    """Modes and peaks of textures of the scene that this rate cannot carry."""
+    """Modes and texture peaks of the scene that this rate cannot carry."""
     warnings: tuple[Problem, ...]
-    """What of the scene is displayed otherwise than it was meant, at this rate; in the closed loop also what may
-    oscillate."""
+    """What of the scene is displayed with a deviation at this rate; in the closed loop also what may oscillate."""
     rate_hz: float
     """Ticks per second."""
 
 
 class CompiledScene:
-    """A configuration, compiled for a rate, by default its own. Raises InvalidError for what no signal of it has."""
+    """A configuration that is compiled for a rate, by default its own.
+
+    Raises InvalidError for a material that no signal of this rate can have.
+    """
 
     def __init__(self, config: ConfigSource, rate_hz: float | None = None) -> None:
         self.config: Config = load_config(config)
@@ -88,19 +91,20 @@ class CompiledScene:
         self.world = new_world(self._compiler.update(scene, scene.objects, materials, 1))
 
     def new_state(self, resolution_m: float) -> CData:
+        """Return a new state, without contacts or modes, for positions of this resolution."""
         state = new_state_of(len(self.config.scene.objects))
         lib.hd_state_set_resolution(state, resolution_m)
         return state
 
     def stability(self) -> Stability:
-        """Which sets of objects are not safe with the simulated joystick, whatever the configuration's device is."""
+        """Return which sets of objects are unsafe with the simulated joystick, even if the device is another one."""
         device = self.config.device.model_copy(update={"kind": "sim"})
         loop = loop_of(self.config.model_copy(update={"device": device}), self.rate_hz)
         assert loop is not None
         return evaluate(self._compiler, self.config.scene, loop)
 
     def run_of(self, samples: Samples, events: Events, truth: Floats | None, unstable: Iterable[Problem] = ()) -> Run:
-        """A run that gave this, with what of the scene it did not display as it was meant."""
+        """Return a run with these results and the scene's warnings, to which `unstable` is added."""
         objects, materials = self.config.scene.objects, self.config.materials
         return Run(
             samples,
@@ -114,7 +118,7 @@ class CompiledScene:
 
 
 def new_state_of(slots: int) -> CData:
-    """A `struct hd_state *` with room for so many objects at once, freed with the last reference to it."""
+    """Return a `struct hd_state *` with room for `slots` objects, freed with the last reference to it."""
     state = lib.hd_state_new(max(1, slots))
     if state == ffi.NULL:
         raise MemoryError("no memory for the state of a run")
@@ -122,7 +126,10 @@ def new_state_of(slots: int) -> CData:
 
 
 def new_world(table: CData) -> CData:
-    """A `struct hd_world *` that holds a table, freed with the last reference to it. Raises HapticdError."""
+    """Return a `struct hd_world *` that holds a table, freed with the last reference to it.
+
+    Raises HapticdError if the core rejects the table.
+    """
     made = lib.hd_world_new()
     if made == ffi.NULL:
         raise MemoryError("no memory for a world")
@@ -143,22 +150,22 @@ def _rate(rate_hz: float) -> float:
 
 
 class _Recorder:
-    """Runs in stretches, each with room for as many events as its ticks can have, and keeps what there were."""
+    """Runs ticks in blocks, each with room for the events that its ticks can have, and collects these."""
 
-    STRETCH = 4096
+    BLOCK_TICKS = 4096
     EVENTS_PER_TICK = 256
 
     def __init__(self) -> None:
-        self._room = records(EVENT_DTYPE, self.STRETCH * self.EVENTS_PER_TICK)
+        self._room = records(EVENT_DTYPE, self.BLOCK_TICKS * self.EVENTS_PER_TICK)
         self._room_pointer = pointer("struct hd_event[]", self._room)
         self._count = ffi.new("size_t *")
         self._taken: list[Events] = []
 
-    def run(self, count: int, stretch: Callable[[slice, CData, int, CData], int]) -> Events:
-        """Calls `stretch` for each slice of `count` ticks; the events of all of them."""
-        for start in range(0, count, self.STRETCH):
-            part = slice(start, min(count, start + self.STRETCH))
-            status = stretch(part, self._room_pointer, len(self._room), self._count)
+    def run(self, count: int, block: Callable[[slice, CData, int, CData], int]) -> Events:
+        """Call `block` for each slice of `count` ticks and return their events."""
+        for start in range(0, count, self.BLOCK_TICKS):
+            part = slice(start, min(count, start + self.BLOCK_TICKS))
+            status = block(part, self._room_pointer, len(self._room), self._count)
             if status == Status.ERR_MEMORY:
                 raise MemoryError("no memory for a run")
             if status != Status.OK:
@@ -170,13 +177,13 @@ class _Recorder:
 
 
 class Rerun:
-    """Renders ticks of a servo again, from what their samples say that each was given; the scene may change between.
+    """Renders recorded ticks of a servo again from the inputs in their samples; the scene may change between ticks.
 
-    As the servo's own tick they go on from what was before: contacts, modes, punctures. `restart` forgets it.
+    Contacts, modes and punctures persist from tick to tick, as in the servo. `restart` clears them.
     """
 
     def __init__(self, output: Output, slots: int) -> None:
-        """`slots`: room for so many objects at once."""
+        """Prepare an empty scene with room for `slots` objects."""
         self._output = output
         self._compiler = Compiler(output)
         self._slots = slots
@@ -185,40 +192,45 @@ class Rerun:
         self.restart(False)
 
     def restart(self, muted: bool) -> None:
-        """From here on as if nothing had been before; `muted`: the command comes in over the ramp."""
+        """Clear all state; with `muted`, the command begins at 0 and follows the ramp."""
         self._state = new_state_of(self._slots)
         if muted:
             lib.hd_state_mute(self._state)
 
     def change_rate(self, output: Output) -> None:
-        """Another output from the next `turn_to` on, which comes before any tick."""
+        """Set another output. `turn_to` must follow before the next tick."""
         self._output = output
         self._compiler.turn_to(output)
 
     def turn_to(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
-        """Takes a validated scene, of which the objects `changed` are not those of the scene before. Events
-        of the ticks before have no names from then on."""
+        """Take a validated scene, in which only the objects `changed` differ from the scene before.
+
+        Events of earlier ticks have no names afterwards.
+        """
         self._compiler.events_read((revision - 1) & 0xFFFFFFFF)
         self._world = new_world(self._compiler.update(scene, changed, materials, revision))
 
     def play(self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float) -> None:
-        """Strikes a mode at the next tick, as the daemon's `play` does."""
+        """Strike a mode at the next tick, as the daemon's `play` does."""
         _play(self._state, self._output, mode, mode.coefficient(1.0, attack), direction, amplitude_m_per_s2)
 
     def reset(self, objects: Iterable[str] | None, time_ns: int) -> None:
-        """Clears contact state at the next tick, which has this time, as the daemon's `reset` does."""
+        """Clear contact state at the next tick, at the time `time_ns`, as the daemon's `reset` does."""
         places = [(NO_SLOT, 0)] if objects is None else map(self._compiler.slot_of, objects)
         for place in places:
             if place is not None:
                 lib.hd_state_reset(self._state, *place, time_ns)
 
     def name_of(self, event: npt.NDArray[np.void] | np.void) -> str | None:
-        """The id of the object that an event speaks of."""
+        """Return the id of the object that an event refers to."""
         return self._compiler.name_of(int(event["slot"]), int(event["generation"]))
 
     def run(self, recorded: Samples, interval_s: Floats, periods: npt.NDArray[np.uint32]) -> tuple[Samples, Events]:
-        """The samples and events of (n,) recorded ticks; `interval_s`, (n,): between the report of a tick and the one
-        before, 0: none came; `periods`, (n,): since the tick before."""
+        """Return samples and events of (n,) recorded ticks.
+
+        `interval_s` (n,) is the time from the previous position report to that of a tick, 0 without a new one.
+        `periods` (n,) is the number of periods since the previous tick.
+        """
         world, samples = self._world, np.empty(len(recorded), SAMPLE_DTYPE)
         assert world is not None
         recorded, interval_s = np.ascontiguousarray(recorded), np.ascontiguousarray(interval_s)
@@ -242,8 +254,10 @@ class Rerun:
 
 
 class Simulation:
-    """The closed loop of the tick and the simulated joystick, which goes on where it was. Raises HapticdError for what
-    cannot be rendered."""
+    """The closed loop of the tick and the simulated joystick, which keeps its state from run to run.
+
+    Raises HapticdError for a scene that cannot be rendered.
+    """
 
     def __init__(
         self,
@@ -251,8 +265,10 @@ class Simulation:
         waypoints: Sequence[Sequence[float]] | None = None,
         interpolation: Literal["linear", "minimum_jerk"] = "linear",
     ) -> None:
-        """`waypoints` are rows [t_s, x_m, y_m] of the hand, where the handle starts at rest; None: it stays where it
-        is."""
+        """Prepare the loop with the handle at rest at the first waypoint.
+
+        `waypoints` are rows [t_s, x_m, y_m] of the hand; without them it stays where it is.
+        """
         sim = scene.config.device.sim
         self._scene, self._recorder = scene, _Recorder()
         self._state, self._sim = scene.new_state(sim.encoder_step_m), new_sim(sim, scene.rate_hz)
@@ -262,15 +278,15 @@ class Simulation:
             lib.hd_sim_settle(self._sim)
 
     def strike(self, mode: Mode, coefficient_m_per_s2: float, direction: tuple[float, float]) -> None:
-        """Strikes a mode at the next tick."""
+        """Strike a mode at the next tick."""
         _play(self._state, self._scene.output, mode, 1.0, direction, coefficient_m_per_s2)
 
-    def go_on(self, duration_s: float) -> Floats:
-        """The handle's own position (m) and velocity (m/s) at the ticks to come, (n, 4)."""
+    def advance(self, duration_s: float) -> Floats:
+        """Return exact position (m) and velocity (m/s) of the handle at the next ticks, (n, 4)."""
         return self.run(duration_s)[1]
 
     def run(self, duration_s: float) -> tuple[Samples, Floats, Events]:
-        """Samples, (n,), the handle's own motion as of go_on, (n, 4), and events of the ticks to come, one at least."""
+        """Return samples (n,), the handle's exact motion (n, 4) and the events of the next ticks, at least one tick."""
         count = max(1, round(duration_s * self._scene.rate_hz))
         samples, truth = np.empty(count, SAMPLE_DTYPE), np.empty((count, 4))
         events = self._recorder.run(
@@ -309,7 +325,7 @@ def _duration(duration_s: float, rate_hz: float) -> float:
 
 
 def _numbers(values: npt.ArrayLike, name: str, columns: int) -> Floats:
-    """Real numbers, shape (n, columns); whether they are finite is not asked here."""
+    """Return real numbers of shape (n, columns); they need not be finite."""
     try:
         given = np.asarray(values)
         if given.dtype.kind not in "fiu" or isinstance(values, np.ma.MaskedArray):
@@ -338,13 +354,13 @@ def render(
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
 ) -> Samples:
-    """Forces for a path of positions, open loop.
+    """Return the forces for a path of positions, open loop.
 
-    `config` is what a YAML file holds, as a mapping or a path (materials, device, scene). `position_m` has shape
-    (n, 2), one position a tick, taken as it is: no encoder, no delay, no actuator resolution. `rate_hz`, ticks per
-    second, is by default the configuration's. `velocity_m_per_s`, shape (n, 2), is used where the caller knows it;
-    otherwise it is estimated (exact positions: the backward difference). Forces are on from the first sample; a probe
-    that starts inside an object comes in over the scene's ramp_s.
+    `config` is the content of a YAML file (materials, device, scene), as a mapping or a path. `position_m` has shape
+    (n, 2), one position for each tick, used without encoder, delay or actuator resolution. `rate_hz`, ticks per
+    second, is by default the configuration's. `velocity_m_per_s`, shape (n, 2), is used if given; otherwise the
+    velocity is estimated (for exact positions: the backward difference). Forces are on from the first sample. If the
+    probe starts inside an object, its force rises over the scene's ramp_s.
 
     Returns (n,) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
     """
@@ -358,7 +374,7 @@ def render_run(
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
 ) -> Run:
-    """As `render`, with the events."""
+    """Return what `render` does, with the events."""
     scene = CompiledScene(config, rate_hz)
     positions = _positions(position_m, "position_m")
     count = len(positions)
@@ -376,7 +392,7 @@ def render_run(
             state,
             pointer("double[]", positions[part]),
             ffi.NULL if velocities is None else pointer("double[]", velocities[part]),
-            ffi.NULL,  # no period was missed
+            ffi.NULL,  # no period is missed
             part.stop - part.start,
             pointer("struct hd_sample[]", samples[part]),
             room,
@@ -395,11 +411,11 @@ def simulate(
     *,
     interpolation: Literal["linear", "minimum_jerk"] | None = None,
 ) -> Samples:
-    """The closed loop of the tick and the simulated joystick of `config`, whose hand follows `waypoints`.
+    """Simulate the closed loop of the tick and the joystick of `config`, whose hand follows `waypoints`.
 
-    `waypoints` are [t_s, x_m, y_m], shape (n, 3), or what an operator file holds (waypoints or a gesture), as a mapping
-    or a path. The handle starts at rest where the hand first wants to be. `duration_s` is by default the operator's,
-    `rate_hz`, ticks per second, the configuration's.
+    `waypoints` are [t_s, x_m, y_m], shape (n, 3), or the content of an operator file (waypoints or a gesture), as a
+    mapping or a path. The handle starts at rest at the hand's first reference position. `duration_s` is by default the
+    operator's, `rate_hz`, ticks per second, the configuration's.
 
     Returns (round(duration_s * rate),) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
     """
@@ -415,16 +431,16 @@ def simulate_run(
     interpolation: Literal["linear", "minimum_jerk"] | None = None,
     check_stability: bool = True,
 ) -> Run:
-    """As `simulate`, with the events and the handle's true motion.
+    """Simulate as `simulate` does, and return the events and the handle's exact motion, too.
 
-    Without `check_stability`, which may take longer than the run, the warnings say nothing of what may oscillate.
+    Without `check_stability`, which may take longer than the run, the warnings do not cover oscillations.
     """
     scene = CompiledScene(config, rate_hz)
     operator = _operator(waypoints, interpolation)
-    way = way_of(operator, scene.config)
-    lasting_s = _duration(float(way[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
+    path = waypoints_of(operator, scene.config)
+    lasting_s = _duration(float(path[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
     unstable = scene.stability().problems() if check_stability else ()
-    samples, truth, events = Simulation(scene, way.tolist(), operator.interpolation).run(lasting_s)
+    samples, truth, events = Simulation(scene, path.tolist(), operator.interpolation).run(lasting_s)
     return scene.run_of(samples, events, truth, unstable)
 
 
@@ -434,7 +450,7 @@ def _operator(
 ) -> Operator:
     if isinstance(waypoints, str | os.PathLike | Mapping):
         if interpolation is not None:
-            raise InvalidError([Problem("interpolation", "belongs to the operator's own keys here")])
+            raise InvalidError([Problem("interpolation", "must be a key of the operator here, not an argument")])
         return parse_operator(waypoints) if isinstance(waypoints, Mapping) else load_operator(waypoints)
     points = _numbers(waypoints, "waypoints", 3).tolist()
     return parse_operator({"waypoints": points, "interpolation": interpolation or "linear"})

@@ -1,4 +1,4 @@
-"""How the contact sets of a scene stand, as it is reported: by `hapticd check` and by a run."""
+"""Stability of a scene's contact sets, as `hapticd check` and runs report it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hapticd.base.errors import Problem, path_text
 from hapticd.config.configuration import Config
 from hapticd.config.scene import Scene, field_ids
 from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.contact_sets import MOST_LINES, MOST_REPORTED, ContactSets
+from hapticd.rendering.contact_sets import MAX_REPORTED_SETS, MAX_STABILITY_LINES, ContactSets
 from hapticd.rendering.device_output import loop_of, output_of
 from hapticd.rendering.stability import Loop, Margin
 from hapticd.rendering.stability_remedy import with_remedy
@@ -17,24 +17,25 @@ from hapticd.rendering.stability_remedy import with_remedy
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """How the sets of a scene stand, or why nobody knows."""
+    """Stability of the contact sets of a scene, or the reason why it is unknown."""
 
     unknown: str | None
-    """One line; None: it is known."""
+    """The reason, on one line; None if the stability is known."""
     assumed: Loop | None
+    """The loop for which it was computed."""
     sets: int = 0
     unsafe: int = 0
-    """How many are not safe."""
+    """Number of sets that are not proved safe."""
     worst: tuple[Margin, ...] = ()
-    """Up to MOST_REPORTED, the least margin first: those that are not safe, or any where that was asked for."""
+    """Up to MAX_REPORTED_SETS sets, the smallest margin first: those not proved safe, or all if requested."""
 
     @property
     def harmful(self) -> tuple[Margin, ...]:
-        """Those that are more than unproved."""
+        """The reported sets with the verdict unsafe, without those that are only unproved."""
         return tuple(margin for margin in self.worst if margin.verdict == "unsafe")
 
     def to_dict(self) -> dict[str, object]:
-        """As `hapticd check --json` has it."""
+        """Return the map that `hapticd check --json` prints."""
         return {
             "unknown": self.unknown,
             "assumed": None if self.assumed is None else self.assumed.to_dict(),
@@ -44,17 +45,17 @@ class Stability:
         }
 
     def problems(self) -> list[Problem]:
-        """A line for each set that is unsafe, and one for the rest of those that are reported."""
+        """Return a line for each of the first unsafe sets, and one for the number of the others."""
         harmful = self.harmful
-        found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MOST_LINES]]
-        if len(harmful) > MOST_LINES:
-            more = f"{self.unsafe - MOST_LINES} more sets of objects are not safe, see `hapticd check`"
+        found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MAX_STABILITY_LINES]]
+        if len(harmful) > MAX_STABILITY_LINES:
+            more = f"{self.unsafe - MAX_STABILITY_LINES} more sets of objects are not safe, see `hapticd check`"
             found.append(Problem("scene.objects", more))
         return found
 
 
 def place_of(objects: Sequence[str]) -> str:
-    """Where a set stands in a configuration, and what acts with it."""
+    """Return the place of a set's first object in the configuration, with the names of the other objects."""
     first, others = objects[0], objects[1:]
     place = path_text(("scene", "objects", first))
     if not others:
@@ -64,8 +65,10 @@ def place_of(objects: Sequence[str]) -> str:
 
 
 def sets_of(config: Config) -> ContactSets | None:
-    """The contact sets of a configuration's scene, with the simulated joystick or with `device.handle`; None: mass and
-    damping of the handle are not known."""
+    """Return the contact sets of a configuration's scene, with the simulated joystick or with `device.handle`.
+
+    Returns None if mass and damping of the handle are unknown.
+    """
     loop = loop_of(config, config.servo.rate_hz)
     if loop is None:
         return None
@@ -75,10 +78,13 @@ def sets_of(config: Config) -> ContactSets | None:
 
 
 def evaluate(compiler: Compiler, scene: Scene, loop: Loop, unsafe: bool = True) -> Stability:
-    """The sets of a scene, which the compiler's table is made of. `unsafe`: report only sets that are not safe."""
+    """Return the stability of a scene, whose objects are in the compiler's table.
+
+    `unsafe` limits the report to sets that are not proved safe.
+    """
     surfaces = compiler.surfaces()
     sets = ContactSets(surfaces, loop)
-    found = sets.worst(MOST_REPORTED, unsafe=unsafe)
+    found = sets.worst(MAX_REPORTED_SETS, unsafe=unsafe)
     everywhere = field_ids(scene.objects) if sets.fields else ()
     named = [((*compiler.names_of(slots), *everywhere), place) for slots, place in found]
     worst = (

@@ -1,15 +1,15 @@
-"""Whether the loop of tick, device and hand is stable: margins of stiffness, and what they are made of.
+"""Whether the loop of tick, device and hand is stable: margins of stiffness and their limits.
 
-A wall of stiffness K and damping D is sampled: its force is made of a position that was measured earlier, and is held
-for a while. Three things can go wrong, and each has its condition (derived in docs/stability.md, which says
-how they go beyond Colgate and Schenkel (1997), Abbott and Okamura (2005) and Diolaiti et al. (2006)):
+A wall of stiffness K and damping D is sampled: its force is computed from an earlier position and held for a period.
+Instability has three causes, each with a condition. They are derived in docs/stability.md, which explains how they
+extend Colgate and Schenkel (1997), Abbott and Okamura (2005) and Diolaiti et al. (2006):
 
     passivity      b > K reach + D echo                  any passive hand; b is the handle's own damping
     quantisation   noise(K, D, encoder, actuator) <= c   per axis; c is the handle's own dry friction
-    eigenvalues    spectral radius < 1                   of the exact sampled loop with the hand that is on the handle
+    eigenvalues    spectral radius < 1                   of the exact sampled loop with the configured hand
 
-`reach` is half a period and the age of positions, for a plain loop T/2 + t_d. The first two together prove that a
-contact comes to rest in every passive hand, and imply the third. All quantities are SI.
+`reach` is half a period plus the age of positions, for a plain loop T/2 + t_d. The first two conditions together prove
+that a contact comes to rest in every passive hand, and imply the third. All quantities are SI.
 """
 
 from __future__ import annotations
@@ -29,48 +29,53 @@ from hapticd.config.dynamics import Dynamics, held_motion
 Floats: TypeAlias = npt.NDArray[np.float64]
 Limit: TypeAlias = Literal["passivity", "quantisation", "eigenvalues"]
 Verdict: TypeAlias = Literal["safe", "unproved", "unsafe"]
-"""unsafe: the linear loop grows in the hand that is assumed or with the handle let go, or dry friction does not hold
-the noise of positions. unproved: neither, but nothing proves it safe either."""
+"""unsafe: the linear loop grows with the configured hand or with the handle released, or dry friction does not absorb
+the noise of positions. unproved: neither, but not proved safe. safe: proved to come to rest in any passive hand."""
 
-BEND: Final = 7.0 / 3.0
-"""The estimator may carry a line's speed on by 2/3 of the change since the line before (csrc/tick/hd_velocity.c): an
-error of its lines comes out at most 1 + 2 * 2/3 times as large."""
-MAXIMAL: Final = 2.0
-"""Means over windows of changing length have at most this times the energy of what they are means of (Hardy)."""
-PRESS_N: Final = 1.0
-"""Groove flanks and ramps between materials are judged under this force: they stiffen with it."""
-CORNER: Final = (1.0 + math.sqrt(2.0)) / 2.0
-"""The largest of |n_x| (|n_x| + |n_y|) over all unit vectors n."""
+SPEED_ESTIMATE_ERROR_GAIN: Final = 7.0 / 3.0
+"""Largest gain from errors of the estimator's lines to its speed, which it extrapolates by up to 2/3 of the change
+since the previous line: 1 + 2 * 2/3 (csrc/tick/hd_velocity.c)."""
+WINDOW_MEAN_ENERGY_GAIN: Final = 2.0
+"""Largest energy of means over windows of changing length, over that of the averaged signal (Hardy)."""
+ASSUMED_PRESS_N: Final = 1.0
+"""Force under which groove flanks and ramps between materials are judged, as they stiffen with it."""
+WORST_NORMAL_FACTOR: Final = (1.0 + math.sqrt(2.0)) / 2.0
+"""The largest |n_x| (|n_x| + |n_y|) of all unit vectors n."""
 
-_LONGEST_PATTERN: Final = 128
-_TICKS: Final = 1000
-_MOST_DELAYS: Final = 40
-_LEAST_N_PER_M: Final = 0.1
-_TOP_N_PER_M: Final = 1e7
-GROWS: Final = 1.0 + 1e-6
-"""A spectral radius beyond this: less may be rounding, as a handle without a hand has an eigenvalue of 1."""
+_MAX_PATTERN_TICKS: Final = 128
+"""Longest repetition of measurements and forces, in ticks, for which `reach_s` is computed exactly."""
+_SAMPLED_TICKS: Final = 1000
+"""Ticks that are sampled if the repetition is longer."""
+_MAX_DELAY_PERIODS: Final = 40
+"""Largest delay in loop_matrix, in periods; a longer one is modelled with a longer period."""
+_MIN_SEARCHED_N_PER_M: Final = 0.1
+"""Stiffness at which the search of held_factor begins."""
+_MAX_SEARCHED_N_PER_M: Final = 1e7
+"""Largest stiffness that held_factor tries."""
+MAX_STABLE_RADIUS: Final = 1.0 + 1e-6
+"""Spectral radius above which a loop grows; less may be rounding, as a free handle has an eigenvalue of 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """When positions are measured, and when the forces that are made of them act."""
+    """When positions are measured, and when the forces computed from them act."""
 
     period_s: float
-    """A force is held so long, in the mean."""
+    """Mean time for which a force is held."""
     delay_s: float
-    """Age of the position when its force begins to act, in the mean."""
+    """Mean age of a position at the time when its force begins to act."""
     reach_s: float
-    """What a newton per metre adds, at most, to the energy given to the hand, per speed squared and time: half a period
-    and the delay, where both are constant."""
+    """Upper bound of the energy given to the hand per 1 N/m of stiffness, squared speed and time: half a period plus
+    the delay, if both are constant."""
     echo: float
-    """The same for a damping of 1 N s/m: 1 where every position is used for as long as it is new."""
+    """The same bound for a damping of 1 N s/m: 1 if each position is used for as long as it is the newest."""
     reading_s: float
-    """The shortest time between two positions that are read."""
+    """Shortest time between two positions that are read."""
     gain: float = 1.0
-    """How much larger an actuator that overshoots may make the noise of forces."""
+    """Factor by which an actuator that overshoots may amplify the noise of forces."""
 
-    def behind(self, gain: float, late_s: float, mean_s: float) -> Timing:
-        """The same with an actuator that spreads a force over later times (Actuator.shares)."""
+    def with_actuator(self, gain: float, late_s: float, mean_s: float) -> Timing:
+        """Return this timing with an actuator that spreads a force over later times (Actuator.shares)."""
         return replace(
             self,
             delay_s=self.delay_s + mean_s,
@@ -88,26 +93,27 @@ def timing(
     frame_s: float = 0.0,
     frames: int = 1,
 ) -> Timing:
-    """The timing of a servo at `rate_hz`, as the simulated joystick has it.
+    """Return the timing of a servo at `rate_hz`, for a device like the simulated joystick.
 
     Positions are measured every `report_interval_s` (0: at every tick) and can be read `report_delay_s` later. With
-    `frame_s` forces act at multiples of it: at the `frames`-th after the tick that made them, the newest wins.
+    `frame_s`, forces act at multiples of it: at the `frames`-th one after their tick, of several forces the newest.
 
-    Where the intervals repeat within 128 ticks, `reach_s` is exact: the norm of the operator that maps a motion to what
-    it does between a measurement and the end of its force, which is the largest eigenvalue of a matrix over one
-    repetition. Elsewhere it is the larger bound of Schur's test.
+    If the intervals repeat within 128 ticks, `reach_s` is exact. It is the norm of the operator that maps a motion to
+    its displacement between a measurement and the end of its force: the largest eigenvalue of a matrix over one
+    repetition. Otherwise it is the larger bound of Schur's test.
     """
     tick = Fraction(1)
     report = _ratio(report_interval_s * rate_hz) if report_interval_s > 0.0 else tick
     age = _ratio(report_delay_s * rate_hz)
     frame = _ratio(frame_s * rate_hz)
     pattern = math.lcm(report.numerator, frame.numerator or 1)
-    known = pattern <= _LONGEST_PATTERN
-    ticks = 2 * pattern + 4 if known else _TICKS
+    known = pattern <= _MAX_PATTERN_TICKS
+    ticks = 2 * pattern + 4 if known else _SAMPLED_TICKS
     settled = math.ceil(age) + math.ceil(frames * frame) + 2 * math.ceil(max(report, frame, tick))
     acts: dict[Fraction, Fraction] = {}
+    """Measurement time by the time at which its force acts, in ticks."""
     read: dict[Fraction, Fraction] = {}
-    """Measurements by the time at which they act, and windows of speed by measurement."""
+    """Time since the previous measurement, by measurement, in ticks."""
     newest = None
     for k in range(settled, 3 * settled + ticks):
         measured = math.floor((k - age) / report) * report
@@ -117,13 +123,13 @@ def timing(
         acts[(math.floor(k / frame) + frames) * frame if frame else Fraction(k)] = measured
     times = sorted(acts)
     held = [times[0]] + [now for before, now in pairwise(times) if acts[now] != acts[before]]
-    # Measurements at the very beginning have no window yet.
+    # The first measurements have no predecessor yet.
     held = [time for time in held if acts[time] in read]
     if known:
         held = held[: next(i for i, time in enumerate(held) if time >= held[0] + pattern) + 1]
-        reach = _norm(held, acts, Fraction(pattern))
+        reach = _symmetrised_norm(held, acts, Fraction(pattern))
     else:
-        reach = _schur(held, acts)
+        reach = _schur_bound(held, acts)
     spans = [after - begin for begin, after in pairwise(held)]
     ages = [time - acts[time] for time in held[:-1]]
     echo = max(float(span / read[acts[time]]) for time, span in zip(held, spans, strict=False))
@@ -138,16 +144,17 @@ def timing(
 
 
 def _ratio(value: float) -> Fraction:
-    """A ratio that was meant, out of a rounded quotient; as it is where none is near."""
-    near = Fraction(value).limit_denominator(_LONGEST_PATTERN)
+    """Return the simple ratio near a rounded quotient; otherwise the quotient itself, to 1e-6."""
+    near = Fraction(value).limit_denominator(_MAX_PATTERN_TICKS)
     return near if abs(near - Fraction(value)) <= Fraction(1, 10**9) else Fraction(value).limit_denominator(10**6)
 
 
-def _norm(held: list[Fraction], acts: dict[Fraction, Fraction], pattern: Fraction) -> float:
-    """The norm of v -> integral of v from s(t) to t, symmetrised, s(t) the measurement that acts at t; in ticks.
+def _symmetrised_norm(held: list[Fraction], acts: dict[Fraction, Fraction], pattern: Fraction) -> float:
+    """Return the norm of the symmetrised operator v -> integral of v from s(t) to t, in ticks.
 
-    The kernel is constant between the times at which something is measured or begins to act, and repeats: its largest
-    eigenvalue belongs to a motion that repeats with it, as no entry is negative.
+    s(t) is the time of the measurement whose force acts at t. The kernel is constant between the times at which a
+    position is measured or begins to act, and periodic. As no entry is negative, its largest eigenvalue belongs to a
+    motion with the same period.
     """
     first = held[0]
     marks = sorted({(time - first) % pattern for time in (*held, *(acts[time] for time in held))})
@@ -161,7 +168,7 @@ def _norm(held: list[Fraction], acts: dict[Fraction, Fraction], pattern: Fractio
         since = acts[held[segment]] - first
         turns = math.floor(since / pattern)
         first_part = index[since - turns * pattern]
-        # Whole parts from `since` to `mark`, and half of the part itself.
+        # All parts from `since` to `mark`, and half of the part that begins at `mark`.
         parts = count * -turns + row - first_part
         cover[row] += parts // count
         for extra in range(parts % count):
@@ -172,8 +179,8 @@ def _norm(held: list[Fraction], acts: dict[Fraction, Fraction], pattern: Fractio
     return float(np.linalg.eigvalsh(0.5 * (weighted + weighted.T))[-1])
 
 
-def _schur(held: list[Fraction], acts: dict[Fraction, Fraction]) -> float:
-    """Half the longest time from a measurement to the moment when the first one after the end of its force acts."""
+def _schur_bound(held: list[Fraction], acts: dict[Fraction, Fraction]) -> float:
+    """Return half the longest time from a measurement to the action of the first one after its force ends."""
     measured = [acts[time] for time in held]
     worst = Fraction(0)
     for place, after in enumerate(held[1:]):
@@ -186,7 +193,7 @@ def _schur(held: list[Fraction], acts: dict[Fraction, Fraction]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """What closes the loop around a surface."""
+    """The closed loop around a surface: timing, handle and hand, encoder and actuator."""
 
     timing: Timing
     dynamics: Dynamics
@@ -194,76 +201,78 @@ class Loop:
     force_step_n: float
     max_force_n: float
     workspace_m: float
-    """Half the travel, per axis."""
+    """Half the travel, for each axis."""
 
     @property
     def lag(self) -> float:
-        """How much of reach_s is delay rather than hold, 0 to 1."""
+        """Part of reach_s that is delay rather than hold, 0 to 1."""
         return max(0.0, 1.0 - 0.5 * self.timing.period_s / self.timing.reach_s)
 
     @property
     def late_periods(self) -> float:
-        """How many periods reach_s has beyond the half period of a hold."""
+        """Periods by which reach_s exceeds the half period of a hold."""
         return self.timing.reach_s / self.timing.period_s - 0.5
 
-    def let_go(self) -> Loop:
-        """The same without a hand."""
+    def without_hand(self) -> Loop:
+        """Return this loop with the handle released."""
         handle = replace(self.dynamics, grip_mass_kg=0.0, grip_damping_n_s_per_m=0.0, grip_stiffness_n_per_m=0.0)
         return replace(self, dynamics=handle)
 
     @property
     def damping_echo(self) -> float:
-        """How much damping of the handle one of the virtual damping takes: the estimator's share included."""
-        return self.timing.echo * (BEND * MAXIMAL if self.encoder_step_m > 0.0 else 1.0)
+        """Damping of the handle that virtual damping of 1 N s/m needs, the estimator's share included."""
+        return self.timing.echo * (
+            SPEED_ESTIMATE_ERROR_GAIN * WINDOW_MEAN_ENERGY_GAIN if self.encoder_step_m > 0.0 else 1.0
+        )
 
     @property
     def speed_step_m_per_s(self) -> float:
-        """How far off a speed may be by the encoder's step."""
-        return BEND * self.encoder_step_m / self.timing.reading_s
+        """Largest error of a speed due to the encoder's step."""
+        return SPEED_ESTIMATE_ERROR_GAIN * self.encoder_step_m / self.timing.reading_s
 
     def to_dict(self) -> dict[str, object]:
-        """What is assumed, for `hapticd check`."""
+        """Return the assumptions that `hapticd check` reports."""
         return {
             **asdict(self.dynamics),
             "encoder_step_m": self.encoder_step_m,
             "force_step_n": self.force_step_n,
             "hold_s": self.timing.period_s,
             "delay_s": self.timing.delay_s,
-            "press_n": PRESS_N,
+            "press_n": ASSUMED_PRESS_N,
         }
 
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """How stiff a set of objects that act together is, and how stiff it might be."""
+    """Stiffness of a contact set, and its limits."""
 
     objects: tuple[str, ...]
     stiffness_n_per_m: float
-    """Largest eigenvalue of the sum of their stiffnesses, friction springs and spring fields among them."""
+    """Largest eigenvalue of the sum of their stiffnesses, with friction springs and spring fields."""
     damping_n_s_per_m: float
     limit_n_per_m: float
     """`margin` times the stiffness."""
     held_limit_n_per_m: float
-    """The largest stiffness that does not grow in the hand that is assumed; infinite: all up to 1e7 N/m."""
+    """Largest stiffness at which the loop with the configured hand does not grow; infinite above 1e7 N/m."""
     margin: float
-    """The set is safe in any hand with all its stiffnesses so many times as large, and damping as it is; infinite where
-    there is no stiffness and nothing wrong, 0 where no factor would do."""
+    """The set is safe in any hand up to this factor on all its stiffnesses, with unchanged damping. Infinite without
+    stiffness and faults, 0 if no factor is sufficient."""
     limited_by: Limit
     verdict: Verdict
     spectral_radius: float
-    """In the hand that is assumed."""
+    """Spectral radius with the configured hand."""
     free_radius: float
-    """With the handle let go."""
+    """Spectral radius with the handle released."""
     remedy: str = ""
-    """Which keys to lower, and to what, so that it is safe; empty: `limit_n_per_m` says it, or nothing would do."""
+    """Keys to lower, and their values, so that the set is safe; empty if `limit_n_per_m` says it or nothing helps."""
 
     @property
     def safe(self) -> bool:
-        """Whether it is proved that it comes to rest in any passive hand."""
+        """Whether the set is proved to come to rest in any passive hand."""
         return self.verdict == "safe"
 
     def to_dict(self) -> dict[str, object]:
-        """As `hapticd check --json` has it."""
+        """Return the map that `hapticd check --json` prints."""
         return asdict(self) | {
             "objects": list(self.objects),
             "held_limit_n_per_m": None if math.isinf(self.held_limit_n_per_m) else self.held_limit_n_per_m,
@@ -283,28 +292,29 @@ class Margin:
         if self.safe:
             return f"{text} is safe in any hand; {most}" if most else f"{text} is safe in any hand"
         if self.limited_by == "eigenvalues":
-            return f"{text} oscillates in the hand that is assumed; {most}"
-        if self.free_radius > GROWS:
-            return f"{text} is stable in the hand that is assumed, but not with the handle let go; {most}"
+            return f"{text} oscillates with the configured hand; {most}"
+        if self.free_radius > MAX_STABLE_RADIUS:
+            return f"{text} is stable with the configured hand, but not with the handle released; {most}"
         if self.verdict == "unproved":
-            return f"{text} is stable in the hand that is assumed and without one, but not surely in every hand; {most}"
-        return f"{text} may buzz by the steps of encoder and actuator, which dry friction does not hold; {most}"
+            return f"{text} is stable with the configured hand and without one, but not proved for every hand; {most}"
+        return f"{text} may buzz, as dry friction does not absorb the steps of encoder and actuator; {most}"
 
 
 def limits(
     stiffness_n_per_m: Floats, damping_n_s_per_m: Floats, noise_n: Floats, still_noise_n: Floats, loop: Loop
 ) -> tuple[Floats, Floats]:
-    """The factor on all stiffnesses up to which a set is passive, and the one up to which friction holds its noise.
+    """Return the factors on all stiffnesses up to which a set is passive and up to which friction absorbs its noise.
 
-    Shapes (n,): stiffness and damping as they act on passivity, the noise that grows with stiffness, and that which
-    does not, both for the worse axis. A factor is infinite where nothing depends on it, 0 where no stiffness would do.
+    All arrays are (n,): stiffness and damping that count for passivity, the noise that grows with the stiffness, and
+    the noise that does not, both for the worse axis. A factor is infinite without a limit, and 0 if no stiffness is
+    safe.
     """
     b, c = loop.dynamics.handle_damping_n_s_per_m, loop.dynamics.friction_n / loop.timing.gain
     left = b - loop.damping_echo * damping_n_s_per_m
     need = loop.timing.reach_s * stiffness_n_per_m
     quiet = c - still_noise_n
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Something that takes nothing is passive on a handle without damping too.
+        # A set without stiffness and damping is passive even on a handle without damping.
         passive = np.where(need > 0.0, np.maximum(left, 0.0) / need, np.where(left >= 0.0, np.inf, 0.0))
         silent = np.where(
             quiet < 0.0, 0.0, np.where(noise_n > 0.0, np.maximum(quiet, 0.0) / np.maximum(noise_n, 1e-300), np.inf)
@@ -316,28 +326,28 @@ def limits(
 
 
 def loop_matrix(stiffness: Floats, damping: Floats, loop: Loop) -> Floats:
-    """One period of the bilateral, unquantised loop: shapes (..., 2, 2) to (..., n, n).
+    """Return the matrix of one period of the bilateral, unquantised loop: shapes (..., 2, 2) to (..., n, n).
 
-    The state of both axes: position and velocity when a force begins to act, then the positions that were measured
-    and not yet used. F = -K y - D (y - y before) / period, y measured delay_s before F acts.
+    The state has for both axes position and velocity when a force begins to act, then the positions that were measured
+    and not yet used. F = -K y - D (y - y before) / period, with y measured delay_s before F acts.
     """
     timing = loop.timing
     period = timing.period_s
     delays = timing.delay_s / period
-    if delays > _MOST_DELAYS:  # held longer and delayed by as much less: the mean age stays
-        period = (timing.delay_s + 0.5 * timing.period_s) / (_MOST_DELAYS + 0.5)
-        delays = float(_MOST_DELAYS)
-    whole = math.floor(delays + 1e-9)
-    part = delays - whole
+    if delays > _MAX_DELAY_PERIODS:  # a longer hold and a shorter delay of the same mean age
+        period = (timing.delay_s + 0.5 * timing.period_s) / (_MAX_DELAY_PERIODS + 0.5)
+        delays = float(_MAX_DELAY_PERIODS)
+    full_periods = math.floor(delays + 1e-9)
+    part = delays - full_periods
     full, push = held_motion(loop.dynamics, period)
-    # w[j] was measured `part` of a period before the force of j periods ago began: w[0] is x where that is nothing.
+    # w[j] was measured `part` of a period before the force of j periods ago began; w[0] is x if `part` is 0.
     shift = 0
     early, early_push = full[0], push[0]
     if part > 1e-9:
         shift = 1
         mid, mid_push = held_motion(loop.dynamics, (1.0 - part) * period)
         early, early_push = mid[0], mid_push[0]
-    oldest = whole + 1 if damping.any() else whole
+    oldest = full_periods + 1 if damping.any() else full_periods
     places = [0 if j + shift == 0 else 1 + j + shift for j in range(oldest + 1)]
     size = 2 + oldest + shift
     matrix = np.zeros((*stiffness.shape[:-2], 2 * size, 2 * size))
@@ -353,33 +363,36 @@ def loop_matrix(stiffness: Floats, damping: Floats, loop: Loop) -> Floats:
             matrix[..., base + older, base + younger] = 1.0
         for other in range(2):
             for row, gain in rows:
-                matrix[..., row, other * size + places[whole]] += gain * now[..., axis, other]
-                if oldest > whole:
+                matrix[..., row, other * size + places[full_periods]] += gain * now[..., axis, other]
+                if oldest > full_periods:
                     matrix[..., row, other * size + places[oldest]] += gain * before[..., axis, other]
     return matrix
 
 
 def spectral_radius(stiffness: Floats, damping: Floats, loop: Loop) -> Floats:
-    """Of loop_matrix: shapes (..., 2, 2) to (...). More than 1: the linear loop grows in the hand that is assumed."""
+    """Return the spectral radius of loop_matrix: shapes (..., 2, 2) to (...).
+
+    Above 1 the linear loop grows with the configured hand.
+    """
     radius: Floats = np.abs(np.linalg.eigvals(loop_matrix(stiffness, damping, loop))).max(axis=-1)
     return radius
 
 
 def held_factor(stiffness: Floats, damping: Floats, loop: Loop, least: Floats) -> Floats:
-    """The largest factor on `stiffness` (n, 2, 2) up to which the linear loop does not grow: (n,).
+    """Return the largest factor on `stiffness` (n, 2, 2) up to which the linear loop does not grow: (n,).
 
-    `least` (n,) are factors that are known not to grow, 0 where none is. Sought upwards in doubles, then by bisection
-    to 0.1 %. 0: none was found; infinite: the loop grows at none up to 1e7 N/m.
+    `least` (n,) are factors that are known to be stable, 0 if unknown. The search doubles the factor, then bisects to
+    0.1 %. It returns 0 if it finds no stable factor, and infinity if the loop is stable at all of them up to 1e7 N/m.
     """
     size = np.maximum(np.linalg.norm(stiffness, 2, axis=(-2, -1)), 1e-9)
-    low, high = np.minimum(least, _TOP_N_PER_M / size), np.full(len(size), np.inf)
-    factor = np.maximum(low, _LEAST_N_PER_M / size)
+    low, high = np.minimum(least, _MAX_SEARCHED_N_PER_M / size), np.full(len(size), np.inf)
+    factor = np.maximum(low, _MIN_SEARCHED_N_PER_M / size)
     rising = np.ones(len(size), dtype=bool)
     while rising.any():
-        stable = spectral_radius(factor[:, None, None] * stiffness, damping, loop) <= GROWS
+        stable = spectral_radius(factor[:, None, None] * stiffness, damping, loop) <= MAX_STABLE_RADIUS
         low = np.where(rising & stable, factor, low)
         high = np.where(rising & ~stable, factor, high)
-        rising &= stable & (factor * size < _TOP_N_PER_M)
+        rising &= stable & (factor * size < _MAX_SEARCHED_N_PER_M)
         factor = np.where(rising, 2.0 * factor, factor)
     bracketed = np.isfinite(high) & (low > 0.0)
     if bracketed.any():
@@ -387,7 +400,7 @@ def held_factor(stiffness: Floats, damping: Floats, loop: Loop, least: Floats) -
         bottom = low[bracketed]
         for _ in range(10):
             middle = 0.5 * (bottom + top)
-            stable = spectral_radius(middle[:, None, None] * a, b, loop) <= GROWS
+            stable = spectral_radius(middle[:, None, None] * a, b, loop) <= MAX_STABLE_RADIUS
             bottom, top = np.where(stable, middle, bottom), np.where(stable, top, middle)
         low[bracketed] = bottom
     return np.asarray(np.where(np.isinf(high), np.inf, low))

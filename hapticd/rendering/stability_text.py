@@ -1,26 +1,30 @@
-"""What a person reads of a scene's stability: what it means and what to do. From the map of `check --json`."""
+"""A scene's stability in sentences: the result and what to do. The input is the map of `hapticd check --json`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-MOST_EXPLAINED: Final = 5
-"""Sets of objects that are explained one by one."""
-_SHOWN_OBJECTS: Final = 4
+MAX_EXPLAINED_SETS: Final = 5
+"""Number of contact sets that are explained one by one."""
+_MAX_NAMED_OBJECTS: Final = 4
+"""Number of objects of a set that are named."""
 
 
 def stability_words(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """A line on the whole scene, then one for each of the worst sets: what it is about, and the words."""
+    """Return a line on the scene, then one for each of the worst sets: a label and a sentence."""
     if found["unknown"] is not None:
         return [("stability", f"not known: {found['unknown']}")]
-    return [("stability", _whole(found)), *((margin["verdict"], _one(margin, found)) for margin in _worst(found))]
+    return [
+        ("stability", _scene_text(found)),
+        *((margin["verdict"], _set_text(margin, found)) for margin in _explained_sets(found)),
+    ]
 
 
-def _worst(found: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+def _explained_sets(found: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
     worst: Sequence[Mapping[str, Any]] = found["worst"]
-    return [margin for margin in worst if not margin["safe"]][:MOST_EXPLAINED]
+    return [margin for margin in worst if not margin["safe"]][:MAX_EXPLAINED_SETS]
 
 
-def _whole(found: Mapping[str, Any]) -> str:
+def _scene_text(found: Mapping[str, Any]) -> str:
     sets, unproved = found["sets"], found["unsafe"]
     if not sets:
         return "the scene has nothing that can be touched"
@@ -32,24 +36,21 @@ def _whole(found: Mapping[str, Any]) -> str:
         of = "what can be touched" if sets == 1 else f"{more}{harmful} of {sets} sets of objects"
         return f"{of} may oscillate: lower the stiffness or raise servo.rate_hz, see docs/stability.md"
     of = "" if sets == 1 else f" for {unproved} of {sets} sets of objects"
-    return (
-        f"stable in the hand that is configured; that it is in every other hand too is not proved{of}. "
-        "Nothing needs to be done"
-    )
+    return f"stable with the configured hand; not proved for every hand{of}. Nothing needs to be done"
 
 
-def _one(margin: Mapping[str, Any], found: Mapping[str, Any]) -> str:
+def _set_text(margin: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     names, limit, damping = margin["objects"], margin["limit_n_per_m"], margin["damping_n_s_per_m"]
-    more = f" and {len(names) - _SHOWN_OBJECTS} more" if len(names) > _SHOWN_OBJECTS else ""
-    which = ", ".join(names[:_SHOWN_OBJECTS]) + more
+    more = f" and {len(names) - _MAX_NAMED_OBJECTS} more" if len(names) > _MAX_NAMED_OBJECTS else ""
+    which = ", ".join(names[:_MAX_NAMED_OBJECTS]) + more
     remedy = margin.get("remedy", "")
     if remedy:
-        text = f"{which}: {margin['stiffness_n_per_m']:.4g} N/m are not proved to be stable in any hand"
+        text = f"{which}: {margin['stiffness_n_per_m']:.4g} N/m is not proved to be stable in any hand"
     elif limit > 0.0:
         stiffness = margin["stiffness_n_per_m"]
         text = (
-            f"{which}: {stiffness:.4g} N/m are not below the {limit:.4g} N/m "
-            "up to which a wall is proved to be stable in any hand"
+            f"{which}: {stiffness:.4g} N/m is not below {limit:.4g} N/m, "
+            "the limit up to which a wall is proved to be stable in any hand"
         )
         by = "a finer encoder" if margin["limited_by"] == "quantisation" else "a higher servo.rate_hz"
         remedy = f"a lower stiffness or {by}"
@@ -64,7 +65,7 @@ def _one(margin: Mapping[str, Any], found: Mapping[str, Any]) -> str:
         text = f"{which}: on this handle no stiffness is proved to be stable in any hand"
         remedy = "a handle with more damping and friction"
     if margin["verdict"] == "unproved":
-        return f"{text}. {remedy[0].upper()}{remedy[1:]} would have a proof"
+        return f"{text}. With {remedy} this could be proved"
     if margin["limited_by"] == "eigenvalues":
-        return f"{text}, and in the hand that is configured it oscillates. Needed: {remedy}"
-    return f"{text}; it may oscillate, with the handle let go at the latest. Needed: {remedy}"
+        return f"{text}, and it oscillates with the configured hand. Needed: {remedy}"
+    return f"{text}; it may oscillate, at least when nobody holds the handle. Needed: {remedy}"

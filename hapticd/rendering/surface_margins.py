@@ -1,8 +1,8 @@
-"""How many times as stiff each surface of a compiled table could be by itself, in microseconds a surface.
+"""The margin of each surface of a compiled table alone, in microseconds for a surface.
 
-It is the factor that contact_sets.py finds for a set of this surface alone, without fields: up to which it is passive,
-and the handle's dry friction holds the noise of encoder and actuator. What other surfaces and the fields add, what the
-eigenvalues say and what would help is for `hapticd check`.
+It is the factor that contact_sets.py finds for a set of this surface alone, without fields: up to which it is passive
+and the handle's dry friction absorbs the noise of encoder and actuator. `hapticd check` adds the effects of other
+surfaces and fields, the eigenvalues and the remedies.
 """
 
 from __future__ import annotations
@@ -15,24 +15,26 @@ import numpy as np
 
 from hapticd.base.core import Shape
 from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.stability import CORNER, Loop, limits
+from hapticd.rendering.stability import WORST_NORMAL_FACTOR, Loop, limits
 from hapticd.rendering.surface_properties import depends_on_radius, properties_of
 from hapticd.rendering.surface_table import SurfaceTable
 
-_Make: TypeAlias = tuple[int, int, float]
-"""What a surface is made of, wherever it is: material, first piece (-1: no patches) and, where it matters, the
-radius."""
-_PLANES: Final = frozenset((int(Shape.WALL), int(Shape.MEMBRANE)))
-_DISC: Final = int(Shape.DISC)
-_WORST_SIDE: Final = math.sqrt(0.5 * CORNER)
-"""As x and y of a normal it makes CORNER of the product below."""
+_SurfaceKind: TypeAlias = tuple[int, int, float]
+"""Properties that margins depend on at any position: material, first piece (-1: no patches), radius (0:
+irrelevant)."""
+_PLANE_SHAPES: Final = frozenset((int(Shape.WALL), int(Shape.MEMBRANE)))
+"""Shapes that push along one normal."""
+_DISC_SHAPE: Final = int(Shape.DISC)
+"""Shape number of a disc."""
+_WORST_NORMAL_COMPONENT: Final = math.sqrt(0.5 * WORST_NORMAL_FACTOR)
+"""Used as x and y of a normal, it makes the product in `of` WORST_NORMAL_FACTOR."""
 
 
-class _Made(NamedTuple):
-    """What does not depend on where surfaces of one make are and which way they face."""
+class _KindMargins(NamedTuple):
+    """What surfaces of one kind have in common, independent of position and orientation."""
 
     passive: float
-    """Factor up to which it is passive."""
+    """Factor on the stiffness up to which it is passive."""
     along_n: float
     """Noise along the normal that grows with the stiffness."""
     across_n: float
@@ -44,43 +46,52 @@ class _Made(NamedTuple):
 
 
 class SurfaceMargins:
-    """Finds margins; what it found of a material, a patched wall or a radius is kept while the table has it."""
+    """Computes margins, and caches what surfaces of one kind have in common.
+
+    The cache is valid as long as the table's materials and pieces are unchanged.
+    """
 
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
         self._quiet_n = loop.dynamics.friction_n / loop.timing.gain - 0.5 * loop.force_step_n
         self._version: int | None = None
-        self._made: dict[_Make, _Made | None] = {}
-        """None: it does not push."""
+        self._cache: dict[_SurfaceKind, _KindMargins | None] = {}
+        """Cache by kind; None: the surface exerts no force."""
         self._depends_on_radius: list[bool] = []
-        """By material: whether the radius of a disc of it matters."""
+        """By material: whether the margin of a disc depends on its radius."""
 
     def of(self, compiler: Compiler, slots: Collection[int]) -> list[float]:
-        """The margins of the surfaces at these slots; infinite where nothing limits the stiffness, 0 where no stiffness
-        would do."""
+        """Return the margins of the surfaces at these slots.
+
+        A margin is infinite if nothing limits the stiffness, and 0 if no stiffness is safe.
+        """
         if compiler.parts_version != self._version:
             self._forget(compiler)
-        made, depends = self._made, self._depends_on_radius
-        faces: list[tuple[_Make, float, float]] = []
-        lacking: dict[_Make, int] = {}
+        cached, depends = self._cache, self._depends_on_radius
+        faces: list[tuple[_SurfaceKind, float, float]] = []
+        missing: dict[_SurfaceKind, int] = {}
         for slot, record in zip(slots, compiler.records_of(slots), strict=True):
             _, _, _, shape, material, first, count, _, _, _, x, y, half_m, _ = record
-            make = (material, first if count else -1, half_m if shape == _DISC and depends[material] else 0.0)
-            if make not in made:
-                lacking[make] = slot
-            # What may be met from any side counts as its worst one.
-            faces.append((make, abs(x), abs(y)) if shape in _PLANES else (make, _WORST_SIDE, _WORST_SIDE))
-        if lacking:
-            self._find(compiler.surfaces(), lacking)
+            kind = (material, first if count else -1, half_m if shape == _DISC_SHAPE and depends[material] else 0.0)
+            if kind not in cached:
+                missing[kind] = slot
+            # A shape that can be touched from any side counts with the worst normal.
+            faces.append(
+                (kind, abs(x), abs(y))
+                if shape in _PLANE_SHAPES
+                else (kind, _WORST_NORMAL_COMPONENT, _WORST_NORMAL_COMPONENT)
+            )
+        if missing:
+            self._find(compiler.surfaces(), missing)
         margins = []
-        for make, x, y in faces:
-            common = made[make]
+        for kind, x, y in faces:
+            common = cached[kind]
             if common is None:
                 margins.append(math.inf)
                 continue
             passive, along_n, across_n, still_along_n, still_across_n = common
             size, quiet_n = x + y, self._quiet_n
-            # Noise counts for the worse of both axes.
+            # Noise counts on the worse of the two axes.
             noise_n = size * max(along_n * x + across_n * y, along_n * y + across_n * x)
             if still_along_n or still_across_n:
                 quiet_n -= size * max(still_along_n * x + still_across_n * y, still_along_n * y + still_across_n * x)
@@ -89,16 +100,16 @@ class SurfaceMargins:
         return margins
 
     def _forget(self, compiler: Compiler) -> None:
-        """Gives up what was found of materials and pieces, which are others now."""
+        """Clear the cache after a change of materials or pieces."""
         self._depends_on_radius = depends_on_radius(compiler.surfaces().materials).tolist()
         self._version = compiler.parts_version
-        self._made.clear()
+        self._cache.clear()
 
-    def _find(self, surfaces: SurfaceTable, lacking: dict[_Make, int]) -> None:
-        """Finds what surfaces of these makes have in common, of a slot each."""
+    def _find(self, surfaces: SurfaceTable, missing: dict[_SurfaceKind, int]) -> None:
+        """Compute and cache what surfaces of these kinds have in common, from a slot of each."""
         loop = self.loop
-        found = properties_of(surfaces.of(np.fromiter(lacking.values(), np.int64, len(lacking))))
-        none = np.zeros(len(lacking))
+        found = properties_of(surfaces.of(np.fromiter(missing.values(), np.int64, len(missing))))
+        none = np.zeros(len(missing))
         passive, _ = limits(
             np.maximum(found.normal, found.tangent) + 0.5 * loop.lag * found.rubbed,
             np.maximum(found.damping, found.drag) + 2.0 * loop.late_periods * found.rubbed_damping,
@@ -115,5 +126,5 @@ class SurfaceMargins:
             step_m_per_s * found.tangent_speed_noise,
         )
         pushes = np.any(np.stack(found) > 0.0, axis=0)
-        for make, row, some in zip(lacking, np.stack(columns, axis=1).tolist(), pushes.tolist(), strict=True):
-            self._made[make] = _Made(*row) if some else None
+        for kind, row, some in zip(missing, np.stack(columns, axis=1).tolist(), pushes.tolist(), strict=True):
+            self._cache[kind] = _KindMargins(*row) if some else None

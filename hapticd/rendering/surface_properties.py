@@ -1,4 +1,4 @@
-"""What the surfaces of a compiled table push back with, at most: what the analysis of contact sets adds up."""
+"""Upper bounds of the forces of surfaces of a compiled table, which the analysis of contact sets adds up."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from hapticd.base.core import Shape, Texture
 from hapticd.rendering.disc_stiffness import round_properties
-from hapticd.rendering.stability import PRESS_N, Floats
+from hapticd.rendering.stability import ASSUMED_PRESS_N, Floats
 from hapticd.rendering.surface_table import SurfaceTable
 
 
 class SurfaceProperties(NamedTuple):
-    """What each surface pushes back with, at most anywhere on it; arrays (n,)."""
+    """Stiffness, damping and noise of each surface, as upper bounds anywhere on it; arrays (n,)."""
 
     normal: Floats
     """Stiffness along the normal."""
@@ -26,20 +26,20 @@ class SurfaceProperties(NamedTuple):
     drag: Floats
     """Damping along the surface."""
     rubbed: Floats
-    """mu K, with which friction follows the normal force."""
+    """mu K: change of the friction force with the depth."""
     rubbed_damping: Floats
-    """mu D, likewise."""
+    """mu D: change of the friction force with the approach speed."""
     normal_noise: Floats
-    """Force along the normal for each metre that a position is off."""
+    """Force along the normal per metre of position error."""
     tangent_noise: Floats
-    """Force along the tangent for each metre that a position is off."""
+    """Force along the tangent per metre of position error."""
     normal_speed_noise: Floats
-    """Force along the normal for each m/s that a speed is off."""
+    """Force along the normal per m/s of speed error."""
     tangent_speed_noise: Floats
-    """Force along the tangent for each m/s that a speed is off."""
+    """Force along the tangent per m/s of speed error."""
 
     def of(self, rows: npt.NDArray[np.integer]) -> SurfaceProperties:
-        """Those at these places."""
+        """Return the properties of the surfaces at these rows."""
         return SurfaceProperties(*(values[rows] for values in self))
 
 
@@ -54,7 +54,7 @@ def _material_properties(materials: npt.NDArray[np.void]) -> SurfaceProperties:
     slope = np.where(grooved, math.pi * materials["depth_m"] / width, 0.0)
     curvature = 2.0 * math.pi * slope / width
     normal = stiffness * (1.0 + slope)
-    flank = stiffness * (slope * slope + slope) + PRESS_N * curvature
+    flank = stiffness * (slope * slope + slope) + ASSUMED_PRESS_N * curvature
     drag = np.where(materials["texture"] == Texture.DRAG, materials["drag_n_s_per_m"], 0.0)
     mu = materials["friction_coefficient"]
     return SurfaceProperties(
@@ -65,7 +65,7 @@ def _material_properties(materials: npt.NDArray[np.void]) -> SurfaceProperties:
         rubbed=mu * normal,
         rubbed_damping=mu * damping,
         normal_noise=normal,
-        # An anchor is off by as much as a position, and the spring by both; its longest stretch follows F_n.
+        # Position and anchor both have the error, so the spring has twice; its longest stretch follows F_n.
         tangent_noise=2.0 * spring + flank + mu * normal,
         normal_speed_noise=damping,
         tangent_speed_noise=drag + mu * damping,
@@ -73,17 +73,17 @@ def _material_properties(materials: npt.NDArray[np.void]) -> SurfaceProperties:
 
 
 def depends_on_radius(materials: npt.NDArray[np.void]) -> npt.NDArray[np.bool_]:
-    """Whether a disc of each of these materials, (n,) of MATERIAL_DTYPE, is the stiffer the smaller it is."""
+    """Return whether a disc of each of these materials, (n,) of MATERIAL_DTYPE, is stiffer the smaller it is."""
     return np.asarray((materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY))
 
 
-def _round(surfaces: SurfaceTable, properties: SurfaceProperties) -> None:
-    """Puts in what discs are that have friction or shaped grooves."""
+def _put_discs(surfaces: SurfaceTable, properties: SurfaceProperties) -> None:
+    """Replace the properties of discs that have friction or shaped grooves."""
     materials = surfaces.materials[surfaces.objects["material"]]
     discs = np.flatnonzero((surfaces.objects["shape"] == Shape.DISC) & depends_on_radius(materials))
     if len(discs) == 0:
         return
-    found = round_properties(surfaces.objects["half_m"][discs, 0], materials[discs], PRESS_N)
+    found = round_properties(surfaces.objects["half_m"][discs, 0], materials[discs], ASSUMED_PRESS_N)
     properties.normal[discs] = properties.normal_noise[discs] = found.normal
     properties.tangent[discs] = found.tangent
     properties.rubbed[discs] = found.rubbed
@@ -91,22 +91,22 @@ def _round(surfaces: SurfaceTable, properties: SurfaceProperties) -> None:
 
 
 def properties_of(surfaces: SurfaceTable) -> SurfaceProperties:
-    """Of each object: its material's, or the largest of its pieces' and of the ramps between them."""
+    """Return the properties of each object: those of its material, or the largest of its pieces and their ramps."""
     materials = _material_properties(surfaces.materials)
     properties = SurfaceProperties(*(values.copy() for values in materials.of(surfaces.objects["material"])))
-    _round(surfaces, properties)
+    _put_discs(surfaces, properties)
     patched = np.flatnonzero(surfaces.objects["piece_count"] > 0)
     if len(patched) == 0:
         return properties
-    # Where a material of stiffness K1 goes over into one of K2 over a width w, K' <= 3/2 |K2 - K1| / w and
-    # K'' <= 6 |K2 - K1| / w^2; the force is -grad(K/2 d^2), pressed so deep as PRESS_N does in the middle.
+    # On a ramp of width w from stiffness K1 to K2, K' <= 3/2 |K2 - K1| / w and
+    # K'' <= 6 |K2 - K1| / w^2; the force is -grad(K/2 d^2), pressed to the depth of ASSUMED_PRESS_N in the middle.
     of = surfaces.pieces["material"]
     stiffness = surfaces.materials["stiffness_n_per_m"][of]
     before = np.concatenate((stiffness[:1], stiffness[:-1]))
     ramp = 2.0 * surfaces.pieces["half_ramp_m"]
     step = np.where(ramp > 0.0, np.abs(stiffness - before), 0.0)
     ramp = np.where(ramp > 0.0, ramp, 1.0)
-    depth = PRESS_N / np.maximum(0.5 * (stiffness + before), 1e-3)
+    depth = ASSUMED_PRESS_N / np.maximum(0.5 * (stiffness + before), 1e-3)
     cross = 1.5 * step / ramp * depth
     along = 3.0 * step / ramp**2 * depth**2 + cross
     pieces = materials.of(of)
@@ -116,7 +116,7 @@ def properties_of(surfaces: SurfaceTable) -> SurfaceProperties:
         normal_noise=np.maximum(pieces.normal_noise, np.where(step > 0.0, before, 0.0)) + cross,
         tangent_noise=pieces.tangent_noise + along,
     )
-    # The pieces of walls follow each other without gaps, in an order of their own.
+    # The pieces of walls are contiguous, but in another order than the walls.
     order = patched[np.argsort(surfaces.objects["piece_first"][patched], kind="stable")]
     starts = surfaces.objects["piece_first"][order].astype(np.int64)
     for into, values in zip(properties, pieces, strict=True):

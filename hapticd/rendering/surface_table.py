@@ -1,4 +1,4 @@
-"""What of a compiled table says how surfaces and fields push: what the analysis of contact sets reads."""
+"""The part of a compiled table that determines the forces of surfaces and fields, for the analysis of contact sets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Ints = npt.NDArray[np.int64]
 
 
 class SurfaceTable(NamedTuple):
-    """The arrays are the compiler's own: for as long as nothing updates its table."""
+    """Arrays of the compiler, valid until its table is updated."""
 
     objects: npt.NDArray[np.void]
     """OBJECT_DTYPE, by slot."""
@@ -23,10 +23,10 @@ class SurfaceTable(NamedTuple):
     field_stiffness_n_per_m: float
     field_damping_n_s_per_m: float
     names: Sequence[str] = ()
-    """Of the materials, by index."""
+    """Names of the materials, by index."""
 
     def of(self, slots: Ints) -> SurfaceTable:
-        """Only these surfaces, in this order."""
+        """Return a table of only these surfaces, in this order."""
         objects = self.objects[slots]
         count, first = objects["piece_count"].astype(np.int64), objects["piece_first"].astype(np.int64)
         begin = np.cumsum(count) - count
@@ -35,6 +35,6 @@ class SurfaceTable(NamedTuple):
         return self._replace(objects=objects, pieces=pieces)
 
     def materials_of(self, slots: Ints) -> Ints:
-        """The indices of all materials that these surfaces are made of, each once."""
+        """Return the indices of all materials of these surfaces, each once."""
         some = self.of(slots)
         return np.unique(np.concatenate((some.objects["material"], some.pieces["material"]))).astype(np.int64)

@@ -1,17 +1,21 @@
-"""What a rate cannot carry, and how a person reads it. It loads nothing, as `hapticd status` should not either."""
+"""A vibration that the rate cannot carry, and its sentence.
+
+The module imports only the standard library, so that `hapticd status` starts fast.
+"""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Literal, TypeAlias
 
 Use: TypeAlias = Literal["tap", "second", "rupture", "groove", "texture"]
+"""What strikes a mode, or the texture that has a peak."""
 
 
 @dataclass(frozen=True, slots=True)
 class Undisplayable:
-    """A mode, the middle of a waveform's spectrum or the peak of a texture's, that the rate cannot carry.
+    """A mode, a texture's peak or the middle of a waveform's spectrum that the rate cannot carry.
 
-    `shown_hz` is what is displayed in its place, None if nothing is.
+    `shown_hz` is the frequency that is displayed instead, None if it is silent.
     """
 
     material: str
@@ -24,7 +28,6 @@ class Undisplayable:
 
 
 def undisplayable_text(entry: Mapping[str, object]) -> str:
-    """What a person reads of a mode, or the peak of a texture, that the rate cannot carry: an `undisplayable` of the
-    protocol."""
+    """Return the sentence for an `undisplayable` entry of the protocol."""
     shown = "silent" if entry["shown_hz"] is None else f"shown at {entry['shown_hz']:g} Hz"
     return f"{entry['mode']} of {entry['material']}, {entry['frequency_hz']:g} Hz: {shown}"

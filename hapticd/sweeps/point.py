@@ -13,7 +13,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.operator import Operator, parse_operator
-from hapticd.rendering.joystick import way_of
+from hapticd.rendering.joystick import waypoints_of
 from hapticd.rendering.offline import Run, render_run, simulate_run
 from hapticd.sweeps.keys import Run as RunKind
 
@@ -76,7 +76,7 @@ class Point:
         operator = self.operator
         if operator is None:
             raise HapticdError("nothing is run without an operator, what the hand does")
-        return way_of(operator, self.config)
+        return waypoints_of(operator, self.config)
 
     @cached_property
     def run(self) -> Run:

@@ -32,7 +32,6 @@ EXEMPT_PATHS: Final = (
     "hapticd/fit",
     "hapticd/hid",
     "hapticd/protocol",
-    "hapticd/rendering",
     "hapticd/sweeps",
     "hapticd/system",
     "hapticd/web",

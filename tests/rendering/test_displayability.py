@@ -15,7 +15,7 @@ from hapticd.config.scene import SceneObject, validate_scene
 from hapticd.config.texture import Stochastic
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import (
-    DISPLAYABLE,
+    DISPLAYABLE_RATE_FRACTION,
     displayed_mode,
     displayed_pair,
     rate_faults,
@@ -74,7 +74,7 @@ def test_modes_at_0_4_of_the_rate_are_the_last_that_are_shown() -> None:
     lowered, factor = displayed_mode(above, output(rest="lower"))
     assert lowered is not None
     assert lowered.decay_rate_per_s == 100
-    assert lowered.frequency_hz == pytest.approx(DISPLAYABLE * 1000, rel=1e-15)
+    assert lowered.frequency_hz == pytest.approx(DISPLAYABLE_RATE_FRACTION * 1000, rel=1e-15)
     assert factor * lowered.peak == pytest.approx(above.peak, rel=1e-15)
 
 
@@ -144,7 +144,7 @@ def test_grooves_nearer_than_a_ticks_travel() -> None:
     found = told({**STRIKES, **MODE}, output())
     assert found == {
         "spacing_m": "0.002 is less than the probe may travel in a tick, 0.005 at the device's max_speed_m_per_s; "
-        "up to 2 m/s a tick passes one groove at most"
+        "up to 2 m/s it passes at most one groove in a tick"
     }
     assert told({**STRIKES, **MODE}, output(2500)) == {}  # 5 m/s over 2500 Hz: exactly a spacing
 
@@ -156,8 +156,8 @@ def test_narrow_grooves(keys: Keys) -> None:
     grooves: Keys = {"kind": "grooves", "spacing_m": 0.01, "width_m": 0.001, **keys}
     assert told(grooves, output()) == {}  # 0.5 m/s over 1 kHz: half a width in a tick
     assert told({**grooves, "width_m": 0.0008}, output()) == {
-        "width_m": "0.0008 is passed in less than two ticks at 0.5 m/s, and its shape is hardly displayed; "
-        "from 0.001 on it is"
+        "width_m": "0.0008 is passed in less than two ticks at 0.5 m/s, too fast for its shape to be displayed; "
+        "must be at least 0.001"
     }
     assert told({**grooves, "width_m": 0.0008}, output(1250)) == {}
     # A spacing that is less than a tick's travel means something for strikes only.
@@ -308,8 +308,8 @@ def test_noise_above_what_a_link_carries_is_told(link_hz: float) -> None:
     assert lost > 0.01
     (text,) = told(GRIT, output(10_000, link_rate_hz=link_hz)).values()
     assert text == (
-        f"has {100 * lost:.3g} % of its power above {0.4 * link_hz:g} Hz, more than the link's {link_hz:.4g} Hz can "
-        "carry as it is"
+        f"has {100 * lost:.3g} % of its power above {0.4 * link_hz:g} Hz, which the link's {link_hz:.4g} Hz "
+        "cannot carry"
     )
     assert told(GRIT, output(10_000)) == told(GRIT, output(10_000, link_rate_hz=10_000)) == {}
 

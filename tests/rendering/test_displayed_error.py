@@ -20,7 +20,7 @@ from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.materials import Material, shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.daemon.engine import Engine
-from hapticd.rendering.compensation import LARGEST, Ringing, pole_gain, shape_of
+from hapticd.rendering.compensation import MAX_STRIKE_FORCE_RATIO, Ringing, pole_gain, shape_of
 from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.device_output import Output, output_of
 from hapticd.rendering.displayed_error import band_error, displayed_error, handle_acceleration, waveform
@@ -192,7 +192,7 @@ def test_what_is_required(grip: str) -> None:
         assert error <= 0.13, name
         assert error <= 0.05, name
         assert error < displayed_error(mode, held(grip), RATE, "off"), name
-        assert shape_of(mode, held(grip), RATE, "full").peak <= LARGEST
+        assert shape_of(mode, held(grip), RATE, "full").peak <= MAX_STRIKE_FORCE_RATIO
 
 
 # ---- The complex amplitude ---------------------------------------------------------------------------------------
@@ -271,7 +271,7 @@ def test_no_force_beyond_the_bound() -> None:
                 for tick, (c, d) in enumerate(shape.kicks):
                     force[tick] += c + d * since * rate_hz
                 highest = max(highest, float(np.abs(force).max()))
-            assert highest <= shape.peak <= LARGEST
+            assert highest <= shape.peak <= MAX_STRIKE_FORCE_RATIO
     assert limited > 0  # it was put to the test
 
 

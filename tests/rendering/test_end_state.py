@@ -26,7 +26,7 @@ def ends(speed: Callable[[Floats], Floats], longest_s: float = 640.0) -> EndStat
     """The end of a motion along x whose speed is written out as a function of time."""
     now = 0
 
-    def go_on(duration_s: float) -> Floats:
+    def advance(duration_s: float) -> Floats:
         nonlocal now
         count = round(duration_s * RATE_HZ)
         moved = np.zeros((count, 4))
@@ -34,7 +34,7 @@ def ends(speed: Callable[[Floats], Floats], longest_s: float = 640.0) -> EndStat
         now += count
         return moved
 
-    return end_state(go_on, longest_s)
+    return end_state(advance, longest_s)
 
 
 def test_a_drop_on_the_way_into_a_cycle_is_no_rest() -> None:
@@ -81,5 +81,5 @@ def test_a_free_handle_rests_up_to_its_exact_limit_and_not_beyond(stiffness: flo
     loop = Loop(timing(10_000.0), Dynamics(0.04, 0.2, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 100.0, 0.075)
     assert (float(spectral_radius(np.diag([stiffness, 0.0]), np.zeros((2, 2)), loop)) < 1.0 + 1e-9) == (fate == "rests")
     simulation = Simulation(CompiledScene(config), [[0.0, 0.0, 0.005], [0.08, 0.0, 0.005]])
-    simulation.go_on(0.3)
-    assert end_state(simulation.go_on).fate == fate
+    simulation.advance(0.3)
+    assert end_state(simulation.advance).fate == fate

@@ -17,7 +17,7 @@ from hapticd.base.lattice import coefficients_of, reflection_of
 from hapticd.config.texture import MAX_MODELS
 from hapticd.rendering.compiler.noise_filters import Model, grid
 from hapticd.rendering.filter_design import Filter, power_spectrum, stochastic_filter
-from hapticd.rendering.resampling import CLOSE_DB, resampled
+from hapticd.rendering.resampling import MAX_RESAMPLING_ERROR_DB, resampled
 
 Array = npt.NDArray[np.float64]
 
@@ -364,7 +364,7 @@ def test_down_a_model_keeps_its_spectrum(name: str, from_hz: float, to_hz: float
     model = ar(from_hz, DOWN[name], [0.5])
     found, kept, told = resampled(model, from_hz, to_hz)
     worst, rms = error_db(model, from_hz, found, to_hz, kept)
-    assert worst < CLOSE_DB + 0.2
+    assert worst < MAX_RESAMPLING_ERROR_DB + 0.2
     assert told == pytest.approx(worst, abs=0.2)
     assert rms < 0.45
     # Of unit power as a whole, so what the band holds of it is an integral of the density.
@@ -381,7 +381,7 @@ def test_up_a_model_keeps_its_spectrum_and_adds_little_beyond(name: str, from_hz
     assert kept == pytest.approx(1, abs=1e-9)
     worst, rms = error_db(model, from_hz, found, to_hz, kept)
     assert told == pytest.approx(worst, abs=0.2)
-    assert worst < (2 * CLOSE_DB if to_hz <= 5e3 else 4 * CLOSE_DB)
+    assert worst < (2 * MAX_RESAMPLING_ERROR_DB if to_hz <= 5e3 else 4 * MAX_RESAMPLING_ERROR_DB)
     assert rms < 0.8
     frequency = np.linspace(from_hz / 2, to_hz / 2, 40001)
     assert scipy.integrate.simpson(power_spectrum((found, None), frequency, to_hz), x=frequency) < 0.05
@@ -391,9 +391,9 @@ def test_the_order_is_the_smallest_that_is_close() -> None:
     # The plain case, where all orders come from one recursion: nothing shorter is close.
     model = ar(25e3, DOWN["three"])
     found, kept, _ = resampled(model, 25e3, 10e3)
-    assert error_db(model, 25e3, found, 10e3, kept)[0] <= CLOSE_DB
+    assert error_db(model, 25e3, found, 10e3, kept)[0] <= MAX_RESAMPLING_ERROR_DB
     for order in range(1, len(found)):
-        assert error_db(model, 25e3, found[:order], 10e3, kept)[0] > CLOSE_DB
+        assert error_db(model, 25e3, found[:order], 10e3, kept)[0] > MAX_RESAMPLING_ERROR_DB
 
 
 def test_white_noise_stays_white_and_equal_rates_change_nothing() -> None:
@@ -420,7 +420,7 @@ def test_a_sharp_line_survives() -> None:
         model = ar(25e3, [(300, 2)])
         found, kept, _ = resampled(model, 25e3, to_hz)
         assert kept == pytest.approx(1, abs=0.02)
-        assert error_db(model, 25e3, found, to_hz, kept)[0] < CLOSE_DB + 0.1
+        assert error_db(model, 25e3, found, to_hz, kept)[0] < MAX_RESAMPLING_ERROR_DB + 0.1
 
 
 # ---- grids -----------------------------------------------------------------------------------------------------

@@ -26,7 +26,15 @@ from hapticd.rendering.device_output import loop_of
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import render, simulate_run
 from hapticd.rendering.scene_stability import Stability
-from hapticd.rendering.stability import GROWS, PRESS_N, Loop, Timing, held_factor, spectral_radius, timing
+from hapticd.rendering.stability import (
+    ASSUMED_PRESS_N,
+    MAX_STABLE_RADIUS,
+    Loop,
+    Timing,
+    held_factor,
+    spectral_radius,
+    timing,
+)
 from tests.support.marks import rest_slow
 
 HANDLE = Dynamics(0.04, 0.2, 0.05, 0.01, 5.0, 300.0)
@@ -241,7 +249,7 @@ def test_what_is_safe_is_linearly_stable() -> None:
     for index in range(60):
         trial = draw(np.random.default_rng((5, index)))
         if trial.safe:
-            assert trial.radius <= GROWS
+            assert trial.radius <= MAX_STABLE_RADIUS
 
 
 # ---- Limits --------------------------------------------------------------------------------------------------------
@@ -322,7 +330,7 @@ def test_noise_is_the_most_that_positions_half_a_step_off_can_do() -> None:
 
 @pytest.mark.parametrize("texture", ["grooves", "patches"])
 def test_what_stiffens_under_force_is_counted_up_to_the_force_that_is_assumed(texture: str) -> None:
-    """The Jacobian of the rendered force, by differences, over the surface pressed with up to PRESS_N."""
+    """The Jacobian of the rendered force, by differences, over the surface pressed with up to ASSUMED_PRESS_N."""
     grooves = {"kind": "grooves", "display": "geometry", "spacing_m": 0.002, "width_m": 0.001, "depth_m": 1e-4}
     materials: dict[str, Any] = {"m": {"stiffness_n_per_m": 800}, "n": {"stiffness_n_per_m": 500}}
     floor: dict[str, Any] = {**FLOOR}
@@ -332,14 +340,14 @@ def test_what_stiffens_under_force_is_counted_up_to_the_force_that_is_assumed(te
         floor |= {"patches": [{"from_m": 0.0, "to_m": 0.01, "material": "n"}], "patch_ramp_m": 0.002}
     config = config_of({"floor": floor}, materials)
     step = 1e-7
-    along, depth = np.meshgrid(np.linspace(-0.0015, 0.0015, 121), np.linspace(1.2e-4, PRESS_N / 800, 30))
+    along, depth = np.meshgrid(np.linspace(-0.0015, 0.0015, 121), np.linspace(1.2e-4, ASSUMED_PRESS_N / 800, 30))
     middle = np.stack((along.ravel(), -depth.ravel()), axis=1)
     # A probe that was outside at first, so that nothing comes in over a ramp; one far jump is no way to be.
     forces = []
     for x, y in ((step, 0), (-step, 0), (0, step), (0, -step)):
         path = np.concatenate(([[0.0, 0.001]], middle + np.array([x, y])))
         forces.append(render(quiet(config), path, 1000, velocity_m_per_s=np.zeros_like(path))["contact_force_n"][1:])
-    pressed = np.hypot(*forces[0].T) <= PRESS_N
+    pressed = np.hypot(*forces[0].T) <= ASSUMED_PRESS_N
     jacobian = np.stack(((forces[0] - forces[1]) / (2 * step), (forces[2] - forces[3]) / (2 * step)), axis=-1)[pressed]
     stiffness = float(np.linalg.norm(jacobian, 2, axis=(-2, -1)).max())
     found = float(evaluated(config).stiffness_n_per_m[0])
@@ -389,7 +397,7 @@ def crowd(random: np.random.Generator, count: int) -> dict[str, Any]:
 @pytest.mark.parametrize("way", ["pairs", "whole"])
 def test_whatever_holds_a_point_at_once_is_within_a_set(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if way == "whole":
-        monkeypatch.setattr(contact_sets, "MOST_PAIRS", 0)
+        monkeypatch.setattr(contact_sets, "MAX_COMPARED_PAIRS", 0)
     for seed in range(4):
         random = np.random.default_rng(seed)
         objects = crowd(random, 25)
@@ -498,13 +506,11 @@ def test_many_sets_are_counted_and_few_told() -> None:
     }
     materials = {"m": {"stiffness_n_per_m": 800}}
     stability = stability_of(load_config({**LINKED, "materials": materials, "scene": {"objects": objects}}))
-    assert (stability.sets, stability.unsafe, len(stability.worst)) == (60, 60, contact_sets.MOST_REPORTED)
+    assert (stability.sets, stability.unsafe, len(stability.worst)) == (60, 60, contact_sets.MAX_REPORTED_SETS)
     lines = [str(problem) for problem in stability.problems()]
-    assert len(lines) == contact_sets.MOST_LINES + 1
-    assert (
-        lines[-1]
-        == f"scene.objects: {60 - contact_sets.MOST_LINES} more sets of objects are not safe, see `hapticd check`"
-    )
+    assert len(lines) == contact_sets.MAX_STABILITY_LINES + 1
+    more = 60 - contact_sets.MAX_STABILITY_LINES
+    assert lines[-1] == f"scene.objects: {more} more sets of objects are not safe, see `hapticd check`"
 
 
 def test_virtual_damping_is_unproved_until_it_shakes_the_handle() -> None:

@@ -58,7 +58,7 @@ def margin_of(source: dict[str, Any]) -> Margin:
 def lowered(source: dict[str, Any], margin: Margin, part: float = 0.99) -> dict[str, Any]:
     """The scene as it is told to be, and a little lower."""
     materials = {name: {**material} for name, material in source["materials"].items()}
-    every = re.fullmatch(r"every stiffness of .* at most (\S+) times what it is", margin.remedy)
+    every = re.fullmatch(r"every stiffness of .* at most (\S+) times its value", margin.remedy)
     found = re.findall(r"a (\S+) of at most (\S+) (?:N/m|m) for (m, n|m|n)", margin.remedy)
     assert every or found or not margin.remedy, margin.remedy
     if not found:

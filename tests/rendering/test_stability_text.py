@@ -33,13 +33,10 @@ def test_the_scene_of_the_readme_does_not_frighten(
     captured = capsys.readouterr()
     assert captured.err == ""
     told = captured.out.splitlines()
-    assert (
-        "stability: stable in the hand that is configured; that it is in every other hand too is not proved. "
-        "Nothing needs to be done" in told
-    )
+    assert "stability: stable with the configured hand; not proved for every hand. Nothing needs to be done" in told
     assert (
         "unproved: floor, honey: with a damping of 0.5 N s/m no stiffness is proved to be stable in any hand, as the "
-        "handle itself damps by 0.2 N s/m. Less damping would have a proof" in told
+        "handle itself damps by 0.2 N s/m. With less damping this could be proved" in told
     )
     assert " 0 of 1 " not in captured.out
 
@@ -55,8 +52,8 @@ def test_what_may_oscillate_says_what_to_do() -> None:
         whole == "what can be touched may oscillate: lower the stiffness or raise servo.rate_hz, see docs/stability.md"
     )
     assert verdict == "unsafe"
-    proved = "up to which a wall is proved to be stable in any hand"
-    assert one.startswith(f"floor: 800 N/m are not below the 80 N/m {proved}; it may ")
+    proved = "the limit up to which a wall is proved to be stable in any hand"
+    assert one.startswith(f"floor: 800 N/m is not below 80 N/m, {proved}; it may ")
     assert one.endswith("Needed: a lower stiffness or a higher servo.rate_hz")
 
 
@@ -65,7 +62,7 @@ def test_several_sets_are_counted() -> None:
     (_, whole), *rest = words({"floor": FLOOR, "peg": peg}, SLOW)
     assert whole.startswith("2 of 2 sets of objects may oscillate: ") and len(rest) == 2
     (_, whole), *rest = words({"floor": FLOOR, "peg": peg, "honey": {"kind": "viscous", "damping_n_s_per_m": 1}})
-    assert "is not proved for 2 of 2 sets of objects" in whole and len(rest) == 2
+    assert "not proved for every hand for 2 of 2 sets of objects" in whole and len(rest) == 2
 
 
 def test_what_is_not_known() -> None:

@@ -14,7 +14,7 @@ from hapticd.base.errors import InvalidError
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.modes import Mode
 from hapticd.config.texture import Grooves
-from hapticd.rendering.compensation import NOTHING, Load, shapes_of
+from hapticd.rendering.compensation import NO_LOAD, Load, shapes_of
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import undisplayable
 from tests.support.rig import Rig
@@ -217,7 +217,7 @@ def test_compensation_follows_the_frequency(compensation: str) -> None:
         row = [np.interp(w, tuning.nodes[:, 0], tuning.nodes[:, column]) for column in range(11)]
         alone = shapes_of(mode, output.dynamics, 10_000, output.compensation, Load(800.0), False)[0]
         tails = [] if tuning.tail is None else [tuning.tail.pole]
-        band = _Band(mode, output.dynamics, 10_000, NOTHING, tails)
+        band = _Band(mode, output.dynamics, 10_000, NO_LOAD, tails)
         columns = band.columns([complex(-mode.decay_rate_per_s, w), *tails])
         assert band.error(columns, np.array(row[5 : 5 + len(columns)])) < alone.error + 0.005
 

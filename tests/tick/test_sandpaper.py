@@ -23,7 +23,7 @@ from hapticd.base.core import NOISE_DTYPE, EventKind, Flag, Status, ffi, invalid
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import warnings
 from hapticd.rendering.offline import render_run
-from hapticd.rendering.resampling import CLOSE_DB
+from hapticd.rendering.resampling import MAX_RESAMPLING_ERROR_DB
 from tests.support.marks import rest_slow
 from tests.support.rig import FLOOR, Rig, still
 
@@ -571,8 +571,8 @@ def test_models_shown_at_their_own_rate_are_the_models() -> None:
 
 @pytest.mark.parametrize("rate", [1e3, 2e3, 1e4])
 def test_models_shown_at_another_rate_keep_their_spectrum_where_their_power_is(rate: float) -> None:
-    """`noise.resampled` aims at CLOSE_DB; within 20 dB of the peak these models are met to 1 dB. What lies beyond the
-    band is left out: the RMS is that of the band."""
+    """`resampled` aims at MAX_RESAMPLING_ERROR_DB; within 20 dB of the peak these models are met to 1 dB. The RMS is
+    that of the band, without what lies beyond it."""
     rig = rig_of(autoregressive(MODELS), rate)
     noise = noise_of(rig)
     for index, (a, innovation) in enumerate(MODELS.values()):
@@ -585,7 +585,7 @@ def test_models_shown_at_another_rate_keep_their_spectrum_where_their_power_is(r
         found = 10 * np.log10(np.interp(frequency, *shown))
         heard = expected > expected.max() - 20
         assert np.abs(found - expected)[heard].max() < 1
-        assert np.median(np.abs(found - expected)[heard]) < CLOSE_DB
+        assert np.median(np.abs(found - expected)[heard]) < MAX_RESAMPLING_ERROR_DB
         assert shown.power == pytest.approx(1, rel=1e-3)
         assert shown.within(band, rate / 2) < 0.05
         assert noise.rms[node] == pytest.approx(innovation * gain_of(a) * math.sqrt(kept / given.power), rel=1e-4)

@@ -34,10 +34,10 @@ from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.scene import Scene, Wall
 from hapticd.config.texture import Grooves
-from hapticd.rendering.compensation import HIGH, LOW_HZ
+from hapticd.rendering.compensation import ERROR_BAND_LOW_HZ, ERROR_BAND_RATE_FRACTION
 from hapticd.rendering.device_output import Output, output_of
 from hapticd.rendering.displayability import displayed_mode
-from hapticd.rendering.displayed_error import FINER, band_error, band_lines, waveform
+from hapticd.rendering.displayed_error import PARTS_PER_PERIOD, band_error, band_lines, waveform
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import Samples, render
 
@@ -158,9 +158,9 @@ def play(config: Config, strikes: list[Strike], axis: Axis) -> Played:
 
 def from_simulation(config: Config, played: Played) -> list[Verdict]:
     """Of the simulated handle."""
-    rate_hz = played.rate_hz * FINER
+    rate_hz = played.rate_hz * PARTS_PER_PERIOD
     sim = new_sim(config.device.sim, rate_hz)
-    force = np.repeat(played.force_n, FINER, axis=0)
+    force = np.repeat(played.force_n, PARTS_PER_PERIOD, axis=0)
     motion = np.empty((len(force), 4))
     lib.hd_sim_drive(sim, pointer("double[]", force), len(force), pointer("double[]", motion))
     acceleration = np.diff(motion[:, 2 + played.along]) * rate_hz
@@ -207,12 +207,12 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
 
 
 def arrival(link: Link | None, begin: int, rate_hz: float) -> int:
-    """When the force of a tick begins at the actuator, in parts of a period of which FINER are one: it waits for its
-    frame."""
-    onset = begin * FINER
+    """When the force of a tick begins at the actuator, in 1/PARTS_PER_PERIOD of a period: it waits for
+    its frame."""
+    onset = begin * PARTS_PER_PERIOD
     if link is None:
         return onset
-    frame = rate_hz * FINER / link.rate_hz
+    frame = rate_hz * PARTS_PER_PERIOD / link.rate_hz
     return round((math.floor(onset / frame * (1 + 1e-12)) + link.delay_frames) * frame)
 
 
@@ -223,9 +223,9 @@ def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) 
 
 def compared(measured: Floats, reference: Floats, rate_hz: float, output: Output) -> tuple[float, float]:
     """Error and strength of an acceleration, (n,) at rate_hz from the onset, against the library's."""
-    high_hz = HIGH * min(output.rate_hz, rate_hz)
-    error = band_error(measured, reference, rate_hz, LOW_HZ, high_hz)
-    one, other = (band_lines(each, rate_hz, LOW_HZ, high_hz) for each in (measured, reference))
+    high_hz = ERROR_BAND_RATE_FRACTION * min(output.rate_hz, rate_hz)
+    error = band_error(measured, reference, rate_hz, ERROR_BAND_LOW_HZ, high_hz)
+    one, other = (band_lines(each, rate_hz, ERROR_BAND_LOW_HZ, high_hz) for each in (measured, reference))
     return error, float(np.vdot(other, one).real / np.vdot(other, other).real)
 
 
@@ -278,24 +278,24 @@ def tap_force(
 
 
 def acceleration_on(sim: Sim, force_n: Floats, rate_hz: float, stiffness_n_per_m: float, axis: Axis = "y") -> Floats:
-    """Acceleration of the simulated handle, (n * FINER, 2) in m/s^2, as means over equal parts of a period.
+    """Acceleration of the simulated handle, (n * PARTS_PER_PERIOD, 2) in m/s^2, as means over equal parts of a period.
 
     Forces (n, 2) are held for 1/rate_hz each; the wall's normal is `axis`, and its stiffness acts to both sides of
     where the handle was at rest. What the servo would read of the handle (steps, age) does not matter.
     """
-    joystick = new_sim(sim, rate_hz * FINER)
+    joystick = new_sim(sim, rate_hz * PARTS_PER_PERIOD)
     along = 0 if axis == "x" else 1
     now, unused = (ffi.new("double[2]") for _ in range(2))
-    held = np.empty((FINER, 2))
-    motion = np.empty((len(force_n), FINER, 4))
+    held = np.empty((PARTS_PER_PERIOD, 2))
+    motion = np.empty((len(force_n), PARTS_PER_PERIOD, 4))
     for tick, force in enumerate(force_n):
         lib.hd_sim_truth(joystick, now, unused, unused)
         held[:] = force
         held[:, along] -= stiffness_n_per_m * (now[along] - sim.start_m[along])
-        lib.hd_sim_drive(joystick, pointer("double[]", held), FINER, pointer("double[]", motion[tick]))
+        lib.hd_sim_drive(joystick, pointer("double[]", held), PARTS_PER_PERIOD, pointer("double[]", motion[tick]))
     lib.hd_sim_truth(joystick, unused, now, unused)
     speeds = np.concatenate((motion[:, :, 2:].reshape(-1, 2), [list(now)]))
-    acceleration: Floats = np.diff(speeds, axis=0) * (rate_hz * FINER)
+    acceleration: Floats = np.diff(speeds, axis=0) * (rate_hz * PARTS_PER_PERIOD)
     return acceleration
 
 
@@ -311,10 +311,14 @@ def _on_wall(config: Config, output: Output, strikes: list[Strike], speed_m_per_
     moved = acceleration_on(config.device.sim, force, rate_hz, material.stiffness_n_per_m, axis)
     onset = arrival(config.device.sim.link, 0, rate_hz)
     count = len(moved) - onset
-    reference = sum(each.coefficient_m_per_s2 * waveform(each.mode, count, rate_hz * FINER) for each in strikes)
+    reference = sum(
+        each.coefficient_m_per_s2 * waveform(each.mode, count, rate_hz * PARTS_PER_PERIOD) for each in strikes
+    )
     assert material.tap is not None
     # A tap pushes along the wall's normal n, its tangent (n_y, -n_x), or between.
     across, along = material.tap.aim
     towards = (across, -along) if axis == "x" else (along, across)
-    error, strength = compared(moved[onset:] @ np.array(towards), np.asarray(reference), rate_hz * FINER, output)
+    error, strength = compared(
+        moved[onset:] @ np.array(towards), np.asarray(reference), rate_hz * PARTS_PER_PERIOD, output
+    )
     return Verdict(first, shown.frequency_hz, float(np.hypot(*force.T).max()), error, strength)

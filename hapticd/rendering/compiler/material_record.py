@@ -1,4 +1,4 @@
-"""The record of a material in the table, and the numbers that it has beside its record."""
+"""The record of a material in the table, and its numbers outside of the record."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import displayed_wave_rate, touched_by
 
 Numbers: TypeAlias = dict[str, npt.NDArray[np.float64]]
-"""Of a material in the table, by the member of its record that says where they begin."""
+"""Numbers of a material in the table, by the member of its record that holds their first index."""
 
-_ACROSS: Final = (1.0, 0.0)
-"""A tap's and a rupture's aim unless another is given, which the core takes for granted."""
-_SIGNED: Final = (
+_DEFAULT_AIM: Final = (1.0, 0.0)
+"""Aim of a tap or a rupture unless another is given; the record's default in the core."""
+_SIGNED_MEMBERS: Final = (
     *("gain_re", "gain_im", "tail_re", "tail_im"),
     *("free_gain_re", "free_gain_im", "free_tail_re", "free_tail_im"),
 )
+"""Members of `struct hd_mode` that change sign with the mode."""
 
 
 def struck_modes(material: Material) -> Iterator[Mode]:
-    """The modes that a device may play itself."""
+    """Yield the modes that a device may play as effects."""
     if material.tap is not None and material.tap.one_mode is not None:
         yield material.tap.one_mode
     if material.rupture is not None:
@@ -41,8 +42,10 @@ def struck_modes(material: Material) -> Iterator[Mode]:
 def material_record(
     material: Material, noise_index: int, output: Output, effects: Mapping[Mode, Effect | None] = MappingProxyType({})
 ) -> tuple[CData, Numbers]:
-    """A `struct hd_material *`, and its numbers, whose places are missing in it; `noise_index` is where its noise is,
-    for a texture that is noise; `effects` are what a device plays itself."""
+    """Return a `struct hd_material *` and the material's numbers, whose indices are not yet set in it.
+
+    `noise_index` is the index of its noise, if any. `effects` are what a device plays in place of modes.
+    """
     record, numbers = ffi.new("struct hd_material *"), Numbers()
     record.stiffness_n_per_m = material.stiffness_n_per_m
     record.damping_n_s_per_m = material.damping_n_s_per_m
@@ -53,7 +56,7 @@ def material_record(
         record.rupture = mode_record(mode, amplitude, amplitude, output, effects.get(mode))
         record.rupture_depth_m = material.rupture.rupture_depth_m
         record.heals = material.rupture.heals
-        if material.rupture.aim != _ACROSS:
+        if material.rupture.aim != _DEFAULT_AIM:
             record.rupture_aim = material.rupture.aim
     if material.friction is not None:
         record.friction_coefficient = material.friction.coefficient
@@ -87,11 +90,11 @@ def _put_tap(
     tabled, touched = tabled_tap(material, output), touched_by(material, "tap")
     if tap.attack_slope_per_s is not None:
         slope = tap.attack_slope_per_s
-    elif tap.amplitudes is not None:  # the points give A itself
+    elif tap.amplitudes is not None:  # the points are values of A
         record.tap_count, numbers["tap_first"] = len(tap.amplitudes), np.array(tap.amplitudes).T.ravel()
-    # Of a table the tick knows the mode, and what a first peak is of it.
+    # With a table, the tick finds the mode and its first peak.
     coefficient = tap.coefficient(slope) if tabled is None else slope
-    if tap.aim != _ACROSS:
+    if tap.aim != _DEFAULT_AIM:
         record.tap_aim = tap.aim
     if tap.waveform is not None:
         _put_waveform(record, tap.waveform, slope, coefficient, output)
@@ -112,12 +115,12 @@ def _put_tap(
         if ratio < 0:
             for index in range(2 * MAX_CORRECTED_SAMPLES):
                 record.second.kicks[index] = -record.second.kicks[index]
-            for key in _SIGNED:
+            for key in _SIGNED_MEMBERS:
                 setattr(record.second, key, -getattr(record.second, key))
 
 
 def _put_waveform(record: CData, waveform: Waveform, slope: float, coefficient: float, output: Output) -> None:
-    """A tap that plays a waveform."""
+    """Fill in a tap that plays a waveform."""
     rate_hz = displayed_wave_rate(waveform, output)
     shown_hz = waveform.rate_hz if rate_hz is None else rate_hz
     tap, slowed = record.tap, waveform.rate_hz / shown_hz

@@ -1,4 +1,4 @@
-"""The materials that objects of a scene are made of: their records, their noises, and the numbers of both."""
+"""The materials of the objects of a scene: their records, their noises, and the numbers of both."""
 
 from __future__ import annotations
 
@@ -16,62 +16,62 @@ from hapticd.config.modes import Mode
 from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.rendering.compiler.material_record import Numbers, material_record, struck_modes
 from hapticd.rendering.compiler.mode_record import Effect
-from hapticd.rendering.compiler.noise_filters import SILENCE, Design, Noise, design
+from hapticd.rendering.compiler.noise_filters import MUTED_DESIGN, Design, Noise, design
 from hapticd.rendering.compiler.records import Places, Records, next_version
 from hapticd.rendering.device_output import Output
 
 
 class Effects(Protocol):
-    """What a device plays itself."""
+    """Modes that a device plays as effects."""
 
     def take(self, mode: Mode) -> Effect | None:
-        """A mode is used from now on; what is played in its place."""
+        """Register a use of a mode, and return the effect played in its place, or None."""
         ...
 
     def give(self, mode: Mode) -> None:
-        """It is used by one thing less."""
+        """Remove a use of a mode."""
         ...
 
 
 @dataclass(slots=True)
 class _Used:
-    """A material that something is made of."""
+    """A material in use."""
 
     name: str
     material: Material
     uses: int = 0
     noise: int | None = None
-    """Its place among the noises."""
+    """Index of its noise."""
     filters: tuple[Noise, int, Design] | None = None
-    """What the noise is made of, the version of that, and its filters."""
+    """The texture of its noise, the version of its filters, and the filters."""
     numbers: Numbers = field(default_factory=dict)
     struck: tuple[Mode, ...] = ()
-    """The modes that it has of the effects."""
+    """Its modes that are registered with the effects."""
 
 
 class Materials:
-    """The materials that are used: a record and an index for each, kept as long as anything is made of it."""
+    """The materials in use: a record and an index for each, kept as long as an object has the material."""
 
     def __init__(self, output: Output, effects: Effects | None) -> None:
         self.output = output
         self._effects = effects
         self._places, self._noise_places = Places(), Places()
         self._used: dict[int, _Used] = {}
-        """By index."""
+        """Materials in use, by index."""
         self._index: dict[str, int] = {}
         self._source: Mapping[str, Material] = {}
         self._rows = Records("struct hd_material", MATERIAL_DTYPE)
         self._prepared: dict[tuple[Noise, Output], Design] = {}
-        """Designed for the change that is being made."""
+        """Filters that were designed in advance for the current change."""
         self._versions = 0
         self._noises = records(NOISE_DTYPE, 0)
         self._numbers = np.zeros(0)
         self._numbers_changed = False
         self.changed = False
-        """Since `write` was called."""
+        """Whether anything changed since the last `write`."""
 
     def turn_to(self, source: Mapping[str, Material]) -> list[int]:
-        """Takes materials from `source` from now on, which stays as it is; the indices whose material changed."""
+        """Take materials from `source`, which must stay unchanged, and return the indices of those that changed."""
         if source is self._source:
             return []
         self._source = source
@@ -86,7 +86,7 @@ class Materials:
         return stale
 
     def turn_to_output(self, output: Output) -> list[int]:
-        """Compiles everything for another output; the indices of all that is used."""
+        """Compile all materials for another output, and return the indices of all in use."""
         self.output = output
         used = sorted(self._used)
         for index in used:
@@ -95,11 +95,11 @@ class Materials:
         return used
 
     def names(self) -> tuple[str, ...]:
-        """By index; empty where it is free."""
+        """Return the names by index, empty where the index is free."""
         return tuple(self._used[index].name if index in self._used else "" for index in range(self._places.count))
 
     def use(self, name: str) -> int:
-        """The index of a material that one thing more is made of."""
+        """Add a use of a material, and return its index."""
         index = self._index.get(name)
         if index is None:
             index = self._index[name] = self._places.take()
@@ -110,12 +110,12 @@ class Materials:
         return index
 
     def release(self, index: int) -> None:
-        """One thing less is made of it."""
+        """Remove a use of a material, and free its index after the last one."""
         used = self._used[index]
         used.uses -= 1
         if used.uses == 0:
-            self._silence(used)
-            self._give_up(used)
+            self._release_noise(used)
+            self._release_record_parts(used)
             del self._index[used.name], self._used[index]
             self._places.give(index)
             self._rows.pointer[index] = ffi.new("struct hd_material *")[0]
@@ -133,8 +133,8 @@ class Materials:
                 used.filters = texture, self._versions, designed
                 self._numbers_changed = True
         else:
-            self._silence(used)
-        self._give_up(used)
+            self._release_noise(used)
+        self._release_record_parts(used)
         effects: dict[Mode, Effect | None] = {}
         if self._effects is not None:
             effects = {mode: self._effects.take(mode) for mode in struck_modes(material)}
@@ -144,15 +144,15 @@ class Materials:
         self._numbers_changed |= bool(used.numbers)
         self.changed = True
 
-    def _give_up(self, used: _Used) -> None:
-        """What was compiled of a material, but for its noise."""
+    def _release_record_parts(self, used: _Used) -> None:
+        """Release the numbers and effects of a material's record; its noise stays."""
         self._numbers_changed |= bool(used.numbers)
         for mode in used.struck:
             assert self._effects is not None
             self._effects.give(mode)
         used.numbers, used.struck = {}, ()
 
-    def _silence(self, used: _Used) -> None:
+    def _release_noise(self, used: _Used) -> None:
         if used.noise is not None:
             self._noise_places.give(used.noise)
             used.noise = used.filters = None
@@ -163,35 +163,37 @@ class Materials:
         return finish(design(texture, self.output)) if found is None else found
 
     def prepare(self, name: str, material: Material) -> Steps[None]:
-        """Finds what takes long of a material that is to be compiled under this name: filters, compensated shapes, the
-        spectrum of a waveform. Pauses after each filter, and after the rest."""
+        """Compute in advance what is slow in a material that will be compiled under this name.
+
+        That is filters, with a pause after each, compensated shapes, and the spectrum of a waveform.
+        """
         used = self._used.get(self._index.get(name, -1))
         if used is not None and used.material is material:
             return
         texture = material.texture
-        heard = used is not None and used.material.texture == texture
-        if isinstance(texture, Stochastic | Autoregressive) and not heard:
+        unchanged = used is not None and used.material.texture == texture
+        if isinstance(texture, Stochastic | Autoregressive) and not unchanged:
             self._prepared[texture, self.output] = yield from design(texture, self.output)
-        # What this finds is kept by the functions that it calls.
+        # The functions that this calls cache their results.
         material_record(material, 0, self.output)
         yield
 
     def forget_prepared(self) -> None:
-        """The change is made, or given up."""
+        """Clear what was prepared, after a change or without one."""
         self._prepared = {}
 
     def changing(self, source: Mapping[str, Material]) -> list[str]:
-        """The names in use of which `source` has another material."""
+        """Return the names in use for which `source` has another material."""
         if source is self._source:
             return []
         return [used.name for used in self._used.values() if source.get(used.name, used.material) is not used.material]
 
     def rows(self) -> npt.NDArray[np.void]:
-        """The records, at their indices."""
+        """Return the records, by index."""
         return self._rows.array[: self._places.count]
 
     def write(self, table: CData) -> None:
-        """Puts materials, noises and numbers into a table."""
+        """Put materials, noises and numbers into a table."""
         if self._numbers_changed:
             self._rebuild_numbers()
         table.material_count = self._places.count
@@ -203,13 +205,13 @@ class Materials:
         self.changed = self._numbers_changed = False
 
     def _rebuild_numbers(self) -> None:
-        """All noises and their numbers, and those of the materials. A place that is free is silent."""
+        """Rebuild all noises, and the numbers of noises and materials. A free noise index is silent."""
         self._noises = records(NOISE_DTYPE, self._noise_places.count)
-        sounding = {used.noise: used.filters for used in self._used.values()}
+        filters_by_noise = {used.noise: used.filters for used in self._used.values()}
         numbers: list[npt.NDArray[np.float64]] = []
         first = 0
         for place, record in enumerate(pointer("struct hd_noise[]", self._noises)):
-            designed, made_of = SILENCE, sounding.get(place)
+            designed, made_of = MUTED_DESIGN, filters_by_noise.get(place)
             if made_of is not None:
                 texture, record.version, designed = made_of
                 record.along_normal = texture.direction == "normal"

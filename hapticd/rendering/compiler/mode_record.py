@@ -1,22 +1,24 @@
-"""The numbers of a mode in the table: its recursion at the rate, and what is struck for it."""
+"""The numbers of a mode in the table: its recursion at the rate, and the force with which it is struck."""
 
 from __future__ import annotations
 
 import cmath
 from typing import Final, TypeAlias
 
-from hapticd.base.core import MAX_CORRECTED_SAMPLES
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import Ringing, Shape
 from hapticd.rendering.device_output import Output
-from hapticd.rendering.displayability import UNTOUCHED, Touched, displayed_mode, struck_shapes
+from hapticd.rendering.displayability import NO_SURFACE, Touched, displayed_mode, struck_shapes
 
 Effect: TypeAlias = tuple[int, float, float]
-"""What a device plays in place of a mode: its id, its largest level over the coefficient, and how long, s."""
+"""What a device plays in place of a mode: its id, its largest level over the coefficient, and its duration, s."""
 
 _NO_TAIL: Final[tuple[float, ...]] = (0.0,) * 7
+"""Members of `struct hd_mode` for a mode without a tail."""
 _NO_FREE: Final[tuple[float, ...]] = (0.0,) * 6
-_NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * MAX_CORRECTED_SAMPLES), 0, 0)
+"""Members of `struct hd_mode` for a mode that is not compensated."""
+_NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * KICKS), 0, 0)
+"""Members of `struct hd_mode` for a mode without kicks."""
 
 
 def mode_record(
@@ -25,21 +27,21 @@ def mode_record(
     coefficient_per_unit: float,
     output: Output,
     effect: Effect | None = None,
-    touched: Touched = UNTOUCHED,
+    touched: Touched = NO_SURFACE,
 ) -> tuple[float | list[float], ...]:
-    """The numbers of a `struct hd_mode`, in its order. `touched`: the surface that its compensation is chosen
-    for; what presses in fact is known when it is struck.
+    """Return the members of a `struct hd_mode`, in its order.
 
-    `amplitude_per_unit` (m/s^2 per unit of what excites the mode) is reported, `coefficient_per_unit` is struck.
+    `amplitude_per_unit` (m/s^2 per unit of the excitation) is reported, `coefficient_per_unit` is struck. The
+    compensation is designed for the surface `touched`. The core adapts it to the surface in contact at the strike.
     """
     shown, factor = displayed_mode(mode, output)
     decay, omega = mode.decay_rate_per_s, mode.angular_frequency_rad_per_s
-    whole_force = output.effective_mass_kg * coefficient_per_unit
+    uncompensated_force = output.effective_mass_kg * coefficient_per_unit
     force = 0.0
     shapes: tuple[Shape, Shape] | None = None
     if shown is not None:
         omega = shown.angular_frequency_rad_per_s
-        force = whole_force * factor
+        force = uncompensated_force * factor
         shapes = struck_shapes(shown, output, touched)
     period = 1.0 / output.rate_hz
     rotor = cmath.exp(complex(-decay * period, omega * period))
@@ -71,7 +73,7 @@ def mode_record(
         *tail,
         *free,
         *kicks,
-        *((0, 0, 0.0, 0.0, 0.0) if effect is None else (effect[0], 0, whole_force, effect[1], effect[2])),
+        *((0, 0, 0.0, 0.0, 0.0) if effect is None else (effect[0], 0, uncompensated_force, effect[1], effect[2])),
     )
 
 

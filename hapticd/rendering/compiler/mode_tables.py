@@ -1,9 +1,8 @@
-"""Modes that follow speed or force, of taps and of grooves: what the tick looks up when it strikes one
-(csrc/scene/hd_table_numbers.h).
+"""Modes of taps and grooves that depend on speed or force: the tables that a strike interpolates.
 
-What is struck is known when it is struck, and what `compensation` makes of a mode takes milliseconds. So it is designed
-for some places of the table's range when the scene is taken in, all with the poles of one tail; between them everything
-lies on a straight line.
+Speed and force are known only at the strike, and the design of a compensated mode takes milliseconds. So modes are
+designed at nodes of the table's range when the scene is compiled, all with the pole of one tail, and a strike
+interpolates linearly between two nodes (csrc/scene/hd_table_numbers.h).
 """
 
 from __future__ import annotations
@@ -23,36 +22,45 @@ from hapticd.config.modes import Mode, ModeTable
 from hapticd.config.texture import Grooves
 from hapticd.rendering.compensation import Ringing, Shape, peak_between, tuned_shapes
 from hapticd.rendering.device_output import Output
-from hapticd.rendering.displayability import DISPLAYABLE, TOUCHED_N_PER_M, UNTOUCHED, Touched, touched_by
+from hapticd.rendering.displayability import (
+    DEFAULT_SURFACE_N_PER_M,
+    DISPLAYABLE_RATE_FRACTION,
+    NO_SURFACE,
+    Touched,
+    touched_by,
+)
 
 GROOVE_NODES: Final = 17
-"""So many frequencies of grooves are designed; at most HD_TUNE_NODES."""
+"""Number of frequencies at which grooves are designed; at most HD_TUNE_NODES."""
 TAP_STEPS: Final = 16
-"""Between the first speed of taps and the last are about so many steps; with the points at most HD_TUNE_NODES nodes."""
-_PEAK: Final = TUNE_NODE_NUMBERS - 2
+"""Approximate number of steps from the first speed of taps to the last; with the points at most HD_TUNE_NODES."""
+_PEAK_COLUMN: Final = TUNE_NODE - 2
+"""Column of a node that holds the peak in contact; the peak without a surface follows."""
 
 
 class TabledModes(NamedTuple):
-    """What a table of modes is in the C core."""
+    """A table of modes as the C core holds it."""
 
     base: Mode
-    """A mode that can be displayed: what is the same for all strikes is taken of it."""
+    """A displayable mode from which the values common to all strikes are taken."""
     tail: Ringing | None
-    """Of the compensation of all of them, with any gain."""
+    """Tail of the compensation of all modes, with any gain."""
     nodes: npt.NDArray[np.float64]
-    """(n, HD_TUNE_NODE), or (0, HD_TUNE_NODE) where nothing is compensated for."""
+    """(n, HD_TUNE_NODE), or (0, HD_TUNE_NODE) without compensation."""
     numbers: npt.NDArray[np.float64]
-    """As the core's table holds them, the nodes included."""
+    """All numbers in the core's order, the nodes included."""
 
     def complete(self, record: CData, mode: CData, output: Output) -> None:
-        """Puts into a `struct hd_material`, and into its `struct hd_mode` made of `base`, what all strikes share: where
-        they are lowered or muted, and the tail without kicks."""
-        record.tune_highest_rad_per_s, record.tune_mutes = _highest(output), output.undisplayable == "mute"
+        """Put the values common to all strikes into a `struct hd_material` and into its `struct hd_mode` of `base`.
+
+        They are the frequency above which modes are lowered or muted, and the tail without kicks.
+        """
+        record.tune_highest_rad_per_s, record.tune_mutes = _highest_rad_per_s(output), output.undisplayable == "mute"
         if len(self.nodes) == 0:
             return
         mode.kicks, mode.kick_count = [0.0] * (2 * MAX_CORRECTED_SAMPLES), 0
         if not mode.touched_n_per_m > 0.0:
-            mode.touched_n_per_m = TOUCHED_N_PER_M
+            mode.touched_n_per_m = DEFAULT_SURFACE_N_PER_M
         rotor, decay, omega, end_s = 0j, 0.0, 0.0, 0.0
         if self.tail is not None:
             pole, end_s = self.tail.pole, self.tail.end_s
@@ -61,34 +69,35 @@ class TabledModes(NamedTuple):
         mode.tail_decay_rate_per_s, mode.tail_angular_frequency_rad_per_s = decay, omega
 
 
-def _highest(output: Output) -> float:
-    """rad/s."""
-    return 2.0 * math.pi * DISPLAYABLE * output.carried_hz
+def _highest_rad_per_s(output: Output) -> float:
+    """Return the highest displayable angular frequency."""
+    return 2.0 * math.pi * DISPLAYABLE_RATE_FRACTION * output.carried_hz
 
 
 def tabled_grooves(material: Material, output: Output) -> TabledModes | None:
-    """Of a material whose grooves have a table of frequencies."""
+    """Return the table of a material whose grooves have a table of frequencies, or None."""
     texture, modes = material.texture, material.groove_modes
     if not isinstance(texture, Grooves) or texture.frequency_table is None or not modes:
         return None
-    table, highest = texture.frequency_table, _highest(output)
+    table, highest = texture.frequency_table, _highest_rad_per_s(output)
     low, high = (min(mode.angular_frequency_rad_per_s, highest) for mode in (modes[0], modes[-1]))
     count = GROOVE_NODES if high > low else 1
     frequencies = tuple(float(w) for w in np.geomspace(low, high, count))
     decay = modes[0].decay_rate_per_s
-    tail, nodes = _nodes(frequencies, tuple(Mode(decay, w) for w in frequencies), output, UNTOUCHED)
+    tail, nodes = _nodes(frequencies, tuple(Mode(decay, w) for w in frequencies), output, NO_SURFACE)
     grid = 2.0 * math.pi * np.array(table.frequencies_hz)
     numbers = np.concatenate((table.speeds_m_per_s, table.forces_n, grid.ravel(), nodes.ravel()))
     return TabledModes(Mode(decay, low), tail, nodes, numbers)
 
 
 def tabled_tap(material: Material, output: Output) -> TabledModes | None:
-    """Of a material whose tap has a mode table."""
+    """Return the table of a material whose tap has a mode table, or None."""
     if material.tap is None or material.tap.mode_table is None:
         return None
-    table, highest = material.tap.mode_table, _highest(output)
+    table, highest = material.tap.mode_table, _highest_rad_per_s(output)
 
     def shown(mode: Mode) -> Mode:
+        """Return the mode, lowered to the highest displayable frequency if necessary."""
         return Mode(mode.decay_rate_per_s, min(mode.angular_frequency_rad_per_s, highest))
 
     speeds = _speeds(table)
@@ -100,12 +109,12 @@ def tabled_tap(material: Material, output: Output) -> TabledModes | None:
 
 
 def _speeds(table: ModeTable) -> tuple[float, ...]:
-    """All points, and between them steps that are about alike."""
+    """Return all points of the table, and about equal steps between them."""
     points = table.speeds_m_per_s
-    whole = points[-1] - points[0]
+    span = points[-1] - points[0]
     found = [points[0]]
     for one, other in pairwise(points):
-        steps = max(1, round(TAP_STEPS * (other - one) / whole))
+        steps = max(1, round(TAP_STEPS * (other - one) / span))
         found += [float(speed) for speed in np.linspace(one, other, steps + 1)[1:]]
     return tuple(found)
 
@@ -114,22 +123,25 @@ def _speeds(table: ModeTable) -> tuple[float, ...]:
 def _nodes(
     places: tuple[float, ...], modes: tuple[Mode, ...], output: Output, touched: Touched
 ) -> tuple[Ringing | None, npt.NDArray[np.float64]]:
-    """The tail that all these modes share, and the nodes (n, HD_TUNE_NODE) at their places, frequencies or speeds."""
+    """Return the tail that all modes share, and the nodes (n, HD_TUNE_NODE).
+
+    `places` are the frequencies or speeds of the nodes.
+    """
     if output.compensation == "off":
         return None, np.zeros((0, TUNE_NODE_NUMBERS))
     assert output.dynamics is not None
     load = touched.load(output)
-    pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load, touched.own)
+    pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load, touched.best_in_contact)
     rows = np.array([_row(place, *pair) for place, pair in zip(places, pairs, strict=True)])
-    # A strike between two nodes is no larger than the line between their peaks.
-    for column, which in ((_PEAK, 1), (_PEAK + 1, 0)):
+    # Scaled so that the line between the peaks of two nodes bounds the peak of a strike between them.
+    for column, which in ((_PEAK_COLUMN, 1), (_PEAK_COLUMN + 1, 0)):
         shapes = [pair[which] for pair in pairs]
         rows[:, column] *= max([1.0, *(peak_between(one, other) for one, other in pairwise(shapes))])
     return pairs[0][0].tail, rows
 
 
 def _row(place: float, free: Shape, touched: Shape) -> tuple[float, ...]:
-    """A node, in the order of enum hd_tune_number."""
+    """Return a node, in the order of enum hd_tune_number."""
     tails = [0j if shape.tail is None else shape.tail.gain for shape in (touched, free)]
     gains = (touched.mode.gain, tails[0], free.mode.gain, tails[1])
     return place, *(part for gain in gains for part in (gain.real, gain.imag)), touched.peak, free.peak

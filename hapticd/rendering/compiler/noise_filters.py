@@ -26,21 +26,25 @@ class Design(NamedTuple):
 
     order: int
     taps: bool
+    """Whether the filters have ladder taps."""
     speeds: tuple[float, ...]
     forces: tuple[float, ...]
     nodes: npt.NDArray[np.float64]
     """(speeds, forces, 1 + order, and order + 1 with taps): RMS in m/s^2, reflection coefficients, ladder taps."""
     muted: bool = False
+    """Whether the noise is silent."""
 
     def numbers(self) -> npt.NDArray[np.float64]:
+        """Return speeds, forces and nodes as the core's table holds them."""
         return np.concatenate((self.speeds, self.forces, self.nodes.ravel()))
 
 
-SILENCE: Final = Design(0, False, (0.0,), (0.0,), np.zeros((1, 1, 1)), True)
+MUTED_DESIGN: Final = Design(0, False, (0.0,), (0.0,), np.zeros((1, 1, 1)), True)
+"""The design of a noise that is silent."""
 
 
 class Model(NamedTuple):
-    """What noise is at one speed and force: an all-pole filter and the RMS of its output."""
+    """Noise at one speed and force: an all-pole filter and the RMS of its output."""
 
     speed_m_per_s: float
     force_n: float
@@ -49,16 +53,18 @@ class Model(NamedTuple):
 
 
 def design(texture: Noise, output: Output) -> Steps[Design]:
-    """The filters of a texture, with a pause after each: that of a model identified at another rate takes tens of
-    milliseconds."""
+    """Design the filters of a texture, with a pause after each.
+
+    The filter of a model that was identified at another rate takes tens of milliseconds.
+    """
     if isinstance(texture, Autoregressive):
         for model in texture.models:
-            _shown_model(model, texture.rate_hz, output.rate_hz)  # which keeps it for the grid
+            _shown_model(model, texture.rate_hz, output.rate_hz)  # cached for the grid
             yield
         return _shown_grid(texture, output.rate_hz)
     pair = displayed_pair(texture, output)
     if pair is None:
-        return SILENCE
+        return MUTED_DESIGN
     shown = stochastic_filter(*pair, output.rate_hz)
     node = np.array([0.0, *shown.reflection, *(shown.taps or ())])
     return Design(len(shown.reflection), shown.taps is not None, (0.0,), (0.0,), node.reshape(1, 1, -1))
@@ -74,16 +80,19 @@ def _shown_model(model: AutoregressiveModel, from_rate_hz: float, to_rate_hz: fl
 
 @lru_cache(maxsize=16)
 def _shown_grid(texture: Autoregressive, rate_hz: float) -> Design:
-    """Kept for a while after its use: materials come and go with the objects. The largest has a megabyte."""
+    """Return the filters of a texture's models at a rate, cached for materials that come and go with their objects.
+
+    The largest grid has a megabyte.
+    """
     return grid([_shown_model(model, texture.rate_hz, rate_hz) for model in texture.models])
 
 
 def grid(models: Sequence[Model]) -> Design:
-    """The grid on all speeds and forces at which there are models, of the highest of their orders.
+    """Return the grid over all speeds and forces of the models, with the highest of their orders.
 
-    A model is its node, with zeros after its own order (which do not change it). A node without a model is a mean of
-    all of them, weighted by the inverse square of their distance (Shepard, 1968) on axes scaled to their ranges: the
-    weights are positive and add up to one, so that the RMS stays within what was given and every |k| below 1.
+    A model is a node, with zeros beyond its own order (which do not change it). A node without a model is a mean of
+    all models, weighted by the inverse square of their distance (Shepard, 1968) on axes scaled to their ranges. The
+    weights are positive and add up to one, so that the RMS stays within the given range and every |k| below 1.
     """
     order = max(len(model.reflection) for model in models)
     places = np.array([(model.speed_m_per_s, model.force_n) for model in models])
@@ -104,6 +113,6 @@ def grid(models: Sequence[Model]) -> Design:
         distance = np.maximum(np.hypot(away[..., 0], away[..., 1]), np.finfo(np.float64).tiny)
         weights = (distance.min(axis=0) / distance) ** 2
         blends = (weights / weights.sum(axis=0)).T @ values
-        # Rounding must not carry a mean past what it is the mean of.
+        # A mean must stay within its values despite rounding.
         nodes[row, free] = np.clip(blends, values.min(axis=0), values.max(axis=0))
     return Design(order, False, tuple(speeds.tolist()), tuple(forces.tolist()), nodes)

@@ -1,4 +1,4 @@
-"""Arrays of C records that grow in place, and which of their places are free."""
+"""Arrays of C records that grow in place, and their free places."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from hapticd.base.core import CData, pointer, records
 
 
 def next_version(version: int) -> int:
-    """Of 32 bits, and never 0."""
+    """Return the version after this one: 32 bits, and never 0."""
     return version % 0xFFFFFFFF + 1
 
 
 class Places:
-    """Places in an array, the lowest free one first."""
+    """Allocates places in an array, the lowest free one first."""
 
     def __init__(self) -> None:
         self.count = 0
-        """The array is so long."""
+        """Length of the array."""
         self._free: list[int] = []
 
     def take(self, wanted: int | None = None) -> int:
-        """A free place; `wanted`, which is free, where that is given."""
+        """Return a free place, or `wanted`, which must be free."""
         if wanted is not None:
             self._free.remove(wanted)
             heapq.heapify(self._free)
@@ -35,22 +35,25 @@ class Places:
         return self.count - 1
 
     def give(self, place: int) -> None:
+        """Free a place."""
         heapq.heappush(self._free, place)
 
 
 class Records:
-    """C records in memory that C reads in place; it grows by doubling."""
+    """C records in memory that C reads in place, doubled in size when full."""
 
     def __init__(self, ctype: str, dtype: np.dtype[np.void]) -> None:
         self._ctype = ctype
         self._hold(records(dtype, 16))
 
     def _hold(self, array: npt.NDArray[np.void]) -> None:
+        """Use this array, and the views and the pointer of it."""
         self.array = array
         self.memory = array.view(np.uint8).data
         self.pointer: CData = pointer(self._ctype + "[]", array)
 
     def reserve(self, count: int) -> None:
+        """Ensure room for `count` records."""
         if count > len(self.array):
             before = self.memory
             self._hold(records(self.array.dtype, max(count, 2 * len(self.array))))

@@ -1,14 +1,13 @@
-"""The compiler itself: keeps the table that the tick reads, and rewrites the records of what changed.
+"""The compiler: keeps the table that the tick reads, and rewrites the records of what changed.
 
-    objects[]    one record a slot. An object keeps its slot, and with generation and slot its contact state, as long as
-                 it keeps its id and kind
-    materials[]  those that objects are made of, each at its index as long as anything is made of it
-    pieces[]     of the walls with patches, wall after wall
-    noises[]     of the materials that sound, each at its index; `numbers` holds their filters
+    objects[]    one record for each slot. As long as an object keeps its id and kind, it keeps its slot and generation,
+                 and with them its contact state
+    materials[]  those in use, each at its index as long as an object has it
+    pieces[]     of the walls with patches, one wall after the other
+    noises[]     of the materials with noise, each at its index; `numbers` holds their filters
 
-The compiler rewrites only what changed, so that an update of one object costs the same in a large scene as in a small
-one. Places are handed out lowest first, so that the arrays stay as dense as their fullest time made them. Validation is
-over when something gets here.
+The compiler rewrites only what changed, so an update of one object costs the same in a large scene as in a small one.
+The lowest free place is used first, so arrays have no more places than the largest scene needed. All input is valid.
 """
 
 from __future__ import annotations
@@ -31,26 +30,28 @@ from hapticd.rendering.compiler.walls import PatchedWalls
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.surface_table import SurfaceTable
 
-_RECORD = struct.Struct("=8I6d")
-if _RECORD.size != OBJECT_DTYPE.itemsize:
-    raise ImportError("the records of hapticd.rendering.compiler.table are not those of csrc/api/hd_api.h")
+_OBJECT_RECORD = struct.Struct("=8I6d")
+if _OBJECT_RECORD.size != OBJECT_DTYPE.itemsize:
+    raise ImportError("compiler/table.py: _OBJECT_RECORD must have the size of struct hd_object (csrc/api/hd_api.h)")
 
-PASSIVITY_BRAKE: Final = 0.1
-"""The passivity controller takes at most this part of a handle's momentum in a period."""
+MAX_BRAKED_MOMENTUM_PART: Final = 0.1
+"""Largest part of the handle's momentum that the passivity controller removes in a period."""
 
-_SAME_PERIOD: Final = 1e-6
+_PERIOD_TOLERANCE: Final = 1e-6
+"""Rounding of an age, in periods, that does not count as a further period."""
 _NO_FIELD: Final = (0.0,) * 4
-_QUANTUM: Final = 1 << 1074
-"""Every double is a whole number of 1/_QUANTUM."""
+"""The contribution of an object that is not a field."""
+_QUANTA_PER_UNIT: Final = 1 << 1074
+"""Every double is an integer multiple of 1/_QUANTA_PER_UNIT."""
 _Place: TypeAlias = tuple[float, float, float, float, float, float]
 _Owner: TypeAlias = tuple[int, int]
-"""Slot and generation: what an event says of its object."""
+"""Slot and generation, by which an event refers to its object."""
 _Field: TypeAlias = tuple[float, float, float, float]
 """Force (x, y), stiffness and damping: F = force - stiffness p - damping v."""
 
-# By kind: isinstance of a pydantic model costs more than the rest of its record. So does a member of an enum.
+# Kinds and integers: isinstance of a pydantic model, or a member of an enum, costs more than the rest of a record.
 _SURFACE_KINDS: Final = frozenset(SURFACE_KINDS)
-_PASSIVITY: Final = {mode.name.lower(): int(mode) for mode in PassivityMode}
+_PASSIVITY_MODES: Final = {mode.name.lower(): int(mode) for mode in PassivityMode}
 _NONE, _WALL, _MEMBRANE, _BOX, _DISC = map(int, (Shape.NONE, Shape.WALL, Shape.MEMBRANE, Shape.BOX, Shape.DISC))
 
 
@@ -59,7 +60,7 @@ def _is_surface(item: SceneObject | None) -> TypeGuard[Surface]:
 
 
 def _place_of(item: Surface) -> tuple[int, _Place]:
-    """Shape, and point, normal and half as csrc/api/hd_api.h defines them."""
+    """Return the shape, and point, normal and half extents as csrc/api/hd_api.h defines them."""
     if item.kind == "wall":
         return _WALL, (*item.point_m, *item.normal, 0.0, 0.0)
     if item.kind == "box":
@@ -74,7 +75,7 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
 
 
 def _field_of(item: SceneObject | None) -> _Field | None:
-    """None for a surface."""
+    """Return the contribution of a field; None for a surface."""
     if item is None:
         return None
     if item.kind == "spring":
@@ -88,35 +89,39 @@ def _field_of(item: SceneObject | None) -> _Field | None:
 
 
 def _quanta(value: float) -> int:
+    """Return the value as a multiple of 1/_QUANTA_PER_UNIT."""
     numerator, denominator = value.as_integer_ratio()
-    return numerator * (_QUANTUM // denominator)
+    return numerator * (_QUANTA_PER_UNIT // denominator)
 
 
 class Compiler:
-    """Keeps the table of one scene up to date. One thread at a time, but for `name_of` and `events_read`."""
+    """Keeps the table of one scene up to date.
+
+    Only one thread may use it at a time, except for `name_of` and `events_read`.
+    """
 
     def __init__(self, output: Output, effects: Effects | None = None) -> None:
-        """`effects`: what the device plays itself; None: nothing."""
+        """Create an empty table; `effects` are the modes that the device plays as effects, None: none."""
         self._objects = Records("struct hd_object", OBJECT_DTYPE)
         self._places = Places()
         self._slots: dict[str, int] = {}
         self._owners: list[tuple[int, str] | None] = []
         """Generation and id, by slot."""
         self._lost: dict[str, _Owner] = {}
-        """Slot and generation of what ids lost at the last update."""
+        """Former slot and generation of the ids that lost theirs in the last update."""
         self._retired: dict[_Owner, str] = {}
-        """Ids of what is gone: the events of its last ticks are read a moment later and speak of it."""
+        """Ids of removed objects, to which events that are not yet read may refer."""
         self._retiring: deque[tuple[int, list[_Owner]]] = deque()
-        """Revisions and what they took away, the oldest first."""
+        """Revisions and the owners that they removed, the oldest first."""
         self._read_revision: int | None = None
         self._materials = Materials(output, effects)
         self._walls = PatchedWalls(self._materials)
         self._fields: dict[str, _Field] = {}
         self._field_sums = [0, 0, 0, 0]
-        """In 1/_QUANTUM: exact however often fields come and go (docs/adr/0005), without asking the others."""
+        """Sums over all fields in 1/_QUANTA_PER_UNIT, updated exactly at each change of a field (docs/adr/0005)."""
         self._changed: set[int] = set()
         self.touched: dict[int, None] = {}
-        """The slots of surfaces that the last update put there, or of whose materials it changed one."""
+        """Slots of surfaces that the last update wrote, or of which it changed a material."""
         self._changed_slots = np.zeros(0, np.uint32)
         self._stamp = 0
         self._table: CData = ffi.new("struct hd_table *")
@@ -124,8 +129,10 @@ class Compiler:
         self._table.all_changed = 1
 
     def turn_to(self, output: Output) -> None:
-        """What the tables are made for from now on, another rate for example: the next `update`, which is to be taken
-        whole, has everything of it. Slots and generations stay."""
+        """Compile for another output, such as another rate.
+
+        The next `update` contains everything, and must be taken completely. Slots and generations stay.
+        """
         self._turn_to(output)
         self._stamp = next_version(self._stamp)
         self._mark_made_of(self._materials.turn_to_output(output))
@@ -136,52 +143,57 @@ class Compiler:
         self._table.max_force_n = output.max_force_n
         self._table.max_speed_m_per_s = output.max_speed_m_per_s
         self._table.rearm_m = output.rearm_m
-        self._table.report_age = min(math.ceil(output.age_s * output.rate_hz - _SAME_PERIOD), PASSIVITY_AGE_MAX)
+        self._table.report_age = min(math.ceil(output.age_s * output.rate_hz - _PERIOD_TOLERANCE), PASSIVITY_AGE_MAX)
         known = output.dynamics
         mass_kg = output.effective_mass_kg if known is None else known.handle_mass_kg
-        self._table.brake_n_s_per_m = PASSIVITY_BRAKE * mass_kg * output.rate_hz
+        self._table.brake_n_s_per_m = MAX_BRAKED_MOMENTUM_PART * mass_kg * output.rate_hz
         self._table.handle_damping_n_s_per_m = 0.0 if known is None else known.handle_damping_n_s_per_m
         self._table.handle_friction_n = 0.0 if known is None else known.friction_n
 
     def slot_of(self, id: str) -> tuple[int, int] | None:
-        """Slot and generation of a surface; None for a field and for an unknown id."""
+        """Return slot and generation of a surface; None for a field and for an unknown id."""
         slot = self._slots.get(id)
         owner = None if slot is None else self._owners[slot]
         return None if slot is None or owner is None else (slot, owner[0])
 
     @property
     def parts_version(self) -> int:
-        """Another one once an update changed materials or pieces of walls."""
+        """A number that changes when an update changes materials or pieces of walls."""
         return int(self._table.parts_version)
 
     def slots(self) -> Iterable[int]:
-        """The slots of all surfaces."""
+        """Return the slots of all surfaces."""
         return self._slots.values()
 
     def names_of(self, slots: Iterable[int]) -> list[str]:
-        """The ids of the surfaces at these slots."""
+        """Return the ids of the surfaces at these slots."""
         owners = self._owners
         return [owner[1] for slot in slots if (owner := owners[slot]) is not None]
 
     def records_of(self, slots: Iterable[int]) -> Iterator[tuple[Any, ...]]:
-        """The members of `struct hd_object` of the surfaces at these slots."""
-        memory, size = self._objects.memory, _RECORD.size
-        return (_RECORD.unpack_from(memory, slot * size) for slot in slots)
+        """Return the members of `struct hd_object` of the surfaces at these slots."""
+        memory, size = self._objects.memory, _OBJECT_RECORD.size
+        return (_OBJECT_RECORD.unpack_from(memory, slot * size) for slot in slots)
 
     def name_of(self, slot: int, generation: int) -> str | None:
-        """The id of the object that has, or had, a slot; None some time after its events were read. For any thread."""
+        """Return the id of the object that has, or had, a slot; None some time after its events were read.
+
+        May be called from any thread.
+        """
         owner = self._owners[slot] if slot < len(self._owners) else None
         if owner is not None and owner[0] == generation:
             return owner[1]
         return self._retired.get((slot, generation))
 
     def events_read(self, revision: int) -> None:
-        """Every event up to the tick that took this revision, and of that tick, was read: the names of what went until
-        then are given up at the next update. For any thread."""
+        """Report that all events up to and including the tick that took this revision were read.
+
+        The names of objects removed until then are released at the next update. May be called from any thread.
+        """
         self._read_revision = revision
 
     def surfaces(self) -> SurfaceTable:
-        """What of the table says how surfaces and fields push, as long as nothing updates it."""
+        """Return the part of the table that determines the forces of surfaces and fields, until the next update."""
         return SurfaceTable(
             self._objects.array[: self._places.count],
             self._materials.rows(),
@@ -192,16 +204,18 @@ class Compiler:
         )
 
     def prepare(self, name: str, material: Material) -> Steps[None]:
-        """Designs what the next `update` needs where this is the material of that name, filter by filter. It comes out
-        as if that did it."""
+        """Compute in advance, filter by filter, what the next `update` needs if this is the material of that name.
+
+        The result of the update is the same as without it.
+        """
         return self._materials.prepare(name, material)
 
     def forget_prepared(self) -> None:
-        """The update was made, or given up."""
+        """Clear what was prepared, after the update or without one."""
         self._materials.forget_prepared()
 
     def changing(self, materials: Mapping[str, Material]) -> list[str]:
-        """The names in use of which these are other materials."""
+        """Return the names in use for which `materials` has another material."""
         return self._materials.changing(materials)
 
     def update(
@@ -211,23 +225,25 @@ class Compiler:
         materials: Mapping[str, Material],
         revision: int,
     ) -> CData:
-        """Brings the records of the objects `changed` (ids, present in the scene or not) up to date, and those of all
-        objects that are made of a material that changed.
+        """Update the records of the objects `changed` and of all objects with a changed material.
 
-        `materials` defines every material of the scene, and stays as it is. Returns the `struct hd_table *`, which
-        stays valid and is the same one at every call. Its `changed` grows until `published` is called.
+        `changed` are ids, in the scene or not. `materials` defines every material of the scene, and must stay
+        unchanged. Returns the `struct hd_table *`, which is the same at every call and stays valid. Its `changed`
+        grows until `published` is called.
         """
         self._lost = {}
         return self._update(scene, list(changed), materials, revision, {})
 
     def published(self) -> None:
-        """The table was taken: what changes from now on is a change to it."""
+        """Start a new list of changes, because the table was taken."""
         self._changed.clear()
         self._table.all_changed = 0
 
     def restore(self, scene: Scene, changed: Iterable[str], materials: Mapping[str, Material], revision: int) -> None:
-        """The table of the last update was refused: back to what was in force, given as in `update`, slots and
-        generations included. The next table is to be taken whole."""
+        """Restore the state before the last update, whose table was refused, slots and generations included.
+
+        The arguments are those of an `update` to that state. The next table must be taken completely.
+        """
         self._table.all_changed = 1
         former, self._lost = self._lost, {}
         if self._retiring and self._retiring[-1][0] == self._table.revision:
@@ -246,7 +262,7 @@ class Compiler:
         self.touched = {}
         objects, table = scene.objects, self._table
         fields_changed = False
-        # What goes makes room for what comes.
+        # Remove first, so that new objects can use the free slots.
         for id in ids:
             item = objects.get(id)
             surface = _is_surface(item)
@@ -271,13 +287,13 @@ class Compiler:
             self._materials.write(table)
         if fields_changed:
             table.field_version = self._stamp
-            sums = [total / _QUANTUM for total in self._field_sums]
+            sums = [total / _QUANTA_PER_UNIT for total in self._field_sums]
             table.field.force_n = sums[:2]
             table.field.stiffness_n_per_m, table.field.damping_n_s_per_m = sums[2:]
         table.revision = revision
         table.display_force = scene.display.force
         table.display_vibration = scene.display.vibration
-        table.passivity = _PASSIVITY[scene.passivity]
+        table.passivity = _PASSIVITY_MODES[scene.passivity]
         table.ramp_s = scene.ramp_s
         table.ramp_step = table.period_s / scene.ramp_s
         table.object_count = self._places.count
@@ -288,7 +304,7 @@ class Compiler:
         return table
 
     def _put(self, id: str, item: Surface, former: _Owner | None) -> None:
-        """`former`: slot and generation that it gets back."""
+        """Write the record of a surface; `former` is the slot and generation that it gets back."""
         stamp = self._stamp
         shape, place = _place_of(item)
         material = self._materials.use(item.material)
@@ -305,7 +321,7 @@ class Compiler:
             self._walls.put(slot, patched)
         else:
             pieces_change = self._walls.put(slot, patched)
-            before = _RECORD.unpack_from(self._objects.memory, slot * _RECORD.size)
+            before = _OBJECT_RECORD.unpack_from(self._objects.memory, slot * _OBJECT_RECORD.size)
             if before[3] == shape:
                 generation = before[0]
                 if before[8:] == place:
@@ -318,30 +334,30 @@ class Compiler:
             self._materials.release(before[4])
         count = 0 if patched is None else self._walls.count(slot)
         key = (generation, pose_version, surface_version, shape, material, first, count, 0)
-        _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, *key, *place)
+        _OBJECT_RECORD.pack_into(self._objects.memory, slot * _OBJECT_RECORD.size, *key, *place)
         self._changed.add(slot)
         self.touched[slot] = None
 
     def _remove(self, id: str) -> None:
         slot = self._slots.pop(id)
         self._retire(slot)
-        self._materials.release(_RECORD.unpack_from(self._objects.memory, slot * _RECORD.size)[4])
+        self._materials.release(_OBJECT_RECORD.unpack_from(self._objects.memory, slot * _OBJECT_RECORD.size)[4])
         self._walls.put(slot, None)
-        _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, self._stamp, *(0,) * 7, *(0.0,) * 6)
+        _OBJECT_RECORD.pack_into(self._objects.memory, slot * _OBJECT_RECORD.size, self._stamp, *(0,) * 7, *(0.0,) * 6)
         self._places.give(slot)
         self._changed.add(slot)
 
     def _retire(self, slot: int) -> None:
-        """The slot has no owner any more; its name is kept for a while."""
+        """Remove the owner of a slot, and keep its name for a while."""
         owner = self._owners[slot]
         assert owner is not None
         generation, id = owner
         self._lost[id] = slot, generation
-        self._retired[slot, generation] = id  # before the owner goes: another thread asks for the name meanwhile
+        self._retired[slot, generation] = id  # before the owner is removed, as another thread may ask for the name
         self._owners[slot] = None
 
     def _retire_names(self, revision: int) -> None:
-        """Of what went with this revision the names are kept until its events were read."""
+        """Keep the names of removed objects until the events of this revision are read, and release older ones."""
         if self._lost:
             self._retiring.append((revision, list(self._lost.values())))
         read = self._read_revision
@@ -350,7 +366,7 @@ class Compiler:
                 del self._retired[owner]
 
     def _mark_made_of(self, materials: list[int]) -> None:
-        """Marks what is made of these materials."""
+        """Mark the objects that have any of these materials as changed."""
         if not materials:
             return
         array = self._objects.array[: self._places.count]

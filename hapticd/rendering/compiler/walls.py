@@ -1,4 +1,4 @@
-"""Walls with patches: the pieces that each is made of, wall after wall."""
+"""Walls with patches: the pieces of each wall, one wall after the other."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from hapticd.rendering.compiler.materials import Materials
 
 
 class _Pieces(NamedTuple):
-    """What a wall with patches is made of."""
+    """The pieces of a wall with patches."""
 
     of: tuple[Sequence[Patch], str, float]
     """Its patches, the material between them, and the ramp."""
     rows: npt.NDArray[np.void]
-    """PIECE_DTYPE."""
+    """Records of PIECE_DTYPE."""
     materials: frozenset[int]
-    """Used once each."""
+    """Indices of its materials, each of which it uses once."""
 
 
 class PatchedWalls:
@@ -31,25 +31,27 @@ class PatchedWalls:
     def __init__(self, materials: Materials) -> None:
         self._materials = materials
         self._pieces: dict[int, _Pieces] = {}
-        """In order of the slots' first pieces."""
+        """Pieces by slot, in the order of their records."""
         self.records = records(PIECE_DTYPE, 0)
-        """All of them, as of the last `write`."""
+        """Records of all pieces, as of the last `write`."""
         self.changed = False
-        """Since `write` was called."""
+        """Whether pieces changed since the last `write`."""
 
     def count(self, slot: int) -> int:
-        """How many pieces the wall at a slot has; 0 without patches."""
+        """Return the number of pieces of the wall at a slot; 0 without patches."""
         pieces = self._pieces.get(slot)
         return 0 if pieces is None else len(pieces.rows)
 
     def made_of(self, materials: Iterable[int]) -> list[int]:
-        """The slots of walls that have any of these materials in their pieces."""
+        """Return the slots of walls that have any of these materials in their pieces."""
         sought = set(materials)
         return [slot for slot, pieces in self._pieces.items() if not sought.isdisjoint(pieces.materials)]
 
     def put(self, slot: int, wall: Wall | None) -> bool:
-        """What is at a slot from now on, None: no wall with patches; whether its pieces are others. Those that stay lie
-        where they are."""
+        """Set the wall at a slot, None for no wall with patches, and return whether its pieces changed.
+
+        Unchanged pieces keep their place.
+        """
         held = self._pieces.get(slot)
         if wall is None and held is None:
             return False
@@ -68,8 +70,10 @@ class PatchedWalls:
         return changed
 
     def _new_pieces(self, wall: Wall) -> _Pieces:
-        """The pieces of a wall, whose materials are used from now on. Where two meet, they share the shorter of the
-        ramp and the stretches beside it."""
+        """Return the pieces of a wall and take its materials into use.
+
+        At a boundary, the ramp is limited to the shorter of the two neighbouring pieces.
+        """
         begins, names = wall.stretches()
         indices = {name: self._materials.use(name) for name in dict.fromkeys(names)}
         rows = records(PIECE_DTYPE, len(begins))
@@ -81,8 +85,10 @@ class PatchedWalls:
         return _Pieces((wall.patches, wall.material, wall.patch_ramp_m), rows, frozenset(indices.values()))
 
     def write(self, table: CData, objects: npt.NDArray[np.void]) -> Iterator[int]:
-        """Puts all pieces into a table, and where those of each wall begin into its object; the slots of those that
-        moved."""
+        """Put all pieces into a table, and the index of each wall's first piece into its object.
+
+        Yields the slots of walls whose index changed.
+        """
         if self.changed:
             self.records = records(PIECE_DTYPE, sum(len(pieces.rows) for pieces in self._pieces.values()))
             first = 0
