@@ -34,7 +34,7 @@ GROOVE_NODES: Final = 17
 """Number of frequencies at which grooves are designed; at most HD_TUNE_NODES."""
 TAP_STEPS: Final = 16
 """Approximate number of steps from the first speed of taps to the last; with the points at most HD_TUNE_NODES."""
-_PEAK_COLUMN: Final = TUNE_NODE - 2
+_PEAK_COLUMN: Final = TUNE_NODE_NUMBERS - 2
 """Column of a node that holds the peak in contact; the peak without a surface follows."""
 
 
