@@ -15,6 +15,7 @@ from functools import lru_cache
 from typing import Final
 
 from hapticd.base.errors import Problem, path_text
+from hapticd.config.actuator import MAX_BANDWIDTH_HZ
 from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
@@ -96,7 +97,7 @@ def _remedies(mode: Mode, output: Output, touched: Touched) -> Iterator[str]:
                 yield f"compensation: full would show {100 * abs(part):.3g} %"
     bandwidth_hz = _needed_hz(mode, output, touched)
     if bandwidth_hz is None:
-        yield f"no bandwidth up to {_hz(MOST_HZ)} would do"
+        yield f"no bandwidth up to {_hz(MAX_BANDWIDTH_HZ)} would do"
     else:
         yield f"an actuator of {_hz(bandwidth_hz)} would do"
 
@@ -116,9 +117,9 @@ def _needed_hz(mode: Mode, output: Output, touched: Touched) -> float | None:
 
     low = high = own.bandwidth_hz
     while not is_sufficient(high):
-        if high == MOST_HZ:
+        if high == MAX_BANDWIDTH_HZ:
             return None
-        low, high = high, min(MOST_HZ, high * _BANDWIDTH_SEARCH_FACTOR)
+        low, high = high, min(MAX_BANDWIDTH_HZ, high * _BANDWIDTH_SEARCH_FACTOR)
     for _ in range(_BANDWIDTH_BISECTIONS):
         middle = math.sqrt(low * high)
         low, high = (low, middle) if is_sufficient(middle) else (middle, high)

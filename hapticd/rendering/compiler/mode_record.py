@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 from typing import Final, TypeAlias
 
+from hapticd.base.core import MAX_CORRECTED_SAMPLES
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import Ringing, Shape
 from hapticd.rendering.device_output import Output
@@ -17,7 +18,7 @@ _NO_TAIL: Final[tuple[float, ...]] = (0.0,) * 7
 """Members of `struct hd_mode` for a mode without a tail."""
 _NO_FREE: Final[tuple[float, ...]] = (0.0,) * 6
 """Members of `struct hd_mode` for a mode that is not compensated."""
-_NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * KICKS), 0, 0)
+_NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * MAX_CORRECTED_SAMPLES), 0, 0)
 """Members of `struct hd_mode` for a mode without kicks."""
 
 
