@@ -9,7 +9,7 @@ from typing import Final
 from hapticd.base.errors import InvalidError, Path, path_text
 from hapticd.base.model import UNKNOWN_KEY
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.cells import Cell, cells_of, typed
+from hapticd.experiment.cells import Cell, cells_of, levels_key
 from hapticd.experiment.faults import Fault
 from hapticd.experiment.key_paths import path_of, with_patch
 from hapticd.experiment.keys import Adaptive, Study, Variable
@@ -42,7 +42,7 @@ def display_faults(study: Study) -> list[Fault]:
         for position in range(len(cell.levels)):
             place = place_of(study, position)
             for levels in cell.levels[position:] if cell.listed else cell.levels:
-                stimulus = cell.condition, typed(levels)
+                stimulus = cell.condition, levels_key(levels)
                 # What is wrong at one place is not told again for the others.
                 known = (place, stimulus) in seen or stimulus in faulty or _has_variable(study, cell, levels)
                 if not known:
@@ -54,7 +54,7 @@ def display_faults(study: Study) -> list[Fault]:
                 if cell.listed:
                     break
         # A fault of the factors' levels would be one of every value of the variable.
-        if cell.procedure is not None and (cell.condition, typed(cell.levels[0])) not in faulty:
+        if cell.procedure is not None and (cell.condition, levels_key(cell.levels[0])) not in faulty:
             found += _adaptive(study, cell, study.adaptive(cell.procedure))
         if len(found) >= _MOST_FAULTS:
             break

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, TypeAlias
 
 from hapticd.base.errors import Path, known_names, quoted
-from hapticd.experiment.cells import Cell, cells_of, combined, correct_answer
+from hapticd.experiment.cells import Cell, cells_of, crossed_stimuli, correct_answer
 from hapticd.experiment.key_paths import path_of
 from hapticd.experiment.keys import (
-    MOST_TRIALS,
+    MAX_TRIALS,
     NAMED_KEYS,
-    POSITIONS,
+    POSITION_MEANINGS,
     ChoiceQuestion,
     ListedTrial,
     MeasureQuestion,
@@ -212,7 +212,7 @@ def _kind(study: Study, question: Question) -> Iterator[Fault]:
     if not isinstance(question, ChoiceQuestion):
         return
     meanings = [answer.means for answer in question.answers]
-    positions = POSITIONS[: study.stimuli_per_trial]
+    positions = POSITION_MEANINGS[: study.stimuli_per_trial]
     if trial.type in ("paired_comparison", "forced_choice"):
         for position in positions:
             if position not in meanings:
@@ -411,10 +411,10 @@ def _judged(study: Study, question: Question) -> bool:
 
 def _cells(study: Study) -> Iterator[Fault]:
     trial = study.trial
-    if trial.type == "paired_comparison" and trial.cross and len(combined(study)) < 2 and not trial.with_itself:
+    if trial.type == "paired_comparison" and trial.cross and len(crossed_stimuli(study)) < 2 and not trial.with_itself:
         yield ("trial", "cross"), "makes one stimulus, and a pair needs two: more levels, or with_itself"
-    if trial.type == "ranking" and trial.cross and len(combined(study)) < study.stimuli_per_trial:
-        made, count = len(combined(study)), study.stimuli_per_trial
+    if trial.type == "ranking" and trial.cross and len(crossed_stimuli(study)) < study.stimuli_per_trial:
+        made, count = len(crossed_stimuli(study)), study.stimuli_per_trial
         yield (
             ("trial", "cross"),
             f"makes {made} stimuli, and a ranking needs {count}: more levels or fewer alternatives",
@@ -434,8 +434,8 @@ def _cells(study: Study) -> Iterator[Fault]:
                 key: Path = ("levels", index) if factor.levels is not None else ("variants", str(level))
                 yield ("factors", name, *key), f"no trial shows the level {level_text(level)}: list it, or leave it out"
     count = sum(cell.count for cell in cells)
-    if count > MOST_TRIALS:
-        yield ("repetitions",), f"makes {count:,} trials, at most {MOST_TRIALS:,}"
+    if count > MAX_TRIALS:
+        yield ("repetitions",), f"makes {count:,} trials, at most {MAX_TRIALS:,}"
 
 
 def _without_correct(study: Study, cells: Sequence[Cell]) -> Iterator[Fault]:

@@ -22,15 +22,15 @@ Presentation: TypeAlias = Literal["places", "intervals"]
 Measure: TypeAlias = Literal["overtravel_m", "peak_force_n", "completion_s", "path_m"]
 Meaning: TypeAlias = Literal["first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "same"]
 
-POSITIONS: Final[tuple[Meaning, ...]] = (
+POSITION_MEANINGS: Final[tuple[Meaning, ...]] = (
     "first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth",
 )  # fmt: skip
 """What an answer means by its position, in the order of presentation."""
 NAMED_KEYS: Final = ("left", "right", "up", "down", "space", "enter")
 """Keys of a keyboard that an answer may be on, besides single characters. Escape stops everything."""
-MOST_TRIALS: Final = 100_000
-MOST_STIMULI: Final = len(POSITIONS)
-MOST_LEVELS: Final = 10_000
+MAX_TRIALS: Final = 100_000
+MAX_STIMULI_PER_TRIAL: Final = len(POSITION_MEANINGS)
+MAX_FACTOR_LEVELS: Final = 10_000
 
 
 def _some(value: object) -> object:
@@ -53,7 +53,7 @@ Names: TypeAlias = Annotated[tuple[Name, ...], Strict(False), Field(min_length=1
 class Factor(CheckedTogether):
     """What is varied between stimuli: values of one or more keys, or whole patches by name."""
 
-    levels: Annotated[tuple[Level, ...], Strict(False), Field(min_length=1, max_length=MOST_LEVELS)] | None = Field(
+    levels: Annotated[tuple[Level, ...], Strict(False), Field(min_length=1, max_length=MAX_FACTOR_LEVELS)] | None = Field(
         default=None,
         description="Values of the keys at `at`, in their order from low to high; numbers are ordered by value.",
     )
@@ -62,7 +62,7 @@ class Factor(CheckedTogether):
         description="The keys that take the level, from the configuration's root: materials.wood.tap.frequency_hz. "
         "{place} stands for the place of the stimulus. A material's name at materials.NAME stands for its keys.",
     )
-    variants: Annotated[dict[Name, Patch], Field(min_length=1, max_length=MOST_LEVELS)] | None = Field(
+    variants: Annotated[dict[Name, Patch], Field(min_length=1, max_length=MAX_FACTOR_LEVELS)] | None = Field(
         default=None, description="Instead of levels: by the level's name what it changes in the configuration."
     )
 
@@ -229,12 +229,12 @@ class Adaptive(Model):
 class ListedTrial(Model):
     """A trial written out."""
 
-    stimuli: Annotated[tuple[dict[Name, Level], ...], Strict(False), Field(min_length=1, max_length=MOST_STIMULI)] = (
+    stimuli: Annotated[tuple[dict[Name, Level], ...], Strict(False), Field(min_length=1, max_length=MAX_STIMULI_PER_TRIAL)] = (
         Field(description="Of each stimulus the level of every factor, in the order of presentation.")
     )
     condition: Name | None = Field(default=None, description="The condition that it belongs to; by default each.")
     correct: Name | None = Field(default=None, description="The correct answer, where the question does not tell.")
-    repetitions: int = Field(default=1, ge=1, le=MOST_TRIALS, description="How often, for each repetition of all.")
+    repetitions: int = Field(default=1, ge=1, le=MAX_TRIALS, description="How often, for each repetition of all.")
 
 
 class TrialDesign(Model):
@@ -246,14 +246,14 @@ class TrialDesign(Model):
     )
     question: Name = Field(description="Name of the question.")
     cross: Names | None = Field(default=None, description="Factors; every combination of their levels is a stimulus.")
-    list: Annotated[tuple[ListedTrial, ...], Strict(False), Field(min_length=1, max_length=MOST_TRIALS)] | None = Field(
+    list: Annotated[tuple[ListedTrial, ...], Strict(False), Field(min_length=1, max_length=MAX_TRIALS)] | None = Field(
         default=None, description="Instead of cross: the trials one by one."
     )
     procedures: Annotated[dict[Name, Adaptive], Field(min_length=1, max_length=64)] | None = Field(
         default=None, description="Adaptive procedures by name; their trials are interleaved."
     )
     alternatives: int | None = Field(
-        default=None, ge=2, le=MOST_STIMULI, description="Stimuli of a forced choice or a ranking."
+        default=None, ge=2, le=MAX_STIMULI_PER_TRIAL, description="Stimuli of a forced choice or a ranking."
     )
     reference: Annotated[dict[Name, Level], Field(min_length=1)] | None = Field(
         default=None, description="Levels of the stimuli that the target of a forced choice is shown among."
@@ -359,7 +359,7 @@ class Study(Model):
     title: Label = Field(description="One line.")
     instructions: Markdown = Field(description="What the participant reads before the first trial.")
     base: Patch = Field(default={}, description="Scene and materials that every stimulus is made of; or a file's name.")
-    places: Annotated[tuple[Name, ...], Strict(False), Field(max_length=MOST_STIMULI)] = Field(
+    places: Annotated[tuple[Name, ...], Strict(False), Field(max_length=MAX_STIMULI_PER_TRIAL)] = Field(
         default=(), description="Names that {place} stands for, from left to right."
     )
     factors: Annotated[dict[Name, Factor], Field(max_length=32)] = Field(default={}, description="What is varied.")

@@ -20,7 +20,7 @@ from hapticd.experiment.analysis.proportions import proportion
 from hapticd.experiment.analysis.psychometric import PsychometricFit, bootstrap, fit, goodness_of_fit
 from hapticd.experiment.analysis.psychometric_shapes import SHAPES
 from hapticd.experiment.answer_sections import by_condition
-from hapticd.experiment.behaviour import MEASURES, Row, StudyFacts, Varied
+from hapticd.experiment.behaviour import MEASURE_COLUMNS, Row, StudyFacts, Varied
 from hapticd.experiment.procedures.procedure import ProcedureError
 from hapticd.experiment.procedures.staircase import Staircase, StaircaseParameters
 from hapticd.experiment.published_tables import PublishedResults
@@ -211,7 +211,7 @@ def motions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults)
     effects: list[tuple[Cell, ...]] = []
     pictures = []
     not_compared: dict[str, list[str]] = defaultdict(list)
-    for measure in MEASURES:
+    for measure in MEASURE_COLUMNS:
         means: dict[str, dict[str, float]] = {}
         for condition, own in by_condition(rows).items():
             values: dict[str, list[float]] = defaultdict(list)
@@ -269,15 +269,15 @@ def motions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults)
                     )
                 )
     notes = [f"{listing(measures)}, {why}" for why, measures in not_compared.items()]
-    beside_published = published.difference is not None and any(row[0] == published.difference[0] for row in compared)
-    return _motion_section(summary, compared, effects, beside_published, pictures, notes)
+    compares_published = published.difference is not None and any(row[0] == published.difference[0] for row in compared)
+    return _motion_section(summary, compared, effects, compares_published, pictures, notes)
 
 
 def _motion_section(
     summary: list[tuple[Cell, ...]],
     compared: list[tuple[Cell, ...]],
     effects: list[tuple[Cell, ...]],
-    beside_published: bool,
+    compares_published: bool,
     pictures: list[PairedValues],
     notes: list[str],
 ) -> Section:
@@ -288,9 +288,9 @@ def _motion_section(
     if compared:
         head = (
             *("measure", "unit", "comparison", "participants", "difference", "low 95 %", "high 95 %", "SD"),
-            *(("published difference", "published SD") if beside_published else ()),
+            *(("published difference", "published SD") if compares_published else ()),
         )
-        if not beside_published:
+        if not compares_published:
             compared = [row[:-2] for row in compared]
         note = "Differences of the participants' means, with Student's interval."
         tables.append(ResultTable("comparisons", "Conditions compared", head, tuple(compared), note))
@@ -300,7 +300,7 @@ def _motion_section(
         )
         note = "d_z, without unit, is the mean difference over its standard deviation, with noncentral t's interval."
         tables.append(ResultTable("effects", "Size of the effects, and tests", head, tuple(effects), note))
-    return Section(tuple(tables), tuple(pictures), tuple(notes), beside_published)
+    return Section(tuple(tables), tuple(pictures), tuple(notes), compares_published)
 
 
 def _unit(measure: str) -> str:

@@ -35,7 +35,7 @@ PATH_STEP_S: Final = 0.01
 """A path's length is that of the polygon through positions so far apart in time. A finer one would count each step of
 the encoder as a way that the hand went."""
 
-MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m")
+MOTION_MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m")
 _NAMES: Final = {
     "overtravel_m": "Overtravel",
     "peak_force_n": "Largest force",

@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hapticd.experiment.cells import Cell, Levels, cells_of, correct_answer, stimulus_name, typed
+from hapticd.experiment.cells import Cell, Levels, cells_of, correct_answer, stimulus_name, levels_key
 from hapticd.experiment.keys import Study, Variable, Warmup
 from hapticd.experiment.order import (
     blocks_of,
@@ -267,7 +267,7 @@ class _Maker:
     ) -> Stimulus:
         # In a procedure the name says whether it is the target.
         role = None if cell.procedure is None else index == 0
-        key = cell.condition, role, place, typed(levels), id(variable)
+        key = cell.condition, role, place, levels_key(levels), id(variable)
         known = self._known.get(key)
         if known is None:
             name = stimulus_name(self._study, cell, index)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 from hapticd.experiment.front import Shown
-from hapticd.experiment.keys import POSITIONS
+from hapticd.experiment.keys import POSITION_MEANINGS
 
 
 def typed_reply(shown: Shown, text: str) -> str | float:
@@ -33,7 +33,7 @@ def _ranking(shown: Shown, text: str) -> str:
     wanted = [str(number) for number in range(1, shown.stimuli + 1)]
     if sorted(words) != wanted:
         raise ValueError(f"{text}: must name each of {', '.join(wanted)} once, such as {' '.join(reversed(wanted))}")
-    return ">".join(POSITIONS[int(word) - 1] for word in words)
+    return ">".join(POSITION_MEANINGS[int(word) - 1] for word in words)
 
 
 def _text(shown: Shown, text: str) -> str:

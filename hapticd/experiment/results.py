@@ -118,7 +118,7 @@ class Section:
     tables: tuple[ResultTable, ...]
     pictures: tuple[Picture, ...] = ()
     notes: tuple[str, ...] = ()
-    beside_published: bool = False
+    compares_published: bool = False
     """Whether published figures stand in the tables."""
 
 

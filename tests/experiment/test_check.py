@@ -84,7 +84,7 @@ def test_a_staircase_that_cannot_reach_its_hardest_level_is_reported() -> None:
     method["start"] = 92
     (told,) = check_study(study_of(data), FAST).to_look_at
     assert told.where == "trial.procedures.one.method.steps"
-    assert "20 trials reach 2 and not the hardest level, 1:" in told.problem
+    assert "20 trials reach only 2, not the hardest level 1;" in told.problem
 
 
 @pytest.mark.parametrize(

@@ -123,11 +123,11 @@ def test_a_folder_holds_the_sessions_of_one_study(ranked: Path, tmp_path: Path) 
     many = _run(other, ranked, "--offline", "--count", "2", people=("D",))
     assert (
         str(many.exception)
-        == f"{ranked}: has sessions of another study, PutThemInOrder; give each study a folder of its own with -o"
+        == f"{ranked}: contains sessions of another study, PutThemInOrder; give each study a separate folder with -o"
     )
     result = _run(other, ranked, "--offline", people=("D",))
     assert result.exit_code == 1
-    assert "has sessions of another study, PutThemInOrder" in str(result.exception)
+    assert "contains sessions of another study, PutThemInOrder" in str(result.exception)
     assert sorted(ranked.rglob("*")) == before
 
 
