@@ -26,7 +26,7 @@ from rich.markdown import Markdown
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.front import CLEAR_S, Choice, Command, CommandKind, Reply, Shown, Watched
+from hapticd.experiment.front import CLEARANCE_POLL_S, Choice, Command, CommandKind, Reply, Shown, Watched
 from hapticd.experiment.replies import typed_reply
 from hapticd.experiment.stage import Stage
 
@@ -147,7 +147,7 @@ class TextFront:
         with self._keys.single():
             while not stage.is_clear():
                 # Without a look at the stage: a fault stays until the forces are switched on again.
-                said = self._next(None, time.monotonic() + CLEAR_S)
+                said = self._next(None, time.monotonic() + CLEARANCE_POLL_S)
                 if isinstance(said, Command):
                     return said
         return None
