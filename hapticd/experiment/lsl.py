@@ -181,8 +181,8 @@ class Outlets:
 def stream(client: Client, stop: threading.Event, started: Callable[[], None] = lambda: None) -> Sent:
     """Stream a daemon's telemetry until `stop` is set, up to the daemon's tick at that moment.
 
-    `started` is called when the outlets are open. Raises HapticdError if pylsl is not installed, DaemonNotRunning if the
-    daemon ends.
+    `started` is called when the outlets are open. Raises HapticdError if pylsl is not installed, DaemonNotRunning if
+    the daemon ends.
     """
     _pylsl()
     status, account = client.get_status(), SampleStream(warn=False)

@@ -191,10 +191,10 @@ def test_a_session_that_ended_early_says_what_is_not_there(tmp_path: Path) -> No
         file.write_text("".join([lines[0], *(line for line in lines if "without_vibration" in line)]))
     found = analyze([tmp_path])
     assert found.published is None
-    assert "Published results beside these" not in report.page(found)
+    assert "Compared with published results" not in report.page(found)
     assert found.notes == (
         "published results okamura1998.puncture: these sessions have no results yet to compare with them",
-        "overtravel_m and peak_force_n, only trials of without_vibration: a comparison needs two conditions",
+        "overtravel_m and peak_force_n, only in trials of without_vibration: a comparison needs two conditions",
     )
 
 

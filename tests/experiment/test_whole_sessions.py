@@ -136,7 +136,7 @@ def test_what_has_no_session_left_to_run_starts_no_daemon_and_no_page(ranked: Pa
     session = ranked / "sub-simA" / "ses-01"
     result = CliRunner().invoke(cli, ["experiment", "resume", str(session), "--demo"])
     assert result.output == ""
-    assert str(result.exception) == f"{session}: this session is over (all trials are done); nothing is left"
+    assert str(result.exception) == f"{session}: this session is over (all trials are done) and cannot be resumed"
     study = ["experiment", "run", str(ranked.parent / "ranking.yaml"), "--participant", "simA", "--demo"]
     result = CliRunner().invoke(cli, [*study, "-o", str(ranked)])
     assert result.output == ""
