@@ -17,7 +17,7 @@ from hapticd.base.errors import HapticdError, quoted
 from hapticd.base.yaml_source import Json, load_path
 from hapticd.config.schema import unit_of
 from hapticd.experiment.bids import TASK_IN_FILE_NAME
-from hapticd.experiment.session_folder import LOG
+from hapticd.experiment.session_folder import LOG_FILE_NAME
 
 MISSING_CELL: Final = "n/a"
 """A cell without a value, by BIDS."""
@@ -157,7 +157,7 @@ def _tables(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise HapticdError(f"{folder}: no such folder; give the folder of a session, a participant or a data set")
     found = sorted(folder.rglob("*_beh.tsv"))
-    if not found and any(folder.rglob(LOG)):
+    if not found and any(folder.rglob(LOG_FILE_NAME)):
         raise HapticdError(
             f"{folder}: its sessions were interrupted before their tables were written; "
             "run `hapticd experiment resume`, which writes them when it ends or stops"

@@ -17,7 +17,7 @@ from hapticd.base.errors import HapticdError, on_one_line
 from hapticd.base.files import write_whole
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.measures import MOTION_MEASURES
-from hapticd.experiment.session_folder import STUDY, SessionFolder, participant_label
+from hapticd.experiment.session_folder import STUDY_FILE_NAME, SessionFolder, participant_label
 from hapticd.experiment.session_log import Record
 
 BIDS_VERSION: Final = "1.9.0"
@@ -218,7 +218,7 @@ def check_one_study(root: Path, title: str) -> None:
 
 def other_version(root: Path, source: bytes) -> Path | None:
     """Return the folder of a session whose study.yaml differs from `source`, or None if all are the same."""
-    studies = root.glob(f"sub-*/ses-*/{STUDY}")
+    studies = root.glob(f"sub-*/ses-*/{STUDY_FILE_NAME}")
     return next((each.parent for each in studies if each.is_file() and each.read_bytes() != source), None)
 
 

@@ -14,7 +14,7 @@ from hapticd.experiment.keys import (
     Study,
 )
 from hapticd.experiment.plain_values import Scalar
-from hapticd.experiment.stimuli import REFERENCE, TARGET, level_text, levels_text
+from hapticd.experiment.stimuli import REFERENCE_NAME, TARGET_NAME, level_text, levels_text
 
 Levels = Mapping[str, Scalar]
 
@@ -136,7 +136,7 @@ def _name(stimuli: Sequence[Levels]) -> str:
 def stimulus_name(study: Study, cell: Cell, index: int) -> str:
     """Return the name of a cell's stimulus: "target" or "reference" in a procedure, else its levels."""
     if cell.procedure is not None:
-        return TARGET if index == 0 else REFERENCE
+        return TARGET_NAME if index == 0 else REFERENCE_NAME
     return levels_text(cell.levels[index])
 
 

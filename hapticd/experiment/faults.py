@@ -23,7 +23,7 @@ from hapticd.experiment.keys import (
 )
 from hapticd.experiment.plain_values import Scalar
 from hapticd.experiment.published import published_faults
-from hapticd.experiment.stimuli import PLACE, level_text
+from hapticd.experiment.stimuli import PLACE_PLACEHOLDER, level_text
 
 Fault: TypeAlias = tuple[Path, str]
 """The path of a key of the study, and what is wrong with it."""
@@ -81,10 +81,10 @@ def _factors(study: Study) -> Iterator[Fault]:
                 break
         yield from _paths(study, factor.at or (), (*where, "at"), in_places)
         for variant, patch in (factor.variants or {}).items():
-            if in_places and PLACE not in str(patch):
+            if in_places and PLACE_PLACEHOLDER not in str(patch):
                 yield (
                     (*where, "variants", variant),
-                    f"needs {PLACE}: stimuli side by side would all change the same keys",
+                    f"needs {PLACE_PLACEHOLDER}: stimuli side by side would all change the same keys",
                 )
     used = _used_factors(study)
     # An unknown name in cross is probably a misspelt factor, which is reported elsewhere.
@@ -105,10 +105,13 @@ def _paths(study: Study, paths: Sequence[str], where: Path, in_places: bool) -> 
             continue
         if path[0] not in _STUDY_SECTIONS or len(path) < 2:
             yield where, f"{quoted(text)} must begin with scene. or materials."
-        elif PLACE in text and not study.places:
-            yield where, f"{quoted(text)} has {PLACE}, but the study has no places; add e.g. places: [left, right]"
-        elif in_places and PLACE not in text.partition("[")[0]:
-            yield where, f"{quoted(text)} needs {PLACE}: stimuli side by side would all set the same key"
+        elif PLACE_PLACEHOLDER in text and not study.places:
+            yield (
+                where,
+                f"{quoted(text)} has {PLACE_PLACEHOLDER}, but the study has no places; add e.g. places: [left, right]",
+            )
+        elif in_places and PLACE_PLACEHOLDER not in text.partition("[")[0]:
+            yield where, f"{quoted(text)} needs {PLACE_PLACEHOLDER}: stimuli side by side would all set the same key"
 
 
 def _used_factors(study: Study) -> set[str]:

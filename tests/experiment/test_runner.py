@@ -110,7 +110,7 @@ def test_a_session_that_is_over_does_not_run_again(tmp_path: Path) -> None:
     started(tmp_path, NotedStage(), ScriptedFront()).run()
     with pytest.raises(HapticdError, match="this session is over"):
         resumed(tmp_path / SESSION, NotedStage(), ScriptedFront()).run()
-    with pytest.raises(HapticdError, match="this session exists; if it is not over, go on with"):
+    with pytest.raises(HapticdError, match="this session already exists; resume it with"):
         started(tmp_path, NotedStage(), ScriptedFront())
 
 

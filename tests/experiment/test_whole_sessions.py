@@ -140,7 +140,7 @@ def test_what_has_no_session_left_to_run_starts_no_daemon_and_no_page(ranked: Pa
     study = ["experiment", "run", str(ranked.parent / "ranking.yaml"), "--participant", "simA", "--demo"]
     result = CliRunner().invoke(cli, [*study, "-o", str(ranked)])
     assert result.output == ""
-    assert str(result.exception).startswith(f"{session}: this session exists; if it is not over, go on with")
+    assert str(result.exception).startswith(f"{session}: this session already exists; resume it with")
 
 
 @pytest.mark.long
