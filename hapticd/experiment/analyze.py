@@ -1,6 +1,7 @@
 """The complete analysis of the sessions of one study.
 
-Only answered trials of the test phase are used. The summary says how many are left out.
+Only answered trials of the test phase are used or, if there are none, those with a measure of the motion. The summary
+says how many trials are left out.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ RANK_WORDS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "se
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """The analysis of a study; `files` are the tables of answers that it was made from."""
+    """The analysis of a study. `files` are the tables of answers that it was made from."""
 
     title: str
     summary: str
@@ -80,7 +81,7 @@ def analysis_of(behaviour: Behaviour) -> Analysis:
     used = answered or [row for row in tested if any(row.get(name) is not None for name in MEASURE_COLUMNS)]
     if not used:
         raise HapticdError(
-            f"nothing to analyze: none of {len(behaviour.rows)} trials is an answered trial of the test phase"
+            f"nothing to analyze: none of {len(behaviour.rows)} trials is one of the test phase with an answer"
         )
     published = published_results(facts.published) if facts.published else PublishedResults()
     places = {name: place for place, name in enumerate(facts.conditions)}

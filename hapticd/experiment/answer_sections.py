@@ -230,7 +230,7 @@ def confusions(rows: Sequence[Row], facts: StudyFacts) -> Section:
         return Section(())
     head = (
         *("condition", "trials", "transfer, bits", "without bias, bits", "stimuli, bits"),
-        *("of the stimuli, %", "distinct categories"),
+        *("of the stimuli, %", "distinguishable categories"),
     )
     note = "The bias of few trials is corrected as by Panzeri and Treves (1996)."
     tables.append(ResultTable("information", "Information transfer", head, tuple(listed), note))

@@ -14,7 +14,14 @@ from pathlib import Path
 import pytest
 
 from hapticd.base.errors import HapticdError
-from hapticd.experiment.session_folder import SESSION_FILE_NAME, LOG_FILE_NAME, PLAN_FILE_NAME, STUDY_FILE_NAME, SessionFolder, folder_of
+from hapticd.experiment.session_folder import (
+    SESSION_FILE_NAME,
+    LOG_FILE_NAME,
+    PLAN_FILE_NAME,
+    STUDY_FILE_NAME,
+    SessionFolder,
+    folder_of,
+)
 from hapticd.experiment.session_log import SessionLog, decoded, read_log
 from tests.support.special_files import KINDS, refused, special, untouched
 
