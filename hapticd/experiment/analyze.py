@@ -1,6 +1,6 @@
 """The complete analysis of the sessions of one study.
 
-Only answered trials of the test phase are used or, if there are none, those with a measure of the motion. The summary
+Only answered trials of the test phase are used, or without any, those with a measure of the motion. The summary
 says how many trials are left out.
 """
 

@@ -129,7 +129,7 @@ class DaemonStage:
                 f"another client changed the scene (revision is {revision}, must be {self._revision}); "
                 "disconnect other clients from the daemon, and resume"
             )
-        # Renewing raises if the lease lapsed while the forces were off. Without a lease they would stay on for good.
+        # Renewing raises if the lease lapsed while the forces were off. Without a lease they would outlast the runner.
         self._client.lease(RUNNER_LEASE_S, self._token)
         self._client.reset()  # the handle may have gone through a membrane while the forces were off
         self._client.set_forces(True)

@@ -150,7 +150,7 @@ def _answers(question: ChoiceQuestion, where: Path) -> Iterator[Fault]:
                     f"{quoted(answer.key)} is already the key of {keys[answer.key]}; each answer needs its own key",
                 )
             elif answer.key == "escape":
-                yield (*where, index, "key"), "escape ends the session and cannot be the key of an answer"
+                yield (*where, index, "key"), "escape stops the forces and cannot be the key of an answer"
             elif len(answer.key) > 1 and answer.key not in NAMED_KEYS:
                 known = f"one character, or {' or '.join(NAMED_KEYS)}"
                 yield (*where, index, "key"), f"unknown keyboard key {quoted(answer.key)}; must be {known}"
@@ -355,7 +355,7 @@ def _procedures(study: Study) -> Iterator[Fault]:
         in_places = study.trial.presentation == "places"
         yield from _paths(study, variable.at, (*where, "variable", "at"), in_places)
         if variable.level == "factor" and variable.reference == 0:
-            yield (*where, "variable", "reference"), "must not be 0, since the level is a factor of it"
+            yield (*where, "variable", "reference"), "must not be 0, since the level multiplies it"
         if (study.practice or study.training) and adaptive.practice_level is None:
             yield where, "needs practice_level, the level of practice and training trials"
 

@@ -27,7 +27,7 @@ POSITION_MEANINGS: Final[tuple[Meaning, ...]] = (
 )  # fmt: skip
 """Meanings of answers that name a stimulus by its position in the order of presentation."""
 NAMED_KEYS: Final = ("left", "right", "up", "down", "space", "enter")
-"""Keyboard keys that can choose an answer, besides single characters. Escape ends the session instead."""
+"""Keyboard keys that can choose an answer, besides single characters. Escape is the stop key instead."""
 MAX_TRIALS: Final = 100_000
 """Largest number of trials in a session."""
 MAX_STIMULI_PER_TRIAL: Final = len(POSITION_MEANINGS)
@@ -204,7 +204,7 @@ class Variable(Model):
     reference: float = Field(ge=-1e9, le=1e9, description="Value in the stimuli that the target is compared with.")
     level: Literal["value", "added", "factor"] = Field(
         default="value",
-        description="What the procedure's level is: the value, the difference to the reference, or a factor of the "
+        description="What the procedure's level is: the value, the difference from the reference, or the ratio to the "
         "reference.",
     )
 
