@@ -15,9 +15,9 @@ import pytest
 
 from hapticd.base.errors import HapticdError
 from hapticd.experiment.session_folder import (
-    SESSION_FILE_NAME,
     LOG_FILE_NAME,
     PLAN_FILE_NAME,
+    SESSION_FILE_NAME,
     STUDY_FILE_NAME,
     SessionFolder,
     folder_of,
