@@ -249,9 +249,9 @@ def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
     """What of the study is not displayed as written: the session begins all the same. `named`: with the names of
     stimuli, which a participant at this terminal is not to read."""
     from hapticd.experiment.cells import cells_of
-    from hapticd.experiment.check import displayed
+    from hapticd.experiment.check import display_problems
 
-    _, problems = displayed(study, cells_of(study), rig)
+    _, problems = display_problems(study, cells_of(study), rig)
     for problem in problems if named else ():
         note(f"on this device: {problem}")
     if problems and not named:

@@ -243,13 +243,13 @@ def lsl_command(duration_s: float | None, as_json: bool) -> int:
     Two outlets: `hapticd samples`, a number for each axis and quantity, and `hapticd events`, the codes that
     docs/experiments.md lists. It needs the extra `lsl`, and runs on the daemon's machine, whose clock it uses.
     """
-    from hapticd.experiment.lsl import EVENTS, SAMPLES, stream
+    from hapticd.experiment.lsl import EVENTS_OUTLET, SAMPLES_OUTLET, stream
 
     with daemon() as client, stopped_by_signals() as stop:
         timer = threading.Timer(duration_s or 0.0, stop.set)
 
         def started() -> None:
-            note(f"{SAMPLES!r} and {EVENTS!r} are there")
+            note(f"{SAMPLES_OUTLET!r} and {EVENTS_OUTLET!r} are there")
             if duration_s is not None:
                 timer.start()
 

@@ -1,13 +1,13 @@
-"""Experiments with people: studies, sessions and their analysis.
+"""Psychophysical experiments: studies, sessions and their analysis.
 
-What is asked:
+Design of a study:
 
     keys              the keys of a study's YAML file, each with its range
-    plain_values      values of YAML that a model takes as they are
+    plain_values      pydantic types that accept YAML values unchanged
     key_paths         changes of a configuration by the paths of its keys
-    study             reads a study, with every fault at its line
-    faults            what is wrong between the keys of a study
-    display_faults    what the configuration refuses of a study's stimuli
+    study             reads a study, and reports every fault with its line
+    faults            conflicts between the keys of a study
+    display_faults    why the configuration of a study's stimuli is invalid
     stimuli           a stimulus as a scene: the base configuration and what is changed in it
     cells             which sets of stimuli a study presents, how often, and what answer is correct
     order             random, blocked and Latin square orders, and balanced sides
@@ -19,32 +19,32 @@ Procedures and analysis:
 
     procedures/       which level a trial shows
     analysis/         statistics of answers
-    behaviour         rows of answers as sessions' folders have them
-    published         results as publications have them
+    behaviour         rows of answers, from the folders of sessions
+    published         results of publications
     published_tables  published results in the form of our own
     results           tables and pictures of an analysis, as plain numbers
-    answer_sections   what is reported of right and wrong answers
-    measure_sections  what is reported of psychometric functions, ratings, rankings and measures of the motion
-    analyze           all that is reported of sessions
+    answer_sections   sections on correct and incorrect answers
+    measure_sections  sections on psychometric functions, ratings, rankings and measures of the motion
+    analyze           the complete analysis of sessions
     report            the report as a page
 
 Running a session:
 
-    session           begins a session, or goes on with one
+    session           begins or resumes a session
     session_folder    the folder of a session
-    session_log       its log: every record on disk before anything goes on
+    session_log       its log: each record is on disk before the session continues
     progress          how far a session is, from its log
-    runner            trial after trial of a plan
+    runner            runs the trials of a plan one after another
     event_codes       the numbers by which other programs follow a session
     lsl               samples and event codes as outlets of Lab Streaming Layer
     trial_scenes      the configurations of a trial, and what a participant sees
-    stage             where trials are felt
+    stage             the interface of what renders a trial
     daemon_stage      on a daemon, in real time
     offline_stage     by hapticd.simulate, without a daemon
-    front             who answers and who watches
+    front             the interface to participant and experimenter
     text_front        a person at a terminal
     pages/            a page for the participant, and one for the experimenter
-    replies           what a participant typed or set, as an answer
+    replies           a typed or set value as an answer
     participants/     simulated participants: how they move, what they feel, how they judge
     measures          overtravel, peak force, time and path from telemetry
     bids              tables of behaviour

@@ -1,6 +1,7 @@
-"""All that is reported of the sessions of one study.
+"""The complete analysis of the sessions of one study.
 
-Only trials of the test with an answer are used; how many are left out is reported.
+Only answered trials of the test phase are used, or without any, those with a measure of the motion. The summary
+says how many trials are left out.
 """
 
 from __future__ import annotations
@@ -13,27 +14,28 @@ from typing import Final
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
 from hapticd.experiment import answer_sections, measure_sections
-from hapticd.experiment.behaviour import MEASURES, Behaviour, Row, read_behaviour
+from hapticd.experiment.behaviour import MEASURE_COLUMNS, Behaviour, Row, read_behaviour
 from hapticd.experiment.published_tables import PublishedResults, published_results
 from hapticd.experiment.results import ResultTable, Section
 
-POSITIONS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
-"""Words of rankings and of what an answer means."""
+RANK_WORDS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
+"""Names of the ranks in a ranking, and of the positions that an answer can mean."""
 
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """What is reported; `files` are the tables of answers that it was made from."""
+    """The analysis of a study. `files` are the tables of answers that it was made from."""
 
     title: str
     summary: str
     sections: tuple[Section, ...]
     files: tuple[Path, ...]
     published: str | None
-    """Name of the published results that stand beside these; None: none do."""
+    """Name of the published results that these are compared with, or None."""
 
     @property
     def tables(self) -> tuple[ResultTable, ...]:
+        """The tables of all sections, in order."""
         return tuple(table for section in self.sections for table in section.tables)
 
     @property
@@ -42,6 +44,7 @@ class Analysis:
         return tuple(note for section in self.sections for note in section.notes)
 
     def to_dict(self) -> dict[str, Json]:
+        """Return the analysis as JSON data, its tables by name."""
         tables: dict[str, Json] = {table.name: table.to_dict() for table in self.tables}
         return {
             "title": self.title,
@@ -54,7 +57,7 @@ class Analysis:
 
 
 def require() -> None:
-    """Raises HapticdError (one line) where scipy is missing."""
+    """Raise HapticdError if scipy is not installed."""
     try:
         import scipy  # noqa: F401
     except ImportError:
@@ -62,20 +65,23 @@ def require() -> None:
 
 
 def analyze(folders: Sequence[Path]) -> Analysis:
-    """Analyses every session below the folders. Raises HapticdError: see behaviour, and where no trial can be used."""
+    """Analyze every session below the folders.
+
+    Raises HapticdError if the tables cannot be read (see `behaviour.read_behaviour`), or no trial can be used.
+    """
     require()
     return analysis_of(read_behaviour(folders))
 
 
 def analysis_of(behaviour: Behaviour) -> Analysis:
-    """Of rows that were read. Raises HapticdError where no trial can be used."""
+    """Analyze rows that were read. Raises HapticdError if no trial can be used."""
     facts = behaviour.facts
     tested = [row for row in behaviour.rows if row["phase"] == "test"]
     answered = [row for row in tested if row.get("response") is not None]
-    used = answered or [row for row in tested if any(row.get(name) is not None for name in MEASURES)]
+    used = answered or [row for row in tested if any(row.get(name) is not None for name in MEASURE_COLUMNS)]
     if not used:
         raise HapticdError(
-            f"none of {len(behaviour.rows)} trials is one of the test with an answer: nothing to analyze"
+            f"nothing to analyze: none of {len(behaviour.rows)} trials is one of the test phase with an answer"
         )
     published = published_results(facts.published) if facts.published else PublishedResults()
     places = {name: place for place, name in enumerate(facts.conditions)}
@@ -88,16 +94,16 @@ def analysis_of(behaviour: Behaviour) -> Analysis:
         f"{', '.join(counts)} of the test; {len(behaviour.rows) - len(tested)} of practice or training and {left} "
         "without an answer are left out"
     )
-    beside = any(section.beside_published for section in sections)
-    if facts.published and not beside:
-        alone = f"published results {facts.published}: these sessions have nothing yet to stand beside them"
-        sections.insert(0, Section((), notes=(alone,)))
+    compared = any(section.compares_published for section in sections)
+    if facts.published and not compared:
+        note = f"published results {facts.published}: these sessions have no results yet to compare with them"
+        sections.insert(0, Section((), notes=(note,)))
     return Analysis(
         facts.title,
         summary,
         tuple(section for section in sections if section.tables or section.pictures or section.notes),
         behaviour.files,
-        facts.published if beside else None,
+        facts.published if compared else None,
     )
 
 
@@ -120,7 +126,7 @@ def _sections(
     if facts.trial_type == "identification":
         found.append(answer_sections.confusions(fixed, facts))
     if facts.trial_type == "ranking":
-        found.append(measure_sections.rankings([row for row in fixed if _is_ranking(row)], POSITIONS))
+        found.append(measure_sections.rankings([row for row in fixed if _is_ranking(row)], RANK_WORDS))
     if facts.trial_type == "rating":
         found.append(measure_sections.ratings(answers))
     found.append(measure_sections.motions(used, facts, published))
@@ -136,7 +142,7 @@ def _count(number: int, what: str) -> str:
 
 def _is_ranking(row: Row) -> bool:
     words = row["response"].split(">")
-    right = len(words) == len(row.stimuli) and set(words) == set(POSITIONS[: len(words)])
+    right = len(words) == len(row.stimuli) and set(words) == set(RANK_WORDS[: len(words)])
     if not right:
-        raise HapticdError(f"{row.where}: response {row['response']!r} is no ranking of {len(row.stimuli)} stimuli")
+        raise HapticdError(f"{row.where}: response {row['response']!r} is not a ranking of {len(row.stimuli)} stimuli")
     return True

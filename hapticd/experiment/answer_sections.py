@@ -1,4 +1,4 @@
-"""Sections of an analysis that are about right and wrong: cells, conditions, pairs, confusions."""
+"""Sections of an analysis on correct and incorrect answers: cells, conditions, pairs, scales, confusions."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from hapticd.experiment.behaviour import Row, StudyFacts
 from hapticd.experiment.published_tables import PublishedResults
 from hapticd.experiment.results import Cell, Dots, Matrices, ResultTable, Section
 
-_WILSON: Final = ("low 95 %, %", "high 95 %, %")
+_WILSON_COLUMNS: Final = ("low 95 %, %", "high 95 %, %")
+"""Columns of the limits of a Wilson interval, in percent."""
 
 
 def by_condition(rows: Iterable[Row]) -> dict[str, list[Row]]:
-    """Rows of each condition, in the order in which they come."""
+    """Group rows by their condition. Conditions and rows keep their order."""
     found: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         found[row["condition"]].append(row)
@@ -30,7 +31,7 @@ def by_condition(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def cells(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """Trials, correct answers and Wilson intervals of each cell of the study."""
+    """Tabulate trials, correct answers and Wilson intervals of each cell of the study."""
     groups: dict[tuple[str, str], list[bool]] = defaultdict(list)
     for row in rows:
         if row.right is not None:
@@ -39,12 +40,15 @@ def cells(rows: Sequence[Row], facts: StudyFacts) -> Section:
     for (condition, cell), right in sorted(groups.items()):
         found = proportion(sum(right), len(right), facts.chance)
         listed.append((condition, cell, *_percent_cells(sum(right), len(right), facts.chance), found.p_value))
-    head = ("condition", "cell", "trials", "correct", "correct, %", *_WILSON, "p of chance")
+    head = ("condition", "cell", "trials", "correct", "correct, %", *_WILSON_COLUMNS, "p of chance")
     return Section((ResultTable("cells", "Answers in each cell", head, tuple(listed), _chance_note(facts)),))
 
 
 def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -> Section:
-    """Percent correct over participants, and of all trials together, the published figures beside them."""
+    """Tabulate percent correct by condition, next to the published figures.
+
+    Quartiles are over participants. The percentage of all trials is pooled over participants.
+    """
     listed: list[tuple[Cell, ...]] = []
     labels, ours, theirs = [], [], []
     for condition, own in by_condition(rows).items():
@@ -81,7 +85,7 @@ def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResul
     head = (
         *("condition", "participants", "median, %", "Q1, %", "Q3, %"),
         *paper,
-        *("trials", "all trials, %", *_WILSON, "p of chance"),
+        *("trials", "all trials, %", *_WILSON_COLUMNS, "p of chance"),
     )
     table = ResultTable("conditions", "Correct answers over participants", head, tuple(listed), _chance_note(facts))
     series = [("this study", *np.array(ours).T)]
@@ -94,11 +98,14 @@ def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResul
         "correct answers, %",
         None if facts.chance is None else 100 * facts.chance,
     )
-    return Section((table,), (picture,), beside_published=any(row[0] in published.quartiles for row in listed))
+    return Section((table,), (picture,), compares_published=any(row[0] in published.quartiles for row in listed))
 
 
 def pairs(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -> Section:
-    """Percent correct of each pair, in the form of the paper's Tables 2 and 3, with the rank correlation to them."""
+    """Tabulate percent correct of each pair, and its rank correlation to the published matrix.
+
+    The matrices have the form of Tables 2 and 3 of Okamura et al. (1998).
+    """
     tables, pictures = [], []
     ranks: list[tuple[Cell, ...]] = []
     for condition, own in by_condition(rows).items():
@@ -128,16 +135,18 @@ def pairs(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -
             Matrices(f"Correct answers of each pair, {condition}", items, items, tuple(panels), "%", "item", "item")
         )
     if ranks:
-        note = "Spearman's coefficient over all pairs that both have, the diagonal among them; 1 is the same order."
+        note = "Spearman's coefficient over all pairs in both matrices, including the diagonal; 1 is the same order."
         head = ("condition", "pairs", "rank correlation")
         tables.append(
-            ResultTable("rank_correlation", "Order of the pairs against the publication", head, tuple(ranks), note)
+            ResultTable(
+                "rank_correlation", "Order of the pairs compared with the publication", head, tuple(ranks), note
+            )
         )
-    return Section(tuple(tables), tuple(pictures), beside_published=bool(ranks))
+    return Section(tuple(tables), tuple(pictures), compares_published=bool(ranks))
 
 
 def scales(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """The Bradley-Terry scale of paired comparisons."""
+    """Fit the Bradley-Terry scale to paired comparisons, condition by condition."""
     listed: list[tuple[Cell, ...]] = []
     found: dict[str, Scale] = {}
     notes = []
@@ -183,7 +192,7 @@ def scales(rows: Sequence[Row], facts: StudyFacts) -> Section:
 
 
 def confusions(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """Confusion matrices of identification and information transfer."""
+    """Tabulate the confusion matrices of identification and the information transfer."""
     tables, pictures = [], []
     listed: list[tuple[Cell, ...]] = []
     for condition, own in by_condition(rows).items():
@@ -221,15 +230,15 @@ def confusions(rows: Sequence[Row], facts: StudyFacts) -> Section:
         return Section(())
     head = (
         *("condition", "trials", "transfer, bits", "without bias, bits", "stimuli, bits"),
-        *("of the stimuli, %", "categories told apart"),
+        *("of the stimuli, %", "distinguishable categories"),
     )
-    note = "The bias of few trials is that of Panzeri and Treves (1996)."
+    note = "The bias of few trials is corrected as by Panzeri and Treves (1996)."
     tables.append(ResultTable("information", "Information transfer", head, tuple(listed), note))
     return Section(tuple(tables), tuple(pictures))
 
 
 def _ordered(names: Iterable[str], known: Sequence[str]) -> tuple[str, ...]:
-    """Names as the study lists them, else by number or letter."""
+    """Sort names as the study lists them. Others follow, sorted as numbers or else as text."""
     present = set(names)
     listed = [name for name in dict.fromkeys(known) if name in present]
     return (*listed, *sorted(present.difference(listed), key=_sortable))

@@ -1,7 +1,7 @@
-"""Rows of answers, as the folders of sessions have them: `*_beh.tsv`, and what the study beside them says of answers.
+"""Rows of answers from the folders of sessions (`*_beh.tsv`), and facts from the study.yaml of a session.
 
-A row is a trial; `n/a` stands for what it does not have (BIDS). The study is read for what an analysis needs alone:
-type of trial, chance level, published table, the meaning of answers, and the order of levels.
+A row is a trial; a missing value is `n/a` (BIDS). From the study only what an analysis needs is read: type of trial,
+chance level, published table, the meaning of answers, and the order of levels.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ from hapticd.base.errors import HapticdError, quoted
 from hapticd.base.yaml_source import Json, load_path
 from hapticd.config.schema import unit_of
 from hapticd.experiment.bids import TASK_IN_FILE_NAME
-from hapticd.experiment.session_folder import LOG
+from hapticd.experiment.session_folder import LOG_FILE_NAME
 
-MISSING: Final = "n/a"
-NEEDED: Final = ("participant", "phase", "condition", "cell", "response", "correct")
-MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m", "response_time")
-"""Columns of measures of the motion; what has no unit in its name is in s."""
-_ABOVE: Final = 3
-"""Folders above a table in which its study may be: beh/, the session's, the participant's."""
+MISSING_CELL: Final = "n/a"
+"""A cell without a value, by BIDS."""
+REQUIRED_COLUMNS: Final = ("participant", "phase", "condition", "cell", "response", "correct")
+"""Columns without which a table is rejected."""
+MEASURE_COLUMNS: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m", "response_time")
+"""Columns with a numeric measure of a trial. Its unit ends the name; response_time is in s."""
+_MAX_STUDY_FOLDER_LEVELS: Final = 3
+"""How many folders above a table are searched for study.yaml: beh/, the session's, the participant's."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A trial's cells by column; what it does not have is absent."""
+    """The cells of a trial by column, without missing ones."""
 
     cells: Mapping[str, str]
     where: str
@@ -42,21 +44,22 @@ class Row:
         return found
 
     def get(self, name: str) -> str | None:
+        """Return the text of a cell, or None if the trial does not have it."""
         return self.cells.get(name)
 
     def number(self, name: str) -> float | None:
-        """None where the trial does not have it. Raises HapticdError for what is no number."""
+        """Return a cell as a number, or None if it is missing. Raises HapticdError if it is not a number."""
         text = self.cells.get(name)
         if text is None:
             return None
         try:
             return float(text)
         except ValueError:
-            raise HapticdError(f"{self.where}: {name} must be a number or {MISSING}, is {quoted(text)}") from None
+            raise HapticdError(f"{self.where}: {name} must be a number or {MISSING_CELL}, is {quoted(text)}") from None
 
     @property
     def stimuli(self) -> tuple[str, ...]:
-        """Names, in the order of presentation."""
+        """The names of the stimuli, in the order of presentation."""
         found: list[str] = []
         while (name := self.cells.get(f"stimulus_{len(found) + 1}")) is not None:
             found.append(name)
@@ -64,33 +67,37 @@ class Row:
 
     @property
     def right(self) -> bool | None:
-        """Whether the answer was correct; None where there is no correct one."""
+        """Whether the answer was correct; None if no answer was defined as correct."""
         text = self.cells.get("correct")
         if text not in (None, "0", "1"):
-            raise HapticdError(f"{self.where}: correct must be 1, 0 or {MISSING}, is {quoted(text)}")
+            raise HapticdError(f"{self.where}: correct must be 1, 0 or {MISSING_CELL}, is {quoted(text)}")
         return None if text is None else text == "1"
 
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """What an adaptive procedure varies. Within a condition and a cell equal ones have one psychometric function."""
+    """What an adaptive procedure varies.
+
+    Procedures with equal `Varied` share one psychometric function within a condition and a cell.
+    """
 
     variable: str | None = None
-    """The key whose level it varies; its unit stands at its end."""
+    """The key that is varied; its name ends with its unit."""
     at: tuple[str, ...] = ()
-    """The keys that take its value."""
+    """The paths of the keys that take its value."""
     reference: float | None = None
     """Value of the stimulus that the target is compared with."""
     level: str = "value"
-    """What the level is: the value, what is added to the reference, or a factor of it."""
+    """What the level is: "value", "difference" (added to the reference) or "factor" (of the reference)."""
     logarithmic: bool = False
     rising: bool = True
-    """Whether correct answers become more with the level."""
+    """Whether the probability of a correct answer grows with the level."""
     guess: float = 0.0
     """Probability of a correct answer by chance."""
 
     @property
     def unit(self) -> str:
+        """The unit of the level, for axes and tables."""
         if self.level == "factor":
             return "ratio"
         return (unit_of(self.variable) if self.variable else None) or "units of the variable"
@@ -98,31 +105,31 @@ class Varied:
 
 @dataclass(frozen=True, slots=True)
 class StudyFacts:
-    """What an analysis is told by the study."""
+    """What an analysis needs to know about the study."""
 
     title: str
     trial_type: str | None = None
     chance: float | None = None
     published: str | None = None
     varied: Mapping[str, Varied] = field(default_factory=dict)
-    """By the name of the adaptive procedure."""
+    """What each adaptive procedure varies, by its name."""
     staircases: Mapping[str, Mapping[str, Json]] = field(default_factory=dict)
-    """The methods of those procedures that are staircases."""
+    """The `method` of each staircase, by the name of its procedure."""
     crossed: bool = False
-    """Whether cells are combinations of levels (trial.cross); else an adaptive trial's is named by its procedure."""
+    """Whether cells are combinations of levels (trial.cross). If not, an adaptive trial's cell is its procedure."""
     conditions: tuple[str, ...] = ()
-    """In the order of the study."""
+    """Names of the conditions, in the order of the study."""
     items: tuple[str, ...] = ()
-    """Levels of its factors, in their order."""
+    """Levels of all factors, in the order of the study."""
     meanings: Mapping[str, str] = field(default_factory=dict)
-    """What answers mean: first, second, ..., same."""
+    """What each answer means: first, second, ..., or same."""
     levels: Mapping[str, str] = field(default_factory=dict)
-    """The level that an answer names."""
+    """The level that each answer names."""
 
 
 @dataclass(frozen=True, slots=True)
 class Behaviour:
-    """All sessions of one study."""
+    """The answers of all sessions of one study."""
 
     facts: StudyFacts
     rows: tuple[Row, ...]
@@ -131,11 +138,14 @@ class Behaviour:
 
 
 def read_behaviour(folders: Sequence[Path]) -> Behaviour:
-    """Reads every session below the folders. Raises HapticdError: no table, several studies, a row that is none."""
+    """Read every session below the folders.
+
+    Raises HapticdError if there is no table, a row is invalid, or the tables belong to several studies.
+    """
     files = sorted({file.resolve(): file for folder in folders for file in _tables(folder)}.values())
     tasks = sorted({match[1] if (match := TASK_IN_FILE_NAME.search(file.name)) else file.name for file in files})
     if len(tasks) > 1:
-        raise HapticdError(f"tables of {len(tasks)} studies ({', '.join(tasks)}): analyze the folders of one at a time")
+        raise HapticdError(f"tables of {len(tasks)} studies ({', '.join(tasks)}); give the folders of one study only")
     rows = [row for file in files for row in _rows(file)]
     columns = tuple(dict.fromkeys(name for row in rows for name in row.cells))
     return Behaviour(_facts(files, tasks[0]), tuple(rows), tuple(files), columns)
@@ -145,15 +155,17 @@ def _tables(folder: Path) -> list[Path]:
     if folder.is_file():
         return [folder]
     if not folder.is_dir():
-        raise HapticdError(f"{folder}: there is no such folder; give that of a session, a participant or a data set")
+        raise HapticdError(f"{folder}: no such folder; give the folder of a session, a participant or a data set")
     found = sorted(folder.rglob("*_beh.tsv"))
-    if not found and any(folder.rglob(LOG)):
+    if not found and any(folder.rglob(LOG_FILE_NAME)):
         raise HapticdError(
             f"{folder}: its sessions were interrupted before their tables were written; "
-            "go on with `hapticd experiment resume`, which writes them when it ends or stops"
+            "run `hapticd experiment resume`, which writes them when it ends or stops"
         )
     if not found:
-        raise HapticdError(f"{folder}: holds no *_beh.tsv; give the folder of a session, a participant or a data set")
+        raise HapticdError(
+            f"{folder}: contains no *_beh.tsv; give the folder of a session, a participant or a data set"
+        )
     return found
 
 
@@ -164,13 +176,13 @@ def _rows(file: Path) -> Iterator[Row]:
         raise HapticdError(f"{file}: cannot be read: {error}") from None
     lines = csv.reader(io.StringIO(text), delimiter="\t", quoting=csv.QUOTE_NONE)
     head = next(lines, [])
-    lacking = [name for name in NEEDED if name not in head]
+    lacking = [name for name in REQUIRED_COLUMNS if name not in head]
     if lacking:
-        raise HapticdError(f"{file}:1: has no column {', '.join(lacking)}: is no table of answers")
+        raise HapticdError(f"{file}:1: not a table of answers: no column {', '.join(lacking)}")
     for number, cells in enumerate(lines, 2):
         if len(cells) != len(head):
-            raise HapticdError(f"{file}:{number}: has {len(cells)} cells, the head has {len(head)}")
-        present = {name: cell for name, cell in zip(head, cells, strict=True) if cell != MISSING}
+            raise HapticdError(f"{file}:{number}: has {len(cells)} cells, must have {len(head)} as the header")
+        present = {name: cell for name, cell in zip(head, cells, strict=True) if cell != MISSING_CELL}
         row = Row(present, f"{file}:{number}")
         for name in ("participant", "phase", "condition", "cell"):
             row[name]
@@ -179,7 +191,7 @@ def _rows(file: Path) -> Iterator[Row]:
 
 def _facts(files: Sequence[Path], task: str) -> StudyFacts:
     for file in files:
-        for folder in list(file.resolve().parents)[:_ABOVE]:
+        for folder in list(file.resolve().parents)[:_MAX_STUDY_FOLDER_LEVELS]:
             if (folder / "study.yaml").is_file():
                 data = load_path(folder / "study.yaml").data
                 return facts_of(data if isinstance(data, dict) else {}, task)
@@ -187,7 +199,7 @@ def _facts(files: Sequence[Path], task: str) -> StudyFacts:
 
 
 def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
-    """Of a study's YAML; what it does not say is left out."""
+    """Return the facts of a study's YAML, with defaults for missing keys. `task` is the title if it has none."""
     trial, analysis, questions = (_mapping(study.get(key)) for key in ("trial", "analysis", "questions"))
     asked = _mapping(questions.get(str(trial.get("question")), next(iter(questions.values()), None)))
     answers = asked.get("answers")
@@ -222,7 +234,7 @@ def _varied(procedure: Mapping[str, Json], chance: Json) -> Varied:
     guesses = method.get("guesses")
     guess = guesses[0] if isinstance(guesses, list) and len(guesses) == 1 else method.get("guess", chance)
     reference = variable.get("reference")
-    # As the methods' own defaults.
+    # The defaults of the axis, as in experiment.procedures.
     axis = method.get("axis", "logarithmic" if method.get("kind") == "quest_plus" else "linear")
     return Varied(
         variable=name if isinstance(name, str) else None,

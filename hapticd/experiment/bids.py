@@ -1,7 +1,7 @@
-"""Behaviour as tidy tables by the rules of BIDS 1.9: beh.tsv and events.tsv with their sidecars, made from the log.
+"""Behaviour as tidy tables that follow BIDS 1.9: beh.tsv and events.tsv with their JSON sidecars, made from the log.
 
-The log is the truth: the tables are written whole, each time a session ends, and may be made again at any time. Cells
-without a value are `n/a`. Files of a session that are not of BIDS are named in `.bidsignore`.
+Every table is rewritten from the log each time a session ends, and can be made again at any time. Cells without a
+value are `n/a`. `.bidsignore` lists the files of a session that BIDS does not know.
 """
 
 from __future__ import annotations
@@ -16,62 +16,65 @@ from hapticd._version import __version__
 from hapticd.base.errors import HapticdError, on_one_line
 from hapticd.base.files import write_whole
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.measures import MEASURES
-from hapticd.experiment.session_folder import STUDY, SessionFolder, participant_label
+from hapticd.experiment.measures import MOTION_MEASURES
+from hapticd.experiment.session_folder import STUDY_FILE_NAME, SessionFolder, participant_label
 from hapticd.experiment.session_log import Record
 
 BIDS_VERSION: Final = "1.9.0"
-_IGNORED: Final = ("study.yaml", "plan.json", "session.json", "log.jsonl", "*.npz")
-_README: Final = """\
+"""Version of the Brain Imaging Data Structure that the tables follow."""
+_BIDSIGNORE_PATTERNS: Final = ("study.yaml", "plan.json", "session.json", "log.jsonl", "*.npz")
+_README_TEXT: Final = """\
 Sessions of `hapticd experiment`, a folder for each participant and session.
 
-`beh/` has the behaviour: one row a trial in `*_beh.tsv`, and in `*_events.tsv` what happened, by its onset. The JSON
-file beside each table describes its columns. The tables are made of `log.jsonl`, which holds each record with a
+`beh/` has the behaviour: `*_beh.tsv` has one row per trial, `*_events.tsv` one row per event with its onset. The JSON
+file next to each table describes its columns. The tables are made from `log.jsonl`, which holds each record with a
 checksum.
-`study.yaml` is the study as it was read, `plan.json` every trial in its order, `session.json` participant, session,
-seed, versions and device. A `.npz` file is the telemetry of a trial. `hapticd experiment analyze` makes statistics and
-a report.
+`study.yaml` is the study as it was read. `plan.json` lists the trials in order. `session.json` has participant,
+session, seed, versions and device. A `.npz` file is the telemetry of a trial. `hapticd experiment analyze` makes
+statistics and a report.
 """
 TASK_IN_FILE_NAME: Final = re.compile(r"_task-([^_]+)_beh\.tsv$")
-"""The study's label in the name of a table of answers."""
-_FIXED: Final = (
+"""Finds the label of the study in the file name of a table of answers."""
+_FIXED_COLUMNS: Final = (
     "onset", "duration", "participant", "session", "phase", "block", "trial", "condition", "cell", "repetition",
     "attempt", "question", "response", "correct", "response_time", "procedure", "level",
 )  # fmt: skip
+"""Columns that every table of answers has, in this order."""
 
 Row = dict[str, Json]
+"""The cells of a trial or an event, by column; None for a missing value."""
 
-_COLUMNS: Final[dict[str, dict[str, Json]]] = {
-    "onset": {"Description": "Onset of the trial: its forces came on, on the session's clock", "Units": "s"},
-    "duration": {"Description": "From the onset to the answer", "Units": "s"},
+_COLUMN_DESCRIPTIONS: Final[dict[str, dict[str, Json]]] = {
+    "onset": {"Description": "When the forces of the trial were switched on, on the session's clock", "Units": "s"},
+    "duration": {"Description": "Time from the onset to the answer", "Units": "s"},
     "participant": {"Description": "Label of the participant"},
     "session": {"Description": "Number of the session"},
     "phase": {"Description": "Part of the session", "Levels": {
-        "practice": "To get used to it", "training": "To learn the answers", "test": "What counts"}},
+        "practice": "Practice of the task", "training": "Learning of the answers", "test": "Test"}},
     "block": {"Description": "Number of the block"},
     "trial": {"Description": "Index of the trial in the plan, from 0"},
     "condition": {"Description": "Name of the condition"},
     "cell": {"Description": "Name of the cell of the design"},
-    "repetition": {"Description": "How often this cell came before, plus one"},
+    "repetition": {"Description": "Which presentation of this cell it is, from 1"},
     "attempt": {"Description": "Number of the attempt that was answered, from 1"},
     "question": {"Description": "Name of the question"},
-    "response": {"Description": "Name of the answer, number, text, order or measure; n/a: time was up"},
+    "response": {"Description": "Name of the answer, number, text, order or measure; n/a: the time limit passed"},
     "correct": {"Description": "Whether the answer was the correct one", "Levels": {"0": "No", "1": "Yes"}},
     "response_time": {"Description": "From the last interval's onset to the answer", "Units": "s"},
     "procedure": {"Description": "Name of the adaptive procedure"},
     "level": {"Description": "Level that the procedure asked for"},
-    "overtravel_m": {"Description": "How far past the place of its rupture the hand went", "Units": "m"},
+    "overtravel_m": {"Description": "How far the hand moved beyond the place of the rupture", "Units": "m"},
     "peak_force_n": {"Description": "Largest magnitude of the commanded force", "Units": "N"},
     "completion_s": {"Description": "From the first to the last sample with the forces on", "Units": "s"},
-    "path_m": {"Description": "Length of the way that the handle went", "Units": "m"},
+    "path_m": {"Description": "Length of the path of the handle", "Units": "m"},
 }  # fmt: skip
 
 
 def rows_of(folder: SessionFolder) -> list[Row]:
-    """The answered trials of a session, tidy: one row a trial, in the order of their answers. Raises HapticdError.
+    """Return the answered trials of a session, one row per trial, in the order of the answers.
 
-    Beside the fixed columns there are `stimulus_1`, ..., `FACTOR_1`, ... for each place or interval, and a column a
-    measure. None stands for what a trial does not have.
+    Besides the fixed columns there are `stimulus_1`, ..., `FACTOR_1`, ... for each place or interval, and one column
+    per measure. None stands for a missing value. Raises HapticdError if the session cannot be read.
     """
     planned = {each["index"]: each for each in cast("list[dict[str, Any]]", folder.plan["trials"])}
     started: dict[tuple[Json, Json], Record] = {}
@@ -82,7 +85,7 @@ def rows_of(folder: SessionFolder) -> list[Row]:
         elif record["kind"] == "answer":
             shown = cast("list[dict[str, Any]]", started[record["trial"], record["attempt"]]["stimuli"])
             rows.append(_row(folder, planned[record["trial"]], record, shown))
-    names = _in_order({name for row in rows for name in row})
+    names = _ordered_columns({name for row in rows for name in row})
     return [{name: row.get(name) for name in names} for row in rows]
 
 
@@ -104,10 +107,10 @@ def _row(folder: SessionFolder, trial: Mapping[str, Any], answer: Record, stimul
     return row | cast("dict[str, Json]", answer["measures"])
 
 
-def _in_order(names: set[str]) -> list[str]:
-    """The fixed columns, then those of the stimuli, then the measures."""
-    others = sorted(names - set(_FIXED) - set(MEASURES), key=_numbered)
-    return [*_FIXED, *others, *(name for name in MEASURES if name in names)]
+def _ordered_columns(names: set[str]) -> list[str]:
+    """Sort columns: the fixed ones, then those of the stimuli, then the measures."""
+    others = sorted(names - set(_FIXED_COLUMNS) - set(MOTION_MEASURES), key=_numbered)
+    return [*_FIXED_COLUMNS, *others, *(name for name in MOTION_MEASURES if name in names)]
 
 
 def _numbered(name: str) -> tuple[str, int]:
@@ -116,7 +119,7 @@ def _numbered(name: str) -> tuple[str, int]:
 
 
 def event_rows_of(folder: SessionFolder) -> list[Row]:
-    """What happened in a session, by its onset: trials, answers, breaks, pauses and notes."""
+    """Return the events of a session (trials, answers, breaks, pauses, notes), one row each with its onset."""
     rows: list[Row] = []
     for record in folder.contents().records:
         if "at_s" in record:
@@ -128,33 +131,42 @@ def event_rows_of(folder: SessionFolder) -> list[Row]:
 
 
 def write_tables(folder: SessionFolder) -> list[Path]:
-    """Writes the tables of a session and what the data set needs; the files. Raises HapticdError."""
+    """Write the tables of a session and the files of the data set.
+
+    Returns the files that were written. Raises HapticdError if one cannot be written.
+    """
     return [*write_session_tables(folder), *write_data_set(folder.root, str(folder.about["title"]))]
 
 
 def write_session_tables(folder: SessionFolder, synced: bool = True) -> list[Path]:
-    """Writes the tables of a session, `*_events.json` last; the files. `synced`: they are on disk then. Raises
-    HapticdError."""
+    """Write the tables of a session, `*_events.json` last.
+
+    With `synced` they are on disk (fsync) on return. Returns the files that were written. Raises HapticdError if one
+    cannot be written.
+    """
     label = participant_label(folder.participant)
     stem = f"sub-{label}_ses-{folder.session:02d}_task-{task_label(str(folder.about['title']))}"
     beh = folder.path / "beh"
     rows, events = rows_of(folder), event_rows_of(folder)
-    columns = list(rows[0]) if rows else list(_FIXED)
+    columns = list(rows[0]) if rows else list(_FIXED_COLUMNS)
     task = _task(folder)
     files: dict[Path, str] = {
         beh / f"{stem}_beh.tsv": table(columns, rows),
         beh / f"{stem}_beh.json": _json({**task, **{name: _described(name) for name in columns}}),
         beh / f"{stem}_events.tsv": table(["onset", "duration", "trial_type", "trial", "value"], events),
-        beh / f"{stem}_events.json": _json({**task, **_EVENT_COLUMNS}),
+        beh / f"{stem}_events.json": _json({**task, **_EVENT_COLUMN_DESCRIPTIONS}),
     }
     return _written(files, synced)
 
 
 def write_data_set(root: Path, title: str) -> list[Path]:
-    """Writes what a data set says of itself and of all its participants; the files. Raises HapticdError."""
+    """Write the description of the data set and the list of its participants.
+
+    Returns the files that were written. Raises HapticdError if one cannot be written.
+    """
     files: dict[Path, str] = {
-        root / ".bidsignore": "\n".join(_IGNORED) + "\n",
-        root / "README": _README,
+        root / ".bidsignore": "\n".join(_BIDSIGNORE_PATTERNS) + "\n",
+        root / "README": _README_TEXT,
         root / "participants.tsv": "participant_id\n" + "".join(f"{name}\n" for name in _participants(root)),
         root / "dataset_description.json": _json({
             "Name": title,
@@ -177,7 +189,7 @@ def _written(files: Mapping[Path, str], synced: bool = True) -> list[Path]:
 
 
 def _task(folder: SessionFolder) -> dict[str, Json]:
-    """What BIDS asks of a task: what the participant was told and asked, and what presented the stimuli."""
+    """Describe the task for BIDS: its instructions, its question and the software that presented the stimuli."""
     study = cast("dict[str, Any]", folder.plan["study"])
     question = study["questions"][study["trial"]["question"]]
     return {
@@ -192,7 +204,7 @@ def _task(folder: SessionFolder) -> dict[str, Json]:
 
 
 def check_one_study(root: Path, title: str) -> None:
-    """Raises HapticdError where a data set has tables of a study with another title."""
+    """Raise HapticdError if a data set has tables of a study with another title."""
     label = task_label(title)
     tables = root.glob("sub-*/ses-*/beh/*_beh.tsv")
     other = next(
@@ -200,18 +212,18 @@ def check_one_study(root: Path, title: str) -> None:
     )
     if other is not None:
         raise HapticdError(
-            f"{root}: has sessions of another study, {other}; give each study a folder of its own with -o"
+            f"{root}: contains sessions of another study, {other}; give each study a separate folder with -o"
         )
 
 
 def other_version(root: Path, source: bytes) -> Path | None:
-    """A session of the data set whose study is written otherwise than `source`; None: all are the same."""
-    studies = root.glob(f"sub-*/ses-*/{STUDY}")
+    """Return the folder of a session whose study.yaml differs from `source`, or None if all are the same."""
+    studies = root.glob(f"sub-*/ses-*/{STUDY_FILE_NAME}")
     return next((each.parent for each in studies if each.is_file() and each.read_bytes() != source), None)
 
 
 def table(columns: Sequence[str], rows: Sequence[Mapping[str, Json]]) -> str:
-    """A TSV with a line of names, and `n/a` where there is nothing."""
+    """Return a TSV text with a line of column names. A missing value is `n/a`."""
     lines = ["\t".join(columns)]
     lines += ["\t".join(_cell(row.get(name)) for name in columns) for row in rows]
     return "\n".join(lines) + "\n"
@@ -226,12 +238,12 @@ def _cell(value: Json) -> str:
         case float():
             return format(value, ".9g")
         case _:
-            # A tab or the end of a line would be another cell.
+            # A tab or a line break would begin another cell.
             return on_one_line(str(value))
 
 
 def task_label(title: str) -> str:
-    """A title as BIDS allows it in names of files: letters and digits."""
+    """Return a title as BIDS allows it in file names: letters and digits, at most 40."""
     words = re.findall("[A-Za-z0-9]+", title)
     return "".join(word[0].upper() + word[1:] for word in words)[:40] or "Task"
 
@@ -241,8 +253,8 @@ def _participants(root: Path) -> list[str]:
 
 
 def _described(name: str) -> dict[str, Json]:
-    if name in _COLUMNS:
-        return _COLUMNS[name]
+    if name in _COLUMN_DESCRIPTIONS:
+        return _COLUMN_DESCRIPTIONS[name]
     stem, _, number = name.rpartition("_")
     what = "Levels of the stimulus" if stem == "stimulus" else f"Level of {stem} of the stimulus"
     return {"Description": f"{what} at place or in interval {number}"}
@@ -252,10 +264,10 @@ def _json(value: Mapping[str, Json]) -> str:
     return json.dumps(value, ensure_ascii=False, indent=2) + "\n"
 
 
-_EVENT_COLUMNS: Final[dict[str, Json]] = {
-    "onset": {"Description": "On the session's clock", "Units": "s"},
+_EVENT_COLUMN_DESCRIPTIONS: Final[dict[str, Json]] = {
+    "onset": {"Description": "Time on the session's clock", "Units": "s"},
     "duration": {"Description": "0: events have no duration", "Units": "s"},
     "trial_type": {"Description": "Kind of the record in log.jsonl"},
     "trial": {"Description": "Index of the trial in the plan, from 0"},
-    "value": {"Description": "The answer, the note, or why it happened"},
+    "value": {"Description": "The answer, the note, or the reason of the event"},
 }

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement, product
 
 from hapticd.experiment.keys import (
-    POSITIONS,
+    POSITION_MEANINGS,
     ChoiceQuestion,
     ListedTrial,
     RankingQuestion,
     Study,
 )
 from hapticd.experiment.plain_values import Scalar
-from hapticd.experiment.stimuli import REFERENCE, TARGET, level_text, levels_text
+from hapticd.experiment.stimuli import REFERENCE_NAME, TARGET_NAME, level_text, levels_text
 
 Levels = Mapping[str, Scalar]
 
@@ -26,29 +26,33 @@ class Cell:
     condition: str
     name: str
     levels: tuple[Levels, ...]
-    """Of each stimulus; the target of a forced choice is the first, and the order of listed ones is that of their
+    """The levels of each stimulus. The target of a forced choice is the first. Listed stimuli are in the order of their
     presentation."""
     count: int
-    """Trials of it in the test; of a procedure the most."""
+    """Number of trials in the test; for a procedure the largest number."""
     procedure: str | None = None
+    """Name of the run of an adaptive procedure, or None."""
     correct: str | None = None
-    """Of a listed trial what its file says."""
+    """The correct answer of a listed trial, if trial.list names one."""
     entry: int | None = None
-    """Its place in trial.list; None: the cell was made of factors or of a procedure."""
+    """Index in trial.list, or None if the cell comes from factors or a procedure."""
 
     @property
     def listed(self) -> bool:
-        """Whether its stimuli are in the order of their presentation."""
+        """Whether the cell comes from trial.list, so that its stimuli are in the order of their presentation."""
         return self.entry is not None
 
 
 def cells_of(study: Study) -> list[Cell]:
-    """All cells of the test, condition by condition, in the order of the file."""
+    """List all cells of the test, condition by condition, in the order of the file."""
     return [cell for condition in study.conditions for cell in _cells(study, condition)]
 
 
-def combined(study: Study) -> list[Levels]:
-    """The stimuli of `cross`: every combination of the levels of its factors; one without any factor else."""
+def crossed_stimuli(study: Study) -> list[Levels]:
+    """Return the stimuli of `trial.cross`: every combination of the levels of its factors.
+
+    Without `cross` there is one stimulus, without levels.
+    """
     names = study.trial.cross or ()
     return [dict(zip(names, levels, strict=True)) for levels in product(*(study.factors[name].names for name in names))]
 
@@ -58,7 +62,7 @@ def _cells(study: Study, condition: str) -> Iterator[Cell]:
     if trial.list is not None:
         yield from _listed(study, condition, trial.list)
         return
-    stimuli = combined(study)
+    stimuli = crossed_stimuli(study)
     if trial.procedures is not None:
         for levels in stimuli:
             yield from _adaptive(study, condition, levels)
@@ -70,7 +74,7 @@ def _cells(study: Study, condition: str) -> Iterator[Cell]:
                 orders = 2 if trial.both_orders and one is not other else 1
                 yield Cell(condition, _name((one, other)), (one, other), repetitions * orders)
         case "forced_choice":
-            reference = _in_order(study, trial.reference or {})
+            reference = _in_factor_order(study, trial.reference or {})
             others = (reference,) * (study.stimuli_per_trial - 1)
             for levels in stimuli:
                 yield Cell(condition, levels_text(levels), (levels, *others), repetitions)
@@ -83,17 +87,17 @@ def _cells(study: Study, condition: str) -> Iterator[Cell]:
 
 
 def _listed(study: Study, condition: str, trials: Sequence[ListedTrial]) -> Iterator[Cell]:
-    """Stimuli of the same levels are one object: a long list has few of them, and each is named once."""
+    """Yield the cells of trial.list. Equal stimuli share one object, so that a long list names each only once."""
     known: dict[object, tuple[Levels, str]] = {}
     for entry, listed in enumerate(trials):
         if listed.condition not in (None, condition):
             continue
         given, names = [], []
         for written in listed.stimuli:
-            key = typed(written)
+            key = levels_key(written)
             found = known.get(key)
             if found is None:
-                levels = _in_order(study, written)
+                levels = _in_factor_order(study, written)
                 found = known[key] = levels, levels_text(levels)
             given.append(found[0])
             names.append(found[1])
@@ -101,8 +105,8 @@ def _listed(study: Study, condition: str, trials: Sequence[ListedTrial]) -> Iter
         yield Cell(condition, "/".join(names), tuple(given), count, correct=listed.correct, entry=entry)
 
 
-def typed(levels: Levels) -> Hashable:
-    """Levels as a key of a mapping. True is 1 for Python, and no level that is displayed alike."""
+def levels_key(levels: Levels) -> Hashable:
+    """Return levels as a key of a mapping. The types are part of it, as True == 1 in Python."""
     return tuple([(name, type(level), level) for name, level in levels.items()])
 
 
@@ -120,8 +124,8 @@ def _adaptive(study: Study, condition: str, levels: Levels) -> Iterator[Cell]:
         yield Cell(condition, cell, (levels, *others), adaptive.trials, procedure=".".join(parts))
 
 
-def _in_order(study: Study, levels: Levels) -> Levels:
-    """Levels in the order of the study's factors, so that the same ones have one name."""
+def _in_factor_order(study: Study, levels: Levels) -> Levels:
+    """Sort levels in the order of the study's factors, so that equal stimuli have the same name."""
     return {name: levels[name] for name in study.factors if name in levels}
 
 
@@ -130,19 +134,21 @@ def _name(stimuli: Sequence[Levels]) -> str:
 
 
 def stimulus_name(study: Study, cell: Cell, index: int) -> str:
-    """The name of a cell's stimulus: target and reference in a procedure, else its levels."""
+    """Return the name of a cell's stimulus: "target" or "reference" in a procedure, else its levels."""
     if cell.procedure is not None:
-        return TARGET if index == 0 else REFERENCE
+        return TARGET_NAME if index == 0 else REFERENCE_NAME
     return levels_text(cell.levels[index])
 
 
 def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None:
-    """The name of the correct answer when the cell's stimuli are presented in this order (indices of its levels).
+    """Return the name of the correct answer if the stimuli of a cell are presented in this order.
 
-    A paired comparison's by what the question asks for, a forced choice's that which means the target's position
-    unless the question asks, an identification's that which names the level, a ranking's the positions in order.
-    None where the study does not say, of ties without an answer that means `same`, and of a listed forced choice for
-    which neither trial nor question says it: its target is not known.
+    `order` holds indices of `cell.levels`. The answer of a paired comparison follows from what the question asks for.
+    That of a forced choice means the position of the target, unless the question asks for a level. That of an
+    identification names the level. That of a ranking lists the positions in order.
+
+    Returns None if the study does not define it, if stimuli tie and no answer means `same`, and for a listed forced
+    choice whose target neither the trial nor the question defines.
     """
     if cell.correct is not None:
         return cell.correct
@@ -152,7 +158,7 @@ def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None
             return None
         ranks = _ranks(study, cell, order, question.asks.factor)
         positions = sorted(range(len(order)), key=ranks.__getitem__, reverse=question.asks.which == "highest")
-        return None if len(set(ranks)) < len(ranks) else ">".join(POSITIONS[position] for position in positions)
+        return None if len(set(ranks)) < len(ranks) else ">".join(POSITION_MEANINGS[position] for position in positions)
     if not isinstance(question, ChoiceQuestion):
         return None
     if study.trial.type == "identification":
@@ -162,10 +168,10 @@ def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None
         )
     asks = question.asks
     if asks is None:
-        target_is_known = study.trial.type == "forced_choice" and not cell.listed and _odd(cell)
+        target_is_known = study.trial.type == "forced_choice" and not cell.listed and _target_differs(cell)
         return _meaning(question, order.index(0)) if target_is_known else None
     if cell.procedure is not None:
-        # The variable is not known before the trial; the target is what is asked for.
+        # The value of the variable is not known before the trial. The question asks for the target.
         return _meaning(question, order.index(0))
     ranks = _ranks(study, cell, order, asks.factor)
     best = max(ranks) if asks.which == "highest" else min(ranks)
@@ -174,18 +180,20 @@ def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None
     return _meaning(question, ranks.index(best))
 
 
-def _odd(cell: Cell) -> bool:
-    """Whether the target differs from the others."""
+def _target_differs(cell: Cell) -> bool:
+    """Return whether the target differs from the other stimuli."""
     return cell.procedure is not None or cell.levels[0] != cell.levels[1]
 
 
 def _meaning(question: ChoiceQuestion, position: int) -> str | None:
-    return next((each.name for each in question.answers if each.means == POSITIONS[position]), None)
+    return next((each.name for each in question.answers if each.means == POSITION_MEANINGS[position]), None)
 
 
 def _ranks(study: Study, cell: Cell, order: Sequence[int], factor: str) -> list[float]:
-    """Of each stimulus in the order of presentation the rank of its level: of numbers the value, since a reference need
-    not be one of the factor's levels."""
+    """Return the rank of each stimulus by its level of a factor, in the order of presentation.
+
+    The rank of a number is the number, since a reference need not be one of the factor's levels.
+    """
     levels = [cell.levels[index][factor] for index in order]
     if all(isinstance(level, int | float) and not isinstance(level, bool) for level in levels):
         return [float(level) for level in levels]

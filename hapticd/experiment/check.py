@@ -1,6 +1,6 @@
-"""What of a study can be shown on a device, how long a session takes, how many trials each cell gets, and its power.
+"""The check of a study: what a device can display of it, how long a session takes, trials of each cell, and its power.
 
-Nothing is displayed and no force is made: each stimulus is checked as `hapticd check` checks a configuration.
+Each stimulus is checked as `hapticd check` checks a configuration. No force is displayed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hapticd.analysis.check import check as check_config
 from hapticd.base.errors import HapticdError, Problem
 from hapticd.base.wording import listed
 from hapticd.config.configuration import Config
-from hapticd.experiment.cells import Cell, cells_of, typed
+from hapticd.experiment.cells import Cell, cells_of, levels_key
 from hapticd.experiment.keys import ChoiceQuestion, ProportionEffect, RankingQuestion, Study
 from hapticd.experiment.plan import Plan, plan
 from hapticd.experiment.power import Power, power_of_difference, power_of_proportion
@@ -30,12 +30,13 @@ from hapticd.experiment.stimuli import (
     value_of,
 )
 
-_MOST_NAMED: Final = 6
+_MAX_NAMED_STIMULI: Final = 6
+"""A problem names at most this many of its stimuli, so that its line stays readable."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellCount:
-    """Trials of the test in one cell; of a procedure the most."""
+    """Number of trials of the test in one cell; for a procedure the largest number."""
 
     condition: str
     cell: str
@@ -44,7 +45,7 @@ class CellCount:
 
 @dataclass(frozen=True, slots=True)
 class StudyReport:
-    """What was found."""
+    """The result of the check of a study."""
 
     title: str
     device: str
@@ -52,43 +53,43 @@ class StudyReport:
     training_trials: int
     test_trials: int
     at_most: bool
-    """Whether the test may have fewer, as procedures end by themselves."""
+    """Whether the test may have fewer trials, because its procedures end by a criterion."""
     cells: tuple[CellCount, ...]
     breaks: int
     minutes: float
-    """Trials at expected_s each, and the shortest breaks."""
+    """Duration of a session in minutes: expected_s per trial, and the shortest breaks."""
     expected_s: float
     correct: str | None
-    """Which answer is correct, in words; None: no answer is."""
+    """Which answer is correct, in words, or None if the study defines none."""
     chance: float | None
-    """Probability of a correct answer by guessing, as the study names it; None: it names none, and there is no test."""
+    """Probability of a correct answer by guessing, from analysis.chance, or None. Without it nothing is tested."""
     power: Power | None
     undisplayable: tuple[Problem, ...]
-    """What the device cannot display, or not as meant, each once, and of which stimuli."""
+    """What the device cannot display, or only with a deviation, each once with the names of its stimuli."""
     to_look_at: tuple[Problem, ...]
-    """What a person should look at: names that participants see and that tell levels or conditions apart, and
-    staircases that cannot reach their hardest level."""
+    """Warnings: names visible to participants that reveal levels or conditions, and staircases that cannot reach their
+    hardest level."""
 
     @property
     def faults(self) -> int:
-        """How much cannot be shown as it is meant."""
+        """Number of problems with the display of the stimuli."""
         return len(self.undisplayable)
 
     def to_dict(self) -> dict[str, object]:
-        """As JSON."""
+        """Return the report as JSON data."""
         return {**asdict(self), "can_be_shown": self.faults == 0}
 
 
 def check_study(study: Study, rig: Config) -> StudyReport:
-    """Checks a study for the device and servo of `rig`.
+    """Check a study for the device and servo of `rig`.
 
-    Raises HapticdError where the power needs scipy and it is not installed, and where the effect is a proportion and
-    the study names no level of chance; nothing for what cannot be shown: that is what is reported.
+    Raises HapticdError if the power needs scipy and it is not installed, or if the effect is a proportion and the study
+    has no analysis.chance. What cannot be displayed is reported, and does not raise.
     """
     sample, cells = plan(study, "", 1, study.order.seed), cells_of(study)
     phases = [trial.phase for trial in sample.trials]
     breaks = breaks_of(sample)
-    device, undisplayable = displayed(study, cells, rig)
+    device, undisplayable = display_problems(study, cells, rig)
     correct = correct_words(study) if any(trial.correct is not None for trial in sample.trials) else None
     seconds = len(phases) * study.trial.expected_s + breaks * study.breaks.least_s
     return StudyReport(
@@ -106,12 +107,12 @@ def check_study(study: Study, rig: Config) -> StudyReport:
         chance=study.analysis.chance,
         power=_power(study, len(cells), phases.count("test")),
         undisplayable=undisplayable,
-        to_look_at=(*_names_seen(study), *_short_staircases(study)),
+        to_look_at=(*_revealing_names(study), *_short_staircases(study)),
     )
 
 
 def breaks_of(plan: Plan) -> int:
-    """How many breaks the test has: after every so many trials, and before each block but the first."""
+    """Count the breaks of the test: every `breaks.every_trials` trials, and before each block but the first."""
     breaks = plan.study.breaks
     test = [trial for trial in plan.trials if trial.phase == "test"]
     return sum(
@@ -122,10 +123,10 @@ def breaks_of(plan: Plan) -> int:
 
 
 def correct_words(study: Study) -> str:
-    """Which answer is correct, in words, of a study where one is."""
+    """Say in words which answer is correct, for a study that defines it."""
     question = study.asked
     if any(each.correct is not None for each in study.trial.list or ()):
-        return "as trial.list says"
+        return "as trial.list defines"
     asks = question.asks if isinstance(question, ChoiceQuestion | RankingQuestion) else None
     if isinstance(question, RankingQuestion) and asks is not None:
         return f"the order that begins with the {asks.which} {asks.factor}"
@@ -152,16 +153,14 @@ def _power(study: Study, cells: int, trials: int) -> Power | None:
     if isinstance(effect, ProportionEffect):
         chance = study.analysis.chance
         if chance is None:
-            raise HapticdError(
-                "analysis.effect: a proportion is tested against analysis.chance, which the study must name"
-            )
+            raise HapticdError("analysis.effect: an effect of kind proportion needs analysis.chance, which is missing")
         return power_of_proportion(effect, chance, max(1, trials // len(study.conditions)))
     groups = len(study.conditions) if len(study.conditions) > 1 else cells
     return power_of_difference(effect, max(1, trials // groups))
 
 
-def displayed(study: Study, cells: Sequence[Cell], rig: Config) -> tuple[str, tuple[Problem, ...]]:
-    """The device of `rig`, and once each problem that it has with the stimuli of a study's cells, with their names."""
+def display_problems(study: Study, cells: Sequence[Cell], rig: Config) -> tuple[str, tuple[Problem, ...]]:
+    """Return the device of `rig`, and each problem that it has with stimuli of a study, once, with their names."""
     found: dict[tuple[str, str], list[str]] = {}
     device = ""
     for name, stimulus in _stimuli(study, cells):
@@ -175,12 +174,15 @@ def displayed(study: Study, cells: Sequence[Cell], rig: Config) -> tuple[str, tu
 
 
 def _names(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return ", ".join(names[:_MOST_NAMED]) + more if more else listed(names)
+    more = f" and {len(names) - _MAX_NAMED_STIMULI} more" if len(names) > _MAX_NAMED_STIMULI else ""
+    return ", ".join(names[:_MAX_NAMED_STIMULI]) + more if more else listed(names)
 
 
 def _stimuli(study: Study, cells: Sequence[Cell]) -> Iterator[tuple[str, Stimulus]]:
-    """Each stimulus once, at the first place, of a procedure at the ends of what it may show; with its name."""
+    """Yield the name of each stimulus and the stimulus, once, at the first place.
+
+    The stimuli of a procedure are its reference and the target at both ends of the procedure's range.
+    """
     seen: set[str] = set()
     known: set[Hashable] = set()
     place = place_of(study, 0)
@@ -193,8 +195,8 @@ def _stimuli(study: Study, cells: Sequence[Cell]) -> Iterator[tuple[str, Stimulu
             ends = [value_of(variable, level) for level in adaptive.ends]
             variants = [cell.levels[1], *({**cell.levels[0], variable.name: end} for end in ends)]
         for levels in variants:
-            # A long list repeats few levels: their names are made once.
-            same = cell.condition, typed(levels)
+            # A long list repeats few levels. Their names are formatted once.
+            same = cell.condition, levels_key(levels)
             if same in known:
                 continue
             known.add(same)
@@ -206,7 +208,7 @@ def _stimuli(study: Study, cells: Sequence[Cell]) -> Iterator[tuple[str, Stimulu
 
 
 def _short_staircases(study: Study) -> Iterator[Problem]:
-    """Staircases that do not reach their hardest level, even if every answer is correct."""
+    """Report staircases that do not reach their hardest level even if every answer is correct."""
     for name, adaptive in (study.trial.procedures or {}).items():
         method = adaptive.method
         if not isinstance(method, StaircaseParameters):
@@ -220,13 +222,13 @@ def _short_staircases(study: Study) -> Iterator[Problem]:
         if not math.isclose(reached, hardest, abs_tol=1e-9 * (method.most - method.least)):
             yield Problem(
                 f"trial.procedures.{name}.method.steps",
-                f"even if every answer is correct, {method.trials} trials reach {reached:g} and not the hardest level, "
-                f"{hardest:g}: more trials, larger steps, or a nearer limit",
+                f"if every answer is correct, {method.trials} trials reach only {reached:g}, not the hardest level "
+                f"{hardest:g}; use more trials, larger steps, or a nearer limit",
             )
 
 
-def _names_seen(study: Study) -> Iterator[Problem]:
-    """Names of levels and conditions among what the participant sees: labels, names of answers and of objects."""
+def _revealing_names(study: Study) -> Iterator[Problem]:
+    """Report names of levels and conditions that the participant sees as labels, or names of answers or objects."""
     hidden = {level_text(level).casefold() for factor in study.factors.values() for level in factor.names}
     hidden |= {name.casefold() for name in study.conditions}
     question = study.asked
@@ -235,11 +237,11 @@ def _names_seen(study: Study) -> Iterator[Problem]:
             for key, text in (("name", answer.name), ("label", answer.label)):
                 if text.casefold() in hidden:
                     where = f"questions.{study.trial.question}.answers[{index}].{key}"
-                    yield Problem(where, f"the participant sees {text}, the name of a level or of a condition")
+                    yield Problem(where, f"the participant sees {text}, which is the name of a level or a condition")
     scene = study.base.get("scene")
     objects = scene.get("objects") if isinstance(scene, Mapping) else None
     for id in objects if isinstance(objects, Mapping) else ():
         if id.casefold() in hidden:
             yield Problem(
-                f"base.scene.objects.{id}", "is the name of a level or of a condition, which the page may hold"
+                f"base.scene.objects.{id}", "the id is the name of a level or a condition, which the page may reveal"
             )

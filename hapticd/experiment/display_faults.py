@@ -1,4 +1,4 @@
-"""What the configuration refuses of a study's stimuli, each fault at the key of the study that brings it in."""
+"""Faults that the configuration finds in the stimuli of a study, each at the key of the study that causes it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 from hapticd.base.errors import InvalidError, Path, path_text
 from hapticd.base.model import UNKNOWN_KEY
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.cells import Cell, cells_of, typed
+from hapticd.experiment.cells import Cell, cells_of, levels_key
 from hapticd.experiment.faults import Fault
 from hapticd.experiment.key_paths import path_of, with_patch
 from hapticd.experiment.keys import Adaptive, Study, Variable
@@ -24,11 +24,12 @@ from hapticd.experiment.stimuli import (
     value_of,
 )
 
-_MOST_FAULTS: Final = 50
+_MAX_FAULTS: Final = 50
+"""The search ends when this many faults were found."""
 
 
 def display_faults(study: Study) -> list[Fault]:
-    """Faults of the base, of conditions, of levels and of what several of them make together."""
+    """Return the faults of the base configuration, of conditions, of levels and of combinations of these."""
     base = [(("base", *path), text) for path, text in config_faults(study.base)]
     if base:
         return base
@@ -42,8 +43,8 @@ def display_faults(study: Study) -> list[Fault]:
         for position in range(len(cell.levels)):
             place = place_of(study, position)
             for levels in cell.levels[position:] if cell.listed else cell.levels:
-                stimulus = cell.condition, typed(levels)
-                # What is wrong at one place is not told again for the others.
+                stimulus = cell.condition, levels_key(levels)
+                # A fault at one place is not reported again for the other places.
                 known = (place, stimulus) in seen or stimulus in faulty or _has_variable(study, cell, levels)
                 if not known:
                     seen.add((place, stimulus))
@@ -53,10 +54,10 @@ def display_faults(study: Study) -> list[Fault]:
                         faulty.add(stimulus)
                 if cell.listed:
                     break
-        # A fault of the factors' levels would be one of every value of the variable.
-        if cell.procedure is not None and (cell.condition, typed(cell.levels[0])) not in faulty:
+        # A fault of the factors' levels would appear again with every value of the variable.
+        if cell.procedure is not None and (cell.condition, levels_key(cell.levels[0])) not in faulty:
             found += _adaptive(study, cell, study.adaptive(cell.procedure))
-        if len(found) >= _MOST_FAULTS:
+        if len(found) >= _MAX_FAULTS:
             break
     return list(dict.fromkeys(found))
 
@@ -85,7 +86,7 @@ def _faults(make: Callable[[], dict[str, Json]]) -> list[Fault]:
 
 
 def _stimulus(study: Study, condition: str, levels: Mapping[str, Scalar], place: str | None) -> list[Fault]:
-    """Each fault at the level that causes it alone, or else at the trial."""
+    """Return the faults of a stimulus, at the level that alone causes them, or else at trial.cross or trial.list."""
     found = _faults(partial(document_of, study, condition, levels, place))
     if not found:
         return []
@@ -98,7 +99,7 @@ def _stimulus(study: Study, condition: str, levels: Mapping[str, Scalar], place:
 
 
 def _level_path(study: Study, name: str, level: Scalar, text: str) -> Path:
-    """Where a level is written; an unknown key is one of every level, and stands in `at`."""
+    """Return the path at which a level is written. An unknown key is a fault of the factor's `at`."""
     factor = study.factors[name]
     if factor.at is not None and text.startswith(UNKNOWN_KEY):
         return ("factors", name, "at")
@@ -115,7 +116,7 @@ def _sentence(path: Path, text: str) -> str:
 
 
 def _adaptive(study: Study, cell: Cell, adaptive: Adaptive) -> Iterator[Fault]:
-    """The reference, and the ends of what the procedure may show."""
+    """Report faults of a procedure's stimuli: the reference, both ends of its range, and the practice level."""
     assert cell.procedure is not None
     where: Path = ("trial", "procedures", cell.procedure.partition(".")[0])
     variable = adaptive.variable
@@ -129,7 +130,7 @@ def _adaptive(study: Study, cell: Cell, adaptive: Adaptive) -> Iterator[Fault]:
             )
             yield (
                 (*where, "variable", "at"),
-                text or f"{at} is no number in the configuration: a procedure varies numbers",
+                text or f"{at} is not a number in the configuration; a procedure can only vary numbers",
             )
             return
     low, high = adaptive.ends
@@ -139,7 +140,7 @@ def _adaptive(study: Study, cell: Cell, adaptive: Adaptive) -> Iterator[Fault]:
     for name, value in values.items():
         found = _faults(partial(_with_value, study, cell, variable, value))
         keys: dict[str, Path] = {"reference": ("variable", "reference"), "practice_level": ("practice_level",)}
-        end = f" (the {name}est level that it may show)" if name in ("low", "high") else ""
+        end = f" (the {name}est level that the procedure can show)" if name in ("low", "high") else ""
         for path, text in found:
             yield (*where, *keys.get(name, ("method",))), f"{_sentence(path, text)}{end}"
         if found:

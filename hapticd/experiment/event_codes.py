@@ -1,4 +1,4 @@
-"""The numbers by which other programs follow a session: what happened and when, and nothing of what is felt."""
+"""Event codes: numbers by which other programs follow a session. They do not reveal the stimuli."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Final
 
 
 class EventCode(IntEnum):
-    """A number from 1 to 255, which a trigger line of eight bits holds.
+    """An event code from 1 to 255, which fits a trigger line of eight bits.
 
-    Those below 100 are sent by the session as marks: `text` of the mark, the number as `code` in its data. Those above
-    stand for events of the daemon, of which no mark is made.
+    Codes below 100 are sent by the session as marks, with `text` as the mark's text and the number as `code` in its
+    data. Codes above 100 stand for events of the daemon, for which the session leaves no mark.
     """
 
     SESSION_BEGIN = 1, "the instructions were read, and the first trial follows"
-    SESSION_RESUMED = 2, "the same, in a session that is continued"
-    SESSION_END = 3, "no trial is left, or a stop rule ended the session"
+    SESSION_RESUMED = 2, "a session is continued: the instructions were read, and the next trial follows"
+    SESSION_END = 3, "all trials are done, or a stop rule ended the session"
     SESSION_ABORTED = 4, "the experimenter or an error ended the session early"
     TRIAL_ARMED = 10, "the scene of the first interval is loaded, and the forces are off"
     INTERVAL = 11, "the forces were switched on"
@@ -29,13 +29,14 @@ class EventCode(IntEnum):
     PAUSE_BEGIN = 30, "the experimenter paused the session"
     PAUSE_END = 31, "the experimenter continued the session"
     CONTACT = 101, "an object was touched"
-    RELEASE = 102, "it was let go"
-    PUNCTURE = 103, "a membrane broke"
+    RELEASE = 102, "an object was released"
+    PUNCTURE = 103, "a membrane ruptured"
     FAULT = 104, "the set of latched faults changed"
 
     meaning: str
 
     def __new__(cls, number: int, meaning: str) -> EventCode:
+        """Make a code of a number and its meaning."""
         made = int.__new__(cls, number)
         made._value_ = number
         made.meaning = meaning
@@ -43,25 +44,25 @@ class EventCode(IntEnum):
 
     @property
     def text(self) -> str:
-        """The text of the mark, or the kind of the daemon's event."""
+        """The text of the mark, or the name of the daemon's event."""
         return self.name.lower()
 
 
-TRIAL_NUMBERS: Final = 1000
-"""In a stream of plain numbers, this and the trial's follow TRIAL_ARMED, so that the trial is known."""
+TRIAL_NUMBER_OFFSET: Final = 1000
+"""In a stream of plain numbers, this offset plus the index of the trial follows TRIAL_ARMED, to identify the trial."""
 
-_OF_MARKS: Final = {int(code): code for code in EventCode if code < 100}
-_OF_EVENTS: Final = {code.text: code for code in EventCode if code > 100}
+_CODES_OF_MARKS: Final = {int(code): code for code in EventCode if code < 100}
+_CODES_OF_EVENTS: Final = {code.text: code for code in EventCode if code > 100}
 
 
 def code_of(event: Mapping[str, object]) -> EventCode | None:
-    """The code of an event of a daemon: of a session's mark, or of an event that has one. None: it has none.
+    """Return the event code of an event of the daemon, or None.
 
-    A mark that anybody else left has none, whatever its text is.
+    Of marks, only those of a session have one. A mark of another client has none, even if its text is the same.
     """
     if event.get("event") != "mark":
-        return _OF_EVENTS.get(str(event.get("event")))
+        return _CODES_OF_EVENTS.get(str(event.get("event")))
     data = event.get("data")
     number = data.get("code") if isinstance(data, Mapping) else None
-    code = _OF_MARKS.get(number) if type(number) is int else None
+    code = _CODES_OF_MARKS.get(number) if type(number) is int else None
     return code if code is not None and code.text == event.get("text") else None

@@ -1,7 +1,7 @@
-"""Who answers and who watches: what the runner shows, and what it is told.
+"""The interface between the runner and its front: what participant and experimenter see, and what they reply.
 
-`Shown` is all that the participant's side gets. It holds places and answers, and no name of a stimulus, a material, a
-factor or a condition.
+The participant's side only gets `Shown`. It has places and answers, but no name of a stimulus, a material, a factor or
+a condition.
 """
 
 from __future__ import annotations
@@ -13,24 +13,26 @@ from typing import Final, Literal, Protocol, TypeAlias
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.stage import Stage
 
-CLEAR_S: Final = 0.05
-"""Between two looks whether the handle is out of everything."""
+CLEARANCE_POLL_S: Final = 0.05
+"""Time between two checks whether the handle is clear of every object."""
 CommandKind: TypeAlias = Literal["pause", "repeat", "abort", "note"]
 QuestionKind: TypeAlias = Literal["choice", "ranking", "slider", "number", "text", "measure"]
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A surface as the participant sees it: where it is and which way it faces."""
+    """A surface as the participant sees it: a line segment through a point, and its normal."""
 
     point_m: tuple[float, float]
     normal: tuple[float, float]
     half_m: float
-    """How far it goes either way from its point."""
+    """Half the length of the surface, m."""
 
     def from_surface(self, position_m: tuple[float, float]) -> tuple[float, float]:
-        """How far a position is beyond the surface's end, and how far above the surface, in m. Behind it is
-        negative."""
+        """Return how far a position is beyond the nearer end of the surface, and how far above the surface, in m.
+
+        The distance beyond the end is at least 0. The height is negative behind the surface.
+        """
         (x, y), (p_x, p_y), (n_x, n_y) = position_m, self.point_m, self.normal
         along = (x - p_x) * n_y - (y - p_y) * n_x
         return max(0.0, abs(along) - self.half_m), (x - p_x) * n_x + (y - p_y) * n_y
@@ -38,51 +40,52 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """One of the answers that are offered."""
+    """One of the answers to a question."""
 
     name: str
     label: str
     key: str | None
     means: str | None
-    """The position that it names: first, second, ..., or same."""
+    """Position of the stimulus that the answer means: first, second, ..., or same; None for other questions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A trial as the participant gets it."""
+    """What the participant's side gets of a trial."""
 
     number: int
-    """Counted from 1 over the session."""
+    """Number of the trial in the session, from 1."""
     total: int
+    """Number of trials in the session."""
     at_most: bool
-    """Whether the session may end before so many: a procedure has found what it looks for."""
+    """Whether the session may end before `total` trials: by the criterion of a procedure, or by a stop rule."""
     phase: str
     stimuli: int
-    """How many stimuli there are, side by side or one after the other."""
+    """Number of stimuli."""
     in_places: bool
-    """Whether they are side by side."""
+    """Whether the stimuli are side by side; if not, they follow one another in intervals."""
     surfaces: tuple[Seen, ...]
-    """Where each of them is, in the order of presentation."""
+    """The surface of each stimulus, in the order of presentation."""
     text: str
     kind: QuestionKind
     answers: tuple[Choice, ...] = ()
     low: float | None = None
     high: float | None = None
     step: float | None = None
-    """Between two values of a slider."""
+    """Difference between two neighbouring values of a slider."""
     ends: tuple[str | None, str | None] = (None, None)
-    """What stands at the left and the right end of a slider."""
+    """Labels of the left and the right end of a slider."""
     most_characters: int | None = None
     time_limit_s: float | None = None
 
     def surfaces_of(self, interval: int) -> Sequence[Seen]:
-        """All of them side by side; else that of an interval, counted from 1."""
+        """Return all surfaces if they are side by side, else that of an interval, counted from 1."""
         return self.surfaces if self.in_places else self.surfaces[interval - 1 : interval]
 
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """A trial as the experimenter sees it."""
+    """What the experimenter sees of a trial."""
 
     index: int
     attempt: int
@@ -92,14 +95,18 @@ class Watched:
     correct: str | None
     level: float | None
     answered: int
+    """Number of answers in the session until now."""
     right: int
-    """Correct answers so far."""
+    """Number of correct answers in the session until now."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What the participant answered: the answer's name, positions in order, a number or a text; None: the motion
-    itself is the answer, or time was up."""
+    """What the participant answered.
+
+    `answer` is the name of an answer, positions in order, a number or a text; None if the motion itself is the answer,
+    or the time limit passed.
+    """
 
     answer: str | float | None
     timed_out: bool = False
@@ -107,53 +114,59 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the experimenter wants."""
+    """A command of the experimenter; `text` is that of a note."""
 
     kind: CommandKind
     text: str = ""
 
 
 class Front(Protocol):
-    """The participant and the experimenter."""
+    """The side of participant and experimenter. A method that returns a command was interrupted by the experimenter."""
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
-        """Before the first trial of a run: title, instructions, and how much is done already. `at_most`: fewer trials
-        than `total` may be needed."""
+        """Show title and instructions before the first trial of a run, and return when the participant begins.
+
+        `done` of `total` trials are done already. With `at_most` fewer than `total` may be needed.
+        """
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
-        """Before the first trial of a phase."""
+        """Show the instructions of a phase before its first trial, and return when the participant begins."""
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
-        """The trial is armed; returns when the experimenter lets the forces on."""
+        """Show an armed trial, and return when its forces may be switched on."""
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """The handle is inside something, or behind a membrane, of the scene of an interval, counted from 1; returns
-        once `stage.is_clear`, which it asks every CLEAR_S."""
+        """Ask the participant to withdraw the handle from the objects of an interval, counted from 1.
+
+        Returns when `stage.is_clear()`, which is polled every CLEARANCE_POLL_S.
+        """
 
     def may_enable(self) -> Command | None:
-        """Asked just before the forces are switched on, and just after: what speaks against it, or None."""
+        """Return a command that forbids the forces, or None. Called just before and just after they are switched on."""
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """An interval that is not the last, counted from 1; returns when the participant goes on to the next."""
+        """Present an interval before the last, counted from 1, and return when the participant ends it."""
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
-        """The last interval and the question. Calls `stage.check` while it waits."""
+        """Present the last interval, ask the question and return the reply. Calls `stage.check` while it waits."""
 
     def feedback(self, told: str, right: str | None) -> None:
-        """What the participant is told after a trial. `right`: the name of the correct answer, where `told` gives it
-        away."""
+        """Show the participant the feedback on a trial.
+
+        `right` is the name of the correct answer if the feedback reveals it, else None.
+        """
 
     def not_done(self, trial: int, why: str) -> None:
-        """A motor task was not done, and begins again. `trial` counts from 1; participant and experimenter are told."""
+        """Report to both that a motor task was not done and begins again. `trial` counts from 1."""
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
-        """An answer is on disk. `response_s`: from the beginning of the last interval to the answer."""
+        """Report an answer that is on disk. `response_s` is the time from the onset of the last interval, in s."""
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """A break, which lasts `least_s` more at least; returns when the participant goes on."""
+        """Show a break of at least `least_s` more, and return when the participant continues."""
 
     def paused(self) -> Command | None:
-        """The experimenter paused; returns when it goes on."""
+        """Show a pause of the experimenter, and return when the experimenter continues."""
 
     def tell(self, line: str) -> None:
-        """One line for the experimenter."""
+        """Show one line to the experimenter."""

@@ -1,7 +1,7 @@
-"""Changes of a configuration that is plain data, by the paths of its keys: `materials.wood.tap.frequency_hz`.
+"""Changes of a configuration as plain data, by the paths of its keys, e.g. `materials.wood.tap.frequency_hz`.
 
-A change of a shipped material's key starts from that material. A text where a material's keys are expected,
-`materials.left: wood`, stands for the keys of the material of that name.
+A change of a shipped material's key starts from that material. A material's name in the place of its keys, as in
+`materials.left: wood`, stands for the keys of that material.
 """
 
 from __future__ import annotations
@@ -16,30 +16,34 @@ from hapticd.base.merge_patch import merge_patch
 from hapticd.base.yaml_source import Json
 from hapticd.config.materials import shipped_materials
 
-_ELEMENT: Final = re.compile(r"([^.\[\]]+)((?:\[[0-9]{1,5}\])*)")
+_PATH_ELEMENT: Final = re.compile(r"([^.\[\]]+)((?:\[[0-9]{1,5}\])*)")
+"""A key with any number of indices behind it, as patches[0]."""
 
 
 def path_of(text: str) -> Path:
-    """`scene.objects.floor.patches[0].material` as keys and indices. Raises ValueError."""
+    """Parse a path such as `scene.objects.floor.patches[0].material` into keys and indices.
+
+    Raises ValueError if the text is not a path.
+    """
     found: list[str | int] = []
     for part in text.split("."):
-        match = _ELEMENT.fullmatch(part)
+        match = _PATH_ELEMENT.fullmatch(part)
         if match is None:
-            raise ValueError("must be keys with dots between them, as materials.wood.tap.frequency_hz")
+            raise ValueError("must be keys separated by dots, as materials.wood.tap.frequency_hz")
         found += [match[1], *(int(index) for index in re.findall(r"[0-9]+", match[2]))]
     return tuple(found)
 
 
 @cache
 def _shipped() -> dict[str, Json]:
-    """The shipped materials as plain data."""
+    """Return the shipped materials as plain data."""
     return {name: material.to_dict() for name, material in shipped_materials().items()}
 
 
 def expanded(document: Mapping[str, Json]) -> dict[str, Json]:
-    """A configuration whose materials that are names of others are replaced by the keys of these.
+    """Return a configuration in which each material given as the name of another one has the keys of that one.
 
-    Raises InvalidError, `where` is materials.NAME, for a name that nobody defines.
+    Raises InvalidError at materials.NAME for a name that is neither in the configuration nor shipped.
     """
     materials = document.get("materials")
     if not isinstance(materials, dict) or not any(isinstance(value, str) for value in materials.values()):
@@ -55,14 +59,14 @@ def expanded(document: Mapping[str, Json]) -> dict[str, Json]:
                 value = shipped[value]
             else:
                 known = known_names(value, [*(each for each in materials if each != name), *shipped])
-                problem = f"no material is called {value}; {known}"
+                problem = f"unknown material {value}; {known}"
                 raise InvalidError([Problem(path_text(("materials", name)), problem)])
         found[name] = value
     return {**document, "materials": found}
 
 
 def with_patch(document: Mapping[str, Json], patch: Mapping[str, Json]) -> dict[str, Json]:
-    """A configuration with a merge patch applied. Raises InvalidError as `expanded` does."""
+    """Apply a merge patch (RFC 7396) to a configuration. Raises InvalidError as `expanded` does."""
     changed = patch.get("materials")
     if isinstance(changed, dict):
         document = _with_shipped(document, (name for name, value in changed.items() if isinstance(value, dict)))
@@ -72,9 +76,10 @@ def with_patch(document: Mapping[str, Json], patch: Mapping[str, Json]) -> dict[
 
 
 def with_value(document: Mapping[str, Json], path: Path, value: Json, *, make: bool = False) -> dict[str, Json]:
-    """A configuration with one key set. Raises InvalidError, `where` is the path, where nothing has such a key.
+    """Return a configuration with one key set.
 
-    `make`: mappings on the way that are left out are made, as all keys of a configuration have defaults.
+    With `make`, missing mappings along the path are created, as every key of a configuration has a default. Raises
+    InvalidError at the path if it does not exist.
     """
     if path[0] == "materials" and len(path) > 2:
         document = _with_shipped(document, (str(path[1]),))
@@ -84,7 +89,7 @@ def with_value(document: Mapping[str, Json], path: Path, value: Json, *, make: b
 
 
 def _with_shipped(document: Mapping[str, Json], names: Iterable[str]) -> Mapping[str, Json]:
-    """A configuration that holds the shipped materials of these names itself."""
+    """Return a configuration that contains the keys of the shipped materials of these names."""
     own = document.get("materials")
     own = own if isinstance(own, dict) else {}
     shipped = _shipped()
@@ -95,7 +100,7 @@ def _with_shipped(document: Mapping[str, Json], names: Iterable[str]) -> Mapping
 
 
 def _set(node: Json, path: Path, depth: int, value: Json, make: bool) -> Json:
-    """A copy of `node` along the path alone."""
+    """Return `node` with a value set. Only the nodes along the path are copied."""
     if depth == len(path):
         return value
     key = path[depth]
@@ -106,11 +111,11 @@ def _set(node: Json, path: Path, depth: int, value: Json, make: bool) -> Json:
     if isinstance(node, list) and isinstance(key, int) and key < len(node):
         return [*node[:key], _set(node[key], path, depth + 1, value, make), *node[key + 1 :]]
     known = f"; {known_names(str(key), node)}" if isinstance(node, dict) else ""
-    raise InvalidError([Problem(path_text(path), f"there is no {path_text(path[: depth + 1])}{known}")])
+    raise InvalidError([Problem(path_text(path), f"unknown key {path_text(path[: depth + 1])}{known}")])
 
 
 def difference(old: Mapping[str, Json], new: Mapping[str, Json]) -> dict[str, Json]:
-    """The merge patch that makes `new` of `old`."""
+    """Return the merge patch (RFC 7396) that turns `old` into `new`."""
     patch: dict[str, Json] = {key: None for key in old if key not in new}
     for key, value in new.items():
         before = old.get(key)

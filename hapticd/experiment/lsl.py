@@ -1,7 +1,7 @@
 """Telemetry of a daemon as outlets of Lab Streaming Layer (LSL): every sample, and the event codes.
 
-LSL's clock on Linux is CLOCK_MONOTONIC, as the daemon's is: on the daemon's machine its times are passed on unchanged.
-A double holds them to a nanosecond for the first 97 days after the machine was started.
+On Linux LSL and the daemon both use CLOCK_MONOTONIC, so on the daemon's machine times are passed on unchanged. A double
+resolves them to a nanosecond for the first 97 days after the machine was started.
 """
 
 from __future__ import annotations
@@ -23,26 +23,27 @@ from hapticd.base.errors import HapticdError
 from hapticd.client.blocking import Client
 from hapticd.client.record import ENDED, ENDED_AFTER_S
 from hapticd.client.samples import SampleBatch, SampleStream
-from hapticd.experiment.event_codes import TRIAL_NUMBERS, EventCode, code_of
+from hapticd.experiment.event_codes import TRIAL_NUMBER_OFFSET, EventCode, code_of
 from hapticd.protocol.places import has_ended, no_telemetry
 from hapticd.protocol.results import Status
 
-SAMPLES: Final = "hapticd samples"
-EVENTS: Final = "hapticd events"
-"""Names of the outlets."""
-
-BUFFERED_S: Final = 60
-"""So much is kept for a reader that is behind."""
-LINGER_S: Final = 0.5
-"""An outlet drops at its end what was not sent yet, and LSL does not say what was: readers have all of it by then."""
-_BEHIND_S: Final = 1.0
-"""At the end, what is on its way from the daemon is waited for, as long as something comes."""
-_LOOK_S: Final = 0.1
+SAMPLES_OUTLET: Final = "hapticd samples"
+"""Name of the LSL outlet of samples."""
+EVENTS_OUTLET: Final = "hapticd events"
+"""Name of the LSL outlet of event codes."""
+OUTLET_BUFFER_S: Final = 60
+"""How much data an outlet keeps for a reader that lags."""
+OUTLET_LINGER_S: Final = 0.5
+"""Delay before an outlet is closed. Closing drops unsent data, and LSL does not report when everything was sent."""
+_DRAIN_TIMEOUT_S: Final = 1.0
+"""At the end of a stream, telemetry is drained until the daemon has been silent for this long."""
+_RECEIVE_TIMEOUT_S: Final = 0.1
+"""How long to wait for a message before the stop event and the daemon's silence are checked."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One number of each sample: the field of the daemon's sample that it comes from, and the axis of a vector."""
+    """One number of each sample: a field of the daemon's sample, and the axis if the field is a vector."""
 
     label: str
     field: str
@@ -56,7 +57,7 @@ def _vector(quantity: str, suffix: str, kind: str, unit: str) -> tuple[Channel, 
     return tuple(Channel(f"{quantity}_{name}_{suffix}", field, axis, unit, kind) for axis, name in enumerate("xy"))
 
 
-CHANNELS: Final = (
+SAMPLE_CHANNELS: Final = (
     Channel("tick", "tick", None, "count", "Counter"),
     *_vector("position", "m", "Position", "m"),
     *_vector("velocity", "m_per_s", "Velocity", "m/s"),
@@ -66,19 +67,21 @@ CHANNELS: Final = (
     Channel("revision", "revision", None, "count", "Counter"),
     Channel("flags", "flags", None, "bits", "Flags"),
 )
-"""Of `hapticd samples`, in their order."""
+"""Channels of the outlet `hapticd samples`, in order."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """What went through the outlets."""
+    """Counts of what was streamed."""
 
     samples: int
+    """Samples that were sent."""
     events: int
+    """Event codes that were sent."""
     lost: int
-    """Samples that did not arrive here."""
+    """Samples that were lost between the daemon and this process."""
     dropped: int
-    """Samples that the daemon's ring had no room for."""
+    """Samples that the daemon dropped, because its ring was full."""
 
 
 def _pylsl() -> ModuleType:
@@ -87,31 +90,39 @@ def _pylsl() -> ModuleType:
     except ImportError:
         raise HapticdError("Lab Streaming Layer needs pylsl: pip install 'hapticd[lsl]'") from None
     except RuntimeError:
-        # Where pylsl's package is one without the library.
+        # The package of pylsl can come without the library.
         raise HapticdError(
-            "pylsl finds no liblsl: take one from https://github.com/sccn/liblsl/releases, and name it in PYLSL_LIB"
+            "pylsl cannot find liblsl; get it from https://github.com/sccn/liblsl/releases and set PYLSL_LIB"
         ) from None
     return cast(ModuleType, pylsl)
 
 
 def matrix_of(batch: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """(n, len(CHANNELS)) numbers of a batch of n samples."""
-    columns = [batch[each.field] if each.axis is None else batch[each.field][:, each.axis] for each in CHANNELS]
+    """Return a batch of n samples as numbers of shape (n, len(SAMPLE_CHANNELS))."""
+    columns = [batch[each.field] if each.axis is None else batch[each.field][:, each.axis] for each in SAMPLE_CHANNELS]
     return np.column_stack([column.astype(np.float64) for column in columns])
 
 
 class Outlets:
-    """The two outlets; a context, after which they are gone."""
+    """The two outlets. They are closed when the context ends."""
 
     def __init__(self, status: Status, directory: str) -> None:
-        """`status` of the daemon, `directory` of its sockets. Raises HapticdError where pylsl is missing."""
+        """Open the outlets of a daemon with a status, whose sockets are in `directory`.
+
+        Raises HapticdError if pylsl is not installed.
+        """
         lsl = _pylsl()
         source = f"hapticd:{socket.gethostname()}:{directory}"
         samples = lsl.StreamInfo(
-            SAMPLES, "Haptics", len(CHANNELS), float(status["rate_hz"]), lsl.cf_double64, f"{source}:samples"
+            SAMPLES_OUTLET,
+            "Haptics",
+            len(SAMPLE_CHANNELS),
+            float(status["rate_hz"]),
+            lsl.cf_double64,
+            f"{source}:samples",
         )
-        self._describe(samples, status, [(each.label, each.unit, each.kind) for each in CHANNELS])
-        events = lsl.StreamInfo(EVENTS, "Markers", 1, lsl.IRREGULAR_RATE, lsl.cf_int32, f"{source}:events")
+        self._describe(samples, status, [(each.label, each.unit, each.kind) for each in SAMPLE_CHANNELS])
+        events = lsl.StreamInfo(EVENTS_OUTLET, "Markers", 1, lsl.IRREGULAR_RATE, lsl.cf_int32, f"{source}:events")
         self._describe(events, status, [("code", "none", "Marker")])
         codes = events.desc().append_child("codes")
         for code in EventCode:
@@ -119,9 +130,9 @@ class Outlets:
             row.append_child_value("number", str(int(code)))
             row.append_child_value("name", code.text)
             row.append_child_value("meaning", code.meaning)
-        codes.append_child_value("trial_numbers_from", str(TRIAL_NUMBERS))
-        self._samples: Any = lsl.StreamOutlet(samples, max_buffered=BUFFERED_S)
-        self._events: Any = lsl.StreamOutlet(events, max_buffered=BUFFERED_S)
+        codes.append_child_value("trial_numbers_from", str(TRIAL_NUMBER_OFFSET))
+        self._samples: Any = lsl.StreamOutlet(samples, max_buffered=OUTLET_BUFFER_S)
+        self._events: Any = lsl.StreamOutlet(events, max_buffered=OUTLET_BUFFER_S)
         self.sent_events = 0
 
     @staticmethod
@@ -140,12 +151,12 @@ class Outlets:
             channel.append_child_value("type", kind)
 
     def push_samples(self, batch: SampleBatch) -> None:
-        """A chunk with a time for each sample: the deadline of its tick."""
+        """Send a chunk of samples, each with the deadline of its tick as time."""
         if len(batch):
             self._samples.push_chunk(matrix_of(batch), (batch["time_ns"] / 1e9).tolist())
 
     def push_event(self, event: Mapping[str, object]) -> None:
-        """The code of an event, where it has one, at the time of its tick."""
+        """Send the code of an event, if it has one, with the time of its tick."""
         code = code_of(event)
         if code is None:
             return
@@ -155,23 +166,23 @@ class Outlets:
         if code is EventCode.TRIAL_ARMED:
             trial = cast("Mapping[str, int]", event["data"]).get("trial")
             if isinstance(trial, int):
-                self._events.push_sample([TRIAL_NUMBERS + trial], at_s)
+                self._events.push_sample([TRIAL_NUMBER_OFFSET + trial], at_s)
 
     def __enter__(self) -> Outlets:
         return self
 
     def __exit__(self, *error: object) -> None:
         if self._samples.have_consumers() or self._events.have_consumers():
-            time.sleep(LINGER_S)
-        # Whose end is what closes them.
+            time.sleep(OUTLET_LINGER_S)
+        # Deleting an outlet closes it.
         self._samples = self._events = None
 
 
 def stream(client: Client, stop: threading.Event, started: Callable[[], None] = lambda: None) -> Sent:
-    """Passes a daemon's telemetry on until `stop` is set, up to the tick that the daemon is at then.
+    """Stream a daemon's telemetry until `stop` is set, up to the daemon's tick at that moment.
 
-    `started` is called once the outlets are there. Raises HapticdError where pylsl is missing, DaemonNotRunning
-    where the daemon goes away.
+    `started` is called when the outlets are open. Raises HapticdError if pylsl is not installed, DaemonNotRunning if
+    the daemon ends.
     """
     _pylsl()
     status, account = client.get_status(), SampleStream(warn=False)
@@ -185,11 +196,11 @@ def stream(client: Client, stop: threading.Event, started: Callable[[], None] = 
         while True:
             if last_tick is None and stop.is_set():
                 last_tick = client.get_status()["tick"]
-            received = messages.receive(_LOOK_S)
+            received = messages.receive(_RECEIVE_TIMEOUT_S)
             silent_s = time.monotonic() - heard_s
             if received is None:
                 _check_silence(client, silent_s)
-                if last_tick is not None and silent_s > _BEHIND_S:
+                if last_tick is not None and silent_s > _DRAIN_TIMEOUT_S:
                     break
                 continue
             heard_s = time.monotonic()
@@ -199,9 +210,9 @@ def stream(client: Client, stop: threading.Event, started: Callable[[], None] = 
                 continue
             batch = account.convert(topic, message)
             if account.restarts:
-                raise HapticdError("the daemon was restarted, and its ticks began again; start this again")
+                raise HapticdError("the daemon was restarted, so its ticks begin at 0 again; run the command again")
             outlets.push_samples(batch)
-            # Events are sent before the samples of their ticks.
+            # The daemon sends an event before the sample of its tick.
             if last_tick is not None and len(batch) and int(batch["tick"][-1]) >= last_tick:
                 break
     return Sent(account.received, outlets.sent_events, account.lost, account.dropped)
@@ -216,9 +227,9 @@ def _check_silence(client: Client, silent_s: float) -> None:
 
 @contextmanager
 def streaming(client: Client) -> Iterator[None]:
-    """Has the outlets there while the block runs, by a thread with a separate connection.
+    """Stream telemetry while the context lasts, in a thread with a separate connection.
 
-    Raises what keeps them from beginning before the block, and what ended them early after it.
+    An error while the outlets are opened is raised at the start of the context, a later one at its end.
     """
     stop, begun = threading.Event(), threading.Event()
     failed: list[BaseException] = []

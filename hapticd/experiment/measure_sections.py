@@ -1,4 +1,4 @@
-"""Sections of an analysis that are about numbers: psychometric functions, ratings, rankings, measures of the motion."""
+"""Sections of an analysis on numbers: psychometric functions, staircases, ratings, rankings, measures of the motion."""
 
 from __future__ import annotations
 
@@ -20,40 +20,45 @@ from hapticd.experiment.analysis.proportions import proportion
 from hapticd.experiment.analysis.psychometric import PsychometricFit, bootstrap, fit, goodness_of_fit
 from hapticd.experiment.analysis.psychometric_shapes import SHAPES
 from hapticd.experiment.answer_sections import by_condition
-from hapticd.experiment.behaviour import MEASURES, Row, StudyFacts, Varied
+from hapticd.experiment.behaviour import MEASURE_COLUMNS, Row, StudyFacts, Varied
 from hapticd.experiment.procedures.procedure import ProcedureError
 from hapticd.experiment.procedures.staircase import Staircase, StaircaseParameters
 from hapticd.experiment.published_tables import PublishedResults
 from hapticd.experiment.results import Cell, Dots, Fitted, PairedValues, ResultTable, Section
 
-POOLED: Final = "pooled"
-"""In the place of a participant: the answers of all together."""
-RESAMPLES: Final = 1000
-_CURVE: Final = 200
+POOLED_LABEL: Final = "pooled"
+"""In the column of participants: the answers of all participants together."""
+BOOTSTRAP_RESAMPLES: Final = 1000
+"""Number of resamples of the parametric bootstrap."""
+_FITTED_CURVE_POINTS: Final = 200
+"""Number of points of a drawn psychometric function."""
 _AXIS_UNITS: Final = {True: "1 per unit of ln level", False: "1 per unit of level"}
+"""Unit of the slope, by whether the axis of the level is logarithmic."""
 
 
 def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """A psychometric function of correct answers for each condition, cell and `Varied`: of all participants, and of
-    each of them."""
+    """Fit a psychometric function to the correct answers of each condition, cell and `Varied`.
+
+    One function is fitted to all participants together, and one to each participant.
+    """
     listed: list[tuple[Cell, ...]] = []
     pictures, notes = [], []
     for (condition, cell, varied), judged in _by_function(rows, facts).items():
         procedures = listing(sorted({_procedure(row) for row in judged}))
         people = sorted({row["participant"] for row in judged})
-        groups = [(POOLED, judged)]
+        groups = [(POOLED_LABEL, judged)]
         if len(people) > 1:
             groups += [(person, [row for row in judged if row["participant"] == person]) for person in people]
         for who, group in groups:
             name = f"psychometric function, {', '.join(filter(None, (condition, cell, procedures, who)))}"
             try:
-                found = _best(group, varied)
+                found = _most_likely_fit(group, varied)
             except FitError as error:
                 notes.append(f"{name}: {error}")
                 continue
             threshold, undetermined = None, found.undetermined(varied.unit)
             if undetermined is None:
-                estimates, fitness = bootstrap(found, RESAMPLES), goodness_of_fit(found, RESAMPLES)
+                estimates, fitness = bootstrap(found, BOOTSTRAP_RESAMPLES), goodness_of_fit(found, BOOTSTRAP_RESAMPLES)
                 ends = estimates["pse"]
                 threshold = ends.value, ends.low, ends.high
                 listed += [
@@ -66,12 +71,12 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
                 lowest, highest = found.levels.min(), found.levels.max()
                 if ends.low < lowest or ends.high > highest:
                     shown = f"{lowest:g} to {highest:g} {varied.unit}"
-                    notes.append(f"{name}: the threshold's interval goes beyond the levels that were shown, {shown}")
+                    notes.append(f"{name}: the threshold's interval extends beyond the levels shown, {shown}")
                 if found.as_steep_as_levels_show:
-                    notes.append(f"{name}: the slope is the steepest that the distances of the levels can show")
+                    notes.append(f"{name}: the slope is the steepest that the spacing of the levels can resolve")
             else:
                 notes.append(f"{name}: {undetermined}")
-            if who == POOLED:
+            if who == POOLED_LABEL:
                 of = ", ".join(filter(None, (condition, cell, procedures)))
                 pictures.append(_picture(of, found, threshold, varied.unit))
     if not listed:
@@ -91,9 +96,10 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
         "p of the fit",
     )
     note = (
-        "The threshold is the level at half of the way from guess to 1 less lapse; where the level is a difference "
-        "from a reference, threshold over reference is the Weber fraction. Intervals and p of the deviance are of a "
-        "parametric bootstrap; a lapse that is 0 in all of it has none. The function is the one of greatest likelihood."
+        "The threshold is the level halfway between guess and 1 - lapse. If the level is a difference from a "
+        "reference, threshold over reference is the Weber fraction. Intervals and p of the deviance come from a "
+        "parametric bootstrap; a lapse that is 0 in every resample has no interval. The function is the one with the "
+        "greatest likelihood."
     )
     return Section(
         (ResultTable("psychometric", "Psychometric functions", head, tuple(listed), note),),
@@ -103,7 +109,10 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
 
 
 def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str, Varied], list[Row]]:
-    """The judged rows that have a level, by condition, cell and what varies. Only crossed factors make cells."""
+    """Group the judged rows with a level by condition, cell and what varies.
+
+    Without crossed factors (trial.cross) the cell is empty.
+    """
     found: dict[tuple[str, str, Varied], list[Row]] = defaultdict(list)
     for row in rows:
         if row.right is not None and row.number("level") is not None:
@@ -113,12 +122,12 @@ def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str,
 
 
 def _procedure(row: Row) -> str:
-    """The name in the study; a row's has condition and levels behind it."""
+    """Return the name of a row's procedure in the study. In the row, condition and levels may follow it."""
     return (row.get("procedure") or "").partition(".")[0]
 
 
 def staircases(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """The mean of the reversals of each staircase of each session, as Levitt (1971) estimates a threshold."""
+    """Tabulate the mean of the reversals of each staircase run, an estimate of the threshold (Levitt, 1971)."""
     runs: dict[tuple[str, ...], list[Row]] = defaultdict(list)
     for row in rows:
         if _procedure(row) in facts.staircases:
@@ -128,7 +137,7 @@ def staircases(rows: Sequence[Row], facts: StudyFacts) -> Section:
     for (participant, session, condition, procedure), own in runs.items():
         name = _procedure(own[0])
         try:
-            staircase = _repeated(StaircaseParameters.model_validate(facts.staircases[name]), own)
+            staircase = _replayed_staircase(StaircaseParameters.model_validate(facts.staircases[name]), own)
         except HapticdError as error:
             notes.append(f"mean of reversals, {participant}, session {session}, {procedure}: {error}")
             continue
@@ -139,18 +148,21 @@ def staircases(rows: Sequence[Row], facts: StudyFacts) -> Section:
         return Section((), (), tuple(notes))
     head = ("condition", "procedure", "participant", "session", "trials", "reversals", "mean of reversals", "unit")
     note = (
-        "Without the first reversals, as many as `discard` says; on a logarithmic axis the geometric mean. A staircase "
-        "with too few reversals has none."
+        "The first `discard` reversals are left out. On a logarithmic axis it is the geometric mean. A staircase with "
+        "too few reversals has no mean."
     )
     return Section((ResultTable("staircases", "Staircases", head, tuple(table), note),), (), tuple(notes))
 
 
-def _repeated(parameters: StaircaseParameters, rows: Sequence[Row]) -> Staircase:
-    """The staircase after the answers of its rows, in their order. Raises ProcedureError where a level was not due."""
+def _replayed_staircase(parameters: StaircaseParameters, rows: Sequence[Row]) -> Staircase:
+    """Replay a staircase with the answers of its rows, in their order.
+
+    Raises ProcedureError if a row's level is not the one that the staircase asks for.
+    """
     staircase = Staircase(parameters)
     for row in rows:
         shown, due = row.number("level"), staircase.level()
-        # A table has nine digits of a level.
+        # A table stores nine digits of a level.
         if due is None or shown is None or not math.isclose(shown, due, rel_tol=1e-7, abs_tol=1e-12):
             raise ProcedureError(f"{row.where}: the staircase of the study would not show this level")
         staircase.answer(due, row.right is True)
@@ -158,7 +170,7 @@ def _repeated(parameters: StaircaseParameters, rows: Sequence[Row]) -> Staircase
 
 
 def ratings(rows: Sequence[Row]) -> Section:
-    """Numeric answers: median and quartiles over participants of each one's mean."""
+    """Tabulate numeric answers: median and quartiles over participants of each participant's mean."""
     listed: list[tuple[Cell, ...]] = []
     pictures = []
     for condition, own in by_condition(rows).items():
@@ -181,7 +193,7 @@ def ratings(rows: Sequence[Row]) -> Section:
 
 
 def rankings(rows: Sequence[Row], positions: Sequence[str]) -> Section:
-    """Answers such as second>first>third: mean ranks of the stimuli of each cell, and how far its rankings agree."""
+    """Tabulate answers such as second>first>third: mean ranks of the stimuli of each cell, and Kendall's W."""
     listed: list[tuple[Cell, ...]] = []
     notes = []
     for condition, own in by_condition(rows).items():
@@ -197,21 +209,18 @@ def rankings(rows: Sequence[Row], positions: Sequence[str]) -> Section:
             by_rank = sorted(ranks.items(), key=lambda each: each[1])
             listed += [(condition, cell, item, len(ranked), rank, concordance) for item, rank in by_rank]
     head = ("condition", "cell", "item", "rankings", "mean rank", "Kendall's W")
-    note = (
-        "Rank 1 is the first of a ranking. W is 1 where all rankings of a cell are the same, 0 where they have nothing "
-        "in common."
-    )
+    note = "Rank 1 is the first of a ranking. W is 1 if all rankings of a cell agree, 0 if they have nothing in common."
     return Section((ResultTable("rankings", "Ranks", head, tuple(listed), note),), (), tuple(notes))
 
 
 def motions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -> Section:
-    """Measures of the motion: over participants, and each two conditions compared."""
+    """Tabulate measures of the motion over participants, and compare each pair of conditions."""
     summary: list[tuple[Cell, ...]] = []
     compared: list[tuple[Cell, ...]] = []
     effects: list[tuple[Cell, ...]] = []
     pictures = []
     not_compared: dict[str, list[str]] = defaultdict(list)
-    for measure in MEASURES:
+    for measure in MEASURE_COLUMNS:
         means: dict[str, dict[str, float]] = {}
         for condition, own in by_condition(rows).items():
             values: dict[str, list[float]] = defaultdict(list)
@@ -258,7 +267,7 @@ def motions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults)
                 )
             )
         if len(means) == 1 and len(facts.conditions) > 1:
-            not_compared[f"only trials of {next(iter(means))}: a comparison needs two conditions"].append(measure)
+            not_compared[f"only in trials of {next(iter(means))}: a comparison needs two conditions"].append(measure)
         if len(means) > 1:
             people = sorted(set.intersection(*(set(each) for each in means.values())))
             if people:
@@ -269,15 +278,15 @@ def motions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults)
                     )
                 )
     notes = [f"{listing(measures)}, {why}" for why, measures in not_compared.items()]
-    beside_published = published.difference is not None and any(row[0] == published.difference[0] for row in compared)
-    return _motion_section(summary, compared, effects, beside_published, pictures, notes)
+    compares_published = published.difference is not None and any(row[0] == published.difference[0] for row in compared)
+    return _motion_section(summary, compared, effects, compares_published, pictures, notes)
 
 
 def _motion_section(
     summary: list[tuple[Cell, ...]],
     compared: list[tuple[Cell, ...]],
     effects: list[tuple[Cell, ...]],
-    beside_published: bool,
+    compares_published: bool,
     pictures: list[PairedValues],
     notes: list[str],
 ) -> Section:
@@ -288,9 +297,9 @@ def _motion_section(
     if compared:
         head = (
             *("measure", "unit", "comparison", "participants", "difference", "low 95 %", "high 95 %", "SD"),
-            *(("published difference", "published SD") if beside_published else ()),
+            *(("published difference", "published SD") if compares_published else ()),
         )
-        if not beside_published:
+        if not compares_published:
             compared = [row[:-2] for row in compared]
         note = "Differences of the participants' means, with Student's interval."
         tables.append(ResultTable("comparisons", "Conditions compared", head, tuple(compared), note))
@@ -298,9 +307,9 @@ def _motion_section(
             *("measure", "comparison", "participants", "effect size d_z", "low 95 %", "high 95 %"),
             *("t", "p (t)", "p (Wilcoxon)"),
         )
-        note = "d_z, without unit, is the mean difference over its standard deviation, with noncentral t's interval."
+        note = "d_z (no unit) is the mean difference over its standard deviation, with the interval of noncentral t."
         tables.append(ResultTable("effects", "Size of the effects, and tests", head, tuple(effects), note))
-    return Section(tuple(tables), tuple(pictures), tuple(notes), beside_published)
+    return Section(tuple(tables), tuple(pictures), tuple(notes), compares_published)
 
 
 def _unit(measure: str) -> str:
@@ -310,7 +319,7 @@ def _unit(measure: str) -> str:
 def _figures(
     found: PsychometricFit, estimates: Mapping[str, Estimate], varied: Varied
 ) -> list[tuple[str, str, Estimate]]:
-    """Names, units and values."""
+    """Return names, units and values of threshold, Weber fraction, slope and lapse."""
     threshold, reference = estimates["pse"], varied.reference
     figures = [("threshold", varied.unit, threshold)]
     if varied.level == "added" and reference:
@@ -320,13 +329,13 @@ def _figures(
 
 
 def _ends(found: Estimate) -> tuple[float | None, float | None]:
-    """Of the interval; a figure that is held by its bound in every resample has none."""
+    """Return the ends of an interval, or None twice if a bound fixed the value in every resample."""
     return (None, None) if found.low == found.high else (found.low, found.high)
 
 
-def _best(rows: Sequence[Row], varied: Varied) -> PsychometricFit:
-    """The shape of greatest likelihood."""
-    # Levels that a staircase came back to differ in their last bits.
+def _most_likely_fit(rows: Sequence[Row], varied: Varied) -> PsychometricFit:
+    """Fit every shape of psychometric function, and return the fit with the greatest likelihood."""
+    # Levels to which a staircase returns can differ in their last bits.
     levels = np.array([float(f"{row.number('level'):.9g}") for row in rows])
     right = np.array([row.right for row in rows], dtype=float)
     places, at = np.unique(levels, return_inverse=True)
@@ -343,7 +352,7 @@ def _best(rows: Sequence[Row], varied: Varied) -> PsychometricFit:
 def _picture(of: str, found: PsychometricFit, threshold: tuple[float, float, float] | None, unit: str) -> Fitted:
     shown = [proportion(int(right), int(count)) for right, count in zip(found.positive, found.trials, strict=True)]
     space = np.geomspace if found.logarithmic else np.linspace
-    levels = np.asarray(space(found.levels.min(), found.levels.max(), _CURVE))
+    levels = np.asarray(space(found.levels.min(), found.levels.max(), _FITTED_CURVE_POINTS))
     return Fitted(
         f"Psychometric function, {of}, {found.shape}",
         found.levels,

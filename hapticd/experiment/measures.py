@@ -1,7 +1,7 @@
-"""What is measured of a trial's motion, from its telemetry alone.
+"""Measures of a trial's motion, computed from its telemetry.
 
-`samples` are (n,) records of `hapticd.SAMPLE_DTYPE`, `events` maps as in telemetry. Each measure is None where the
-trial does not have it: a membrane that did not break has no overtravel.
+`samples` are (n,) records of `hapticd.SAMPLE_DTYPE`, `events` are maps as in telemetry. The value of a
+measure that the trial does not have, e.g. overtravel without a rupture, is `None`.
 """
 
 from __future__ import annotations
@@ -21,37 +21,38 @@ Events: TypeAlias = Sequence[Mapping[str, Any]]
 
 
 class Plane(NamedTuple):
-    """That of a membrane at rest."""
+    """The plane of a membrane at rest."""
 
     center_m: tuple[float, float]
     normal: tuple[float, float]
-    """Of length 1."""
+    """Unit normal."""
 
 
 Planes: TypeAlias = Mapping[str, Plane]
-"""Of the membranes of a scene, by id."""
+"""The planes of the membranes of a scene, by id."""
 
 PATH_STEP_S: Final = 0.01
-"""A path's length is that of the polygon through positions so far apart in time. A finer one would count each step of
-the encoder as a way that the hand went."""
+"""Time between two positions of the polygon whose length is the length of a path. A shorter time would count the steps
+of the encoder as motion of the hand."""
 
-MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m")
-_NAMES: Final = {
+MOTION_MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m")
+"""Names of all measures, which end with their unit."""
+_MEASURE_LABELS: Final = {
     "overtravel_m": "Overtravel",
     "peak_force_n": "Largest force",
     "completion_s": "Time",
     "path_m": "Path",
 }
-"""What participants read."""
+"""Names of the measures as participants read them."""
 
 
 def measure_text(name: str, value: float) -> str:
-    """A measure as a participant reads it, `Overtravel: 3.2 mm.`"""
-    return f"{_NAMES[name]}: {wording.si(value, unit_of(name) or '', 3)}."
+    """Format a measure as a participant reads it, such as "Overtravel: 3.2 mm."."""
+    return f"{_MEASURE_LABELS[name]}: {wording.si(value, unit_of(name) or '', 3)}."
 
 
 def why_not_done(name: str, value: float | None) -> str | None:
-    """Why a trial that is to give this measure was not done, as a participant reads it; None: it was."""
+    """Return why a trial with this measure as its task was not done, as a participant reads it, or None if it was."""
     if name == "overtravel_m" and value is None:
         return "No membrane broke. Push further, until it breaks."
     if name == "peak_force_n" and not value:
@@ -60,7 +61,7 @@ def why_not_done(name: str, value: float | None) -> str | None:
 
 
 def measures_of(samples: Samples, events: Events, planes: Planes) -> dict[str, float | None]:
-    """Every measure by its name; None: the trial does not have it."""
+    """Return every measure by its name, None for a measure that the trial does not have."""
     return {
         "overtravel_m": overtravel_m(samples, events, planes),
         "peak_force_n": peak_force_n(samples),
@@ -70,11 +71,11 @@ def measures_of(samples: Samples, events: Events, planes: Planes) -> dict[str, f
 
 
 def overtravel_m(samples: Samples, events: Events, planes: Planes) -> float | None:
-    """How far past the place of its rupture the hand went along the membrane's normal, in m, until the samples end.
+    """Return how far the hand moved beyond the place of the first rupture, along the membrane's normal, in m.
 
-    The place is interpolated between the two samples around `onset_time_ns` of the first event `puncture`. It lies on
-    the side to which the membrane had given way, so it also says which way is past it: an estimated velocity would not,
-    where the hand has just turned round.
+    The place is interpolated between the two samples around `onset_time_ns` of the first event `puncture`. Its side of
+    the membrane at rest is the direction of the puncture. The velocity at that time would be less reliable, as the hand
+    may just have reversed.
     """
     rupture = next((event for event in events if event["event"] == "puncture" and event["object"] in planes), None)
     if rupture is None or len(samples) < 2:
@@ -86,18 +87,18 @@ def overtravel_m(samples: Samples, events: Events, planes: Planes) -> float | No
     after = times >= onset_ns
     if not after.any() or onset_ns < times[0]:
         return None
-    # Differences first: nanoseconds of a long uptime are no float64.
+    # Subtract before the conversion: a float64 does not resolve nanoseconds of a long uptime.
     place = float(np.interp(0.0, (times - onset_ns).astype(np.float64), height))
     return max(0.0, float(((height[after] - place) * np.sign(place)).max()))
 
 
 def peak_force_n(samples: Samples) -> float | None:
-    """The largest magnitude of the commanded force, in N."""
+    """Return the largest magnitude of the commanded force, in N."""
     return float(np.hypot(*samples["force_n"].T).max()) if len(samples) else None
 
 
 def completion_s(samples: Samples) -> float | None:
-    """From the first to the last sample with the forces on, in s."""
+    """Return the time from the first to the last sample with the forces on, in s."""
     on = np.flatnonzero(samples["flags"] & Flag.FORCES_ON)
     if len(on) == 0:
         return None
@@ -106,19 +107,19 @@ def completion_s(samples: Samples) -> float | None:
 
 
 def path_m(samples: Samples) -> float | None:
-    """How far the handle went, in m: through positions PATH_STEP_S apart."""
+    """Return the length of the handle's path in m, through positions every PATH_STEP_S."""
     if len(samples) == 0:
         return None
     times = samples["time_ns"].astype(np.int64)
     step_ns = round(PATH_STEP_S * 1e9)
     wanted = np.arange(times[0], times[-1] + 1, step_ns)
     places = np.unique(np.append(np.searchsorted(times, wanted), len(times) - 1))
-    ways = np.diff(samples["position_m"][places], axis=0)
-    return float(np.hypot(*ways.T).sum())
+    steps = np.diff(samples["position_m"][places], axis=0)
+    return float(np.hypot(*steps.T).sum())
 
 
 def planes_of(objects: Mapping[str, Any]) -> dict[str, Plane]:
-    """Those of the membranes among a scene's objects, given as plain data by id."""
+    """Return the planes of the membranes among a scene's objects, which are plain data by id."""
     found: dict[str, Plane] = {}
     for id, each in objects.items():
         if each.get("kind") == "membrane":
@@ -130,6 +131,6 @@ def planes_of(objects: Mapping[str, Any]) -> dict[str, Plane]:
 
 
 def joined(parts: Iterable[Samples], none: Samples) -> Samples:
-    """Samples of several stretches as one; `none`, of no ticks, where there is no stretch."""
+    """Concatenate samples of several parts, or return `none`, an empty array, if there is no part."""
     taken = list(parts)
     return np.concatenate(taken) if taken else none

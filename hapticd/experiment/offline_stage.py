@@ -1,6 +1,6 @@
-"""Trials without a daemon, faster than real time: the servo's own tick and the simulated joystick.
+"""The stage for trials without a daemon, faster than real time: the servo's tick and the simulated joystick.
 
-Nothing waits here, so the session's clock is the simulated hand's: each tick adds its period.
+Nothing waits in real time. The session's clock is the simulated time: each tick adds its period.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from hapticd.rendering.offline import Run, simulate_run
 
 
 class OfflineStage:
-    """A stage that is computed."""
+    """A stage that computes trials with the simulated joystick."""
 
     def __init__(self, keep_telemetry: bool = False) -> None:
-        """`keep_telemetry`: a .npz for each trial, which takes longer than the trial's computation."""
+        """Make a stage. With `keep_telemetry` each trial is written to a .npz, which takes longer than computing it."""
         self._keep = keep_telemetry
         self._config: Config | None = None
         self._on = False
@@ -37,35 +37,37 @@ class OfflineStage:
         self._marks: list[dict[str, Any]] = []
 
     def now_s(self) -> float:
-        """Simulated time since the stage was made, s."""
+        """Return the simulated time since the stage was made, in s."""
         return self._now_s
 
     def describe(self) -> dict[str, Json]:
-        """Of this version of the core; device and rate are those of each scene."""
+        """Return the version and the device, which is always the simulated joystick."""
         return {"kind": "offline", "version": __version__, "device": "sim"}
 
     def check(self) -> None:
-        """Nothing can be lost here."""
+        """Do nothing: an offline stage loses no forces."""
 
     def arm(self, config: Config) -> None:
-        """Each run of the closed loop begins with a scene that nothing has touched."""
+        """Arm as `Stage.arm`. Each run of the closed loop begins with an untouched scene."""
         self.fade()
         self._config = config
 
     def is_clear(self) -> bool:
-        """Each motion begins where its waypoints do."""
+        """Return True: each motion starts at its first waypoint."""
         return True
 
     def enable(self) -> None:
+        """Allow motions. Raises HapticdError if no scene is armed."""
         if self._config is None:
             raise HapticdError("no scene is armed")
         self._on = True
 
     def fade(self) -> None:
+        """Forbid motions until `enable`."""
         self._on = False
 
     def mark(self, text: str, data: Json) -> None:
-        """An event code, at the tick that comes next; a new interval begins with the mark `interval`."""
+        """Leave an event code at the next tick. The mark `interval` begins a new interval."""
         if text == EventCode.INTERVAL.text:
             self._parts = []
         tick = sum(len(part.samples) for part in self._parts)
@@ -75,21 +77,21 @@ class OfflineStage:
 
     @contextmanager
     def recording(self, target: Path, notes: Mapping[str, Json]) -> Iterator[None]:
-        """Into `target`, where telemetry is kept: the motions of the last interval."""
+        """Record a trial; at its end write the motions of the last interval into `target` if telemetry is kept."""
         self._parts, self._marks = [], []
         yield
         if self._keep and self._parts:
             self._write(target, notes)
 
     def move(self, motion: Motion) -> Samples:
-        """The closed loop with the simulated joystick of the scene that is armed."""
+        """Simulate a motion in the armed scene with the simulated joystick, and return its samples."""
         if self._config is None or not self._on:
-            raise HapticdError("the forces are off: arm a scene and enable it before the hand moves")
+            raise HapticdError("the forces are off; arm a scene and enable it before the hand moves")
         run = simulate_run(self._config, motion.waypoints, check_stability=False)
         if motion.reaction is not None:
             at_s = motion.reaction.noticed_s(run.samples)
             if at_s is not None:
-                # The same run until then, bit for bit, since nothing of it depends on what comes later.
+                # Until that time the new run is the same, bit for bit, as it does not depend on later waypoints.
                 changed = np.vstack((until(motion.waypoints, at_s), motion.reaction.then(at_s)))
                 run = simulate_run(self._config, changed, check_stability=False)
         self._parts.append(run)
@@ -97,7 +99,7 @@ class OfflineStage:
         return run.samples
 
     def telemetry(self) -> Telemetry:
-        """The last interval's motions in a row; their ticks and times count on."""
+        """Return the motions of the last interval as one, with consecutive ticks and times."""
         samples, events = [np.zeros(0, SAMPLE_DTYPE)], []
         ticks, time_ns = 0, 0
         for run in self._parts:
@@ -112,7 +114,7 @@ class OfflineStage:
 
     def _write(self, target: Path, notes: Mapping[str, Json]) -> None:
         assert self._config is not None
-        told, run = self.telemetry(), self._parts[0]
+        telemetry, run = self.telemetry(), self._parts[0]
         servo = self._config.servo.model_copy(update={"rate_hz": run.rate_hz})
         texts = {
             "config": {"servo": servo.to_dict(), "device": self._config.device.to_dict()},
@@ -120,22 +122,22 @@ class OfflineStage:
             "materials": {name: material.to_dict() for name, material in self._config.materials.items()},
         }
         about = {
-            "ticks": len(told.samples),
-            "duration_s": len(told.samples) / run.rate_hz,
-            "events": len(told.events),
+            "ticks": len(telemetry.samples),
+            "duration_s": len(telemetry.samples) / run.rate_hz,
+            "events": len(telemetry.events),
             "missed_periods": 0,
             "notes": dict(notes),
         }
         with RecordingWriter(target) as writer:
-            writer.write_all(texts, [{"revision": 1}], told.samples, iter(told.events))
+            writer.write_all(texts, [{"revision": 1}], telemetry.samples, iter(telemetry.events))
             writer.finish({"recording": about})
 
 
 def _shifted(event: Any, run: Run, ticks: int, time_ns: int) -> dict[str, Any]:
-    """An event as a map, counted from the first motion of the interval."""
-    told: dict[str, Any] = event_map(event, run.objects.get((int(event["slot"]), int(event["generation"]))))
-    told["tick"] += ticks
+    """Return an event as a map, with its ticks and times counted from the first motion of the interval."""
+    found: dict[str, Any] = event_map(event, run.objects.get((int(event["slot"]), int(event["generation"]))))
+    found["tick"] += ticks
     for name in ("time_ns", "onset_time_ns"):
-        if name in told:
-            told[name] += time_ns
-    return told
+        if name in found:
+            found[name] += time_ns
+    return found

@@ -1,4 +1,4 @@
-"""The order of trials and the sides of stimuli, from a seed; nothing here knows what is displayed.
+"""The order of trials and the sides of stimuli, from a seed.
 
 The generator is PCG64, seeded by (seed, participant, session). Every order that the design allows is equally likely,
 so that no stimulus is favoured by its place in the file.
@@ -16,38 +16,40 @@ import numpy as np
 
 OrderKind: TypeAlias = Literal["random", "blocked", "latin_square", "listed"]
 
-_WORDS: Final = 4
-"""Words of 32 bits that stand for a participant's name."""
-_SQUARE: Final = b"latin square"
+_SEED_WORDS_PER_NAME: Final = 4
+"""Number of 32-bit words of a participant's hashed name in the seed."""
+_LATIN_SQUARE_SALT: Final = b"latin square"
+"""Takes the place of a participant's name in the seed of a Latin square."""
 
 
 def generator_of(seed: int, participant: str, session: int) -> np.random.Generator:
-    """The generator of one session: the same three give the same orders."""
+    """Return the random generator of a session. Equal arguments give the same orders."""
     return _generator(seed, participant.encode(), session)
 
 
 def _generator(seed: int, name: bytes, number: int) -> np.random.Generator:
-    words = np.frombuffer(hashlib.sha256(name).digest()[: 4 * _WORDS], dtype="<u4")
+    words = np.frombuffer(hashlib.sha256(name).digest()[: 4 * _SEED_WORDS_PER_NAME], dtype="<u4")
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *map(int, words), number])))
 
 
 def participant_number(participant: str) -> int | None:
-    """The digits that a participant's name ends with: 7 of P07; None without any."""
+    """Return the number at the end of a participant's name, as 7 for P07, or None without digits."""
     found = re.search(r"[0-9]{1,9}$", participant)
     return int(found[0]) if found else None
 
 
 def williams_rows(count: int) -> int:
-    """How many rows a Williams design of so many treatments has: as many, or twice as many of an odd number."""
+    """Return the number of rows of a Williams design of `count` treatments: `count` if it is even, else twice that."""
     return count if count % 2 == 0 or count == 1 else 2 * count
 
 
 def williams_row(count: int, row: int) -> list[int]:
-    """One row of a Williams design, treatments 0 to count - 1.
+    """Return one row of a Williams design of treatments 0 to count - 1.
 
-    Over all rows each treatment stands at each position equally often, and each follows each other one equally often
+    Over all rows each treatment is at each position equally often, and follows each other treatment equally often
     (Williams, "Experimental designs balanced for the estimation of residual effects of treatments", Aust. J. Sci. Res.
-    A 2, 1949). The first row is 0, n-1, 1, n-2, ...; the others add to it; of an odd number each is read backwards too.
+    A 2, 1949). The first row is 0, n-1, 1, n-2, ...; row k adds k to it, modulo n. If n is odd, the second half of the
+    rows is the first half reversed.
     """
     shift, backwards = row % count, row % williams_rows(count) >= count
     first = [(position + 1) // 2 if position % 2 == 0 else count - (position + 1) // 2 for position in range(count)]
@@ -56,26 +58,27 @@ def williams_row(count: int, row: int) -> list[int]:
 
 
 def latin_order(count: int, seed: int, participant: str, session: int) -> list[int]:
-    """Treatments 0 to count - 1 in the order of this participant and session.
+    """Return treatments 0 to count - 1 in the order of this participant and session.
 
-    Participants whose names end in consecutive numbers get consecutive rows, and so do sessions; a name without a
-    number gets a row at random. Which treatment stands for which symbol follows from the seed alone.
+    Participants whose names end in consecutive numbers get consecutive rows of a Williams design, and so do sessions.
+    A name without a number gets a random row. The assignment of treatments to the symbols of the design only depends on
+    the seed.
     """
-    symbols = _generator(seed, _SQUARE, count).permutation(count)
+    symbols = _generator(seed, _LATIN_SQUARE_SALT, count).permutation(count)
     rows = williams_rows(count)
     number = participant_number(participant)
     if number is None:
-        number = int(_generator(seed, _SQUARE + participant.encode(), 0).integers(rows))
+        number = int(_generator(seed, _LATIN_SQUARE_SALT + participant.encode(), 0).integers(rows))
     return [int(symbols[treatment]) for treatment in williams_row(count, (number + session) % rows)]
 
 
 def blocks_of(
     keys: Sequence[Hashable], kind: OrderKind, generator: np.random.Generator, square: Sequence[int] = ()
 ) -> list[list[int]]:
-    """Indices of `keys` in blocks, in the order of the session.
+    """Return the indices of `keys` in blocks, in the order of the session.
 
-    Equal keys make a block, of `blocked` and `latin_square`; `square` is the order of the blocks of the latter, by
-    number of their first appearance. Inside a block all orders are equally likely.
+    For `blocked` and `latin_square`, equal keys make a block. For `latin_square`, `square` is the order of the blocks,
+    which are numbered by their first appearance. Within a block all orders are equally likely.
     """
     if kind == "listed":
         return [list(range(len(keys)))]
@@ -90,13 +93,15 @@ def blocks_of(
 
 
 def shuffled(items: Sequence[int], generator: np.random.Generator) -> list[int]:
-    """These numbers in an order of which all are equally likely."""
+    """Return the items in a random order. All orders are equally likely."""
     return [int(each) for each in generator.permutation(np.asarray(items, dtype=np.int64))]
 
 
 def interleaved(counts: Sequence[int], generator: np.random.Generator) -> list[int]:
-    """Numbers of procedures, each as often as `counts` says: in rounds, each of which holds each procedure once that
-    has trials left."""
+    """Return the indices of procedures, each `counts[index]` times, in random rounds.
+
+    A round has each procedure once that has trials left.
+    """
     found: list[int] = []
     for turn in range(max(counts, default=0)):
         found += shuffled([index for index, count in enumerate(counts) if turn < count], generator)
@@ -104,11 +109,10 @@ def interleaved(counts: Sequence[int], generator: np.random.Generator) -> list[i
 
 
 def sides(pairs: Sequence[tuple[int, int]], generator: np.random.Generator) -> list[bool]:
-    """Of each pair of stimuli whether it is presented the other way round.
+    """Return for each pair of stimuli whether its order is reversed.
 
-    The same pair stands in either order equally often, or once more in one of them. Each stimulus stands first and
-    second equally often, or once more in one of them, pairs with itself apart. Each order of a pair has the same
-    probability.
+    Copies of a pair have both orders equally often, or one of them once more. Each stimulus is first as often as it is
+    second, give or take one trial, not counting pairs with itself. Both orders of a pair are equally likely.
     """
     copies: dict[tuple[int, int], list[int]] = defaultdict(list)
     for index, (one, other) in enumerate(pairs):
@@ -126,14 +130,19 @@ def sides(pairs: Sequence[tuple[int, int]], generator: np.random.Generator) -> l
             found[index] = pairs[index][0] != low
         if len(mixed) % 2:
             single.append((low, high, mixed[-1]))
-    for index, first in _oriented(single, generator):
+    for index, first in _balanced_directions(single, generator):
         found[index] = pairs[index][0] != first
     return found
 
 
-def _oriented(edges: Sequence[tuple[int, int, int]], generator: np.random.Generator) -> list[tuple[int, int]]:
-    """Edges (one, other, id) as (id, which comes first): along Euler circuits, so that each vertex comes first as
-    often as second, or once more. Vertices of odd degree are joined through one that is then left out."""
+def _balanced_directions(
+    edges: Sequence[tuple[int, int, int]], generator: np.random.Generator
+) -> list[tuple[int, int]]:
+    """Direct edges (one, other, id) along Euler circuits, and return (id, first vertex) of each.
+
+    Each vertex is first as often as second, give or take one edge. Vertices of odd degree are connected to an
+    auxiliary vertex, whose edges are left out.
+    """
     if not edges:
         return []
     joint = -1
@@ -151,7 +160,7 @@ def _oriented(edges: Sequence[tuple[int, int, int]], generator: np.random.Genera
     flip = bool(generator.integers(2))
     used = [False] * len(everything)
     found: list[tuple[int, int]] = []
-    # A walk from a vertex of even degree ends where it began. So every walk passes each vertex in and out.
+    # All degrees are even, so a walk ends where it began, and enters each vertex as often as it leaves it.
     for start in list(at):
         here = start
         while at[here]:
@@ -168,9 +177,9 @@ def _oriented(edges: Sequence[tuple[int, int, int]], generator: np.random.Genera
 
 
 def target_positions(counts: Sequence[int], alternatives: int, generator: np.random.Generator) -> list[list[int]]:
-    """Of each trial of each cell the position of its target, 0 to alternatives - 1.
+    """Return the position of the target, 0 to alternatives - 1, for each trial of each cell.
 
-    In every cell, and in all together, each position comes equally often, or once more.
+    In every cell, and in all cells together, the positions are equally frequent, give or take one trial.
     """
     cycle = shuffled(range(alternatives), generator)
     found: list[list[int]] = [[] for _ in counts]
@@ -183,8 +192,11 @@ def target_positions(counts: Sequence[int], alternatives: int, generator: np.ran
 
 
 def track_positions(count: int, alternatives: int, generator: np.random.Generator) -> list[int]:
-    """Positions of the target in the trials of a procedure, which may end early: of every 4 times `alternatives` trials
-    in a row from the first, each position comes 4 times."""
+    """Return the positions of the target in the trials of a procedure.
+
+    Each group of 4 * alternatives successive trials has each position 4 times, so that a procedure that ends early is
+    nearly balanced.
+    """
     found: list[int] = []
     while len(found) < count:
         found += shuffled([position for position in range(alternatives) for _ in range(4)], generator)

@@ -1,4 +1,4 @@
-"""Values of YAML that a model takes as they are: a finite scalar, a mapping of plain data."""
+"""Pydantic types that accept YAML values unchanged: a finite scalar, and a mapping of plain data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Scalar: TypeAlias = bool | int | float | str
 
 
 def scalar_of(value: object) -> Scalar:
-    """The value itself. Raises ValueError for anything but a finite scalar."""
+    """Return the value if it is a finite scalar. Raises ValueError otherwise."""
     if not isinstance(value, bool | int | float | str):
         raise ValueError(f"must be a number, a string, true or false, is {shown(value)}")
     if isinstance(value, float) and not math.isfinite(value):
@@ -24,7 +24,10 @@ def scalar_of(value: object) -> Scalar:
 
 
 def mapping_of(value: object) -> dict[str, Json]:
-    """A mapping as plain data. Raises ValueError for anything else, InvalidError for what in it is no plain data."""
+    """Return a mapping as plain data.
+
+    Raises ValueError if the value is not a mapping, InvalidError if the mapping contains other than plain data.
+    """
     if not isinstance(value, dict):
         raise ValueError(f"must be a mapping, is {shown(value)}")
     found = plain(value)
@@ -35,5 +38,5 @@ def mapping_of(value: object) -> dict[str, Json]:
 PlainScalar: TypeAlias = Annotated[Scalar, PlainValidator(scalar_of)]
 if TYPE_CHECKING:
     PlainMapping: TypeAlias = dict[str, Json]
-else:  # pydantic cannot make a schema of Json, which holds itself; mapping_of is all of the validation
+else:  # pydantic cannot make a schema of Json, which is recursive; mapping_of does the validation
     PlainMapping = Annotated[dict, PlainValidator(mapping_of)]

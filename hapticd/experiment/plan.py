@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hapticd.experiment.cells import Cell, Levels, cells_of, correct_answer, stimulus_name, typed
+from hapticd.experiment.cells import Cell, Levels, cells_of, correct_answer, levels_key, stimulus_name
 from hapticd.experiment.keys import Study, Variable, Warmup
 from hapticd.experiment.order import (
     blocks_of,
@@ -27,32 +27,32 @@ Phase: TypeAlias = Literal["practice", "training", "test"]
 
 @dataclass(frozen=True, slots=True)
 class PlannedTrial:
-    """A trial as it is to be run."""
+    """A trial in the plan of a session."""
 
     index: int
-    """From 0 over the whole session."""
+    """Number of the trial in the session, from 0."""
     phase: Phase
     block: int
-    """From 1 over the whole session."""
+    """Number of the block in the session, from 1."""
     condition: str
     cell: str
     repetition: int
-    """From 1 in its cell and phase; of a procedure the number of its trial."""
+    """Number of the trial in its cell and phase, or in the run of its procedure, from 1."""
     stimuli: tuple[Stimulus, ...]
-    """In order of presentation: places from left to right, or intervals. In an adaptive trial the target lacks the
-    variable's level: see stimuli.at_level."""
+    """The stimuli in order of presentation: places from left to right, or intervals. The target of an adaptive trial
+    does not have the level of the variable yet; see stimuli.at_level."""
     question: str
     """Name of the question in the study."""
     correct: str | None
-    """Name of the correct answer; None where there is none."""
+    """Name of the correct answer, or None if the study defines none."""
     procedure: str | None
-    """Name of the procedure that gives the level of its variable, each name a run of its own; None of a fixed trial.
-    A trial whose procedure has ended is passed over."""
+    """Name of the run of a procedure that determines the level, or None. A trial whose procedure has ended is
+    skipped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All trials of one session of one participant."""
+    """All trials of a session of a participant."""
 
     study: Study
     participant: str
@@ -62,8 +62,8 @@ class Plan:
 
 
 @dataclass(slots=True)
-class _Item:
-    """A trial before it has its place in the session; `order` holds indices of its cell's stimuli."""
+class _UnplacedTrial:
+    """A trial that does not have its place in the session yet. `order` holds indices of its cell's stimuli."""
 
     cell: Cell
     repetition: int
@@ -72,13 +72,13 @@ class _Item:
 
 
 def plan(study: Study, participant: str, session: int, seed: int) -> Plan:
-    """The trials of a session. The same study, participant, session and seed give the same plan.
+    """Plan the trials of a session. Equal arguments give the same plan.
 
-    Raises InvalidError for stimuli that cannot be made, which load_study has refused already.
+    Raises InvalidError for invalid stimuli, which load_study rejects before.
     """
     generator = generator_of(seed, participant, session)
     cells = cells_of(study)
-    maker = _Maker(study)
+    maker = _TrialMaker(study)
     trials: list[PlannedTrial] = []
     block = 0
     phases: tuple[tuple[Phase, Warmup | None], ...] = (("practice", study.practice), ("training", study.training))
@@ -94,16 +94,16 @@ def plan(study: Study, participant: str, session: int, seed: int) -> Plan:
 
 def _test(
     study: Study, cells: Sequence[Cell], participant: str, session: int, seed: int, generator: np.random.Generator
-) -> Iterator[list[_Item]]:
-    """The trials of the test, block by block."""
+) -> Iterator[list[_UnplacedTrial]]:
+    """Yield the trials of the test, block by block."""
     if study.trial.procedures is not None:
         yield from _adaptive_test(study, cells, participant, session, seed, generator)
         return
     orders = _orders(study, cells, generator)
-    items: list[_Item] = []
+    items: list[_UnplacedTrial] = []
     for cell, of_cell in zip(cells, orders, strict=True):
         correct = {order: correct_answer(study, cell, order) for order in set(of_cell)}
-        items += [_Item(cell, turn + 1, order, correct[order]) for turn, order in enumerate(of_cell)]
+        items += [_UnplacedTrial(cell, turn + 1, order, correct[order]) for turn, order in enumerate(of_cell)]
     keys: list[Hashable]
     match study.order.by:
         case "repetition":
@@ -121,8 +121,8 @@ def _test(
 
 def _adaptive_test(
     study: Study, cells: Sequence[Cell], participant: str, session: int, seed: int, generator: np.random.Generator
-) -> Iterator[list[_Item]]:
-    """Runs of procedures, interleaved inside each block; the trials of a run keep their order."""
+) -> Iterator[list[_UnplacedTrial]]:
+    """Yield the trials of procedures, block by block. Runs are interleaved, and each keeps the order of its trials."""
     by_procedure = study.order.by == "procedure"
     keys = [cell.procedure if by_procedure else cell.condition for cell in cells]
     kind = study.order.kind
@@ -141,12 +141,12 @@ def _adaptive_test(
         yield [next(tracks[group[number]]) for number in sequence]
 
 
-def _track(study: Study, cell: Cell, generator: np.random.Generator) -> Iterator[_Item]:
+def _track(study: Study, cell: Cell, generator: np.random.Generator) -> Iterator[_UnplacedTrial]:
     count = len(cell.levels)
     orders = [_with_target_at(position, count) for position in range(count)]
     correct = [correct_answer(study, cell, order) for order in orders]
     for turn, position in enumerate(track_positions(cell.count, count, generator)):
-        yield _Item(cell, turn + 1, orders[position], correct[position])
+        yield _UnplacedTrial(cell, turn + 1, orders[position], correct[position])
 
 
 def _with_target_at(position: int, count: int) -> tuple[int, ...]:
@@ -155,7 +155,7 @@ def _with_target_at(position: int, count: int) -> tuple[int, ...]:
 
 
 def _orders(study: Study, cells: Sequence[Cell], generator: np.random.Generator) -> list[list[tuple[int, ...]]]:
-    """Of each cell the orders of presentation of its trials, balanced."""
+    """Return the orders of presentation of the trials of each cell, balanced over trials."""
     own = [tuple(range(len(cell.levels))) for cell in cells]
     if study.trial.list is not None:
         return [[order] * cell.count for order, cell in zip(own, cells, strict=True)]
@@ -173,7 +173,7 @@ def _orders(study: Study, cells: Sequence[Cell], generator: np.random.Generator)
 
 
 def _pair_orders(cells: Sequence[Cell], generator: np.random.Generator) -> list[list[tuple[int, ...]]]:
-    """Balanced in each condition by itself."""
+    """Return the orders of pairs for each cell, balanced within each condition."""
     found: list[list[tuple[int, ...]]] = [[] for _ in cells]
     numbers: dict[tuple[str, tuple[tuple[str, object], ...]], int] = {}
     pairs: dict[str, list[tuple[int, tuple[int, int]]]] = {}
@@ -190,8 +190,10 @@ def _pair_orders(cells: Sequence[Cell], generator: np.random.Generator) -> list[
 
 
 def _ranking_orders(cell: Cell, generator: np.random.Generator) -> list[tuple[int, ...]]:
-    """Latin squares of cyclic shifts of a random order: each stimulus stands at each position equally often, or once
-    more."""
+    """Return Latin squares of cyclic shifts of a random order.
+
+    Each stimulus is at each position equally often, give or take one trial.
+    """
     count = len(cell.levels)
     found: list[tuple[int, ...]] = []
     while len(found) < cell.count:
@@ -201,12 +203,14 @@ def _ranking_orders(cell: Cell, generator: np.random.Generator) -> list[tuple[in
     return found[: cell.count]
 
 
-def _warmup(study: Study, cells: Sequence[Cell], warmup: Warmup, generator: np.random.Generator) -> list[_Item]:
-    """Trials before the test: cells in random order, each as often as any other or once more, sides at random."""
+def _warmup(
+    study: Study, cells: Sequence[Cell], warmup: Warmup, generator: np.random.Generator
+) -> list[_UnplacedTrial]:
+    """Return practice or training trials: cells equally often, give or take one, in random order, sides at random."""
     chosen: list[int] = []
     while len(chosen) < warmup.trials:
         chosen += shuffled(range(len(cells)), generator)
-    found: list[_Item] = []
+    found: list[_UnplacedTrial] = []
     seen: dict[int, int] = {}
     for index in chosen[: warmup.trials]:
         cell = cells[index]
@@ -214,19 +218,20 @@ def _warmup(study: Study, cells: Sequence[Cell], warmup: Warmup, generator: np.r
         if not cell.listed:
             order = tuple(shuffled(order, generator))
         seen[index] = seen.get(index, 0) + 1
-        found.append(_Item(cell, seen[index], order, correct_answer(study, cell, order)))
+        found.append(_UnplacedTrial(cell, seen[index], order, correct_answer(study, cell, order)))
     return found
 
 
-class _Maker:
-    """Makes trials of items; each stimulus once for each place."""
+class _TrialMaker:
+    """Makes planned trials. Equal stimuli at the same place share one object."""
 
     def __init__(self, study: Study) -> None:
         self._study = study
         self._places = [place_of(study, position) for position in range(study.stimuli_per_trial)]
         self._known: dict[object, Stimulus] = {}
 
-    def trials(self, phase: Phase, block: int, items: Sequence[_Item], first: int) -> list[PlannedTrial]:
+    def trials(self, phase: Phase, block: int, items: Sequence[_UnplacedTrial], first: int) -> list[PlannedTrial]:
+        """Return the trials of a block in order; `first` is the index of the first one."""
         question = self._study.trial.question
         return [
             PlannedTrial(
@@ -244,7 +249,7 @@ class _Maker:
             for number, item in enumerate(items)
         ]
 
-    def _stimuli(self, phase: Phase, item: _Item) -> tuple[Stimulus, ...]:
+    def _stimuli(self, phase: Phase, item: _UnplacedTrial) -> tuple[Stimulus, ...]:
         cell = item.cell
         variable: Variable | None = None
         target: float | None = None
@@ -265,9 +270,9 @@ class _Maker:
     def _stimulus(
         self, cell: Cell, index: int, levels: Levels, place: str | None, variable: Variable | None
     ) -> Stimulus:
-        # In a procedure the name says whether it is the target.
+        # In a procedure the name of a stimulus is that of its role: target or reference.
         role = None if cell.procedure is None else index == 0
-        key = cell.condition, role, place, typed(levels), id(variable)
+        key = cell.condition, role, place, levels_key(levels), id(variable)
         known = self._known.get(key)
         if known is None:
             name = stimulus_name(self._study, cell, index)

@@ -16,9 +16,10 @@ import numpy.typing as npt
 from hapticd.base.errors import HapticdError
 from hapticd.experiment.keys import DifferenceEffect, ProportionEffect
 
-EXPERIMENTS: Final = 4000
-"""Simulated ones: the power's standard error is at most 0.8 %."""
-_SEED: Final = 1
+SIMULATED_EXPERIMENTS: Final = 4000
+"""Number of simulated experiments; the standard error of the power is at most 0.8 %."""
+_SIMULATION_SEED: Final = 1
+"""Seed of the simulation, fixed so that the power of a study is reproducible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,20 +29,22 @@ class Power:
     power: float
     """Share of the experiments in which the test rejects chance, or no difference, in the right direction."""
     standard_error: float
-    """Of that share, by the number of experiments."""
+    """Standard error of `power`, due to the number of simulated experiments."""
     participants: int
     trials: int
-    """Of each participant: answers, or pairs of trials whose difference is taken."""
+    """Number of answers of each participant, or of pairs of trials whose difference is taken."""
     test: str
+    """Name of the statistical test, with its sample size."""
 
 
-def power_of_proportion(effect: ProportionEffect, chance: float, trials: int, seed: int = _SEED) -> Power:
-    """The power to tell a proportion of correct answers from chance, with `trials` answers of each participant.
+def power_of_proportion(effect: ProportionEffect, chance: float, trials: int, seed: int = _SIMULATION_SEED) -> Power:
+    """Simulate the power of a test of correct answers against chance, with `trials` answers of each participant.
 
-    A participant's own probability is normal about the mean with the standard deviation `between`, cut to 0..1.
+    The probability of a correct answer is normally distributed over participants, with mean `effect.correct` and
+    standard deviation `effect.between`, clipped to 0..1.
     """
     generator = np.random.default_rng(seed)
-    size = (EXPERIMENTS, effect.participants)
+    size = (SIMULATED_EXPERIMENTS, effect.participants)
     own = np.clip(generator.normal(effect.correct, effect.between, size), 0.0, 1.0)
     right = generator.binomial(trials, own).sum(axis=1)
     total = trials * effect.participants
@@ -51,8 +54,11 @@ def power_of_proportion(effect: ProportionEffect, chance: float, trials: int, se
 
 
 def critical_counts(total: int, chance: float, significance: float) -> tuple[int, int]:
-    """The largest count that is too small to be chance, and the smallest that is too large: each tail has at most half
-    of the significance. -1 and total + 1 where no count is."""
+    """Return the critical counts of the two-sided exact binomial test.
+
+    Counts up to the first, and from the second, reject chance. Each tail has at most half of the significance. A tail
+    without such a count has -1, or total + 1.
+    """
     counts = np.arange(total + 1)
     lgamma = np.array([math.lgamma(count + 1) for count in range(total + 1)])
     log_density = lgamma[-1] - lgamma - lgamma[::-1] + counts * math.log(chance) + counts[::-1] * math.log1p(-chance)
@@ -63,17 +69,17 @@ def critical_counts(total: int, chance: float, significance: float) -> tuple[int
     return (int(low[-1]) if len(low) else -1), (int(high[0]) if len(high) else total + 1)
 
 
-def power_of_difference(effect: DifferenceEffect, pairs: int, seed: int = _SEED) -> Power:
-    """The power to find a difference, with `pairs` pairs of trials of each participant.
+def power_of_difference(effect: DifferenceEffect, pairs: int, seed: int = _SIMULATION_SEED) -> Power:
+    """Simulate the power of a t test of a difference, with `pairs` pairs of trials of each participant.
 
-    Raises HapticdError where scipy is not installed.
+    Raises HapticdError if scipy is not installed.
     """
     try:
         from scipy.special import stdtrit
     except ImportError:
         raise HapticdError("the power of a difference needs scipy: pip install 'hapticd[experiment]'") from None
     generator = np.random.default_rng(seed)
-    size = (EXPERIMENTS, effect.participants)
+    size = (SIMULATED_EXPERIMENTS, effect.participants)
     deviation = math.hypot(effect.between, effect.standard_deviation / math.sqrt(pairs))
     means = generator.normal(effect.mean, deviation, size)
     t = means.mean(axis=1) / (means.std(axis=1, ddof=1) / math.sqrt(effect.participants))

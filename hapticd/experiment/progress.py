@@ -1,13 +1,14 @@
-"""How far a session is, from its log alone.
+"""How far a session is, from its log.
 
-Kinds of records, beside those that only tell (`session_started`, `session_resumed`, `forces`, `note`, `paused`,
-`continued`, `break`, `line_dropped`, `stage_lost`):
+Kinds of records that change the progress. Others only inform: `session_resumed`, `note`, `paused`, `continued`,
+`break`, `line_dropped`, `stage_lost`, `aborted`.
 
+    session_started the session began
     trial_started   an attempt at a trial began: trial, attempt, file, stimuli, level
-    answer          the trial is over: answer, correct, times, measures, and the state of its procedure after it
+    answer          the trial is done: answer, correct, times, measures, and the state of its procedure after it
     trial_given_up  the attempt does not count: repeated, paused, aborted, or a motor task that was not done
-    trial_skipped   the trial is not needed: its procedure has ended
-    ended           the plan is through; aborted: the experimenter ended the session
+    trial_skipped   the trial is not needed, because its procedure has ended
+    ended           the session is over: all trials are done, or a stop rule ended it
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from hapticd.experiment.session_log import Record
 
 @dataclass(slots=True)
 class Progress:
-    """What is done of a session."""
+    """How much of a session is done."""
 
     done: set[int] = field(default_factory=set)
     """Indices of trials that were answered or skipped."""
     attempts: dict[int, int] = field(default_factory=dict)
-    """Attempts that began, by trial."""
+    """Number of attempts at each trial, by its index."""
     procedures: dict[str, Json] = field(default_factory=dict)
     """The newest state of each adaptive procedure."""
     elapsed_s: float = 0.0
@@ -38,16 +39,16 @@ class Progress:
     answered: int = 0
     answered_in_test: int = 0
     wrong_in_a_row: int = 0
-    """Wrong answers of the test since the last one that was not."""
+    """Number of successive wrong answers at the end of the test until now."""
     test_began_s: float | None = None
-    """When the first trial of the test that was answered began, on the session's clock."""
+    """Onset of the first answered trial of the test, on the session's clock; None before it."""
     began: bool = False
-    """Whether a session was started."""
+    """Whether the session was started."""
     ended: str | None = None
-    """Why it is over; None: it is not."""
+    """Why the session is over, or None if it is not."""
 
     def take(self, record: Record) -> None:
-        """Goes on by one record."""
+        """Update the progress with the next record of the log."""
         kind = record["kind"]
         if "at_s" in record:
             self.elapsed_s = max(self.elapsed_s, cast(float, record["at_s"]))
@@ -69,7 +70,7 @@ class Progress:
             self.ended = str(record["because"])
 
     def _take_answer(self, answer: Record) -> None:
-        """What breaks and stop rules ask for."""
+        """Update the counts that breaks and stop rules need."""
         if answer.get("phase") == "test":
             self.answered_in_test += 1
             if self.test_began_s is None:
@@ -78,13 +79,13 @@ class Progress:
 
 
 def check_not_over(folder: Path, progress: Progress) -> None:
-    """Raises HapticdError where nothing is left of the session in a folder."""
+    """Raise HapticdError if the session in a folder is over."""
     if progress.ended is not None:
-        raise HapticdError(f"{folder}: this session is over ({progress.ended}); nothing is left")
+        raise HapticdError(f"{folder}: this session is over ({progress.ended}) and cannot be resumed")
 
 
 def progress_of(records: Iterable[Record]) -> Progress:
-    """How far a session with these records is."""
+    """Return the progress of a session with these records."""
     progress = Progress()
     for record in records:
         progress.take(record)

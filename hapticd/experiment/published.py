@@ -1,4 +1,4 @@
-"""Published results that a study's own are set beside, as data of the package."""
+"""Published results to compare a study with, as data of the package."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ from hapticd.base.yaml_source import Json, load_bytes
 
 
 def published(name: str) -> dict[str, Json]:
-    """A table by its name, `okamura1998.tapping`: the file, and the section in it. Raises HapticdError."""
+    """Return published results by their name FILE.SECTION, such as `okamura1998.tapping`.
+
+    Raises HapticdError for an unknown name.
+    """
     faults = published_faults(name)
     if faults:
-        raise HapticdError(f"published results {quoted(name)}: {faults[0]}")
+        raise HapticdError(faults[0])
     file, _, section = name.partition(".")
     found = _files()[file][section]
     assert isinstance(found, dict)
@@ -21,13 +24,13 @@ def published(name: str) -> dict[str, Json]:
 
 
 def published_faults(name: str) -> list[str]:
-    """What is wrong with a name: nothing, or one sentence."""
+    """Return an empty list for a known name, else one error text."""
     known = published_names()
-    return [] if name in known else [f"no published results are called {quoted(name)}; {known_names(name, known)}"]
+    return [] if name in known else [f"unknown published results {quoted(name)}; {known_names(name, known)}"]
 
 
 def published_names() -> list[str]:
-    """All tables, as FILE.SECTION."""
+    """List the names of all published results, as FILE.SECTION."""
     return [
         f"{file}.{section}"
         for file, sections in _files().items()

@@ -1,5 +1,4 @@
-"""Published results in the form in which our own are reported: medians and quartiles, matrices of pairs,
-differences."""
+"""Published results in the form of our own: medians and quartiles, matrices of pairs, differences."""
 
 from __future__ import annotations
 
@@ -15,26 +14,27 @@ from hapticd.experiment.published import published
 
 @dataclass(frozen=True, slots=True)
 class PublishedMatrix:
-    """Percent correct of each pair."""
+    """Published percent correct of each pair of items."""
 
     items: tuple[str, ...]
     percent: Floats
-    """(k, k), a lower triangle with its diagonal; nan where nothing is published."""
+    """Shape (k, k), a lower triangle with its diagonal; nan where nothing is published."""
 
 
 @dataclass(frozen=True, slots=True)
 class PublishedResults:
-    """By condition; empty where a publication has nothing of the kind."""
+    """Results of a publication, by condition; empty for what it does not report."""
 
     quartiles: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     """Median, first and third quartile of percent correct."""
     matrices: Mapping[str, PublishedMatrix] = field(default_factory=dict)
+    """Percent correct of each pair of items."""
     difference: tuple[str, float, float] | None = None
-    """Of a measure, with vibration less without: its name, mean and standard deviation."""
+    """Name, mean and standard deviation of a measure's difference, with vibration minus without."""
 
 
 def published_results(name: str) -> PublishedResults:
-    """Of a published table. Raises HapticdError for one that is not known."""
+    """Return published results by their name FILE.SECTION. Raises HapticdError for an unknown name."""
     data = published(name)
     return PublishedResults(_quartiles(data), _matrices(data), _difference(data))
 
@@ -72,7 +72,7 @@ def _matrices(data: Mapping[str, Json]) -> dict[str, PublishedMatrix]:
 
 
 def _of_names(items: Sequence[str], table: Json, diagonal: Sequence[Json]) -> Floats:
-    """A triangle that is given by names of rows and columns, above or below the diagonal."""
+    """Return the lower triangle of a table by names of rows and columns, which may lie above the diagonal."""
     percent = np.diag(np.array([_number(each) for each in diagonal]))
     percent[~np.eye(len(items), dtype=bool)] = np.nan
     assert isinstance(table, dict)

@@ -1,4 +1,4 @@
-"""What a participant typed or set, as the answer that the data have."""
+"""Conversion of what a participant typed or set into the answer in the data."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from collections.abc import Callable
 from typing import Final
 
 from hapticd.experiment.front import Shown
-from hapticd.experiment.keys import POSITIONS
+from hapticd.experiment.keys import POSITION_MEANINGS
 
 
 def typed_reply(shown: Shown, text: str) -> str | float:
-    """The answer to a ranking, a slider, a number or a text. Raises ValueError: what is wrong, what would be right."""
-    return _TAKEN[shown.kind](shown, text)
+    """Return the answer to a question of kind ranking, slider, number or text.
+
+    Raises ValueError with a text for the participant if the answer is invalid.
+    """
+    return _REPLY_PARSERS[shown.kind](shown, text)
 
 
 def _number(shown: Shown, text: str) -> float:
@@ -28,24 +31,25 @@ def _number(shown: Shown, text: str) -> float:
 
 
 def _ranking(shown: Shown, text: str) -> str:
-    """`2 1 3` as second>first>third."""
+    """Convert "2 1 3" into "second>first>third"."""
     words = text.replace(">", " ").replace(",", " ").split()
     wanted = [str(number) for number in range(1, shown.stimuli + 1)]
     if sorted(words) != wanted:
         raise ValueError(f"{text}: must name each of {', '.join(wanted)} once, such as {' '.join(reversed(wanted))}")
-    return ">".join(POSITIONS[int(word) - 1] for word in words)
+    return ">".join(POSITION_MEANINGS[int(word) - 1] for word in words)
 
 
 def _text(shown: Shown, text: str) -> str:
     most = shown.most_characters
     if most is not None and len(text) > most:
-        raise ValueError(f"the text has {len(text)} characters, and must have at most {most}")
+        raise ValueError(f"the text has {len(text)} characters, must have at most {most}")
     return text
 
 
-_TAKEN: Final[dict[str, Callable[[Shown, str], str | float]]] = {
+_REPLY_PARSERS: Final[dict[str, Callable[[Shown, str], str | float]]] = {
     "ranking": _ranking,
     "slider": _number,
     "number": _number,
     "text": _text,
 }
+"""The function that converts a typed text, by kind of question."""

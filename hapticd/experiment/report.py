@@ -1,4 +1,4 @@
-"""The report of an analysis as one HTML page: tables, and pictures that stand in it as SVG. Drawn by matplotlib."""
+"""The report of an analysis as one HTML page with tables, and pictures as SVG. Matplotlib draws them."""
 
 from __future__ import annotations
 
@@ -18,27 +18,29 @@ from hapticd.experiment.results import Dots, Fitted, Matrices, PairedValues, Pic
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_INCH: Final = 0.42
-"""Of a cell of a matrix."""
-_LETTER: Final = 0.085
-"""Inches of a letter in a label."""
+_MATRIX_CELL_INCHES: Final = 0.42
+"""Width and height of a cell of a matrix."""
+_LABEL_LETTER_INCHES: Final = 0.085
+"""Width of a letter in a label."""
 
 
 def require() -> None:
-    """Raises HapticdError (one line) where matplotlib is missing."""
+    """Raise HapticdError if matplotlib is not installed."""
     require_matplotlib("the report", "experiment")
 
 
 def page(analysis: Analysis) -> str:
-    """The report."""
+    """Return the report as an HTML page. Raises HapticdError if matplotlib is not installed."""
     require()
     warned = "\n".join(f'<p class="warning">{html.escape(note)}</p>' for note in analysis.notes)
-    beside = (
-        f"Published results beside these: <code>{html.escape(analysis.published)}</code>." if analysis.published else ""
+    compared = (
+        f"Compared with published results: <code>{html.escape(analysis.published)}</code>."
+        if analysis.published
+        else ""
     )
     sections = "\n".join(_section(section) for section in analysis.sections)
     files = "\n".join(f"<li><code>{html.escape(str(file))}</code></li>" for file in analysis.files)
-    body = f"""<p><b>{html.escape(analysis.summary)}.</b> {beside}</p>
+    body = f"""<p><b>{html.escape(analysis.summary)}.</b> {compared}</p>
 {warned}
 {sections}
 <h2>Tables of answers</h2>
@@ -58,7 +60,7 @@ def _table(table: ResultTable) -> str:
 
 
 def svg(picture: Picture) -> str:
-    """A picture as an SVG element."""
+    """Draw a picture as an SVG element."""
     from matplotlib.figure import Figure
 
     drawn: dict[type[Any], Callable[[Figure, Any], None]] = {
@@ -74,13 +76,13 @@ def svg(picture: Picture) -> str:
 
 
 def _size(picture: Picture) -> tuple[float, float]:
-    """Inches."""
+    """Return width and height of a picture, in inches."""
     if isinstance(picture, Dots):
         return 7.5, 1.4 + 0.3 * len(picture.labels) * max(1, 0.6 * len(picture.series))
     if isinstance(picture, Matrices):
-        named = _LETTER * max(map(len, picture.rows + picture.columns))
-        wide = 0.6 + named + max(_INCH * len(picture.columns), 1.8)
-        return 1.2 + wide * len(picture.panels), 1.3 + named + _INCH * len(picture.rows)
+        named = _LABEL_LETTER_INCHES * max(map(len, picture.rows + picture.columns))
+        wide = 0.6 + named + max(_MATRIX_CELL_INCHES * len(picture.columns), 1.8)
+        return 1.2 + wide * len(picture.panels), 1.3 + named + _MATRIX_CELL_INCHES * len(picture.rows)
     return 7.0, 4.2
 
 
@@ -164,5 +166,5 @@ def _title(figure: Figure, text: str) -> None:
 
 
 def texts(tables: Sequence[ResultTable]) -> dict[str, str]:
-    """The CSV files by their names."""
+    """Return the text of a CSV file for each table, by file name."""
     return {f"{table.name}.csv": table.csv() for table in tables}

@@ -1,4 +1,4 @@
-"""What an analysis consists of: tables, pictures and notes, as plain numbers that terminal, CSV and page show alike."""
+"""Parts of an analysis: tables, pictures and notes. Terminal, CSV files and HTML page show the same numbers."""
 
 from __future__ import annotations
 
@@ -12,22 +12,24 @@ from hapticd.analysis.statistics import Floats
 from hapticd.base.yaml_source import Json
 
 Cell: TypeAlias = str | int | float | None
-LEAST_P: Final = 1e-4
+"""A value of a table; None if it is missing."""
+MIN_SHOWN_P: Final = 1e-4
+"""A smaller p value is shown as "< 0.0001"."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResultTable:
-    """Rows of figures. A column's unit stands in its head."""
+    """A table of results. The header of a column ends with its unit."""
 
     name: str
-    """Of its CSV file."""
+    """Name of its CSV file, without the suffix."""
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     note: str = ""
 
     def text(self) -> list[tuple[str, ...]]:
-        """The rows as people read them: a p less than LEAST_P is no number of its own."""
+        """Return the rows as text, with four digits. A p value below MIN_SHOWN_P is shown as "< 0.0001"."""
         are_p = [head == "p" or head.startswith("p ") for head in self.columns]
         return [
             tuple(p_text(cell) if is_p else cell_text(cell) for cell, is_p in zip(row, are_p, strict=True))
@@ -35,12 +37,12 @@ class ResultTable:
         ]
 
     def of_text(self) -> tuple[bool, ...]:
-        """Of each column whether it holds texts, which stand on the left, and no numbers."""
+        """Return for each column whether it only has texts, which are aligned left."""
         columns = list(zip(*self.rows, strict=True)) or [()] * len(self.columns)
         return tuple(all(isinstance(cell, str) for cell in column) for column in columns)
 
     def csv(self) -> str:
-        """All digits; what is missing is empty."""
+        """Return the table as CSV with all digits. A missing value is empty."""
         target = io.StringIO()
         writer = csv.writer(target, lineterminator="\n")
         writer.writerow(self.columns)
@@ -48,6 +50,7 @@ class ResultTable:
         return target.getvalue()
 
     def to_dict(self) -> dict[str, Json]:
+        """Return the table as JSON data. A number that is not finite becomes null."""
         rows: list[Json] = [
             [None if isinstance(cell, float) and not math.isfinite(cell) else cell for cell in row] for row in self.rows
         ]
@@ -56,20 +59,21 @@ class ResultTable:
 
 @dataclass(frozen=True, slots=True)
 class Dots:
-    """Values with their intervals, one group beside another: (k,) of each series, nan where it has none."""
+    """A picture of values with intervals. Each series has arrays of shape (k,), nan for missing values."""
 
     title: str
     labels: tuple[str, ...]
     series: tuple[tuple[str, Floats, Floats, Floats], ...]
-    """Name, values, low and high ends."""
+    """Name, values, lower and upper ends of the intervals."""
     axis: str
-    """What is drawn, with its unit."""
+    """Label of the axis, with its unit."""
     chance: float | None = None
+    """Level of chance, which is drawn as a line, or None."""
 
 
 @dataclass(frozen=True, slots=True)
 class Matrices:
-    """Tables of numbers as colours, side by side: (rows, columns) each; nan is left empty."""
+    """A picture of matrices as colours, side by side. Each has shape (rows, columns); nan stays empty."""
 
     title: str
     rows: tuple[str, ...]
@@ -82,7 +86,7 @@ class Matrices:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A psychometric function through proportions."""
+    """A picture of a psychometric function and the proportions that it was fitted to, in percent."""
 
     title: str
     levels: Floats
@@ -92,7 +96,7 @@ class Fitted:
     curve_levels: Floats
     curve_percent: Floats
     threshold: tuple[float, float, float] | None
-    """With the ends of its interval; None: the answers determine none."""
+    """The threshold and the ends of its interval, or None if the answers do not determine it."""
     level_label: str
     logarithmic: bool
     axis: str = "correct answers, %"
@@ -100,7 +104,7 @@ class Fitted:
 
 @dataclass(frozen=True, slots=True)
 class PairedValues:
-    """One line a participant from condition to condition: (participants, conditions)."""
+    """A picture with one line per participant over the conditions. `values` has shape (participants, conditions)."""
 
     title: str
     conditions: tuple[str, ...]
@@ -113,17 +117,17 @@ Picture: TypeAlias = Dots | Matrices | Fitted | PairedValues
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Tables and pictures of one matter."""
+    """Tables, pictures and notes on one topic."""
 
     tables: tuple[ResultTable, ...]
     pictures: tuple[Picture, ...] = ()
     notes: tuple[str, ...] = ()
-    beside_published: bool = False
-    """Whether published figures stand in the tables."""
+    compares_published: bool = False
+    """Whether the tables contain published values."""
 
 
 def cell_text(cell: Cell) -> str:
-    """Four digits at most; a dash for what is missing."""
+    """Return a cell as text: at most four digits, a dash for a missing value."""
     if cell is None or (isinstance(cell, float) and math.isnan(cell)):
         return "-"
     if isinstance(cell, float):
@@ -132,8 +136,8 @@ def cell_text(cell: Cell) -> str:
 
 
 def p_text(cell: Cell) -> str:
-    """As cell_text, of a probability."""
-    return f"< {LEAST_P:.4f}" if isinstance(cell, float) and cell < LEAST_P else cell_text(cell)
+    """Return a p value as text, like cell_text, but "< 0.0001" for one below MIN_SHOWN_P."""
+    return f"< {MIN_SHOWN_P:.4f}" if isinstance(cell, float) and cell < MIN_SHOWN_P else cell_text(cell)
 
 
 def _csv_cell(cell: Cell) -> str:

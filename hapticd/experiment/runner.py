@@ -1,7 +1,7 @@
-"""A session as it runs: trial after trial of a plan, on a stage, with a front.
+"""The runner of a session: it runs the trials of a plan one after another, on a stage, with a front.
 
-A trial is over when its answer is in the log, on disk. Only then does the next one begin. Whatever ends the process,
-`Session` goes on from the log: same order, same adaptive procedures, nothing twice.
+A trial is over when its answer is on disk in the log. Only then the next one begins. After any end of the process,
+`Session` continues from the log with the same order and procedures, and repeats no answered trial.
 """
 
 from __future__ import annotations
@@ -31,24 +31,25 @@ from hapticd.experiment.stage import ForcesLost, ForcesStopped, Stage
 from hapticd.experiment.stimuli import Stimulus
 from hapticd.experiment.trial_scenes import configurations, seen
 
-MOST_FAULTS: Final = 3
-"""Attempts in a row that a fault may end before the session does."""
-MOST_NOT_DONE: Final = 3
-"""Attempts in a row at a motor task that need not be done; after them the trial has no answer."""
+MAX_FAULTS_IN_A_ROW: Final = 3
+"""Number of successive attempts ended by faults after which the session ends, too."""
+MAX_ATTEMPTS_NOT_DONE: Final = 3
+"""Number of successive attempts at a motor task without result after which the trial ends without answer."""
 
 Ending: TypeAlias = Literal["ended", "aborted"]
+"""How a run ended: the session is over, or the experimenter aborted it."""
 Procedures: TypeAlias = "Callable[[str, Json], Procedure]"
-"""Makes the adaptive procedure of a name, new (None) or from its state."""
+"""Makes the adaptive procedure of a name from its state, or a new one without a state."""
 AtLevel: TypeAlias = Callable[[PlannedTrial, float], tuple[Stimulus, ...]]
-"""The stimuli of an adaptive trial at a level."""
+"""Returns the stimuli of an adaptive trial at a level."""
 
 
 class _Aborted(Exception):
-    """The experimenter ended the session."""
+    """The experimenter aborted the session."""
 
 
-class _Again(Exception):
-    """The attempt does not count; the trial begins again, after a pause where `paused` says so."""
+class _AttemptRepeated(Exception):
+    """The attempt does not count, and the trial begins again; with `paused` after a pause."""
 
     def __init__(self, paused: bool = False) -> None:
         super().__init__()
@@ -56,8 +57,8 @@ class _Again(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class _Armed:
-    """A trial with its level, stimuli and scenes."""
+class _ArmedTrial:
+    """A trial with its level, stimuli and the configurations of its intervals."""
 
     trial: PlannedTrial
     level: float | None
@@ -67,7 +68,7 @@ class _Armed:
 
 
 class Session:
-    """One run of a session, from its beginning or from where its log ends."""
+    """One run of a session, from its beginning or from the end of its log."""
 
     def __init__(
         self,
@@ -82,7 +83,7 @@ class Session:
         keep_telemetry: bool = True,
         monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`monotonic_s`: the clock of response times, which is the simulated hand's where nothing is in real time."""
+        """Prepare a run. `monotonic_s` is the clock of response times; an offline stage uses simulated time."""
         self._folder, self._log, self._plan = folder, log, plan
         self._stage, self._front = stage, front
         self._new_procedure, self._at_level = procedures, at_level
@@ -93,34 +94,35 @@ class Session:
         self._origin_s = monotonic_s() - self._progress.elapsed_s
         self._faults = 0
         self._attempts_not_done = 0
-        """Attempts in a row at a motor task that were not done."""
+        """Number of successive attempts at a motor task that were not done."""
 
     @property
     def total(self) -> int:
+        """Number of trials in the plan."""
         return len(self._plan.trials)
 
     @property
     def done(self) -> frozenset[int]:
-        """Indices of the trials that are over."""
+        """Indices of the trials that were answered or skipped."""
         return frozenset(self._progress.done)
 
     @property
     def answered(self) -> int:
-        """How many of them have an answer; the others were not needed, as their procedure had ended."""
+        """Number of answered trials. Trials of a procedure that has ended are skipped."""
         return self._progress.answered
 
     def run(self) -> Ending:
-        """Runs what is left, once, and closes the log.
+        """Run the remaining trials, once, and close the log.
 
-        Raises HapticdError where the stage is lost or something cannot be written. The log is sound then, and another
-        Session goes on.
+        Raises HapticdError if the stage is lost or something cannot be written. The log stays valid, and another
+        Session can continue from it.
         """
         check_not_over(self._folder.path, self._progress)
         resumed = self._begin()
         try:
             self._stage.fade()
             study, done = self._plan.study, len(self._progress.done)
-            self._obey(
+            self._ask_between_trials(
                 lambda: self._front.begin(study.title, study.instructions, done, self.total, study.may_end_early)
             )
             self._mark(EventCode.SESSION_RESUMED if resumed else EventCode.SESSION_BEGIN)
@@ -131,12 +133,12 @@ class Session:
             self._mark(EventCode.SESSION_ABORTED)
             return "aborted"
         except HapticdError as error:
-            self._leave()
+            self._abort_quietly()
             with suppress(HapticdError):
                 self._record("stage_lost", because=str(error))
             raise
         except BaseException:
-            self._leave()
+            self._abort_quietly()
             raise
         finally:
             self._log.close()
@@ -145,7 +147,7 @@ class Session:
     # ---- The session ----------------------------------------------------------------------------------------
 
     def _begin(self) -> bool:
-        """Whether the session was begun before, and goes on."""
+        """Log the start of the run, and return whether it resumes a session."""
         moment = clock.read()
         resumed = self._progress.began
         self._record(
@@ -161,8 +163,8 @@ class Session:
             self._front.tell(self._log.dropped)
         return resumed
 
-    def _leave(self) -> None:
-        """After an error, which says what is wrong; another one in here does not."""
+    def _abort_quietly(self) -> None:
+        """Fade the forces and mark the abort after an error. Further errors are suppressed in favour of that one."""
         with suppress(HapticdError):
             self._stage.fade()
             self._mark(EventCode.SESSION_ABORTED)
@@ -174,11 +176,11 @@ class Session:
             if trial.procedure is not None and self._procedure(trial.procedure).level() is None:
                 self._record("trial_skipped", trial=trial.index, because="its procedure has ended")
                 continue
-            because = self._stops()
+            because = self._stop_reason()
             if because is not None:
                 self._end(because)
                 return
-            self._between(before, trial)
+            self._phase_and_break(before, trial)
             self._run_trial(trial)
             before = trial
         self._end("all trials are done")
@@ -188,23 +190,23 @@ class Session:
         self._record("ended", because=because)
         self._mark(EventCode.SESSION_END)
 
-    def _stops(self) -> str | None:
-        """Why the study's stop rules end the test now."""
+    def _stop_reason(self) -> str | None:
+        """Return why a stop rule of the study ends the test now, or None."""
         stop = self._plan.study.stop
         begun = self._progress.test_began_s
         if stop.after_s is not None and begun is not None and self._elapsed_s() - begun >= stop.after_s:
-            return f"no trial begins {stop.after_s:g} s after the first one"
+            return f"the test has lasted {stop.after_s:g} s"
         wrong = stop.wrong_in_a_row
         if wrong is not None and self._progress.wrong_in_a_row >= wrong:
             return f"{wrong} wrong answers in a row"
         return None
 
-    def _between(self, before: PlannedTrial | None, trial: PlannedTrial) -> None:
-        """Instructions of a new phase, and breaks. Before the first trial of a run (None) everybody is rested."""
+    def _phase_and_break(self, before: PlannedTrial | None, trial: PlannedTrial) -> None:
+        """Show the instructions of a new phase, and breaks. `before` is the previous trial of the run, or None."""
         study = self._plan.study
         if before is None or before.phase != trial.phase:
             warmup = {"practice": study.practice, "training": study.training}.get(trial.phase)
-            self._obey(lambda: self._front.phase(trial.phase, warmup.instructions if warmup else None))
+            self._ask_between_trials(lambda: self._front.phase(trial.phase, warmup.instructions if warmup else None))
         if before is None or trial.phase != "test":
             return
         breaks = study.breaks
@@ -214,37 +216,37 @@ class Session:
             self._record("break", before_trial=trial.index)
             self._mark(EventCode.BREAK_BEGIN)
             ends_s = self._elapsed_s() + breaks.least_s
-            # Asked again after a note or a pause: what is over of the break is over.
-            self._obey(lambda: self._front.rest(breaks.text, max(0.0, ends_s - self._elapsed_s())))
+            # Repeated after a note or a pause, with the rest of the break.
+            self._ask_between_trials(lambda: self._front.rest(breaks.text, max(0.0, ends_s - self._elapsed_s())))
             self._mark(EventCode.BREAK_END)
 
     # ---- A trial --------------------------------------------------------------------------------------------
 
     def _run_trial(self, trial: PlannedTrial) -> None:
-        """Until it is answered."""
+        """Repeat a trial until it is answered."""
         while True:
             armed = self._armed(trial)
             attempt = self._progress.attempts.get(trial.index, 0) + 1
             try:
                 self._attempt(armed, attempt)
                 return
-            except _Again as again:
+            except _AttemptRepeated as again:
                 if again.paused:
                     self._pause()
             except _Aborted:
                 self._record("trial_given_up", trial=trial.index, attempt=attempt, because="aborted")
                 raise
 
-    def _armed(self, trial: PlannedTrial) -> _Armed:
+    def _armed(self, trial: PlannedTrial) -> _ArmedTrial:
         level, stimuli = None, trial.stimuli
         if trial.procedure is not None:
             level = self._procedure(trial.procedure).level()
             assert level is not None
             stimuli = self._at_level(trial, level)
         configs = configurations(self._plan.study, stimuli)
-        return _Armed(trial, level, stimuli, configs, self._shown(trial, stimuli, configs))
+        return _ArmedTrial(trial, level, stimuli, configs, self._shown(trial, stimuli, configs))
 
-    def _attempt(self, armed: _Armed, attempt: int) -> None:
+    def _attempt(self, armed: _ArmedTrial, attempt: int) -> None:
         trial, stage = armed.trial, self._stage
         target = self._folder.trial_file(trial.index, attempt)
         notes: dict[str, Json] = {"trial": trial.index, "attempt": attempt, "participant": self._plan.participant}
@@ -258,18 +260,21 @@ class Session:
         )
         try:
             with stage.recording(target, notes):
-                reply, onset_s, asked_s = self._felt(armed, attempt)
+                reply, onset_s, asked_s = self._present(armed, attempt)
         except (ForcesLost, ForcesStopped) as lost:
             stage.fade()
-            self._begin_again(trial, attempt, lost)
+            self._repeat_attempt(trial, attempt, lost)
         answered_s = self._answered_s
         self._check_faults(trial, attempt)
-        measures = self._done(armed, attempt, reply, self._measures(armed))
+        measures = self._measures_if_done(armed, attempt, reply, self._measures(armed))
         self._answer(armed, attempt, reply, measures, onset_s, asked_s, answered_s)
         self._mark(EventCode.TRIAL_END, trial=trial.index, attempt=attempt)
 
-    def _felt(self, armed: _Armed, attempt: int) -> tuple[Reply, float, float]:
-        """The intervals one after the other, and the reply; when the forces came on, and when the last interval did."""
+    def _present(self, armed: _ArmedTrial, attempt: int) -> tuple[Reply, float, float]:
+        """Present the intervals one after another, and ask.
+
+        Returns the reply, and on the session's clock the onsets of the first and of the last interval.
+        """
         stage, shown = self._stage, armed.shown
         mark = partial(self._mark, trial=armed.trial.index, attempt=attempt)
         onset_s = asked_s = 0.0
@@ -277,21 +282,23 @@ class Session:
             stage.arm(config)
             if number == 1:
                 mark(EventCode.TRIAL_ARMED)
-                self._heed(armed, attempt, lambda: self._front.ready(shown, self._watched(armed, attempt)))
+                self._ask_during_attempt(
+                    armed, attempt, lambda: self._front.ready(shown, self._watched(armed, attempt))
+                )
             if not stage.is_clear():
-                self._heed(armed, attempt, partial(self._front.withdraw, shown, number, stage))
-            # What was said while the scene was put in force is heard before they are on, what came then at once.
-            self._heed(armed, attempt, self._front.may_enable)
+                self._ask_during_attempt(armed, attempt, partial(self._front.withdraw, shown, number, stage))
+            # Obey commands that came while the scene was armed before the forces are on, and later ones right after.
+            self._ask_during_attempt(armed, attempt, self._front.may_enable)
             stage.enable()
-            self._heed(armed, attempt, self._front.may_enable)
+            self._ask_during_attempt(armed, attempt, self._front.may_enable)
             mark(EventCode.INTERVAL, interval=number)
             asked_s = self._elapsed_s()
             onset_s = onset_s or asked_s
             if number < len(armed.configs):
-                self._heed(armed, attempt, partial(self._front.explore, shown, number, stage))
+                self._ask_during_attempt(armed, attempt, partial(self._front.explore, shown, number, stage))
                 stage.fade()
                 mark(EventCode.FORCES_OFF, interval=number)
-        reply = self._heed(armed, attempt, lambda: self._front.ask(shown, stage))
+        reply = self._ask_during_attempt(armed, attempt, lambda: self._front.ask(shown, stage))
         self._answered_s = self._elapsed_s()
         assert isinstance(reply, Reply)
         stage.check()
@@ -302,7 +309,7 @@ class Session:
 
     def _answer(
         self,
-        armed: _Armed,
+        armed: _ArmedTrial,
         attempt: int,
         reply: Reply,
         measures: Mapping[str, float | None],
@@ -310,7 +317,7 @@ class Session:
         asked_s: float,
         answered_s: float,
     ) -> None:
-        """Puts the answer on disk, with the state of its procedure after it, in one record."""
+        """Write the answer and the state of its procedure after it to disk, in one record."""
         trial = armed.trial
         question = self._plan.study.questions[trial.question]
         answer: Json = reply.answer
@@ -339,32 +346,35 @@ class Session:
             **state,
         )
         self._front.answered(self._watched(armed, attempt), answer, right, answered_s - asked_s)
-        self._tell_feedback(armed, right, measures)
+        self._show_feedback(armed, right, measures)
 
-    def _tell_feedback(self, armed: _Armed, right: bool | None, measures: Mapping[str, float | None]) -> None:
+    def _show_feedback(self, armed: _ArmedTrial, right: bool | None, measures: Mapping[str, float | None]) -> None:
         study, trial = self._plan.study, armed.trial
         warmup = {"practice": study.practice, "training": study.training}.get(trial.phase)
         wanted = study.feedback if warmup is None else "correctness" if warmup.feedback else "none"
         if wanted == "none":
             return
-        told, judged = [], wanted == "correctness" and right is not None
+        lines, judged = [], wanted == "correctness" and right is not None
         if judged:
             label = next((each.label for each in armed.shown.answers if each.name == trial.correct), trial.correct)
-            told.append("Correct." if right else f"Wrong: {label}.")
+            lines.append("Correct." if right else f"Wrong: {label}.")
         question = study.questions[trial.question]
         asked = (question.measure,) if isinstance(question, MeasureQuestion) else ()
         for name in measures if wanted == "measure" else asked:
             value = measures[name]
             if value is not None:
-                told.append(measure_text(name, value))
-        if told:
-            self._front.feedback(" ".join(told), trial.correct if judged else None)
+                lines.append(measure_text(name, value))
+        if lines:
+            self._front.feedback(" ".join(lines), trial.correct if judged else None)
 
-    def _done(
-        self, armed: _Armed, attempt: int, reply: Reply, measures: Mapping[str, float | None]
+    def _measures_if_done(
+        self, armed: _ArmedTrial, attempt: int, reply: Reply, measures: Mapping[str, float | None]
     ) -> Mapping[str, float | None]:
-        """The measures of a trial, without that of a motor task which was not done. Raises _Again for such an attempt
-        until there were MOST_NOT_DONE, or its time was up."""
+        """Return the measures of a trial, with None for a motor task that was not done.
+
+        Raises _AttemptRepeated for a motor task that was not done, unless its time limit passed or it was the last of
+        MAX_ATTEMPTS_NOT_DONE attempts.
+        """
         question = self._plan.study.questions[armed.trial.question]
         if not isinstance(question, MeasureQuestion):
             return measures
@@ -373,15 +383,15 @@ class Session:
             self._attempts_not_done = 0
             return measures
         self._attempts_not_done += 1
-        if reply.timed_out or self._attempts_not_done >= MOST_NOT_DONE:
+        if reply.timed_out or self._attempts_not_done >= MAX_ATTEMPTS_NOT_DONE:
             self._attempts_not_done = 0
             return {**measures, question.measure: None}
         self._give_up(armed.trial, attempt, because=f"not done: {why}")
         self._front.not_done(armed.trial.index + 1, why)
-        raise _Again
+        raise _AttemptRepeated
 
-    def _measures(self, armed: _Armed) -> Mapping[str, float | None]:
-        """What the study asks to be measured, from the telemetry of the trial."""
+    def _measures(self, armed: _ArmedTrial) -> Mapping[str, float | None]:
+        """Return the measures that the study asks for, from the telemetry of the trial."""
         study = self._plan.study
         question = study.questions[armed.trial.question]
         wanted = list(study.trial.measures)
@@ -389,32 +399,37 @@ class Session:
             wanted.append(question.measure)
         if not wanted:
             return {}
-        told = self._stage.telemetry()
+        telemetry = self._stage.telemetry()
         scene = armed.configs[-1].scene.to_dict()
-        found = measures_of(told.samples, told.events, planes_of(cast("dict[str, Json]", scene["objects"])))
+        found = measures_of(telemetry.samples, telemetry.events, planes_of(cast("dict[str, Json]", scene["objects"])))
         return {name: found[name] for name in wanted}
 
     def _check_faults(self, trial: PlannedTrial, attempt: int) -> None:
-        """An attempt during which the forces were lost does not count. Raises _Again, or HapticdError after some."""
+        """Repeat the attempt if the forces were lost during it; see `_repeat_attempt`."""
         try:
             self._stage.check()
         except HapticdError as error:
-            self._begin_again(trial, attempt, error)
+            self._repeat_attempt(trial, attempt, error)
         self._faults = 0
 
-    def _begin_again(self, trial: PlannedTrial, attempt: int, because: HapticdError) -> NoReturn:
-        """Raises _Again, after a pause where somebody stopped the forces; after some in a row the fault itself."""
+    def _repeat_attempt(self, trial: PlannedTrial, attempt: int, because: HapticdError) -> NoReturn:
+        """Give the attempt up. Raises _AttemptRepeated, or the fault itself after MAX_FAULTS_IN_A_ROW faults.
+
+        The trial begins again after a pause if another client stopped the forces.
+        """
         self._faults += 1
         self._give_up(trial, attempt, because=str(because))
-        if self._faults >= MOST_FAULTS:
+        if self._faults >= MAX_FAULTS_IN_A_ROW:
             raise because
         self._front.tell(f"trial {trial.index + 1} begins again: {because}")
-        raise _Again(paused=isinstance(because, ForcesStopped)) from None
+        raise _AttemptRepeated(paused=isinstance(because, ForcesStopped)) from None
 
-    # ---- What the front is told, and tells ------------------------------------------------------------------
+    # ---- Communication with the front -----------------------------------------------------------------------
 
-    def _heed(self, armed: _Armed, attempt: int, ask: Callable[[], Reply | Command | None]) -> Reply | None:
-        """Asks the front within an attempt. A pause or a repetition ends the attempt: times stay true."""
+    def _ask_during_attempt(
+        self, armed: _ArmedTrial, attempt: int, ask: Callable[[], Reply | Command | None]
+    ) -> Reply | None:
+        """Ask the front during an attempt. A pause or a repetition ends it, so that times stay valid."""
         while True:
             said = ask()
             if not isinstance(said, Command):
@@ -426,10 +441,10 @@ class Session:
             if said.kind == "abort":
                 raise _Aborted
             self._give_up(armed.trial, attempt, because=said.kind)
-            raise _Again(paused=said.kind == "pause")
+            raise _AttemptRepeated(paused=said.kind == "pause")
 
-    def _obey(self, ask: Callable[[], Command | None]) -> None:
-        """Asks the front between trials."""
+    def _ask_between_trials(self, ask: Callable[[], Command | None]) -> None:
+        """Ask the front between trials, until it returns no command."""
         while (said := ask()) is not None:
             if said.kind == "abort":
                 raise _Aborted
@@ -438,16 +453,16 @@ class Session:
             elif said.kind == "pause":
                 self._pause()
             else:
-                self._front.tell("no trial is under way that could be repeated")
+                self._front.tell("repeat: no trial is running")
 
     def _pause(self) -> None:
         self._record("paused")
         self._mark(EventCode.PAUSE_BEGIN)
-        self._obey(self._front.paused)
+        self._ask_between_trials(self._front.paused)
         self._record("continued")
         self._mark(EventCode.PAUSE_END)
 
-    def _watched(self, armed: _Armed, attempt: int) -> Watched:
+    def _watched(self, armed: _ArmedTrial, attempt: int) -> Watched:
         trial, progress = armed.trial, self._progress
         return Watched(
             index=trial.index,
@@ -496,7 +511,7 @@ class Session:
         return self._procedures[name]
 
     def _elapsed_s(self) -> float:
-        """Time on the session's clock; it stands still while no process runs the session."""
+        """Return the time on the session's clock, which stands still while no process runs the session."""
         return self._now_s() - self._origin_s
 
     def _give_up(self, trial: PlannedTrial, attempt: int, because: str) -> None:
@@ -504,7 +519,7 @@ class Session:
         self._mark(EventCode.TRIAL_GIVEN_UP, trial=trial.index, attempt=attempt)
 
     def _mark(self, code: EventCode, **members: Json) -> None:
-        """Tells other programs. Numbers alone: names of stimuli and conditions are for the experimenter."""
+        """Leave an event code for other programs. It must not name stimuli or conditions."""
         self._stage.mark(code.text, {"code": int(code), **members})
 
     def _record(self, kind: str, **members: Json) -> Record:

@@ -1,4 +1,4 @@
-"""Beginning a session, and going on with one: the plan as a file, and the adaptive procedures of a study."""
+"""Begin or resume a session: the plan as a file, and the adaptive procedures of a study."""
 
 from __future__ import annotations
 
@@ -20,23 +20,25 @@ from hapticd.experiment.session_folder import SessionFolder
 from hapticd.experiment.session_log import SessionLog
 from hapticd.experiment.stimuli import Stimulus
 
-_PROCEDURES: Final[dict[str, tuple[Any, Any]]] = {
+_PROCEDURE_KINDS: Final[dict[str, tuple[Any, Any]]] = {
     "staircase": (Staircase, StaircaseParameters),
     "quest_plus": (QuestPlus, QuestPlusParameters),
     "constant_stimuli": (ConstantStimuli, ConstantStimuliParameters),
 }
+"""The class of each kind of adaptive procedure, and that of its parameters."""
 
 
 def begin(root: Path, source: bytes, plan: Plan, stage: Mapping[str, Json]) -> tuple[SessionFolder, SessionLog]:
-    """Makes the folder of a new session. `source` is the study's YAML as it was read, `stage` what describes the stage.
+    """Make the folder of a new session.
 
-    Raises HapticdError where the session exists, or cannot be written.
+    `source` is the study's YAML as it was read, `stage` the description of the stage. Raises HapticdError if the
+    session already exists or cannot be written.
     """
     return SessionFolder.create(root, source, plan_document(plan), about_of(plan, stage, clock.read()))
 
 
 def about_of(plan: Plan, stage: Mapping[str, Json], moment: clock.Moment) -> dict[str, Json]:
-    """What session.json says of a session that begins at a moment."""
+    """Return the content of session.json for a session that begins at a moment."""
     return {
         "participant": plan.participant,
         "session": plan.session,
@@ -49,7 +51,7 @@ def about_of(plan: Plan, stage: Mapping[str, Json], moment: clock.Moment) -> dic
 
 
 def plan_document(plan: Plan) -> dict[str, Json]:
-    """A plan as plain data; the study is in it with everything that its file took from elsewhere."""
+    """Return a plan as plain data. It contains the complete study, including what its file took from other files."""
     return {
         "study": plan.study.to_dict(),
         "participant": plan.participant,
@@ -77,7 +79,10 @@ def _trial_document(trial: PlannedTrial) -> dict[str, Json]:
 
 
 def plan_of(folder: SessionFolder) -> Plan:
-    """The plan of a session, from its file: another version might plan otherwise. Raises HapticdError."""
+    """Read the plan of a session from its file, as another version of hapticd might plan differently.
+
+    Raises HapticdError if the file is invalid.
+    """
     document = cast("dict[str, Any]", folder.plan)
     try:
         trials = tuple(
@@ -87,16 +92,19 @@ def plan_of(folder: SessionFolder) -> Plan:
         study = Study.model_validate(document["study"])
         return Plan(study, document["participant"], document["session"], document["seed"], trials)
     except (KeyError, TypeError) as error:
-        raise HapticdError(f"{folder.path}/plan.json: is no plan of this version ({error})") from None
+        raise HapticdError(f"{folder.path}/plan.json: not a plan of this version of hapticd ({error})") from None
 
 
 def procedure_of(study: Study, name: str, state: Json) -> Procedure:
-    """The adaptive procedure of a name: new, or from its state. Raises HapticdError."""
+    """Make the adaptive procedure of a name: a new one if the state is null, else one with that state.
+
+    Raises HapticdError if the study or the state is invalid.
+    """
     method = dict(study.adaptive(name).method)
     kind = str(method.get("kind", ""))
-    if kind not in _PROCEDURES:
-        known = known_names(kind, _PROCEDURES)
-        raise HapticdError(f"trial.procedures.{name}.method.kind: {quoted(kind)} is no procedure; {known}")
-    made, parameters = _PROCEDURES[kind]
+    if kind not in _PROCEDURE_KINDS:
+        known = known_names(kind, _PROCEDURE_KINDS)
+        raise HapticdError(f"trial.procedures.{name}.method.kind: unknown procedure {quoted(kind)}; {known}")
+    made, parameters = _PROCEDURE_KINDS[kind]
     found = made(parameters.model_validate(method)) if state is None else made.restored(state)
     return cast(Procedure, found)

@@ -3,11 +3,11 @@
     study.yaml        the study as it was read
     plan.json         every trial in its order
     session.json      participant, session, seed, versions, device and calibration
-    log.jsonl         what happened (session_log); it is made last, so that its existence means that the rest is whole
-    trial-0007.npz   telemetry of the trial with index 7; of its second attempt trial-0007-2.npz
+    log.jsonl         what happened (session_log); it is made last, so if it exists, the other files are complete
+    trial-0007.npz    telemetry of the trial with index 7; that of its second attempt is trial-0007-2.npz
     beh/              the tables of BIDS, made from the log (bids)
 
-Whatever the process dies of, `SessionFolder.open` finds the same order and everything that was answered.
+However the process ends, `SessionFolder.open` finds the same order and every answer.
 """
 
 from __future__ import annotations
@@ -24,71 +24,75 @@ from hapticd.base.files import check_regular, write_whole
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.session_log import Contents, SessionLog, read_log, sync_folder
 
-STUDY: Final = "study.yaml"
-PLAN: Final = "plan.json"
-ABOUT: Final = "session.json"
-LOG: Final = "log.jsonl"
-SESSIONS: Final = 99
-_LABEL: Final = re.compile("[A-Za-z0-9]{1,32}")
+STUDY_FILE_NAME: Final = "study.yaml"
+PLAN_FILE_NAME: Final = "plan.json"
+SESSION_FILE_NAME: Final = "session.json"
+LOG_FILE_NAME: Final = "log.jsonl"
+MAX_SESSION_NUMBER: Final = 99
+"""Largest number of a session; folders have two digits."""
+_PARTICIPANT_LABEL: Final = re.compile("[A-Za-z0-9]{1,32}")
+"""Labels of participants that BIDS allows."""
 
 
 def participant_label(participant: str) -> str:
-    """The label of a participant in names of files. Raises HapticdError for one that BIDS does not allow."""
-    if not _LABEL.fullmatch(participant):
-        raise HapticdError(f"participant {quoted(participant)}: must be 1 to 32 letters and digits, such as P07")
+    """Return the label of a participant in file names. Raises HapticdError if BIDS does not allow it."""
+    if not _PARTICIPANT_LABEL.fullmatch(participant):
+        raise HapticdError(f"participant {quoted(participant)}: must be 1 to 32 ASCII letters and digits, such as P07")
     return participant
 
 
 def numbered(label: str, count: int) -> tuple[str, ...]:
-    """The first `count` labels of many participants: `simA000001`, ... Raises HapticdError."""
+    """Return `count` numbered labels of participants, as `simA000001`. Raises HapticdError if one is invalid."""
     return tuple(participant_label(f"{label}{number:06d}") for number in range(1, count + 1))
 
 
 def folder_of(root: Path, participant: str, session: int) -> Path:
-    """The folder of a session below that of the data set. Raises HapticdError."""
-    if not 1 <= session <= SESSIONS:
-        raise HapticdError(f"session {session}: must be 1 to {SESSIONS}")
+    """Return the folder of a session in a data set. Raises HapticdError if participant or session is invalid."""
+    if not 1 <= session <= MAX_SESSION_NUMBER:
+        raise HapticdError(f"session {session}: must be between 1 and {MAX_SESSION_NUMBER}")
     return root / f"sub-{participant_label(participant)}" / f"ses-{session:02d}"
 
 
 def check_new(root: Path, participant: str, session: int) -> Path:
-    """The folder of a session that is to begin. Raises HapticdError where it exists."""
+    """Return the folder of a new session. Raises HapticdError if the session already exists."""
     path = folder_of(root, participant, session)
-    check_regular(path / LOG)
-    if (path / LOG).exists():
+    check_regular(path / LOG_FILE_NAME)
+    if (path / LOG_FILE_NAME).exists():
         raise HapticdError(
-            f"{path}: this session exists; if it is not over, go on with `hapticd experiment resume {path}`; "
-            "a new one needs another --session"
+            f"{path}: this session already exists; resume it with `hapticd experiment resume {path}`, "
+            "or give another --session"
         )
     return path
 
 
 @dataclass(frozen=True, slots=True)
 class SessionFolder:
-    """A session on disk: what was made when it began. Nothing of it changes later; what happens is in the log."""
+    """A session on disk: its files that do not change after its beginning. What happens is in the log."""
 
     path: Path
     study: bytes
-    """The study's YAML."""
+    """Content of study.yaml."""
     plan: dict[str, Json]
+    """Content of plan.json."""
     about: dict[str, Json]
+    """Content of session.json."""
 
     @classmethod
     def create(
         cls, root: Path, study: bytes, plan: Mapping[str, Json], about: Mapping[str, Json]
     ) -> tuple[SessionFolder, SessionLog]:
-        """Makes the folder of `about`'s participant and session, and its log.
+        """Make the folder for the participant and session in `about`, and its log.
 
-        Where a process died before the log was there, the folder is made again. Raises HapticdError where the session
-        exists, or the folder cannot be written.
+        A folder without a log, left by a process that was killed, is written again. Raises HapticdError if the session
+        already exists or the folder cannot be written.
         """
         path = check_new(root, str(about["participant"]), cast(int, about["session"]))
         made = cls(path, study, dict(plan), dict(about))
         made.write()
-        return made, SessionLog(path / LOG)
+        return made, SessionLog(path / LOG_FILE_NAME)
 
     def write(self) -> None:
-        """Writes what does not change later, which is on disk then. Raises HapticdError."""
+        """Write the files that do not change later, and sync them to disk. Raises HapticdError if that fails."""
         self._write({}, synced=True)
         try:
             for folder in (self.path, self.path.parent, self.root):
@@ -97,11 +101,16 @@ class SessionFolder:
             raise HapticdError(f"{error.filename or self.path}: cannot be written: {error.strerror}") from None
 
     def write_with(self, log: bytes) -> None:
-        """Writes a session that is over, with its log last; nothing waits for the disk. Raises HapticdError."""
-        self._write({LOG: log}, synced=False)
+        """Write a session that is over, its log last, without syncing to disk. Raises HapticdError if that fails."""
+        self._write({LOG_FILE_NAME: log}, synced=False)
 
     def _write(self, more: Mapping[str, bytes], synced: bool) -> None:
-        files = {STUDY: self.study, PLAN: _json(self.plan), ABOUT: _json(self.about), **more}
+        files = {
+            STUDY_FILE_NAME: self.study,
+            PLAN_FILE_NAME: _json(self.plan),
+            SESSION_FILE_NAME: _json(self.about),
+            **more,
+        }
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -111,10 +120,14 @@ class SessionFolder:
 
     @classmethod
     def open(cls, path: Path) -> SessionFolder:
-        """The session in a folder. Raises HapticdError where there is none, or it cannot be read."""
-        if not (path / LOG).is_file():
-            raise HapticdError(f"{path}: is no folder of a session: it has no {LOG}; give one such as sub-P07/ses-01")
-        return cls(path, _read(path / STUDY), _mapping(path / PLAN), _mapping(path / ABOUT))
+        """Read the session in a folder. Raises HapticdError if there is no session, or it cannot be read."""
+        if not (path / LOG_FILE_NAME).is_file():
+            raise HapticdError(
+                f"{path}: not the folder of a session: it has no {LOG_FILE_NAME}; give one such as sub-P07/ses-01"
+            )
+        return cls(
+            path, _read(path / STUDY_FILE_NAME), _mapping(path / PLAN_FILE_NAME), _mapping(path / SESSION_FILE_NAME)
+        )
 
     @property
     def root(self) -> Path:
@@ -123,26 +136,29 @@ class SessionFolder:
 
     @property
     def participant(self) -> str:
+        """Label of the participant."""
         return str(self.about["participant"])
 
     @property
     def session(self) -> int:
+        """Number of the session."""
         return cast(int, self.about["session"])
 
     @property
     def seed(self) -> int:
+        """Random seed of the plan."""
         return cast(int, self.about["seed"])
 
     def log(self) -> SessionLog:
-        """The log, to go on with. Raises HapticdError."""
-        return SessionLog(self.path / LOG)
+        """Open the log for writing. Raises HapticdError as `SessionLog`."""
+        return SessionLog(self.path / LOG_FILE_NAME)
 
     def contents(self) -> Contents:
-        """What the log holds; it is not changed. Raises HapticdError."""
-        return read_log(self.path / LOG)
+        """Read the log without changing it. Raises HapticdError if it is damaged or cannot be read."""
+        return read_log(self.path / LOG_FILE_NAME)
 
     def trial_file(self, trial: int, attempt: int) -> Path:
-        """Where the telemetry of an attempt (from 1) at a trial goes: under a name that is free."""
+        """Return a file name that does not exist yet, for the telemetry of an attempt (from 1) at a trial."""
         number = attempt
         while True:
             ending = "" if number == 1 else f"-{number}"
@@ -167,7 +183,7 @@ def _mapping(path: Path) -> dict[str, Json]:
     try:
         found = json.loads(_read(path))
     except ValueError as error:
-        raise HapticdError(f"{path}: is no JSON: {error}; restore the file from a copy") from None
+        raise HapticdError(f"{path}: not valid JSON: {error}; restore the file from a copy") from None
     if not isinstance(found, dict):
-        raise HapticdError(f"{path}: must hold a mapping; restore the file from a copy")
+        raise HapticdError(f"{path}: must be a JSON object; restore the file from a copy")
     return found

@@ -1,13 +1,13 @@
-"""The log of a session: one record a line, appended and on disk before anything goes on.
+"""The log of a session: one record per line, appended and synced to disk before the session continues.
 
-A line is a JSON object that ends in the checksum of all that stands before it in the file:
+A line is a JSON object that ends with the checksum of the file up to it:
 
     {"record":0,"kind":"session_started",...,"crc32":"1a2b3c4d"}
 
-`record` counts from 0. The checksum is CRC-32 of the line up to the comma before `crc32`, and begins with the checksum
-of the line before. So a line that was changed, removed or moved is found. A last line that was torn when the process
-was killed is cut off, kept in a record `line_dropped`, and reported. Damage before the last line is refused: nobody
-knows what stood there.
+`record` counts from 0. The checksum is the CRC-32 of the line up to the comma before `crc32`, starting with the
+checksum of the previous line. So a changed, removed or moved line is detected. If the last line is incomplete because
+the process was killed, it is removed, kept in a record `line_dropped`, and reported. Damage before the last line is an
+error, as the records there are lost.
 """
 
 from __future__ import annotations
@@ -26,47 +26,47 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.files import check_regular
 from hapticd.base.yaml_source import Json
 
-_MARK: Final = b',"crc32":"'
-_END: Final = b'"}'
-_SHOWN: Final = 4096
-"""Bytes of a torn line that are kept."""
+_CHECKSUM_KEY: Final = b',"crc32":"'
+_LINE_ENDING: Final = b'"}'
+_MAX_KEPT_TORN_BYTES: Final = 4096
+"""At most this much of an incomplete line is kept in its record `line_dropped`."""
 
 Record = dict[str, Json]
-"""One record: `record`, `kind` and what belongs to that kind; without its checksum."""
+"""One record without its checksum: `record`, `kind` and the members of that kind."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a log holds."""
+    """The content of a log."""
 
     records: tuple[Record, ...]
     size: int
-    """Bytes of the sound lines."""
+    """Number of bytes of the valid lines."""
     crc: int
-    """The checksum of the last one."""
+    """Checksum of the last valid line."""
     torn: bytes
-    """What stands after them; empty where nothing does."""
+    """The incomplete line after the valid ones, or nothing."""
 
 
 def encoded(record: Mapping[str, Json], crc: int) -> tuple[bytes, int]:
-    """The line of a record, with its end, and its checksum; `crc` is that of the line before.
+    r"""Return the line of a record, including its \n, and its checksum. `crc` is that of the previous line.
 
-    Raises HapticdError for what JSON cannot hold.
+    Raises HapticdError if the record cannot be written as JSON.
     """
     try:
         text = json.dumps(record, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
         body = text.encode()
     except (TypeError, ValueError) as error:
-        raise HapticdError(f"the log cannot hold this record: {error}") from None
+        raise HapticdError(f"this record cannot be written to the log: {error}") from None
     body = body.removesuffix(b"}")
     checksum = zlib.crc32(body, crc)
-    return b"%s%s%08x%s\n" % (body, _MARK, checksum, _END), checksum
+    return b"%s%s%08x%s\n" % (body, _CHECKSUM_KEY, checksum, _LINE_ENDING), checksum
 
 
 def decoded(data: bytes, name: str) -> Contents:
-    """The records of a log. `name` is that of the file, for errors.
+    """Decode the records of a log. `name` is the file name for errors.
 
-    Raises HapticdError for a damaged line that is not the last one: one line, with the line's number.
+    Raises HapticdError with the line's number for a damaged line before the last one.
     """
     records: list[Record] = []
     crc, at = 0, 0
@@ -77,7 +77,7 @@ def decoded(data: bytes, name: str) -> Contents:
         if found is None:
             if 0 <= end < len(data) - 1:
                 raise HapticdError(
-                    f"{name}:{len(records) + 1}: is damaged (its checksum does not fit), and records follow; "
+                    f"{name}:{len(records) + 1}: damaged record (wrong checksum) before the last line; "
                     "restore the file from a copy"
                 )
             return Contents(tuple(records), at, crc, data[at:])
@@ -88,10 +88,10 @@ def decoded(data: bytes, name: str) -> Contents:
 
 
 def _record(line: bytes, crc: int, number: int) -> tuple[Record, int] | None:
-    """The record of a line and its checksum; None where the line is not what was written."""
-    body, mark, rest = line.rpartition(_MARK)
+    """Return the record of a line and its checksum, or None if the line is damaged."""
+    body, mark, rest = line.rpartition(_CHECKSUM_KEY)
     checksum = zlib.crc32(body, crc)
-    if not mark or rest != b"%08x%s" % (checksum, _END):
+    if not mark or rest != b"%08x%s" % (checksum, _LINE_ENDING):
         return None
     try:
         record = json.loads(body + b"}")
@@ -101,7 +101,7 @@ def _record(line: bytes, crc: int, number: int) -> tuple[Record, int] | None:
 
 
 def read_log(path: Path) -> Contents:
-    """The records of the log at `path`, which is not changed. Raises HapticdError."""
+    """Read the log at `path` without changing it. Raises HapticdError if it is damaged or cannot be read."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -110,7 +110,7 @@ def read_log(path: Path) -> Contents:
 
 
 def lines_of(records: Iterable[Mapping[str, Json]]) -> bytes:
-    """A whole log. Raises HapticdError for what JSON cannot hold."""
+    """Return the complete log of these records. Raises HapticdError if one cannot be written as JSON."""
     lines, crc = [], 0
     for record in records:
         line, crc = encoded(record, crc)
@@ -119,21 +119,22 @@ def lines_of(records: Iterable[Mapping[str, Json]]) -> bytes:
 
 
 class Log(Protocol):
-    """What a session that runs needs of its log."""
+    """The log as the runner needs it."""
 
     records: list[Record]
-    """What was there when the log was opened."""
+    """Records that existed when the log was opened."""
     dropped: str | None
+    """One line that reports an incomplete last line that was removed, or None."""
 
     def append(self, kind: str, **members: Json) -> Record:
-        """Keeps a record, which has its number then. Raises HapticdError where it cannot be kept."""
+        """Append a record and return it with its number. Raises HapticdError if it cannot be written."""
 
     def close(self) -> None:
-        """Ends the writing."""
+        """Close the log."""
 
 
 class LogInMemory:
-    """A log that nobody would miss: of a session that is simulated, and written as a whole or not at all."""
+    """A log in memory, for a simulated session that is written at its end or not at all."""
 
     def __init__(self) -> None:
         self.records: list[Record] = []
@@ -141,24 +142,26 @@ class LogInMemory:
         self.appended: list[Record] = []
 
     def append(self, kind: str, **members: Json) -> Record:
+        """Append a record and return it with its number."""
         record: Record = {"record": len(self.appended), "kind": kind, **members}
         self.appended.append(record)
         return record
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Do nothing."""
 
 
 class SessionLog:
-    """A log that is written: locked while it is, each record on disk when `append` returns."""
+    """A log in a file, which is locked while it is open. Each record is on disk when `append` returns."""
 
     def __init__(self, path: Path) -> None:
-        """Opens the log, or makes it. What is torn at its end is cut off and kept in a record.
+        """Open or create the log. An incomplete last line is removed and kept in a record `line_dropped`.
 
-        Raises HapticdError where another process writes it, where it is damaged, or cannot be written.
+        Raises HapticdError if another process has it open, or if it is damaged or cannot be written.
         """
         self.path = path
         self.dropped: str | None = None
-        """One line that says what was cut off; None: nothing was."""
+        """One line that reports an incomplete last line that was removed, or None."""
         check_regular(path)
         try:
             self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
@@ -166,9 +169,9 @@ class SessionLog:
             raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
         try:
             self._lock()
-            contents = decoded(_whole(self._fd), str(path))
+            contents = decoded(_read_all(self._fd), str(path))
             self.records: list[Record] = list(contents.records)
-            """What was there when the log was opened. What is appended is on disk and not kept."""
+            """Records that existed when the log was opened. Appended ones are not added."""
             self._count = len(self.records)
             self._size, self._crc = contents.size, contents.crc
             if contents.torn:
@@ -182,12 +185,12 @@ class SessionLog:
             raise
 
     def append(self, kind: str, **members: Json) -> Record:
-        """Writes a record, which is on disk (fsync) when this returns.
+        """Append a record and return it with its number, when it is on disk (fsync).
 
-        Raises HapticdError where it cannot be written. Then the log is as it was before.
+        Raises HapticdError if it cannot be written. Then the log is unchanged.
         """
         if self._fd < 0:
-            raise HapticdError(f"{self.path}: is closed")
+            raise HapticdError(f"{self.path}: the log is closed")
         record: Record = {"record": self._count, "kind": kind, **members}
         line, crc = encoded(record, self._crc)
         try:
@@ -201,7 +204,7 @@ class SessionLog:
         return record
 
     def close(self) -> None:
-        """Ends the writing; another process may go on."""
+        """Close the file and release its lock."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -228,16 +231,16 @@ class SessionLog:
 
     def _drop(self, torn: bytes) -> None:
         self.dropped = (
-            f"{self.path}:{len(self.records) + 1}: the last line was torn ({len(torn)} bytes) and was dropped; "
-            "the trial that it was of runs again"
+            f"{self.path}:{len(self.records) + 1}: removed the incomplete last line ({len(torn)} bytes); "
+            "its trial is repeated"
         )
-        text = torn[:_SHOWN].decode("utf-8", "backslashreplace")
-        # Its record goes in the place of the line in one write: if that is torn too, it is dropped the next time.
+        text = torn[:_MAX_KEPT_TORN_BYTES].decode("utf-8", "backslashreplace")
+        # The record replaces the line in one write. If that is interrupted, it is in turn removed the next time.
         os.ftruncate(self._fd, self._size)
         self.records.append(self.append("line_dropped", bytes=len(torn), text=text))
 
 
-def _whole(fd: int) -> bytes:
+def _read_all(fd: int) -> bytes:
     parts, at = [], 0
     while part := os.pread(fd, 1 << 20, at):
         parts.append(part)
@@ -246,7 +249,7 @@ def _whole(fd: int) -> bytes:
 
 
 def sync_folder(folder: Path) -> None:
-    """Has the names in a folder on disk. Raises OSError."""
+    """Sync the directory entries of a folder to disk. Raises OSError."""
     fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         os.fsync(fd)

@@ -1,4 +1,4 @@
-"""Where trials are felt: what the runner needs of a daemon, or of the closed loop without one."""
+"""The interface between the runner and what renders a trial: a daemon, or the simulated closed loop."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from hapticd.base.yaml_source import Json
 from hapticd.config.configuration import Config
 
 Samples: TypeAlias = npt.NDArray[np.void]
-"""(n,) records of `hapticd.SAMPLE_DTYPE`."""
+"""Samples as records of `hapticd.SAMPLE_DTYPE`, shape (n,)."""
 Waypoints: TypeAlias = npt.NDArray[np.float64]
-"""(n, 3) rows [t_s, x_m, y_m]."""
+"""Waypoints as rows [t_s, x_m, y_m], shape (n, 3)."""
 
 
 class ForcesLost(HapticdError):
-    """A fault took the forces away: the attempt does not count, and may begin again."""
+    """A fault switched the forces off. The attempt does not count, and the trial may begin again."""
 
 
 class ForcesStopped(HapticdError):
-    """Somebody else switched the forces off: they stay off until the experimenter goes on."""
+    """Another client switched the forces off. They stay off until the experimenter continues."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reaction:
-    """What a simulated hand does once it has felt something."""
+    """How a simulated hand changes its motion once it has felt something."""
 
     noticed_s: Callable[[Samples], float | None]
-    """The time since the first of these samples at which the hand begins to act on what it felt in them, s."""
+    """Returns when the hand begins to react to what it felt in the samples, in s since the first one, or None."""
     then: Callable[[float], Waypoints]
-    """The waypoints from that time on."""
+    """Returns the waypoints from that time onwards."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What a simulated hand does: waypoints that are followed in straight lines, and what it reacts to."""
+    """The motion of a simulated hand: waypoints, followed in straight lines, and a reaction to what it feels."""
 
     waypoints: Waypoints
     reaction: Reaction | None = None
@@ -49,54 +49,58 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """Samples and events, as maps, of the last interval of a trial while the forces were on."""
+    """Samples, and events as maps, of the last interval of a trial while the forces were on."""
 
     samples: Samples
     events: Sequence[Mapping[str, Any]]
 
 
 class Stage(Protocol):
-    """Where trials are felt. Each method raises HapticdError where it cannot be done."""
+    """What renders the trials. Each method raises HapticdError if it fails."""
 
     def describe(self) -> dict[str, Json]:
-        """Version, device, calibration and rights, for the session's file."""
+        """Return version, device, calibration and real-time rights, for session.json."""
 
     def check(self) -> None:
-        """Raises ForcesLost where a fault keeps the forces off, ForcesStopped where somebody else switched them off
-        since `enable`, and another HapticdError where the stage is gone."""
+        """Raise an error if the forces are not on as `enable` left them.
+
+        Raises ForcesLost if a fault keeps them off, ForcesStopped if another client switched them off, and another
+        HapticdError if the stage is lost.
+        """
 
     def arm(self, config: Config) -> None:
-        """Fades the force out, then puts a scene and its materials in force at one tick and clears the contact state.
+        """Fade the force out, then replace scene and materials at one tick, and clear the contact state.
 
-        When it returns, nothing of the scene before is felt any more, and the forces are still off.
+        On return the previous scene is not felt any more, and the forces are still off.
         """
 
     def is_clear(self) -> bool:
-        """Whether the handle is inside nothing of the scene that is armed, and behind no membrane of it. True where no
-        hand waits between motions."""
+        """Return whether the handle is outside every object of the armed scene, and in front of its membranes.
+
+        Always true if no hand holds the handle between motions.
+        """
 
     def enable(self) -> None:
-        """Heals what was broken since `arm`, and brings the force in. Raises where the scene is not the one that was
-        armed."""
+        """Restore what ruptured since `arm`, and fade the force in. Raises HapticdError if the scene has changed."""
 
     def fade(self) -> None:
-        """Takes the force out, and returns once it is zero."""
+        """Fade the force out, and return when it is zero."""
 
     def mark(self, text: str, data: Json) -> None:
-        """Leaves an event code in the telemetry."""
+        """Leave an event code in the telemetry."""
 
     def recording(self, target: Path, notes: Mapping[str, Json]) -> AbstractContextManager[None]:
-        """Records telemetry into `target`, or into no file where the stage keeps none."""
+        """Record telemetry while the context lasts, into `target` if the stage keeps telemetry."""
 
     def move(self, motion: Motion) -> Samples:
-        """Has the simulated hand go its way; what it felt. Raises where there is no simulated hand."""
+        """Move the simulated hand, and return the samples. Raises HapticdError without a simulated hand."""
 
     def telemetry(self) -> Telemetry:
-        """Of the recording that ended last."""
+        """Return the telemetry of the last recording."""
 
 
 def until(waypoints: Waypoints, time_s: float) -> Waypoints:
-    """The waypoints before a time, and where the reference is at it."""
+    """Return the waypoints before a time, and the interpolated position at that time as the last one."""
     times = waypoints[:, 0]
     before = waypoints[times < time_s]
     here = [time_s, *(float(np.interp(time_s, times, waypoints[:, axis])) for axis in (1, 2))]

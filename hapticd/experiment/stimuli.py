@@ -1,9 +1,9 @@
-"""A stimulus as a scene: the study's base configuration with what condition, levels and procedure change in it.
+"""A stimulus as a scene: the study's base configuration with the changes of condition, levels and procedure.
 
-Changes are laid over one another as merge patches: the condition's, then each factor's in the order of the study's
-factors, then the variable's of a procedure. `{place}` in a key or a text stands for the place of the stimulus. A text
-where a material's keys are expected, `materials.left: wood`, stands for the keys of the material of that name, so that
-a scene need not hold the name of what it displays. A change of a shipped material's key starts from that material.
+Changes are applied as merge patches: that of the condition, then that of each factor in the order of the study, then
+that of a procedure's variable. `{place}` in a key or a text is replaced by the place of the stimulus. A material's name
+in the place of its keys, as in `materials.left: wood`, stands for the keys of that material, so that a scene need not
+name what it displays. A change of a shipped material's key starts from that material.
 """
 
 from __future__ import annotations
@@ -25,64 +25,72 @@ from hapticd.experiment.key_paths import difference, path_of, with_patch, with_v
 from hapticd.experiment.keys import Study, Variable
 from hapticd.experiment.plain_values import Scalar
 
-PLACE: Final = "{place}"
-TARGET: Final = "target"
-REFERENCE: Final = "reference"
+PLACE_PLACEHOLDER: Final = "{place}"
+"""Replaced by the place of a stimulus, in the keys and texts of a study."""
+TARGET_NAME: Final = "target"
+"""Name of the stimulus whose level a procedure varies."""
+REFERENCE_NAME: Final = "reference"
+"""Name of the other stimuli of a procedure."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """What is presented at one place or in one interval."""
+    """A stimulus at one place or in one interval."""
 
     name: str
-    """Of its levels; never shown to the participant."""
+    """Name made from the levels, which the participant never sees."""
     levels: Mapping[str, Scalar]
-    """By factor; of a procedure's variable the value."""
+    """Level of each factor, and the value of a procedure's variable, by name."""
     changes: Mapping[str, Json]
-    """A merge patch on the study's base configuration."""
+    """The stimulus as a merge patch on the study's base configuration."""
 
 
 class AdaptiveTrial(Protocol):
-    """What at_level needs to know of a planned trial."""
+    """The part of a planned trial that `at_level` needs."""
 
     @property
-    def condition(self) -> str: ...
+    def condition(self) -> str:
+        """Name of the condition."""
+
     @property
-    def stimuli(self) -> tuple[Stimulus, ...]: ...
+    def stimuli(self) -> tuple[Stimulus, ...]:
+        """The stimuli in order of presentation; the target may lack the level of the variable."""
+
     @property
-    def procedure(self) -> str | None: ...
+    def procedure(self) -> str | None:
+        """Name of the run of a procedure, or None."""
 
 
 def level_text(level: Scalar) -> str:
-    """A level as names of stimuli and cells have it: wood, 0.0016, true."""
+    """Format a level for names of stimuli and cells: wood, 0.0016, true."""
     if isinstance(level, bool):
         return "true" if level else "false"
     return level if isinstance(level, str) else format(level, ".12g")
 
 
 def levels_text(levels: Mapping[str, Scalar]) -> str:
-    """The name of a stimulus: its levels, or `base` where it has none."""
+    """Return the name of a stimulus: its levels, or "base" without any."""
     return ", ".join(map(level_text, levels.values())) or "base"
 
 
 def placed(data: Json, place: str | None) -> Json:
-    """Plain data with {place} replaced in keys and texts; unchanged without a place."""
+    """Return plain data with {place} replaced in keys and texts, or unchanged without a place."""
     if place is None:
         return data
     if isinstance(data, dict):
-        return {key.replace(PLACE, place): placed(value, place) for key, value in data.items()}
+        return {key.replace(PLACE_PLACEHOLDER, place): placed(value, place) for key, value in data.items()}
     if isinstance(data, list):
         return [placed(value, place) for value in data]
-    return data.replace(PLACE, place) if isinstance(data, str) else data
+    return data.replace(PLACE_PLACEHOLDER, place) if isinstance(data, str) else data
 
 
 def document_of(
     study: Study, condition: str, levels: Mapping[str, Scalar], place: str | None, variables: Iterable[Variable] = ()
 ) -> dict[str, Json]:
-    """The configuration of a stimulus: scene and materials as plain data.
+    """Return the configuration of a stimulus: scene and materials as plain data.
 
-    `levels` are by factor, or by the name of one of the `variables`. Raises InvalidError as with_patch and with_value
-    do.
+    `levels` are by the name of a factor or of one of the `variables`. Raises InvalidError as `with_patch` and
+    `with_value` do.
     """
     document = with_patch(study.base, _mapping(placed(study.conditions[condition].changes, place)))
     for name, factor in study.factors.items():
@@ -113,27 +121,28 @@ def stimulus_of(
     variable: Variable | None = None,
     name: str | None = None,
 ) -> Stimulus:
-    """A stimulus by its levels; of a procedure also by the value of its variable. Raises InvalidError."""
+    """Make a stimulus from its levels, which may include the value of `variable`. Raises InvalidError."""
     document = document_of(study, condition, levels, place, () if variable is None else (variable,))
     return Stimulus(name or levels_text(levels), dict(levels), difference(study.base, document))
 
 
 def place_of(study: Study, position: int) -> str | None:
-    """The name of the place of a stimulus, None where stimuli come one after the other."""
+    """Return the name of the place of a stimulus, or None if stimuli are presented one after the other."""
     return study.places[position] if study.trial.presentation == "places" and study.places else None
 
 
 def value_of(variable: Variable, level: float) -> float:
-    """The variable's value at a procedure's level."""
+    """Return the value of a variable at a procedure's level."""
     if variable.level == "value":
         return level
     return variable.reference + level if variable.level == "added" else variable.reference * level
 
 
 def at_level(study: Study, trial: AdaptiveTrial, level: float) -> tuple[Stimulus, ...]:
-    """The stimuli of an adaptive trial at the level that its procedure asks for: the target takes it.
+    """Return the stimuli of an adaptive trial, with the target at the level that its procedure asks for.
 
-    A trial that is fixed has its stimuli already. Raises InvalidError for a value that the configuration refuses.
+    The stimuli of a trial without procedure are unchanged. Raises InvalidError if the configuration does not allow the
+    value.
     """
     if trial.procedure is None:
         return trial.stimuli
@@ -154,7 +163,7 @@ def _at(
 
 
 def checked(study: Study, stimulus: Stimulus) -> Stimulus:
-    """The stimulus, if its configuration is valid. Raises InvalidError."""
+    """Return the stimulus if its configuration is valid. Raises InvalidError otherwise."""
     faults = config_faults(document_with(study, (stimulus,)))
     if faults:
         raise InvalidError(
@@ -164,7 +173,7 @@ def checked(study: Study, stimulus: Stimulus) -> Stimulus:
 
 
 def document_with(study: Study, stimuli: Sequence[Stimulus]) -> dict[str, Json]:
-    """The configuration in which these stimuli are presented together: one of an interval, all of places."""
+    """Return the configuration that presents these stimuli together: one stimulus in an interval, or all places."""
     found: Json = dict(study.base)
     for stimulus in stimuli:
         found = merge_patch(found, dict(stimulus.changes))
@@ -173,7 +182,10 @@ def document_with(study: Study, stimuli: Sequence[Stimulus]) -> dict[str, Json]:
 
 
 def config_with(study: Study, stimuli: Sequence[Stimulus], rig: Config | None = None) -> Config:
-    """As document_with, validated; servo, device and flight recorder are those of `rig`. Raises InvalidError."""
+    """Return the validated configuration that presents these stimuli together.
+
+    Servo, device and flight recorder are those of `rig`. Raises InvalidError if the configuration is invalid.
+    """
     document = document_with(study, stimuli)
     faults = config_faults(document)
     if faults:
@@ -184,7 +196,7 @@ def config_with(study: Study, stimuli: Sequence[Stimulus], rig: Config | None = 
 
 
 def config_faults(document: Mapping[str, Json]) -> list[tuple[Path, str]]:
-    """What is wrong with a configuration, its materials' names among it, with the path of each fault."""
+    """Return the faults of a configuration, including unknown materials, each with its path."""
     try:
         config = Config.parsed(dict(document))
     except ValidationError as error:

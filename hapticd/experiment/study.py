@@ -1,4 +1,4 @@
-"""Reads a study: a YAML file, or the name of one that ships, with every fault at its line."""
+"""Loading of a study from a YAML file or by the name of a shipped one, with every fault at its line."""
 
 from __future__ import annotations
 
@@ -21,17 +21,18 @@ from hapticd.experiment.keys import Study
 
 __all__ = ["Study", "load_study", "study_of"]
 
-_BASE: Final = "base"
+_BASE_KEY: Final = "base"
+"""Key of the study that may name another file."""
 
 
 def load_study(path_or_name: str | os.PathLike[str]) -> Study:
-    """A validated study, from a file or by the name of one that ships.
+    """Load and validate a study from a file, or by the name of a shipped one.
 
-    The `base` of the study that is returned holds scene and materials themselves, also where the file names another
-    file: to_dict() of it is a study that needs no other file.
+    If the file names another file as `base`, the returned study contains scene and materials of that file, so that
+    its to_dict() needs no other file.
 
-    Raises InvalidError, which names every fault with file, line, key and what would be right; HapticdError for a file
-    that cannot be read.
+    Raises InvalidError with file, line and key of every fault and what would be right, and HapticdError if the file
+    cannot be read.
     """
     document = load_path(file_of(os.fspath(path_or_name), "experiments"))
     refuse_other_kinds(document, "study")
@@ -39,12 +40,15 @@ def load_study(path_or_name: str | os.PathLike[str]) -> Study:
 
 
 def study_of(data: Mapping[str, object]) -> Study:
-    """As load_study, from a mapping; the path of a base file is relative to the current folder."""
+    """Validate a study that is a mapping. The path of a base file is relative to the current folder.
+
+    Raises InvalidError as `load_study`.
+    """
     return study_of_document(Document(plain(data)))
 
 
 def study_of_document(document: Document) -> Study:
-    """As load_study, of a document that was read."""
+    """Validate a study from a document that was read. Raises InvalidError as `load_study`."""
     data = document.data
     if not isinstance(data, dict):
         text = "is empty" if data is None else "must be a mapping"
@@ -62,52 +66,52 @@ def study_of_document(document: Document) -> Study:
 
 
 def _invalid(document: Document, faults: list[Fault], base: Document | None) -> InvalidError:
-    """Faults of a base that is another file are placed there."""
+    """Return an error with the place of each fault, which is in the base file if the fault is there."""
     if base is None:
         return InvalidError(document.problem(path, text) for path, text in faults)
     return InvalidError(
-        base.problem(path[1:], text) if path[:1] == (_BASE,) and len(path) > 1 else document.problem(path, text)
+        base.problem(path[1:], text) if path[:1] == (_BASE_KEY,) and len(path) > 1 else document.problem(path, text)
         for path, text in faults
     )
 
 
 def _with_base(document: Document, data: dict[str, Json]) -> tuple[dict[str, Json], Document | None]:
-    """The data with scene and materials in the place of a name, and what they were read from if that is a file."""
-    given = data.get(_BASE)
+    """Replace the name of a base by scene and materials. Returns the data, and the base file or None."""
+    given = data.get(_BASE_KEY)
     source: Document | None = None
     if isinstance(given, str):
         source = _base_file(document, given)
         given = source.data
     if not isinstance(given, dict):
-        if given is None and _BASE not in data:
+        if given is None and _BASE_KEY not in data:
             given = {}
         else:
             text = f"must be scene and materials, or the name of a file or of a shipped scene, is {shown(given)}"
-            raise InvalidError([document.problem((_BASE,), text)])
+            raise InvalidError([document.problem((_BASE_KEY,), text)])
     try:
-        whole = expanded(given)
+        base = expanded(given)
     except InvalidError as error:
-        root: Path = () if source else (_BASE,)
+        root: Path = () if source else (_BASE_KEY,)
         place = (source or document).problem
         raise InvalidError(
             place((*root, *_path(problem.where)), problem.problem) for problem in error.problems
         ) from None
-    return {**data, _BASE: whole}, source
+    return {**data, _BASE_KEY: base}, source
 
 
 def _path(where: str) -> Path:
-    """Of `materials.NAME`, as expanded reports it."""
+    """Return the path of the place `materials.NAME` of an error of `expanded`."""
     section, _, name = where.partition(".")
     return section, name.strip('"')
 
 
 def _base_file(document: Document, name: str) -> Document:
-    """A file beside the study, or a shipped scene."""
-    beside = FilePath(document.name or "").parent / name
-    source = load_path(beside if beside.is_file() else file_of(name, "scenes"))
+    """Load the base from a file in the study's folder, or a shipped scene."""
+    neighbor = FilePath(document.name or "").parent / name
+    source = load_path(neighbor if neighbor.is_file() else file_of(name, "scenes"))
     refuse_other_kinds(source, "change", "scene", "bare scene", "materials")
     if not isinstance(source.data, dict):
-        raise InvalidError([Problem(source.where(()), "must hold a scene, materials or both")])
+        raise InvalidError([Problem(source.where(()), "must have a scene, materials or both")])
     if kind_of(source.data) == "bare scene":
         source = source.below("scene")
         assert isinstance(source.data, dict)

@@ -1,8 +1,8 @@
 """The front of `--text`: participant and experimenter at one terminal.
 
-Answers are keys, as the study names them, or the number of the answer. A line that begins with a colon is the
-experimenter's: `:pause`, `:repeat`, `:note TEXT`, `:abort`. Escape ends everything, as `:abort` does. Where the input
-is no terminal, each line is one key.
+An answer is chosen by its key in the study, or by its number. A line that begins with a colon is a command of the
+experimenter: `:pause`, `:repeat`, `:note TEXT`, `:abort`. Escape aborts the session, as `:abort` does. If the input is
+not a terminal, each line is one key.
 """
 
 from __future__ import annotations
@@ -26,20 +26,22 @@ from rich.markdown import Markdown
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.front import CLEAR_S, Choice, Command, CommandKind, Reply, Shown, Watched
+from hapticd.experiment.front import CLEARANCE_POLL_S, Choice, Command, CommandKind, Reply, Shown, Watched
 from hapticd.experiment.replies import typed_reply
 from hapticd.experiment.stage import Stage
 
-LOOKED_AFTER_S: Final = 0.5
-"""Between two looks whether the stage is still there, while somebody is waited for."""
-COMMANDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
-_SEQUENCES: Final = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left", " ": "space"}
-_ESCAPE: Final = "escape"
-_ENTER: Final = "enter"
+STAGE_CHECK_PERIOD_S: Final = 0.5
+"""Time between two checks of the stage while waiting for input."""
+EXPERIMENTER_COMMANDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
+"""Commands that can follow a colon."""
+_TERMINAL_SEQUENCES: Final = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left", " ": "space"}
+"""Names of keys by the characters that a terminal sends."""
+_ESCAPE_KEY: Final = "escape"
+_ENTER_KEY: Final = "enter"
 
 
 class Keys:
-    """The keys of a terminal, or the lines of what is no terminal."""
+    """Keys from a terminal, or lines from another input."""
 
     def __init__(self, stream: TextIO) -> None:
         self._fd = stream.fileno()
@@ -50,7 +52,7 @@ class Keys:
 
     @contextmanager
     def single(self) -> Iterator[None]:
-        """Keys come one by one, and are not echoed, while the block runs."""
+        """Read keys one by one and without echo while the context lasts."""
         if not self._terminal:
             yield
             return
@@ -62,23 +64,24 @@ class Keys:
             termios.tcsetattr(self._fd, termios.TCSADRAIN, before)
 
     def read(self, timeout_s: float) -> str | None:
-        """The next key: a character or a name such as `left`; of what is no terminal the next line. None: none came.
+        """Return the next key, or None after the timeout.
 
-        Raises HapticdError at the end of the input.
+        A key of a terminal is a character or a name such as `left`. Of another input it is the next line. Raises
+        HapticdError at the end of the input.
         """
         return self._await(self._key if self._terminal else self._line, timeout_s)
 
     def line(self, timeout_s: float, begun: str = "") -> str | None:
-        """A line that is typed after `begun`, without its end; None: it has not ended yet."""
+        """Return the next line, which starts with `begun`, or None if it is incomplete after the timeout."""
         self._pending = begun + self._pending
         return self._await(self._line, timeout_s)
 
-    def _await(self, taken: Callable[[], str | None], timeout_s: float) -> str | None:
-        """What `taken` takes of the input once there is enough of it; None: not within the time-out."""
+    def _await(self, parse: Callable[[], str | None], timeout_s: float) -> str | None:
+        """Read input until `parse` returns a text from it. Returns that text, or None after the timeout."""
         deadline = time.monotonic() + timeout_s
-        while (found := taken()) is None:
+        while (found := parse()) is None:
             if self._ended:
-                raise HapticdError("the input has ended; go on with `hapticd experiment resume`")
+                raise HapticdError("the input has ended; continue with `hapticd experiment resume`")
             ready, _, _ = select.select([self._fd], [], [], max(0.0, deadline - time.monotonic()))
             if not ready:
                 return None
@@ -98,20 +101,20 @@ class Keys:
         text = self._pending
         if not text:
             return None
-        for sequence, name in _SEQUENCES.items():
+        for sequence, name in _TERMINAL_SEQUENCES.items():
             if text.startswith(sequence):
                 self._pending = text[len(sequence) :]
                 return name
         self._pending = text[1:]
         if text[0] == "\x1b":
-            # What follows is a key that nobody asked for.
+            # More characters after Escape are an unknown key, which is ignored.
             self._pending = ""
-            return _ESCAPE if len(text) == 1 else ""
-        return _ENTER if text[0] in "\r\n" else text[0]
+            return _ESCAPE_KEY if len(text) == 1 else ""
+        return _ENTER_KEY if text[0] in "\r\n" else text[0]
 
 
 class TextFront:
-    """Participant and experimenter at a terminal."""
+    """Participant and experimenter at one terminal; see `Front` for the methods."""
 
     def __init__(self, source: TextIO | None = None, out: TextIO | None = None) -> None:
         self._keys = Keys(source or sys.stdin)
@@ -121,45 +124,52 @@ class TextFront:
         self._console = Console(file=self._out, highlight=False)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
+        """Print title, instructions and progress, and wait for Enter."""
         self._say(f"{title}\n")
         self._say_markdown(instructions)
         self._say(f"{done} of {'at most ' if at_most else ''}{wording.count(total, 'trial')} done.")
-        self._say("Experimenter: :pause, :repeat, :note TEXT, :abort; Escape stops everything.")
-        return self._go_on("Enter begins.")
+        self._say("Experimenter: :pause, :repeat, :note TEXT, :abort; Escape aborts the session.")
+        return self._wait_for_enter("Press Enter to begin.")
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
+        """Print the instructions of a phase, and wait for Enter."""
         if instructions is None and phase == "test":
             return None
         self._say(f"\n{phase.capitalize()}")
         if instructions:
             self._say_markdown(instructions)
-        return self._go_on("Enter goes on.")
+        return self._wait_for_enter("Press Enter to continue.")
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
-        # What tells stimuli apart is for the experimenter's window alone; at one terminal it stays away.
+        """Print the number of the trial, and wait for Enter."""
+        # Names of stimuli are for the experimenter only. The participant could read them at this terminal.
         again = f", attempt {watched.attempt}" if watched.attempt > 1 else ""
         total = f"at most {shown.total}" if shown.at_most else f"{shown.total}"
         self._say(f"\nTrial {shown.number} of {total}{again}. {watched.answered} answered.")
-        return self._go_on("Enter lets the forces on.")
+        return self._wait_for_enter("Press Enter to switch the forces on.")
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        self._say("Move the stylus to where it touches nothing; the forces come on then.")
+        """Ask to withdraw the handle, and wait until it is clear."""
+        self._say("Move the stylus away from all surfaces. Then the forces are switched on.")
         with self._keys.single():
             while not stage.is_clear():
-                # Without a look at the stage: a fault stays until the forces are switched on again.
-                said = self._next(None, time.monotonic() + CLEAR_S)
+                # The stage is not checked here: a fault stays latched until the forces are switched on.
+                said = self._next(None, time.monotonic() + CLEARANCE_POLL_S)
                 if isinstance(said, Command):
                     return said
         return None
 
     def may_enable(self) -> Command | None:
+        """Return None: input is only read while waiting for it."""
         return None
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
+        """Print the number of the interval, and wait for Enter."""
         self._say(f"Interval {interval} of {shown.stimuli}.")
-        return self._go_on("Enter goes on to the next.", stage)
+        return self._wait_for_enter("Press Enter for the next interval.", stage)
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
+        """Print the question, and read the answer until the time limit."""
         if shown.stimuli > 1 and not shown.in_places:
             self._say(f"Interval {shown.stimuli} of {shown.stimuli}.")
         self._say_markdown(shown.text)
@@ -169,37 +179,42 @@ class TextFront:
             case "choice":
                 return self._choice(shown.answers, stage, deadline)
             case "measure":
-                return self._waited(_ENTER, "Enter when it is done.", stage, deadline)
+                return self._wait_for_key(_ENTER_KEY, "Press Enter when you are done.", stage, deadline)
             case _:
                 return self._typed(shown, stage, deadline)
 
     def feedback(self, told: str, right: str | None) -> None:
+        """Print the feedback."""
         self._say(told)
 
     def not_done(self, trial: int, why: str) -> None:
+        """Print why a motor task was not done."""
         self._say(f"{why} Trial {trial} begins again.")
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
-        # At one terminal the participant would read it.
-        pass
+        """Print nothing, since the participant would read it at this terminal."""
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
+        """Print the text of a break, and wait for its end and for Enter."""
         self._say("")
         self._say_markdown(text or "A break.")
         ends = time.monotonic() + least_s
         while (left_s := ends - time.monotonic()) > 0:
-            said = self._go_on(f"{wording.duration(math.ceil(left_s))} left; Enter is taken after them.", until=ends)
+            text = f"{wording.duration(math.ceil(left_s))} left before you can continue."
+            said = self._wait_for_enter(text, until=ends)
             if said is not None:
                 return said
-        return self._go_on("Enter goes on.")
+        return self._wait_for_enter("Press Enter to continue.")
 
     def paused(self) -> Command | None:
-        return self._go_on("\nPaused, the forces are off. Enter goes on.")
+        """Print that the session is paused, and wait for Enter."""
+        return self._wait_for_enter("\nPaused, the forces are off. Press Enter to continue.")
 
     def tell(self, line: str) -> None:
+        """Print one line."""
         self._say(line)
 
-    # ---- How it is read --------------------------------------------------------------------------------------
+    # ---- Output and input --------------------------------------------------------------------------------------
 
     def _say(self, text: str) -> None:
         print(text, file=self._out, flush=True)
@@ -207,11 +222,11 @@ class TextFront:
     def _say_markdown(self, text: str) -> None:
         self._console.print(Markdown(text.strip()))
 
-    def _go_on(self, text: str, stage: Stage | None = None, until: float = math.inf) -> Command | None:
-        said = self._waited(_ENTER, text, stage, until)
+    def _wait_for_enter(self, text: str, stage: Stage | None = None, until: float = math.inf) -> Command | None:
+        said = self._wait_for_key(_ENTER_KEY, text, stage, until)
         return said if isinstance(said, Command) else None
 
-    def _waited(self, key: str, text: str, stage: Stage | None, deadline: float) -> Reply | Command:
+    def _wait_for_key(self, key: str, text: str, stage: Stage | None, deadline: float) -> Reply | Command:
         self._say(text)
         with self._keys.single():
             while (said := self._next(stage, deadline)) is not None:
@@ -233,11 +248,11 @@ class TextFront:
                     return said
                 if said in by_key:
                     return Reply(by_key[said])
-                self._say(f"{said or _ENTER}: is no answer; {', '.join(by_key)} are")
+                self._say(f"{said or _ENTER_KEY}: invalid answer; must be one of {', '.join(by_key)}")
         return Reply(None, timed_out=True)
 
     def _typed(self, shown: Shown, stage: Stage, deadline: float) -> Reply | Command:
-        self._say(_HINTS[shown.kind](shown))
+        self._say(_INPUT_HINTS[shown.kind](shown))
         while (said := self._next(stage, deadline, lines=True)) is not None:
             if isinstance(said, Command):
                 return said
@@ -248,15 +263,15 @@ class TextFront:
         return Reply(None, timed_out=True)
 
     def _next(self, stage: Stage | None, deadline: float, lines: bool = False) -> str | Command | None:
-        """A key, a line or a command; None at the deadline. Looks after the stage meanwhile."""
+        """Return the next key, line or command, or None at the deadline. Checks the stage, if given, while waiting."""
         while (left_s := deadline - time.monotonic()) > 0:
             read: Callable[[float], str | None] = self._keys.line if lines else self._keys.read
-            said = read(min(LOOKED_AFTER_S, left_s))
+            said = read(min(STAGE_CHECK_PERIOD_S, left_s))
             if said is None:
                 if stage is not None:
                     stage.check()
                 continue
-            if said == _ESCAPE or said.startswith("\x1b"):
+            if said == _ESCAPE_KEY or said.startswith("\x1b"):
                 return Command("abort")
             if not said.startswith(":"):
                 return said
@@ -268,23 +283,24 @@ class TextFront:
     def _command(self, begun: str) -> Command | None:
         line: str | None = begun
         if begun == ":":
-            # On a terminal the rest of the line is typed now; the wait for the stage goes on after it.
+            # On a terminal the rest of the line is still being typed. The stage is not checked until it is complete.
             self._say(":")
             line = None
             while line is None:
-                line = self._keys.line(LOOKED_AFTER_S, "")
+                line = self._keys.line(STAGE_CHECK_PERIOD_S, "")
             line = ":" + line
         word, _, text = cast(str, line)[1:].strip().partition(" ")
-        for kind in COMMANDS:
+        for kind in EXPERIMENTER_COMMANDS:
             if word == kind:
                 return Command(kind, text.strip())
-        self._say(f":{word}: is no command; :pause, :repeat, :note TEXT and :abort are")
+        self._say(f":{word}: unknown command; must be :pause, :repeat, :note TEXT or :abort")
         return None
 
 
-_HINTS: Final[dict[str, Callable[[Shown], str]]] = {
-    "ranking": lambda shown: f"The numbers 1 to {shown.stimuli} in their order, and Enter.",
-    "slider": lambda shown: f"A number from {shown.low:g} to {shown.high:g}, and Enter.",
-    "number": lambda shown: "A number, and Enter.",
-    "text": lambda shown: "A text, and Enter.",
+_INPUT_HINTS: Final[dict[str, Callable[[Shown], str]]] = {
+    "ranking": lambda shown: f"Type the numbers 1 to {shown.stimuli} in order, then Enter.",
+    "slider": lambda shown: f"Type a number from {shown.low:g} to {shown.high:g}, then Enter.",
+    "number": lambda shown: "Type a number, then Enter.",
+    "text": lambda shown: "Type a text, then Enter.",
 }
+"""What is asked for, by kind of question with a typed answer."""

@@ -1,4 +1,4 @@
-"""The configurations that a trial's stimuli are displayed with, and what of them a participant sees."""
+"""The configurations that display the stimuli of a trial, and the surfaces that a participant sees."""
 
 from __future__ import annotations
 
@@ -14,35 +14,41 @@ from hapticd.rendering.joystick import target_of
 
 
 def configurations(study: Study, stimuli: Sequence[Stimulus], rig: Config | None = None) -> tuple[Config, ...]:
-    """One for each interval; side by side all stimuli are in one scene. `rig`: servo, device. Raises InvalidError."""
+    """Return one configuration per interval, or a single one if the stimuli are side by side.
+
+    Servo and device are those of `rig`. Raises InvalidError if a configuration is invalid.
+    """
     if study.trial.presentation == "places":
         return (config_with(study, stimuli, rig),)
     return tuple(config_with(study, (each,), rig) for each in stimuli)
 
 
 def seen(study: Study, configs: Sequence[Config], stimuli: int) -> tuple[Seen, ...]:
-    """The surface of each stimulus, in the order of presentation; nothing of its material.
+    """Return the surface of each stimulus, in the order of presentation, without its material.
 
-    Side by side they are what stands under the names of the study's places or, where nothing does, what can be touched
-    from left to right. Raises HapticdError where a stimulus has no surface.
+    Surfaces side by side are the objects or patches named as the study's places. If there are too few, they are all
+    objects that can be touched, from left to right. Raises HapticdError if a stimulus has no surface.
     """
     if study.trial.presentation == "places":
         found = list(_surfaces(configs[0]))
         by_place = [next((each for name, each in found if name == place), None) for place in study.places]
         named = [each for each in by_place if each is not None]
         ordered = sorted((each for _, each in found), key=lambda each: each.point_m[0])
-        return _enough(named if len(named) >= stimuli else ordered, stimuli)
-    return tuple(_enough([each for _, each in _surfaces(config)], 1)[0] for config in configs)
+        return _first_surfaces(named if len(named) >= stimuli else ordered, stimuli)
+    return tuple(_first_surfaces([each for _, each in _surfaces(config)], 1)[0] for config in configs)
 
 
 def membranes(config: Config) -> tuple[Seen, ...]:
-    """The surface of each membrane at rest."""
+    """Return the surface of each membrane at rest."""
     found = [target_of(item, config.materials) for item in config.scene.objects.values() if isinstance(item, Membrane)]
     return tuple(Seen(each.point_m, each.normal, each.half_m) for each in found if each is not None)
 
 
 def _surfaces(config: Config) -> Iterator[tuple[str, Seen]]:
-    """What can be touched, by its id; of a wall with patches each patch, by the name of its material."""
+    """Yield the surface of each object that can be touched, with its id.
+
+    A wall with patches yields each patch instead, with the name of its material.
+    """
     for id, item in config.scene.objects.items():
         target = target_of(item, config.materials)
         if target is None:
@@ -56,9 +62,9 @@ def _surfaces(config: Config) -> Iterator[tuple[str, Seen]]:
             yield id, Seen(target.point_m, target.normal, target.half_m)
 
 
-def _enough(surfaces: Sequence[Seen], wanted: int) -> tuple[Seen, ...]:
+def _first_surfaces(surfaces: Sequence[Seen], wanted: int) -> tuple[Seen, ...]:
     if len(surfaces) < wanted:
         raise HapticdError(
-            f"the scene has {len(surfaces)} surfaces for {wanted} stimuli; add a wall, a membrane, a box or a disc"
+            f"the scene has {len(surfaces)} surfaces, must have {wanted}; add a wall, a membrane, a box or a disc"
         )
     return tuple(surfaces[:wanted])

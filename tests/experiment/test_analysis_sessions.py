@@ -166,7 +166,7 @@ def test_a_staircase_that_is_not_the_studys_has_a_note_and_no_mean(tmp_path: Pat
 def test_sessions_without_tables_were_interrupted(tmp_path: Path) -> None:
     (tmp_path / "sub-P01" / "ses-01").mkdir(parents=True)
     (tmp_path / "sub-P01" / "ses-01" / "log.jsonl").touch()
-    with pytest.raises(HapticdError, match="were interrupted before their tables were written; go on with"):
+    with pytest.raises(HapticdError, match="were interrupted before their tables were written; run"):
         analyze([tmp_path])
 
 
@@ -191,10 +191,10 @@ def test_a_session_that_ended_early_says_what_is_not_there(tmp_path: Path) -> No
         file.write_text("".join([lines[0], *(line for line in lines if "without_vibration" in line)]))
     found = analyze([tmp_path])
     assert found.published is None
-    assert "Published results beside these" not in report.page(found)
+    assert "Compared with published results" not in report.page(found)
     assert found.notes == (
-        "published results okamura1998.puncture: these sessions have nothing yet to stand beside them",
-        "overtravel_m and peak_force_n, only trials of without_vibration: a comparison needs two conditions",
+        "published results okamura1998.puncture: these sessions have no results yet to compare with them",
+        "overtravel_m and peak_force_n, only in trials of without_vibration: a comparison needs two conditions",
     )
 
 
@@ -301,9 +301,9 @@ def test_the_command(tapping: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "spoil, text",
     [
-        (lambda file: file.unlink(), r"holds no \*_beh.tsv; give the folder"),
-        (lambda file: file.write_text("a\tb\n"), r"_beh.tsv:1: has no column participant"),
-        (lambda file: file.write_text(file.read_text() + "1\t2\n"), r"_beh.tsv:4: has 2 cells, the head has 22"),
+        (lambda file: file.unlink(), r"contains no \*_beh.tsv; give the folder"),
+        (lambda file: file.write_text("a\tb\n"), r"_beh.tsv:1: not a table of answers: no column participant"),
+        (lambda file: file.write_text(file.read_text() + "1\t2\n"), r"_beh.tsv:4: has 2 cells, must have 22"),
         (
             lambda file: file.write_text(file.read_text().replace("\t20\t", "\tmuch\t")),
             r":3: response must be a number",
@@ -322,5 +322,5 @@ def test_what_cannot_be_analyzed(tmp_path: Path, spoil: object, text: str) -> No
 
 
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(HapticdError, match="there is no such folder"):
+    with pytest.raises(HapticdError, match="no such folder"):
         analyze([tmp_path / "nowhere"])

@@ -104,10 +104,10 @@ def test_cells_and_labels_are_those_of_bids() -> None:
     assert table(("a", "b", "c"), rows).splitlines()[1:] == ["n/a\ttrue\t0.333333333", "x y z\tn/a\t2"]
     assert task_label("Which of two, is härter?") == "WhichOfTwoIsHRter"
     for participant in ("P 7", "", "P-7", "../x", "ä"):
-        with pytest.raises(HapticdError, match="must be 1 to 32 letters and digits"):
+        with pytest.raises(HapticdError, match="must be 1 to 32 ASCII letters and digits"):
             folder_of(Path("."), participant, 1)
     for session in (0, 100):
-        with pytest.raises(HapticdError, match="must be 1 to 99"):
+        with pytest.raises(HapticdError, match="must be between 1 and 99"):
             folder_of(Path("."), "P07", session)
 
 

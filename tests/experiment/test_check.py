@@ -18,7 +18,7 @@ from hapticd.experiment.behaviour import facts_of
 from hapticd.experiment.check import breaks_of, check_study
 from hapticd.experiment.keys import DifferenceEffect, ProportionEffect
 from hapticd.experiment.plan import plan
-from hapticd.experiment.power import EXPERIMENTS, critical_counts, power_of_difference, power_of_proportion
+from hapticd.experiment.power import SIMULATED_EXPERIMENTS, critical_counts, power_of_difference, power_of_proportion
 from hapticd.experiment.study import study_of
 from tests.experiment.studies import ADAPTIVE, LISTED, PAIRS, RATING
 
@@ -84,7 +84,7 @@ def test_a_staircase_that_cannot_reach_its_hardest_level_is_reported() -> None:
     method["start"] = 92
     (told,) = check_study(study_of(data), FAST).to_look_at
     assert told.where == "trial.procedures.one.method.steps"
-    assert "20 trials reach 2 and not the hardest level, 1:" in told.problem
+    assert "20 trials reach only 2, not the hardest level 1;" in told.problem
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_the_power_of_a_proportion_is_that_of_the_binomial_test(correct: float) 
     low, high = critical_counts(8 * 28, 1 / 3, 0.05)
     binomial = stats.binom(8 * 28, correct)
     exact = binomial.sf(high - 1) if correct > 1 / 3 else binomial.cdf(low)
-    assert abs(found.power - exact) < 4 * math.sqrt(exact * (1 - exact) / EXPERIMENTS)
+    assert abs(found.power - exact) < 4 * math.sqrt(exact * (1 - exact) / SIMULATED_EXPERIMENTS)
 
 
 def test_the_power_of_a_difference_is_that_of_the_noncentral_t() -> None:
@@ -139,7 +139,7 @@ def test_the_power_of_a_difference_is_that_of_the_noncentral_t() -> None:
     found = power_of_difference(effect, 10)
     noncentrality = 0.5 / math.hypot(0.3, 2.0 / math.sqrt(10)) * math.sqrt(8)
     exact = stats.nct(7, noncentrality).sf(stats.t(7).ppf(0.975))
-    assert abs(found.power - exact) < 4 * math.sqrt(exact * (1 - exact) / EXPERIMENTS)
+    assert abs(found.power - exact) < 4 * math.sqrt(exact * (1 - exact) / SIMULATED_EXPERIMENTS)
 
 
 def test_participants_that_differ_spread_the_power() -> None:

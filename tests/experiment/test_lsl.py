@@ -20,7 +20,7 @@ import pytest
 from hapticd.cli import main
 from hapticd.client.blocking import Client
 from hapticd.experiment.daemon_stage import DaemonStage
-from hapticd.experiment.lsl import CHANNELS, streaming
+from hapticd.experiment.lsl import SAMPLE_CHANNELS, streaming
 from hapticd.protocol.calls import DaemonNotRunning
 from tests.experiment.sessions import ScriptedFront, started
 from tests.support.cli import HAPTICD
@@ -152,7 +152,7 @@ def test_the_streams_say_what_is_in_them(lsl: Any, daemon: Daemon) -> None:
         samples, events = opened(lsl, "hapticd samples").info(), opened(lsl, "hapticd events").info()
     assert (samples.type(), samples.channel_count(), samples.nominal_srate()) == ("Haptics", len(LABELS), RATE_HZ)
     assert samples.channel_format() == lsl.cf_double64
-    assert samples.get_channel_labels() == LABELS == [each.label for each in CHANNELS]
+    assert samples.get_channel_labels() == LABELS == [each.label for each in SAMPLE_CHANNELS]
     assert samples.get_channel_units() == UNITS
     assert samples.desc().child("acquisition").child_value("clock") == "CLOCK_MONOTONIC"
     assert (events.type(), events.channel_count(), events.nominal_srate()) == ("Markers", 1, lsl.IRREGULAR_RATE)

@@ -16,7 +16,7 @@ import pytest
 from hapticd.base.core import Flag
 from hapticd.config.materials import shipped_materials
 from hapticd.experiment.plan import plan
-from hapticd.experiment.runner import MOST_NOT_DONE
+from hapticd.experiment.runner import MAX_ATTEMPTS_NOT_DONE
 from hapticd.experiment.study import load_study
 from tests.experiment.scripted_pages import SERVO, SESSION, Running, Script, answered, log_of, page, run_study
 from tests.support.daemon_process import Daemon, connect, running_daemon
@@ -79,7 +79,7 @@ def test_the_participant_is_sent_no_name_and_no_number_of_a_material(
     study: str, tmp_path: Path, start: Callable[..., Running]
 ) -> None:
     # Who feels nothing has done the task of a puncture when the runner asks for it no more.
-    attempts = MOST_NOT_DONE if study == "okamura1998_puncture" else 1
+    attempts = MAX_ATTEMPTS_NOT_DONE if study == "okamura1998_puncture" else 1
     running, script = start(*run_study(tmp_path, study)), Script(most=4 * attempts)
     asyncio.run(script.play(running.links))
     code, out, _ = running.ended()
@@ -102,7 +102,7 @@ def test_the_participant_is_sent_no_name_and_no_number_of_a_material(
 
 @pytest.mark.slow
 def test_a_demo_has_a_daemon_of_its_own_and_ends_it(tmp_path: Path) -> None:
-    running, script = Running(*run_study(tmp_path, PAPER[2], "--demo")), Script(most=MOST_NOT_DONE)
+    running, script = Running(*run_study(tmp_path, PAPER[2], "--demo")), Script(most=MAX_ATTEMPTS_NOT_DONE)
     try:
         asyncio.run(script.play(running.links))
         code, out, _ = running.ended()

@@ -226,7 +226,7 @@ def test_texts_beyond_their_length_are_refused() -> None:
     front = PagesFront(planned(STUDY), lambda: None)
     front._show(screens.trial(shown, interval=1, felt=True, asks=True), "felt", None, shown)
     front.answer(1, "short")
-    with pytest.raises(ValueError, match="the text has 6 characters, and must have at most 5"):
+    with pytest.raises(ValueError, match="the text has 6 characters, must have at most 5"):
         front.answer(1, "longer")
 
 

@@ -110,7 +110,7 @@ def test_a_session_that_is_over_does_not_run_again(tmp_path: Path) -> None:
     started(tmp_path, NotedStage(), ScriptedFront()).run()
     with pytest.raises(HapticdError, match="this session is over"):
         resumed(tmp_path / SESSION, NotedStage(), ScriptedFront()).run()
-    with pytest.raises(HapticdError, match="this session exists; if it is not over, go on with"):
+    with pytest.raises(HapticdError, match="this session already exists; resume it with"):
         started(tmp_path, NotedStage(), ScriptedFront())
 
 
@@ -312,7 +312,7 @@ def test_forces_that_somebody_else_stopped_stay_off_until_the_experimenter_goes_
     def fails(done: str) -> None:
         if done == "check" and stopped:
             stopped.clear()
-            raise ForcesStopped("somebody else switched the forces off")
+            raise ForcesStopped("another client switched the forces off")
 
     front = ScriptedFront()
     stage = NotedStage(fails)
@@ -459,7 +459,7 @@ def test_a_stop_by_somebody_else_is_found_and_no_forces_come_without_a_lease(tmp
         stage.enable()
         stage.check()
         other.set_forces(False)
-        with pytest.raises(ForcesStopped, match="somebody else switched the forces off"):
+        with pytest.raises(ForcesStopped, match="another client switched the forces off"):
             stage.check()
         stage.fade()
         stage.check()

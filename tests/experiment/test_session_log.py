@@ -14,7 +14,14 @@ from pathlib import Path
 import pytest
 
 from hapticd.base.errors import HapticdError
-from hapticd.experiment.session_folder import ABOUT, LOG, PLAN, STUDY, SessionFolder, folder_of
+from hapticd.experiment.session_folder import (
+    LOG_FILE_NAME,
+    PLAN_FILE_NAME,
+    SESSION_FILE_NAME,
+    STUDY_FILE_NAME,
+    SessionFolder,
+    folder_of,
+)
 from hapticd.experiment.session_log import SessionLog, decoded, read_log
 from tests.support.special_files import KINDS, refused, special, untouched
 
@@ -112,7 +119,7 @@ def test_a_line_that_is_missing_doubled_or_moved_is_found(tmp_path: Path) -> Non
         [*lines[:2], lines[1], *lines[2:]],
         [lines[1], lines[0], *lines[2:]],
     ):
-        with pytest.raises(HapticdError, match=r"log:\d: is damaged"):
+        with pytest.raises(HapticdError, match=r"log:\d: damaged record"):
             decoded(b"".join(changed), "log")
 
 
@@ -128,7 +135,7 @@ def test_what_json_cannot_hold_is_refused_and_nothing_is_written(tmp_path: Path)
     with SessionLog(path) as log:
         log.append("note", text="before")
         before = path.read_bytes()
-        with pytest.raises(HapticdError, match="the log cannot hold"):
+        with pytest.raises(HapticdError, match="cannot be written to the log"):
             log.append("answer", value=float("nan"))
         assert path.read_bytes() == before
         assert log.append("note", text="after")["record"] == 1
@@ -182,7 +189,7 @@ def test_killed_at_random_moments_nothing_is_lost_and_nothing_doubled(tmp_path: 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", [STUDY, PLAN, ABOUT, LOG])
+@pytest.mark.parametrize("name", [STUDY_FILE_NAME, PLAN_FILE_NAME, SESSION_FILE_NAME, LOG_FILE_NAME])
 def test_a_session_leaves_what_is_no_regular_file_alone(name: str, kind: str, tmp_path: Path) -> None:
     path = folder_of(tmp_path, "P07", 1)
     path.mkdir(parents=True)

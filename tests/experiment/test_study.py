@@ -50,13 +50,13 @@ MISTAKES = {
         "glas, steel]",
         "did you mean glass?",
     ),
-    "a level twice": (PAIRS, "glass, steel]", "glass, wood]", "glass, wood]", "wood is there twice"),
+    "a level twice": (PAIRS, "glass, steel]", "glass, wood]", "glass, wood]", "duplicate level wood"),
     "a key that is not there": (
         PAIRS,
         '"materials.{place}"',
         '"scene.objects.{place}.skin.material"',
         "levels: [wood",
-        "there is no",
+        "unknown key scene.objects.left",
     ),
     "a key outside of scene and materials": (
         PAIRS,
@@ -72,7 +72,7 @@ MISTAKES = {
         "at: materials.left",
         "would all set the same key",
     ),
-    "no path": (PAIRS, '"materials.{place}"', '"materials..{place}"', 'at: "materials..', "keys with dots"),
+    "no path": (PAIRS, '"materials.{place}"', '"materials..{place}"', 'at: "materials..', "separated by dots"),
     "levels without at": (PAIRS, '    at: "materials.{place}"\n', "", "  material:", "levels need at"),
     "levels and variants": (
         PAIRS,
@@ -91,7 +91,7 @@ MISTAKES = {
     ),
     "a condition that the scene refuses": (PAIRS, "{force: false}", "{forc: false}", "forc", "did you mean force?"),
     "unknown type": (PAIRS, "type: paired_comparison", "type: paired", "type: paired", "should be 'paired_comparison'"),
-    "neither cross nor list": (PAIRS, "  cross: [material]\n", "", "  material:", "no trial varies it"),
+    "neither cross nor list": (PAIRS, "  cross: [material]\n", "", "  material:", "no trial varies this factor"),
     "cross and list": (
         LISTED,
         "  question: which\n",
@@ -123,13 +123,13 @@ MISTAKES = {
         "  real:",
         "needs a question of kind measure, is slider",
     ),
-    "two answers on one key": (PAIRS, 'key: "2"', 'key: "1"', "name: same", "is the key of first, too"),
+    "two answers on one key": (PAIRS, 'key: "2"', 'key: "1"', "name: same", "is already the key of first"),
     "an answer that no key chooses": (
         PAIRS.replace('key: "2", ', ""),
         'key: "1"',
         'key: "2"',
         "name: same",
-        "its number, 2, is the key of first",
+        "its default, 2, is the key of first",
     ),
     "a key that is a number": (PAIRS, 'key: "2"', "key: 2", "key: 2", "should be a valid string, is 2"),
     "a target like its reference": (
@@ -137,7 +137,7 @@ MISTAKES = {
         "reference: {stiffness: 800}",
         "reference: {stiffness: 700}",
         "reference:",
-        "700: no answer is correct; the target is like the reference",
+        "700: no answer is correct; the target equals the reference",
     ),
     "a listed forced choice whose target nobody knows": (
         CONSTANT.replace("  reference: {stiffness: 800}\n", "").replace("repetitions: 7\n", ""),
@@ -155,8 +155,8 @@ MISTAKES = {
         "the scene has none",
     ),
     "two answers of one name": (PAIRS, "name: same", "name: first", "label: Same", "needs its own name"),
-    "the key that stops": (PAIRS, 'key: "2"', "key: escape", "key: escape", "stops everything"),
-    "no key": (PAIRS, 'key: "2"', "key: F1", "key: F1", "is no key"),
+    "the key that stops": (PAIRS, 'key: "2"', "key: escape", "key: escape", "cannot be the key of an answer"),
+    "no key": (PAIRS, 'key: "2"', "key: F1", "key: F1", "unknown keyboard key"),
     "no answer for a stimulus": (PAIRS, "means: second", "means: third", "means: third", "2 stimuli"),
     "equal stimuli without an answer": (
         PAIRS,
@@ -182,13 +182,13 @@ MISTAKES = {
         "order:",
         "two blocks or more",
     ),
-    "a break that never is": (PAIRS, "every_trials: 5, ", "", "breaks:", "there is no break"),
+    "a break that never is": (PAIRS, "every_trials: 5, ", "", "breaks:", "has no breaks"),
     "feedback where nothing is correct": (
         RATING,
         "time_limit_s: 30",
         "feedback: correctness",
         "feedback:",
-        "no answer is correct",
+        "no answer is defined as correct",
     ),
     "a time limit of nothing": (
         RATING,
@@ -223,7 +223,7 @@ MISTAKES = {
         "tap.frequency_hz, reference: 200, level: added",
         "tap, reference: 200, level: added",
         "level: added",
-        "is no number",
+        "is not a number",
     ),
     "a staircase that leaves the range": (
         ADAPTIVE,
@@ -245,7 +245,7 @@ MISTAKES = {
         "type: forced_choice",
         "type: paired_comparison",
         "type: paired",
-        "procedures need forced_choice",
+        "procedures need type forced_choice",
     ),
     "a level that nothing has": (
         LISTED,
@@ -274,7 +274,7 @@ MISTAKES = {
         "condition: first}",
         "condition: first, correct: C}",
         "correct: C",
-        "there is no answer",
+        "unknown answer",
     ),
     "an answer that names no level": (LISTED, "level: wood}", "level: wool}", "level: wool", "did you mean wood?"),
     "no reference": (CONSTANT, "  reference: {stiffness: 800}\n", "", "trial:", "needs reference"),
@@ -297,7 +297,7 @@ MISTAKES = {
         "  type: rating",
         "  type: rating\n  alternatives: 3",
         "alternatives",
-        "is for",
+        "is only valid for",
     ),
 }
 

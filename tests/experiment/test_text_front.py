@@ -41,7 +41,7 @@ def test_lines_of_a_pipe_come_one_by_one_and_its_end_is_said(pipe: tuple[int, Te
     os.write(write, "ond \N{LATIN SMALL LETTER E WITH ACUTE}\n".encode())
     assert keys.line(30.0) == "second \N{LATIN SMALL LETTER E WITH ACUTE}"
     os.close(write)
-    with pytest.raises(HapticdError, match="the input has ended; go on with `hapticd experiment resume`"):
+    with pytest.raises(HapticdError, match="the input has ended; continue with `hapticd experiment resume`"):
         keys.read(30.0)
 
 

@@ -123,11 +123,11 @@ def test_a_folder_holds_the_sessions_of_one_study(ranked: Path, tmp_path: Path) 
     many = _run(other, ranked, "--offline", "--count", "2", people=("D",))
     assert (
         str(many.exception)
-        == f"{ranked}: has sessions of another study, PutThemInOrder; give each study a folder of its own with -o"
+        == f"{ranked}: contains sessions of another study, PutThemInOrder; give each study a separate folder with -o"
     )
     result = _run(other, ranked, "--offline", people=("D",))
     assert result.exit_code == 1
-    assert "has sessions of another study, PutThemInOrder" in str(result.exception)
+    assert "contains sessions of another study, PutThemInOrder" in str(result.exception)
     assert sorted(ranked.rglob("*")) == before
 
 
@@ -136,11 +136,11 @@ def test_what_has_no_session_left_to_run_starts_no_daemon_and_no_page(ranked: Pa
     session = ranked / "sub-simA" / "ses-01"
     result = CliRunner().invoke(cli, ["experiment", "resume", str(session), "--demo"])
     assert result.output == ""
-    assert str(result.exception) == f"{session}: this session is over (all trials are done); nothing is left"
+    assert str(result.exception) == f"{session}: this session is over (all trials are done) and cannot be resumed"
     study = ["experiment", "run", str(ranked.parent / "ranking.yaml"), "--participant", "simA", "--demo"]
     result = CliRunner().invoke(cli, [*study, "-o", str(ranked)])
     assert result.output == ""
-    assert str(result.exception).startswith(f"{session}: this session exists; if it is not over, go on with")
+    assert str(result.exception).startswith(f"{session}: this session already exists; resume it with")
 
 
 @pytest.mark.long

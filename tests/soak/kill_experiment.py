@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-from hapticd.experiment.daemon_stage import LEASE_S
+from hapticd.experiment.daemon_stage import RUNNER_LEASE_S
 from tests.experiment.scripted_pages import (
     SERVO,
     SESSION,
@@ -40,7 +40,7 @@ from tests.support.daemon_process import Daemon, connect
 
 Victim: TypeAlias = Literal["runner", "daemon", "participant", "experimenter"]
 VICTIMS: tuple[Victim, ...] = ("runner", "daemon", "participant", "experimenter")
-RELEASED_S = {"runner": LEASE_S + 2.0, "participant": 2.0, "experimenter": 2.0}
+RELEASED_S = {"runner": RUNNER_LEASE_S + 2.0, "participant": 2.0, "experimenter": 2.0}
 """From a kill to no force, on a machine that is busy; the median is told."""
 MOST_WAIT_S = 2.0
 """A kill comes within so long after both pages are open."""

@@ -180,7 +180,10 @@ def test_a_participant_that_cannot_be_simulated_is_a_row_with_the_reason(monkeyp
             "--count is of",
         ),
         (["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"], "leave out"),
-        (["--participant", f"simulated:{'A' * 29}", "--offline", "--count", "3"], "must be 1 to 32 letters and digits"),
+        (
+            ["--participant", f"simulated:{'A' * 29}", "--offline", "--count", "3"],
+            "must be 1 to 32 ASCII letters and digits",
+        ),
     ],
 )
 def test_options_that_do_not_go_together(words: list[str], told: str, tmp_path: Path) -> None:

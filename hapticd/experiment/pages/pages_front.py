@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.front import CLEAR_S, Command, Reply, Seen, Shown, Watched
+from hapticd.experiment.front import CLEARANCE_POLL_S, Command, Reply, Seen, Shown, Watched
 from hapticd.experiment.pages import screens
 from hapticd.experiment.pages.console import Console, Doing, Row, rows_of
 from hapticd.experiment.pages.screens import Screen
@@ -187,7 +187,7 @@ class PagesFront:
         screen = screens.trial(shown, interval=interval, felt=False, asks=False, withdraws=True, told=self._told)
         self._show(screen, "withdraws", None, shown)
         while not stage.is_clear():
-            said = self._wait(lambda each: None, deadline=time.monotonic() + CLEAR_S) or self._away()
+            said = self._wait(lambda each: None, deadline=time.monotonic() + CLEARANCE_POLL_S) or self._away()
             if isinstance(said, Command):
                 return said
         return None

@@ -18,7 +18,7 @@ from hapticd.base.files import write_whole
 from hapticd.experiment.bids import check_one_study, write_data_set, write_session_tables
 from hapticd.experiment.plan import plan
 from hapticd.experiment.session import about_of, plan_document
-from hapticd.experiment.session_folder import LOG, SessionFolder, folder_of
+from hapticd.experiment.session_folder import LOG_FILE_NAME, SessionFolder, folder_of
 from hapticd.experiment.session_log import lines_of
 from hapticd.sweeps.columns import ERROR, POINT, Row
 from hapticd.sweeps.participants.bulk import PARTICIPANT, Participants
@@ -44,7 +44,7 @@ class SessionFolders:
 
     def _has(self, label: str, point: str) -> bool:
         path = folder_of(self._root, label, self._work.session)
-        if not (path / LOG).exists() or not self._is_of(path, point):
+        if not (path / LOG_FILE_NAME).exists() or not self._is_of(path, point):
             return False
         return point in self._on_disk and any((path / "beh").glob("*_events.json"))
 
