@@ -54,7 +54,7 @@ def test_each_names_its_figures_and_is_known_by_its_name_alone(
 
 def test_a_name_that_is_near_is_offered(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", "run", "wall_stabilty"]) == 1
-    assert "no shipped sweep; did you mean wall_stability?" in capsys.readouterr().err
+    assert "neither a file nor a shipped sweep; did you mean wall_stability?" in capsys.readouterr().err
 
 
 @pytest.mark.long
