@@ -29,7 +29,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.daemon.flight_scene import FlightScene, Stretch
 from hapticd.protocol.changes import Change
 from hapticd.recording.missed_periods import MOST_GAPS, gaps_of, missed_periods, rates_of
-from hapticd.system.repeated_lines import SHORTEST_S, Repeats
+from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 AFTER_S: Final = 1.0
 """So much after a fault is in its file."""
@@ -221,7 +221,7 @@ class Flight:
         """Writes what was handed over until `stop` is set and `wake` called, and what was handed over before."""
         while True:
             try:
-                job = self._jobs.get(timeout=SHORTEST_S)
+                job = self._jobs.get(timeout=MIN_REPEAT_INTERVAL_S)
             except queue.Empty:
                 self._repeats.flush()
                 continue
@@ -249,7 +249,9 @@ class Flight:
                 self._last = job.asked.path
         # Clients may ask for dozens a second.
         file, level = job.asked.path, logging.INFO if problem is None else logging.ERROR
-        self._repeats.line(f"{job.asked.reason} {level}", level, f"flight recorder: {problem or file}", SHORTEST_S)
+        self._repeats.line(
+            f"{job.asked.reason} {level}", level, f"flight recorder: {problem or file}", MIN_REPEAT_INTERVAL_S
+        )
 
     def wake(self) -> None:
         """Ends `run`."""

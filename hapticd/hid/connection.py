@@ -24,7 +24,7 @@ from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
 from hapticd.hid.signs import Check
 from hapticd.hid.stopper import StopFile
-from hapticd.system.repeated_lines import STATE_S, Repeats
+from hapticd.system.repeated_lines import MAX_STATE_INTERVAL_S, Repeats
 
 RETRY_S: Final = 0.25
 """A device that is gone is looked for so often."""
@@ -226,7 +226,7 @@ class Connection:
 
     def _lose(self, why: str) -> None:
         if why != self._problem:
-            self._repeats.line("lost", logging.WARNING, f"device lost: {why}", STATE_S)
+            self._repeats.line("lost", logging.WARNING, f"device lost: {why}", MAX_STATE_INTERVAL_S)
         self._problem = why
         self._let_go(orderly=False)
 
@@ -264,7 +264,9 @@ class Connection:
             raise
         self._connects += 1
         if self._problem is not None:
-            self._repeats.line("found", logging.INFO, f"device found: {opened.name} at {opened.device.path}", STATE_S)
+            self._repeats.line(
+                "found", logging.INFO, f"device found: {opened.name} at {opened.device.path}", MAX_STATE_INTERVAL_S
+            )
         self._problem = None
         # Last: whoever hears that it is connected hears of no problem, and has it counted.
         self._live = live = _Live(opened, plan, link, time.monotonic())
