@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs, Verdict, fail, ok, warn
-from hapticd.hid.device_texts import unseen_text
-from hapticd.hid.discovery import Found, event_nodes, is_for_others, is_meant
+from hapticd.hid.device_texts import unseen_reset_text
+from hapticd.hid.discovery import Found, event_nodes, is_open_to_others, is_selected
 
 _UDEV_RULE_FILE: Final = "70-hapticd.rules"
 _UDEV_RULE_FOLDERS: Final = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
@@ -44,9 +44,9 @@ def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
     for device in devices:
         why_not = device.verdict.why_not
         name = f"{device.name or 'no name'} at {_node_path(device)}"
-        meant = needs.device is not None and needs.device.names_one and is_meant(needs.device, device)
+        meant = needs.device is not None and needs.device.names_one and is_selected(needs.device, device)
         if why_not is not None:
-            if meant or not device.is_other:
+            if meant or not device.lacks_forces:
                 yield Finding("joystick", "fail" if meant else "warn", f"{name} cannot be driven: {why_not}")
         elif device.permission == "ok":
             yield ok("joystick", f"{name} may be driven from here")
@@ -96,7 +96,7 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
     for device in usable:
         node, sysfs = _node_path(device), f"/sys/class/hidraw/{Path(device.path).name}/device"
         events = [f"/dev/input/{name}" for name in event_nodes(machine.path(sysfs))]
-        loose = [path for path in events if is_for_others(machine.path(path))]
+        loose = [path for path in events if is_open_to_others(machine.path(path))]
         holders = sorted({name for path in (node, *events) for name in users.get(path, ())})
         if holders:
             what = f"{node} or its event nodes are open in {', '.join(holders[:_MAX_LISTED_NAMES])}{blind}"
@@ -108,7 +108,7 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
         elif not holders:
             yield Finding("competitors", "warn" if hidden else "ok", f"no other program uses {node}{blind}")
         if device.resets_seen is False:
-            condition, action = unseen_text(node)
+            condition, action = unseen_reset_text(node)
             yield warn("resets", condition, action) if loose else ok("resets", condition)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hapticd.base.errors import HapticdError
 from hapticd.doctor.machine import Finding, Machine, Needs, fail, ok, unknown, warn
-from hapticd.hid.device_texts import unseen_text
+from hapticd.hid.device_texts import unseen_reset_text
 
 if TYPE_CHECKING:
     from hapticd.config.configuration import Config
@@ -75,6 +75,6 @@ def daemon(machine: Machine, needs: Needs) -> Iterator[Finding]:
     if isinstance(missing, list) and missing:
         yield warn("daemon", f"it was not granted: {'; '.join(map(str, missing))}", "see the lines above")
     if isinstance(connection, Mapping) and connection.get("resets_seen") is False:
-        yield warn("daemon", *unseen_text(str(connection["path"]), connection.get("foreign_effect_s")))
+        yield warn("daemon", *unseen_reset_text(str(connection["path"]), connection.get("foreign_effect_s")))
     if isinstance(faults, list) and faults:
         yield warn("daemon", f"a fault holds the forces off: {', '.join(map(str, faults))}", "hapticd force on")

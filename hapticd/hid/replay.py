@@ -23,7 +23,7 @@ from typing import Any, Final
 from hapticd.base.errors import HapticdError, on_one_line, shown
 from hapticd.base.files import write_whole
 from hapticd.config.hid import Replay
-from hapticd.hid.device import MAX_REPORT_BYTES, arriving
+from hapticd.hid.device import MAX_REPORT_BYTES, arrived_reports
 from hapticd.hid.plan import DeviceError
 
 VERSION: Final = 1
@@ -115,7 +115,7 @@ def record(fd: int, duration_s: float) -> tuple[tuple[float, bytes], ...]:
     reports: list[tuple[float, bytes]] = []
     start_s = time.monotonic()
     with suppress(DeviceError):
-        for report in arriving(fd, duration_s):
+        for report in arrived_reports(fd, duration_s):
             reports.append((time.monotonic() - start_s, report))
     return tuple(reports)
 

@@ -14,7 +14,7 @@ from typing import Final, Literal
 
 from hapticd.base.core import ffi, lib
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
-from hapticd.hid.device import Device, Driver, arriving
+from hapticd.hid.device import Device, Driver, arrived_reports
 from hapticd.hid.plan import DeviceError, Plan
 
 MOST_OF_FULL: Final = 0.1
@@ -70,7 +70,7 @@ class _Pusher:
     def read(self) -> None:
         """Takes what was reported; the newest position of each axis stays."""
         numbered = self._plan.x.report_id != 0
-        for report in arriving(self._device.fileno()):
+        for report in arrived_reports(self._device.fileno()):
             data = report if numbered else b"\0" + report
             for place, axis in enumerate((self._plan.x, self._plan.y)):
                 if data[0] == axis.report_id and axis.bits.end <= 8 * (len(data) - 1):

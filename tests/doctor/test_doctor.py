@@ -457,7 +457,10 @@ def test_the_daemon(tmp_path: Path) -> None:
     assert "warn a fault holds the forces off: device" in said
     status["connection"] = {"path": "/dev/hidraw3", "resets_seen": False, "foreign_effect_s": 0.0957}
     said = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
-    assert "is not noticed; what it uploads lasts up to 96 ms -> `hapticd devices claim /dev/hidraw3` keeps" in said
+    assert (
+        "is not noticed; an effect that it uploads lasts up to 96 ms -> `hapticd devices claim /dev/hidraw3` keeps"
+        in said
+    )
 
     def silent() -> None:
         raise HapticdError("the daemon did not answer within 2 s")

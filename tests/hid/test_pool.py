@@ -42,7 +42,7 @@ class Pooled(FakePid):
         if self.frees:
             self._forget()
         if self.stalls:
-            raise DeviceError(f"fake0: feature report {report_id} is not given: Broken pipe")
+            raise DeviceError(f"fake0: cannot get feature report {report_id}: Broken pipe")
         if self.says:
             most = self.says.pop(0) if len(self.says) > 1 else self.says[0]
             where = place.simultaneous_effects_max
@@ -97,7 +97,7 @@ def test_a_pool_that_is_not_given_is_told_once(sticks: list[Pooled], caplog: pyt
     set_up(sticks, stick, times=3)
     assert len(stick.effects) == 10
     assert lines(caplog) == [
-        "fake0: feature report 3 is not given: Broken pipe; PID Block Load decides how many effects there are"
+        "fake0: cannot get feature report 3: Broken pipe; PID Block Load decides how many effects there are"
     ]
 
 
