@@ -28,7 +28,7 @@ from hapticd.base.files import check_regular
 from hapticd.hid.discovery import Found, event_nodes, is_open_to_others
 
 CLAIM_RULES_PATH: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
-"""It sorts after 70-uaccess, which tags joysticks for the user at the seat, and before 73-seat-late, which sets the ACL."""
+"""Sorts after 70-uaccess, which tags joysticks for the user at the seat, and before 73-seat-late, which applies it."""
 GENERIC_DRIVER: Final = "hid-generic"
 REBIND_TIMEOUT_S: Final = 5.0
 """A device must have its hidraw node again this long after it was bound."""

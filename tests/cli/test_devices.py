@@ -69,7 +69,7 @@ def test_one_effect_for_both_axes_says_how_much_comes_out_across_a_force(
     ):
         file.write_bytes(bytes(like))
         assert main(["devices", "parse", str(file)]) == 0
-        told.append("up to 1.2 % of a force comes out across it" in capsys.readouterr().out)
+        told.append("up to 1.2 % of a force acts at right angles to it" in capsys.readouterr().out)
     assert told == [True, False, False]
     assert main(["devices", "parse", str(file), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["leak"] == 0.0

@@ -12,7 +12,7 @@ from hapticd.base.errors import InvalidError
 from hapticd.config.configuration import load_config
 from hapticd.config.hid import Hid
 from hapticd.hid.drivers.vendor import VendorDriver, plan_of
-from hapticd.hid.plan import STILL_M_PER_COUNT, DeviceError
+from hapticd.hid.plan import STILL_AXIS_M_PER_COUNT, DeviceError
 from tests.support.hid_descriptors import (
     APPLICATION,
     INPUT,
@@ -149,7 +149,7 @@ def test_a_single_axis_stays_where_it_is_along_the_other() -> None:
     report = copy.deepcopy(REPORT)
     del report["input"]["y"], report["output"]["y"]
     plan = plan_of(hid(report), hid(report).report or pytest.fail())
-    assert plan.y.m_per_count == STILL_M_PER_COUNT and len(plan.force[0].values) == 1
+    assert plan.y.m_per_count == STILL_AXIS_M_PER_COUNT and len(plan.force[0].values) == 1
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ from hapticd.hid.drivers.pid_reports import (
     time_scale,
 )
 from hapticd.hid.plan import (
-    STILL_M_PER_COUNT,
+    STILL_AXIS_M_PER_COUNT,
     AxisPlan,
     DeviceError,
     Message,
@@ -109,7 +109,7 @@ def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
     """The handle's axes. Raises DeviceError where the device has no such axis."""
     x = _axis(layout, hid.axes.x, "x", hid)
     if has_one_axis(layout, hid) and hid.axes.y.usage.lower() not in layout.input:
-        return x, AxisPlan(x.bits, x.report_id, x.zero_counts, STILL_M_PER_COUNT)
+        return x, AxisPlan(x.bits, x.report_id, x.zero_counts, STILL_AXIS_M_PER_COUNT)
     return x, _axis(layout, hid.axes.y, "y", hid)
 
 

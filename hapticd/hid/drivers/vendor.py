@@ -6,7 +6,7 @@ from hapticd.base.core import HidQuantity
 from hapticd.config.hid import Hid, VendorBits, VendorInputAxis, VendorReport
 from hapticd.hid.descriptor.parser import Descriptor, DescriptorError, ReportKind, parse
 from hapticd.hid.device import Device
-from hapticd.hid.plan import STILL_M_PER_COUNT, AxisPlan, Bits, DeviceError, Message, Plan, Value
+from hapticd.hid.plan import STILL_AXIS_M_PER_COUNT, AxisPlan, Bits, DeviceError, Message, Plan, Value
 
 
 class VendorDriver:
@@ -65,7 +65,9 @@ def plan_of(hid: Hid, report: VendorReport) -> Plan:
 
 
 def _axis(axis: VendorInputAxis, report_id: int, still: bool = False) -> AxisPlan:
-    return AxisPlan(_bits(axis), report_id, axis.zero_counts, STILL_M_PER_COUNT if still else 1.0 / axis.counts_per_m)
+    return AxisPlan(
+        _bits(axis), report_id, axis.zero_counts, STILL_AXIS_M_PER_COUNT if still else 1.0 / axis.counts_per_m
+    )
 
 
 def _bits(axis: VendorBits) -> Bits:
