@@ -196,7 +196,7 @@ def calibrate_command(
     """
     from hapticd.config.configuration import config_of
     from hapticd.config.hid import ForceAxes
-    from hapticd.hid.sign_calibration import MOST_OF_FULL, calibrate
+    from hapticd.hid.sign_calibration import MAX_FORCE_SHARE, calibrate
     from hapticd.hid.sources import open_hid
 
     if output is not None and any(os.path.realpath(output) == os.path.realpath(path) for path in configs):
@@ -205,7 +205,7 @@ def calibrate_command(
         check_new(output, overwrite)
     config = config_of(configs)
     hid = config.device.hid
-    most_n = MOST_OF_FULL * hid.full_scale_force_n
+    most_n = MAX_FORCE_SHARE * hid.full_scale_force_n
     force_n = 0.5 * most_n if force_n is None else force_n
     if force_n > most_n:
         raise click.UsageError(f"--force {force_n:g}: at most {most_n:g}, a tenth of device.hid.full_scale_force_n")

@@ -61,7 +61,7 @@ from hapticd.daemon.reload import needing_restart, read_again
 from hapticd.daemon.status import Status
 from hapticd.daemon.status_text import FAULTS
 from hapticd.daemon.streams import NotInTurnError, Streams
-from hapticd.hid.signs import CORRECT
+from hapticd.hid.signs import SIGNS_REMEDY
 from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
@@ -543,7 +543,7 @@ class Methods:
         words = FAULTS | ({"signs": signs.seen} if signs.seen else {})
         reasons = " and ".join(words[name] for name in fault_names(faults))
         if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
-            return f"forces are off because {reasons}: {CORRECT}"
+            return f"forces are off because {reasons}: {SIGNS_REMEDY}"
         return f"forces are off because {reasons}: `hapticd force on` or set_forces turns them on again"
 
 

@@ -35,7 +35,7 @@ class EffectUse(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Offloaded:
-    """Whether and how the device plays a tap or a rupture; its members have the value None without one."""
+    """Whether and how the device plays a tap or a rupture. Without an effect its properties are not known (None)."""
 
     material: str
     mode: str
