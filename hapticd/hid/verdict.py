@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from hapticd.base.core import Status, invalid_reason, lib
 from hapticd.config.hid import Hid
-from hapticd.hid.descriptor.layout import SKIPPED, Layout, layout_of
+from hapticd.hid.descriptor.layout import SKIPPED_ITEM_PREFIX, Layout, layout_of
 from hapticd.hid.descriptor.parser import DescriptorError, parse
 from hapticd.hid.device import Driver
 from hapticd.hid.drivers.pid import PidDriver
@@ -96,7 +96,7 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
 
 def _unused_fields_text(layout: Layout) -> str:
     """Return a text about fields that exist but cannot be used, since one of them may be the cause."""
-    fields = [problem for problem in layout.problems if not problem.startswith(SKIPPED)]
+    fields = [problem for problem in layout.problems if not problem.startswith(SKIPPED_ITEM_PREFIX)]
     if not fields:
         return ""
     more = f", and {len(fields) - _MAX_LISTED_PROBLEMS} more" if len(fields) > _MAX_LISTED_PROBLEMS else ""
