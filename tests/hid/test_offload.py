@@ -273,7 +273,7 @@ def test_a_device_that_refuses_the_effect_is_driven_without() -> None:
     stick.on_log = heard
     try:
         plan = PidDriver(stick.layout, Hid(offload="auto")).set_up(stick.device)
-        assert plan.periodic is None and plan.no_periodic == "the device refuses to make such an effect"
+        assert plan.periodic is None and plan.no_periodic == "the device refuses to create a periodic effect"
         assert stick.enabled and [effect.playing for effect in stick.effects.values()][:2] == [True, True]
     finally:
         stick.close()

@@ -52,7 +52,7 @@ class Pooled(FakePid):
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pid, "AGAIN_S", 0.0)
+    monkeypatch.setattr(pid, "POOL_REREAD_DELAY_S", 0.0)
     monkeypatch.setattr(pid, "_repeats", Repeats())
 
 
@@ -106,7 +106,7 @@ def test_a_pool_that_ends_too_soon(sticks: list[Pooled], caplog: pytest.LogCaptu
     stick = Pooled(bytes(FINE), cut=2, room=5)
     set_up(sticks, stick)
     assert len(stick.effects) == 5
-    assert lines(caplog) == ["fake0: PID Pool is too short: 2 bytes; PID Block Load decides how many effects there are"]
+    assert lines(caplog) == ["fake0: PID Pool is too short, 2 bytes; PID Block Load decides how many effects there are"]
 
 
 def test_a_pool_that_is_another_report(sticks: list[Pooled], caplog: pytest.LogCaptureFixture) -> None:
@@ -115,7 +115,7 @@ def test_a_pool_that_is_another_report(sticks: list[Pooled], caplog: pytest.LogC
     set_up(sticks, stick)
     assert len(stick.effects) == 10
     assert lines(caplog) == [
-        "fake0: asked for PID Pool, report 3, the device answers nothing; "
+        "fake0: requested PID Pool, report 3, the device returned nothing; "
         "PID Block Load decides how many effects there are"
     ]
 

@@ -290,8 +290,8 @@ def test_a_device_that_never_says_full_keeps_its_constant_forces(caplog: pytest.
     """The first effect was lost to a periodic one: all are made anew, without any that the device plays itself."""
     variant = Variant(most_effects=5, never_full=True, pool_stalls=True)
     with driven(descriptors.SIDEWINDER_FF2, variant, offload="auto") as (stick, plan):
-        assert plan.periodic is None and "gives effect 1 twice" in plan.no_periodic
-        assert "gives effect 1 twice; no effects are played by the device" in caplog.text
+        assert plan.periodic is None and "returns Effect Block Index 1 twice" in plan.no_periodic
+        assert "returns Effect Block Index 1 twice; no effects are played by the device" in caplog.text
         assert len(stick.effects) == 2
         for force_n in FORCES:
             send(stick, plan, force_n)

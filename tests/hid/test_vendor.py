@@ -211,8 +211,7 @@ def test_wrong_scripts() -> None:
         ),
         (
             {"input__y": {"bit_offset": 24}},
-            "device.hid.report.input.y: bit 39 lies beyond input report 1 of the device, which has 4 bytes after "
-            "its id",
+            "device.hid.report.input.y: bit 39 is beyond input report 1 of the device, which has 4 bytes after its id",
         ),
     ],
 )

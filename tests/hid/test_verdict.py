@@ -133,17 +133,17 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
         {},
     ),
     "two axes and nothing that tells them apart": (
-        "neither Direction nor Axes Enable to tell them apart",
+        "neither Direction nor Axes Enable to distinguish them",
         bytes(Joystick(force_axes=(), direction_bits=0)),
         {},
     ),
     "one effect, and no angle": (
-        "the device has two axes, room for one effect, and no angle to say the direction of a force",
+        "the device has two axes, room for one effect, and no angle for the direction of a force",
         bytes(Joystick(direction_bits=0)),
         {"quirks": ["one_effect"]},
     ),
     "a vector, and magnitudes without a sign": (
-        "the device has two axes, magnitudes without a sign, and no angle to say the direction of a force",
+        "the device has two axes, magnitudes without a sign, and no angle for the direction of a force",
         instead(
             usage32(ORDINAL, 1, 2) + logical(0, 255) + physical(0, 36000),
             usage32(DESKTOP, 0x30, 0x31) + logical(-127, 127) + physical(-127, 127),
@@ -152,7 +152,7 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
         {},
     ),
     "a scaled magnitude": (
-        "does not say which count is no force",
+        "count for a force of zero is not clear",
         instead(
             usage(0x70) + logical(0, 10000) + physical(0, 10000),
             usage(0x70) + logical(0, 10000) + physical(-10000, 10000),
