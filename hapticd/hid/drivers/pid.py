@@ -203,7 +203,8 @@ class PidDriver:
                 first, last = self._layout.effect_indices or (1, 0)
                 if not first <= index <= last:
                     raise DeviceError(
-                        f"{device.path}: PID Block Load: Effect Block Index must be between {first} and {last}, is {index}"
+                        f"{device.path}: PID Block Load: Effect Block Index must be between {first} and {last}, "
+                        f"is {index}"
                     )
                 return index
             if status == "full":

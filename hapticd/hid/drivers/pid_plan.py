@@ -1,15 +1,15 @@
-"""How a device of the PID class shows a force, and the plan of what it is sent once it is set up, from the layout of
-its descriptor alone.
+"""Plan of a device of the PID class, made from the layout of its descriptor.
 
-A constant force is shown by
+A force is exerted by constant forces, in one of these ways:
 
-- two effects, one for each axis, whose magnitudes carry a sign: a component that did not change costs no report, unless
-  the directions are not quite along the axes (`pid_reports.parts`); or
-- one effect whose magnitude and direction are both sent, where magnitudes have no sign, or one effect is all there is.
+- Two effects, one for each axis, with signed magnitudes. A component that did not change costs no report, unless the
+  directions are not exactly along the axes (`pid_reports.force_components`).
+- One effect, for which magnitude and direction are sent. It is used if magnitudes have no sign, or if the device has
+  room for one effect only.
 
-Effects have a finite duration and are started again in time: a daemon that is stopped or killed leaves no force.
-A direction is where a force comes from, clockwise from away from the user ("north"), as the specification and Linux
-have it; `device.hid.force_axes` says where a device has it otherwise.
+Effects have a finite duration and are renewed in time, so that a daemon that is stopped or killed leaves no force. A
+direction is where a force comes from, clockwise from "north", which is away from the user, as in the specification and
+in Linux; `device.hid.force_axes` describes devices that deviate from this.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from hapticd.hid.drivers.pid_reports import (
     control_report,
     duration_of,
     envelope_report,
+    force_components,
     gain_report,
     has_one_axis,
     has_vector,
@@ -38,7 +39,6 @@ from hapticd.hid.drivers.pid_reports import (
     leak_share,
     level_scale,
     operation_report,
-    force_components,
     polar_effect_report,
     set_effect_report,
     shared_report_problem,
@@ -201,7 +201,7 @@ def _leak_of(layout: Layout) -> float:
 
 
 def _restore_messages(layout: Layout, hid: Hid, way: Way, indices: Sequence[int], renew_s: float) -> Iterator[Message]:
-    """Yield the messages that restore an effect which another program has changed, except those renewed often enough."""
+    """Yield the messages that restore an effect which another program changed, except those renewed often enough."""
     effects = effects_of(way, hid)
     for effect, index, part in zip(effects, indices, _force_components(layout, effects), strict=True):
         if way != "polar":
@@ -258,7 +258,7 @@ def _playing_bits(layout: Layout, indices: Sequence[int], proof: int) -> Playing
 
 
 def periodic_problem(layout: Layout, hid: Hid) -> str | None:
-    """Return why periodic effects are not used; None if they are configured and the descriptor has all that they need."""
+    """Return why periodic effects are not used; None if they are configured and the descriptor has what they need."""
     effect, create = layout.set_effect, layout.create_new_effect
     assert effect is not None and create is not None
     if hid.offload == "off":

@@ -109,7 +109,7 @@ def _push_vector(angle: Field, turns: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A constant force: its axis, the direction that its force comes from in turns, and the quantity of its magnitude."""
+    """A constant force: its axis, the direction its force comes from in turns, and the quantity of its magnitude."""
 
     axis: Literal["x", "y"]
     from_turns: float
@@ -201,7 +201,7 @@ def is_by_angle(to: SetEffect, effect: Effect | None) -> bool:
 def duration_of(layout: Layout, hid: Hid) -> tuple[int, float]:
     """Return the duration of an effect in counts, and in s as the device interprets these counts.
 
-    With the quirk infinite_duration it is the configured one. Raises DeviceError if the device has no suitable duration.
+    With the quirk infinite_duration it is the configured one. Raises DeviceError if no duration is suitable.
     """
     assert layout.set_effect is not None
     field = layout.set_effect.duration
