@@ -13,6 +13,7 @@ from hapticd.base import wording
 from hapticd.doctor.machine import Finding, Machine, Needs, fail, ok, parse_cpu_list, unknown, warn
 
 _CPU_FOLDER: Final = "/sys/devices/system/cpu"
+"""The processors in sysfs: frequency governors, idle states, and which are online or isolated."""
 
 _FAST_CLOCK_SOURCES: Final = (
     "tsc",

@@ -34,7 +34,7 @@ Questions, and where to begin:
     Can this device be driven?
         verdict (verdict_of); the reports that a descriptor must have: descriptor/layout (_PID_REPORTS).
     How is an effect uploaded?
-        drivers/pid (_create, _constant), encoded by drivers/pid_reports.
+        drivers/pid (_create, _create_constant_forces), encoded by drivers/pid_reports.
     What happens to an effect when the cable is pulled?
         The device loses it with its power. C ends reader and writer, and the servo reports the fault `device`.
         connection disconnects (_lose, _disconnect; offload offers no effects then), and creates the effects again when

@@ -32,7 +32,9 @@ READY_TIMEOUT_S: Final = 0.25
 READY_POLL_INTERVAL_S: Final = 0.02
 """Interval of the checks whether the actuators are on; reports about the set-up itself may take as long to arrive."""
 FIRST_REPORTS_TIMEOUT_S: Final = 0.15
-"""Time in which a device that is not moved must report twice to count as reporting steadily."""
+"""A device that sends the same input report twice within this time reports steadily.
+
+`start` waits as long for the first position."""
 PLAYING_REPORT_TIMEOUT_S: Final = 1.0
 """A device whose PID State has a field for it must report within this time that an effect plays."""
 STOP_TIMEOUT_S: Final = 2.0

@@ -23,7 +23,7 @@ def source_of(device: DeviceConfig) -> Source:
 def open_hid(hid: Hid) -> Opened:
     """Open the device that the configuration selects. Raises DeviceError, one line."""
     found = choose(hid, find())
-    driver, _ = found.verdict.sound()
+    driver, _ = found.verdict.driver_and_plan()
     on_change = True if "reports_on_change" in hid.quirks else False if "reports_steadily" in hid.quirks else None
     return Opened(
         HidrawDevice(found.path), driver, found.name, found.out_interval_s, on_change, identity=found.identity
@@ -50,7 +50,7 @@ class _ReplayDriver:
     """Driver of a recording, which needs no set-up."""
 
     def __init__(self, hid: Hid, descriptor: bytes) -> None:
-        _, self._plan = verdict_of(hid, descriptor).sound()
+        _, self._plan = verdict_of(hid, descriptor).driver_and_plan()
 
     def set_up(self, device: Device) -> Plan:
         """Return the plan."""

@@ -46,7 +46,7 @@ class Verdict:
         """Whether the device can be driven."""
         return self.why_not is None
 
-    def sound(self) -> tuple[Driver, Plan]:
+    def driver_and_plan(self) -> tuple[Driver, Plan]:
         """Return driver and plan. Raises UndrivableError if the device cannot be driven."""
         if self.driver is None or self.plan is None:
             why_not = str(self.why_not)

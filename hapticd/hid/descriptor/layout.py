@@ -488,7 +488,7 @@ class Layout:
 
 def layout_of(descriptor: Descriptor) -> Layout:
     """Find the reports and axes of a descriptor. What is absent is listed in `missing`; it raises no error."""
-    return _Finder(descriptor).layout()
+    return _LayoutFinder(descriptor).layout()
 
 
 # ---- The search ------------------------------------------------------------------------------------------------------
@@ -506,14 +506,14 @@ def _rows(report: Callable[..., Report]) -> tuple[dict[str, Row], dict[str, Row]
     return needed, others
 
 
-def _find_report(group: Group, stands: _ReportRule) -> tuple[Report | None, list[str]]:
+def _find_report(group: Group, rule: _ReportRule) -> tuple[Report | None, list[str]]:
     """Return the report; if a required field is missing, None and the names of the missing fields."""
-    needed, others = _rows(stands.report)
+    needed, others = _rows(rule.report)
     found: dict[str, Any] = {}
     # Numbers before choices, because problems are listed in this order.
     for name, row in sorted(needed.items(), key=lambda named: isinstance(named[1], OneOf)):
         found[name] = row.find(group)
-        if not stands.is_needed and row.lacking(found[name]):
+        if not rule.is_needed and row.lacking(found[name]):
             return None, []
     lacking = [part for name, row in needed.items() for part in row.lacking(found[name])]
     if lacking:
@@ -522,10 +522,12 @@ def _find_report(group: Group, stands: _ReportRule) -> tuple[Report | None, list
         found[name] = row.find(group)
         if row.lacking(found[name]):
             found[name] = None
-    return stands.report(report_id=group.report_id, report_bytes=group.report_bytes, **found), []
+    return rule.report(report_id=group.report_id, report_bytes=group.report_bytes, **found), []
 
 
-class _Finder:
+class _LayoutFinder:
+    """Searches one descriptor, and collects what is missing and which fields cannot be used."""
+
     def __init__(self, descriptor: Descriptor) -> None:
         self._descriptor = descriptor
         self._missing: list[str] = []
@@ -553,27 +555,27 @@ class _Finder:
         missing, problems = tuple(self._missing), tuple(dict.fromkeys(self._problems))
         return Layout(missing=missing, problems=problems, input=axes, effect_indices=indices, **found)
 
-    def _report(self, stands: _ReportRule) -> Report | None:
+    def _report(self, rule: _ReportRule) -> Report | None:
         """Return the first complete report; without one, note what is missing if the report is required."""
         lacking: list[str] = []
-        for group in self._groups(stands):
-            found, absent = _find_report(group, stands)
+        for group in self._groups(rule):
+            found, absent = _find_report(group, rule)
             self._problems += group.problems
             if found is not None:
-                if stands.is_needed and self._root is None:
+                if rule.is_needed and self._root is None:
                     self._root = group.root
                 return found
-            lacking = lacking or [f"{stands.name}: {part}" for part in absent]
-        if stands.is_needed:
-            self._missing += lacking or [stands.name]
+            lacking = lacking or [f"{rule.name}: {part}" for part in absent]
+        if rule.is_needed:
+            self._missing += lacking or [rule.name]
         return None
 
-    def _groups(self, stands: _ReportRule) -> list[Group]:
+    def _groups(self, rule: _ReportRule) -> list[Group]:
         """Return the groups that may hold a report, preferably of the outermost collection of Set Constant Force."""
         groups: dict[tuple[int, int], Group] = {}
-        for usage in stands.usages:
+        for usage in rule.usages:
             for around, field in self._within.get(PID_PAGE | usage, ()):
-                if field.kind == stands.kind:
+                if field.kind == rule.kind:
                     self._put(groups, (around.number, field.report_id), field)
         return sorted(groups.values(), key=lambda group: group.root != self._root)
 

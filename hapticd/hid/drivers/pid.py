@@ -79,7 +79,7 @@ class PidDriver:
     def set_up(self, device: Device) -> Plan:
         """Reset and enable the device, create its effects, start them with a force of zero, and return the plan."""
         self._prepare(device)
-        ways, most = self._ways, self._room(device)
+        ways, most = self._ways, self._effects_in_pool(device)
         needed = len(effects_of(ways[0], self._hid))
         if most is not None and most < needed:
             other = "one effect with direction is used" if len(ways) > 1 else "PID Block Load decides"
@@ -107,7 +107,7 @@ class PidDriver:
                 _send(device, control_report(layout, name))
         _send(device, gain_report(layout, self._hid))
 
-    def _room(self, device: Device) -> int | None:
+    def _effects_in_pool(self, device: Device) -> int | None:
         """Return the number of effects in PID Pool, if more than one effect is wanted; None if it is not known.
 
         Must be called before the first effect is created.
@@ -132,20 +132,20 @@ class PidDriver:
         return most if most > 0 else None
 
     def _set_up(self, device: Device, way: Way, most: int | None) -> Plan:
-        plan = self._constant(device, way)
+        plan = self._create_constant_forces(device, way)
         problem = periodic_problem(self._layout, self._hid)
         if problem is not None:
             return replace(plan, no_periodic=problem)
         try:
-            return self._with_periodic(device, plan, most)
+            return self._add_periodic_effects(device, plan, most)
         except DeviceError as error:
             # Periodic effects are optional, constant forces are required and may have been lost: create them again.
             _free_effects(self._layout, device, self._indices)
             _log.warning("%s; no effects are played by the device", error)
             self._prepare(device)
-            return replace(self._constant(device, way), no_periodic=str(error))
+            return replace(self._create_constant_forces(device, way), no_periodic=str(error))
 
-    def _constant(self, device: Device, way: Way) -> Plan:
+    def _create_constant_forces(self, device: Device, way: Way) -> Plan:
         """Create and start the constant forces, and return their plan."""
         layout, indices = self._layout, list[int]()
         try:
@@ -163,7 +163,7 @@ class PidDriver:
         self._indices = list(indices)
         return plan_of(layout, self._hid, way, indices)
 
-    def _with_periodic(self, device: Device, plan: Plan, room: int | None) -> Plan:
+    def _add_periodic_effects(self, device: Device, plan: Plan, room: int | None) -> Plan:
         """Create as many periodic effects as there is room for, and return the plan with them."""
         layout, problem = self._layout, "the device has no room for another effect"
         constant, made = len(self._indices), list[int]()
