@@ -20,8 +20,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.cli import main
 from hapticd.config.hid import Hid
 from hapticd.doctor import ALL_CHECKS, devices, diagnose, realtime, service
-from hapticd.doctor.machine import Finding, Machine, Needs, socket_holder
-from hapticd.doctor.machine import parse_cpu_list
+from hapticd.doctor.machine import Finding, Machine, Needs, parse_cpu_list, socket_holder
 from hapticd.hid.discovery import find
 from hapticd.protocol.calls import DaemonNotRunning
 from tests.support.hid_descriptors import Joystick
