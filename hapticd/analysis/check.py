@@ -208,7 +208,7 @@ def _device(config: Config) -> _Device:
     if device.kind == "replay":
         assert device.replay is not None
         try:
-            verdict_of(device.hid, load(device.replay.path).descriptor).sound()
+            verdict_of(device.hid, load(device.replay.path).descriptor).driver_and_plan()
         except HapticdError as error:
             return _Device(f"a recording: {error}", _UNPLUGGED, undrivable=(Problem("device.replay", str(error)),))
         return _Device("a recording, which nothing pushes", "a recording has no loop")
@@ -226,7 +226,7 @@ def _device(config: Config) -> _Device:
         return away._replace(words=f"not there: {error}{handle}", notes=notes)
     told = f"{found.name} at {found.path}{handle}"
     try:
-        _, plan = found.verdict.sound()
+        _, plan = found.verdict.driver_and_plan()
     except HapticdError as error:
         problem = Problem("device.hid", f"{found}: {error}")
         return away._replace(words=f"{told}: {error}", unknown=_UNPLUGGED, undrivable=(problem,))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 
 from hapticd.cli import names
-from hapticd.system.journal import LEVELS
+from hapticd.system.journal import LOG_LEVELS
 
 if TYPE_CHECKING:
     from hapticd.client.blocking import Client
@@ -74,7 +74,7 @@ log_options = options(
     click.option("-v", "--verbose", "log_level", flag_value="debug", help="Log each request and each event, too."),
     click.option(
         "--log-level",
-        type=click.Choice(LEVELS),
+        type=click.Choice(LOG_LEVELS),
         default="info",
         show_default=True,
         help="The least important line of the log; of several of these options the last one holds.",

@@ -25,7 +25,7 @@ from hapticd.cli.common import (
     print_json,
     print_result,
 )
-from hapticd.hid.device_texts import unseen_text
+from hapticd.hid.device_texts import unseen_reset_text
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
@@ -63,7 +63,7 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
         click.echo(f"    {_verdict(item)}")
         mine = item.hid_name in claimed
         if item.resets_seen is False:
-            condition, action = unseen_text(item.path)
+            condition, action = unseen_reset_text(item.path)
             click.echo(f"    {condition}" if mine else f"    {condition}\n    {action}")
         if mine:
             click.echo(f"    claimed: `hapticd devices release {item.path}` lets other programs at it again")
@@ -88,17 +88,17 @@ def _hid_of(configs: tuple[str, ...]) -> Hid:
 
 
 def _verdict(item: Found) -> str:
-    from hapticd.hid.device import RULE
+    from hapticd.hid.device import PERMISSION_HINT
 
     why_not = item.verdict.why_not
     if why_not is not None:
-        return f"cannot be driven{' without a description' if item.is_other else ''}: {why_not}"
+        return f"cannot be driven{' without a description' if item.lacks_forces else ''}: {why_not}"
     said = "can be driven"
     if item.out_interval_s:
         said += f", a report every {wording.si(item.out_interval_s, 's')}"
     if item.verdict.plan is not None and item.verdict.plan.leak_text:
         said += f"; {item.verdict.plan.leak_text}"
-    return said + (f"; but no permission: {RULE}" if item.permission == "denied" else "")
+    return said + (f"; but no permission: {PERMISSION_HINT}" if item.permission == "denied" else "")
 
 
 def _one(device: str | None, found: Sequence[Found], what: str) -> Found:
@@ -196,7 +196,7 @@ def calibrate_command(
     """
     from hapticd.config.configuration import config_of
     from hapticd.config.hid import ForceAxes
-    from hapticd.hid.sign_calibration import MOST_OF_FULL, calibrate
+    from hapticd.hid.sign_calibration import MAX_FORCE_SHARE, calibrate
     from hapticd.hid.sources import open_hid
 
     if output is not None and any(os.path.realpath(output) == os.path.realpath(path) for path in configs):
@@ -205,7 +205,7 @@ def calibrate_command(
         check_new(output, overwrite)
     config = config_of(configs)
     hid = config.device.hid
-    most_n = MOST_OF_FULL * hid.full_scale_force_n
+    most_n = MAX_FORCE_SHARE * hid.full_scale_force_n
     force_n = 0.5 * most_n if force_n is None else force_n
     if force_n > most_n:
         raise click.UsageError(f"--force {force_n:g}: at most {most_n:g}, a tenth of device.hid.full_scale_force_n")

@@ -78,13 +78,13 @@ def _status() -> Mapping[str, object] | None:
     """The status of our own daemon, or else of the service's; None: there is none. Raises HapticdError for one that
     does not answer."""
     from hapticd.client.blocking import connect
-    from hapticd.doctor.machine import holder
+    from hapticd.doctor.machine import socket_holder
     from hapticd.protocol.calls import DaemonNotRunning
     from hapticd.system.paths import SYSTEM_DIRECTORY, daemon_paths, runtime_paths
 
     named = runtime_dir()
     for place in (named,) if named is not None else (daemon_paths().directory, SYSTEM_DIRECTORY):
-        pid, is_stopped = holder(runtime_paths(place).command) or (None, False)
+        pid, is_stopped = socket_holder(runtime_paths(place).command) or (None, False)
         if is_stopped:
             raise HapticdError(f"process {pid} holds {place} and does not answer: it is stopped")
         try:

@@ -2,7 +2,7 @@
 
 The telemetry thread leaves here what it sends: samples go round in one array that never grows (1.1 MB a second at
 10 kHz); flight_scene.py keeps what they were rendered with, so that a file can be rendered again. A separate thread
-writes files; what it writes is a copy of that array, so that nobody waits for the disk. A fault's file is begun AFTER_S
+writes files; what it writes is a copy of that array, so that nobody waits for the disk. A fault's file is begun FAULT_AFTERMATH_S
 after the fault, so that it shows what became of it.
 """
 
@@ -29,20 +29,20 @@ from hapticd.base.errors import HapticdError
 from hapticd.daemon.flight_scene import FlightScene, Stretch
 from hapticd.protocol.changes import Change
 from hapticd.recording.missed_periods import MAX_LISTED_GAPS, gaps_of, missed_periods, rates_of
-from hapticd.system.repeated_lines import SHORTEST_S, Repeats
+from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
-AFTER_S: Final = 1.0
+FAULT_AFTERMATH_S: Final = 1.0
 """So much after a fault is in its file."""
-MOST_EVENTS: Final = 5000
+MAX_KEPT_EVENTS: Final = 5000
 """Events that are kept; of a flood, the newest."""
-CHUNK: Final = 3200
+CHUNK_SAMPLES: Final = 3200
 """Samples that are written at once: 360 kB."""
-_PLAIN: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
+_OPAQUE_SAMPLE_DTYPE: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
 """A sample without its members, which numpy would copy one by one."""
-CLOCK_EVERY_NS: Final = 1_000_000_000
+CLOCK_READ_INTERVAL_NS: Final = 1_000_000_000
 """So often the clocks are read, for a file's beginning."""
 
-_NAME: Final = re.compile(r"flight-(\d{6,})-[a-z]+\.npz")
+_FILE_NAME_PATTERN: Final = re.compile(r"flight-(\d{6,})-[a-z]+\.npz")
 _log = logging.getLogger("hapticd")
 
 
@@ -87,10 +87,10 @@ class Flight:
         self._moments: deque[Moment] = deque([read_clock()])
         self._directory, self._seconds, self._keep = directory, seconds, keep
         self._now_ns, self._texts = now_ns, texts
-        self._samples = np.zeros(round((seconds + AFTER_S) * rate_hz), _PLAIN)
+        self._samples = np.zeros(round((seconds + FAULT_AFTERMATH_S) * rate_hz), _OPAQUE_SAMPLE_DTYPE)
         self._count = 0
         """Of samples that came; the next one's place, round the array."""
-        self._events: deque[dict[str, object]] = deque(maxlen=MOST_EVENTS)
+        self._events: deque[dict[str, object]] = deque(maxlen=MAX_KEPT_EVENTS)
         self._lock = threading.Lock()
         self._asked: list[_Asked] = []
         self._dumping = False
@@ -112,7 +112,7 @@ class Flight:
     def keep_samples(self, samples: npt.NDArray[np.void]) -> None:
         """Takes a batch, shape (n,), of SAMPLE_DTYPE; a copy of it is kept."""
         most = len(self._samples)
-        batch = samples[-most:].view(_PLAIN)
+        batch = samples[-most:].view(_OPAQUE_SAMPLE_DTYPE)
         place = self._count % most
         until_end = most - place
         self._samples[place : place + len(batch)] = batch[:until_end]
@@ -142,19 +142,19 @@ class Flight:
                 self._skipped += 1
                 self.version += 1
                 return
-            self._quiet_until_ns = now_ns + round((self._seconds + AFTER_S) * 1e9)
-            self._ask("fault", tick, now_ns + round(AFTER_S * 1e9))
+            self._quiet_until_ns = now_ns + round((self._seconds + FAULT_AFTERMATH_S) * 1e9)
+            self._ask("fault", tick, now_ns + round(FAULT_AFTERMATH_S * 1e9))
 
     def turn(self, kept_ns: int) -> None:
         """Hands over to the writer what is due at `kept_ns`: the time until which everything is kept, or on its way."""
-        if kept_ns - self._moments[-1].monotonic_ns >= CLOCK_EVERY_NS:
+        if kept_ns - self._moments[-1].monotonic_ns >= CLOCK_READ_INTERVAL_NS:
             self._moments.append(self._read_clock())
         if not self._asked:
             return
         with self._lock:
             held = self._dumping
             # A change may come a moment later than the samples that were rendered with it.
-            ready_ns = kept_ns if self._knows_newest() else kept_ns - round(AFTER_S * 1e9)
+            ready_ns = kept_ns if self._knows_newest() else kept_ns - round(FAULT_AFTERMATH_S * 1e9)
             due = [
                 asked for asked in self._asked if ready_ns >= asked.due_ns and not (held and asked.reason == "asked")
             ]
@@ -221,7 +221,7 @@ class Flight:
         """Writes what was handed over until `stop` is set and `wake` called, and what was handed over before."""
         while True:
             try:
-                job = self._jobs.get(timeout=SHORTEST_S)
+                job = self._jobs.get(timeout=MIN_REPEAT_INTERVAL_S)
             except queue.Empty:
                 self._repeats.flush()
                 continue
@@ -249,7 +249,9 @@ class Flight:
                 self._last = job.asked.path
         # Clients may ask for dozens a second.
         file, level = job.asked.path, logging.INFO if problem is None else logging.ERROR
-        self._repeats.line(f"{job.asked.reason} {level}", level, f"flight recorder: {problem or file}", SHORTEST_S)
+        self._repeats.line(
+            f"{job.asked.reason} {level}", level, f"flight recorder: {problem or file}", MIN_REPEAT_INTERVAL_S
+        )
 
     def wake(self) -> None:
         """Ends `run`."""
@@ -268,8 +270,8 @@ class Flight:
             for change in changes:
                 writer.write_change(change)
             # Not in small pieces: each write is a chance to wait for the interpreter, and has others wait for it.
-            for first in range(0, len(job.samples), CHUNK):
-                writer.write(job.samples[first : first + CHUNK])
+            for first in range(0, len(job.samples), CHUNK_SAMPLES):
+                writer.write(job.samples[first : first + CHUNK_SAMPLES])
             for event in job.events:
                 writer.write_event(event)
             recording = _account(job, changes)
@@ -284,7 +286,7 @@ class Flight:
     def _files(self) -> list[tuple[Path, re.Match[str]]]:
         if not self._directory.is_dir():
             return []
-        found = ((path, _NAME.fullmatch(path.name)) for path in self._directory.iterdir())
+        found = ((path, _FILE_NAME_PATTERN.fullmatch(path.name)) for path in self._directory.iterdir())
         return [(path, match) for path, match in found if match is not None and path.is_file()]
 
 

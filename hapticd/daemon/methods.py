@@ -61,7 +61,7 @@ from hapticd.daemon.reload import needing_restart, read_again
 from hapticd.daemon.status import Status
 from hapticd.daemon.status_text import FAULTS
 from hapticd.daemon.streams import NotInTurnError, Streams
-from hapticd.hid.signs import CORRECT
+from hapticd.hid.signs import SIGNS_REMEDY
 from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
@@ -69,7 +69,7 @@ from hapticd.protocol.messages import Code, decode_trusted
 from hapticd.protocol.validation import faults_beside, patched_materials, patched_objects, whole_materials
 from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
-from hapticd.system.repeated_lines import SHORTEST_S, Repeats
+from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 _log = logging.getLogger("hapticd")
 _MOST_PARAMS: Final = 16
@@ -380,7 +380,7 @@ class Methods:
     def _tell(self, level: int, line: str) -> None:
         """What came of a reload: one line a second at most, though a client may ask for hundreds."""
         self.repeats.note(
-            f"reload {level}", lambda since: _log.log(level, "%s%s", line, since.more), longest_s=SHORTEST_S
+            f"reload {level}", lambda since: _log.log(level, "%s%s", line, since.more), longest_s=MIN_REPEAT_INTERVAL_S
         )
 
     def _dump_flight(self, _: NoParams) -> dict[str, object]:
@@ -543,7 +543,7 @@ class Methods:
         words = FAULTS | ({"signs": signs.seen} if signs.seen else {})
         reasons = " and ".join(words[name] for name in fault_names(faults))
         if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
-            return f"forces are off because {reasons}: {CORRECT}"
+            return f"forces are off because {reasons}: {SIGNS_REMEDY}"
         return f"forces are off because {reasons}: `hapticd force on` or set_forces turns them on again"
 
 

@@ -20,7 +20,7 @@ from typing import Final
 
 from hapticd.base import wording
 from hapticd.protocol import zmtp
-from hapticd.system.open_files import MOST_CONNECTIONS
+from hapticd.system.open_files import MAX_SOCKET_CONNECTIONS
 from hapticd.system.repeated_lines import Repeats
 
 HANDSHAKE_S: Final = 5.0
@@ -47,8 +47,8 @@ class Limits:
     """What a socket bears with."""
 
     message: zmtp.Bounds
-    connections: int = MOST_CONNECTIONS
-    process_connections: int = MOST_CONNECTIONS // 4
+    connections: int = MAX_SOCKET_CONNECTIONS
+    process_connections: int = MAX_SOCKET_CONNECTIONS // 4
     buffers: int = 96 * 1024 * 1024
     """Bytes of all peers together that came and are not a whole message, or were answered and are not read."""
 

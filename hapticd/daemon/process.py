@@ -69,7 +69,7 @@ def run(
     SIGHUP reloads the configuration, but ends a daemon that was started on a terminal, which has closed then.
 
     `config_paths` are merged in order; without one, the configuration is looked for (config_files). A reload reads the
-    same files again; where none was found, it looks again. `log_level`: one of journal.LEVELS. Raises HapticdError (one
+    same files again; where none was found, it looks again. `log_level`: one of LOG_LEVELS. Raises HapticdError (one
     line) where the daemon cannot start: bad configuration, another daemon on the directory, real time required and
     refused.
     """
@@ -77,7 +77,7 @@ def run(
         memory.settle()
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH_S)
-        connections = open_files.settle()
+        connections = open_files.raise_descriptor_limit()
         stack.enter_context(journal.attached(log_level))
         stack.push(_log_end)
         chosen = choose(config_paths)

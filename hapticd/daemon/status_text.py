@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from hapticd.base import wording
-from hapticd.hid.device_texts import offload_text, unseen_text
+from hapticd.hid.device_texts import offload_text, unseen_reset_text
 from hapticd.rendering.undisplayable_text import undisplayable_text
 
 if TYPE_CHECKING:
@@ -202,6 +202,6 @@ def _connection(connection: object) -> Iterator[Line]:
     if connection["resets"]:
         yield "resets", wording.number(connection["resets"])
     if connection.get("resets_seen") is False:
-        condition, action = unseen_text(connection["path"], connection["foreign_effect_s"])
+        condition, action = unseen_reset_text(connection["path"], connection["foreign_effect_s"])
         yield "unseen", condition
         yield "", action

@@ -1,12 +1,12 @@
-"""`hapticd doctor`: what of this machine is ready for the daemon, and what to do about the rest.
+"""`hapticd doctor`: checks whether this machine is ready for the daemon, and says what to do if it is not.
 
-Nothing is changed: files are read, systemd and the daemon are asked, each with a time limit. What cannot be read is
-reported as not known, never as well.
+The checks change nothing. They read files and query systemd and the daemon, each with a time limit. A check that cannot
+read what it needs reports "not known", never "ok".
 
-    machine   the machine as the checks see it, and what a check finds
+    machine   access to the machine for the checks (Machine), and the result of a check (Finding)
     realtime  the kernel, the rights to SCHED_FIFO and locked memory, the processors
-    devices   joysticks: whether they may be driven, and who else has them
-    service   the configuration, the unit and the daemon, if they are there
+    devices   joysticks: whether they may be driven, and which other programs use them
+    service   the configuration, the systemd unit and the running daemon
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Final
 from hapticd.doctor import devices, realtime, service
 from hapticd.doctor.machine import Finding, Machine, Needs
 
-CHECKS: Final[tuple[Callable[[Machine, Needs], Iterator[Finding]], ...]] = (
+ALL_CHECKS: Final[tuple[Callable[[Machine, Needs], Iterator[Finding]], ...]] = (  # in the order of the output
     realtime.preemption,
     realtime.throttling,
     realtime.group_budget,
@@ -36,6 +36,6 @@ CHECKS: Final[tuple[Callable[[Machine, Needs], Iterator[Finding]], ...]] = (
 
 
 def diagnose(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Every check, in order."""
-    for check in CHECKS:
+    """Run every check, in the order of `ALL_CHECKS`."""
+    for check in ALL_CHECKS:
         yield from check(machine, needs)

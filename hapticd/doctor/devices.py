@@ -1,4 +1,4 @@
-"""Joysticks: whether they may be driven, and who else has them."""
+"""Checks of joysticks: whether they may be driven, and which other programs use them."""
 
 from __future__ import annotations
 
@@ -9,61 +9,64 @@ from pathlib import Path
 from typing import Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs, Verdict, fail, ok, warn
-from hapticd.hid.device_texts import unseen_text
-from hapticd.hid.discovery import Found, event_nodes, is_for_others, is_meant
+from hapticd.hid.device_texts import unseen_reset_text
+from hapticd.hid.discovery import Found, event_nodes, is_open_to_others, is_selected
 
-_RULE: Final = "70-hapticd.rules"
-_RULE_FOLDERS: Final = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
-_INSTALLED: Final = "`hapticd install-service` installs the udev rule; then plug it in again"
-_SHOWN: Final = 4
+_UDEV_RULE_FILE: Final = "70-hapticd.rules"
+_UDEV_RULE_FOLDERS: Final = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
+_MAX_LISTED_NAMES: Final = 4
+"""Programs or event nodes that one line of output lists at most."""
 
 
-def _evaluated(machine: Machine, needs: Needs) -> list[Found]:
-    """The HID devices, each evaluated by the configuration if that may mean it."""
+def _evaluated_devices(machine: Machine, needs: Needs) -> list[Found]:
+    """Return the HID devices; with a configured joystick, each is evaluated by that configuration."""
     devices = machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
     return devices if needs.device is None else [device.evaluated_by(needs.device) for device in devices]
 
 
-def _drivable(machine: Machine, needs: Needs) -> list[Found]:
-    return [device for device in _evaluated(machine, needs) if device.usable]
+def _drivable_devices(machine: Machine, needs: Needs) -> list[Found]:
+    return [device for device in _evaluated_devices(machine, needs) if device.usable]
 
 
 def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Whether the joysticks that can be driven may be; and those that are made for forces, or that the configuration
-    names, and cannot be driven."""
-    devices = _evaluated(machine, needs)
+    """Check the permission of each joystick that can be driven.
+
+    A joystick with force feedback that cannot be driven is a warning; if the configuration names it, a failure.
+    """
+    devices = _evaluated_devices(machine, needs)
     if not any(device.usable for device in devices):
         other = f"; there are {len(devices)} other HID devices" if devices else ""
         described = needs.device is not None and needs.device.report is not None
         kind = "that the configuration describes" if described else "of the PID class"
-        todo = "plug it in; `hapticd devices` says what is there" if needs.device is not None else ""
+        todo = "plug it in; `hapticd devices` lists the HID devices" if needs.device is not None else ""
         what = f"no force-feedback joystick {kind} is connected{other}"
         yield Finding("joystick", "warn" if needs.device is not None else "ok", what, todo)
     for device in devices:
         why_not = device.verdict.why_not
-        name = f"{device.name or 'no name'} at {_node(device)}"
-        meant = needs.device is not None and needs.device.names_one and is_meant(needs.device, device)
+        name = f"{device.name or 'no name'} at {_node_path(device)}"
+        meant = needs.device is not None and needs.device.names_one and is_selected(needs.device, device)
         if why_not is not None:
-            if meant or not device.is_other:
+            if meant or not device.lacks_forces:
                 yield Finding("joystick", "fail" if meant else "warn", f"{name} cannot be driven: {why_not}")
         elif device.permission == "ok":
             yield ok("joystick", f"{name} may be driven from here")
         elif device.permission == "absent":
-            yield fail("joystick", f"{name} has no node", "is udev running, or /dev complete?")
-        elif _service_may(machine, device):
+            yield fail("joystick", f"{name}: the node does not exist", "check that udev is running")
+        elif _service_may_open(machine, device):
             yield ok("joystick", f"{name} may be driven by the service, not from here")
         else:
             verdict: Verdict = "fail" if needs.device is not None else "warn"
-            yield Finding("joystick", verdict, f"{name} may not be driven from here", _INSTALLED)
+            todo = "`hapticd install-service` installs the udev rule; then plug it in again"
+            yield Finding("joystick", verdict, f"{name} may not be driven from here", todo)
 
 
-def _node(device: Found) -> str:
-    """As this machine has it, whatever the root that is looked at."""
+def _node_path(device: Found) -> str:
+    """Return the device's node below /dev, without the root of the machine that is checked."""
     return f"/dev/{Path(device.path).name}"
 
 
-def _service_may(machine: Machine, device: Found) -> bool:
-    """The service is in the group `input`, if it is installed."""
+def _service_may_open(machine: Machine, device: Found) -> bool:
+    """Return whether the service is installed and may open the device as a member of the group `input`."""
     try:
         status = os.stat(device.path)
     except OSError:
@@ -73,44 +76,44 @@ def _service_may(machine: Machine, device: Found) -> bool:
 
 
 def rule(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Whether the udev rule is installed."""
-    paths = [f"/{folder}/udev/rules.d/{_RULE}" for folder in _RULE_FOLDERS]
+    """Check whether the udev rule is installed."""
+    paths = [f"/{folder}/udev/rules.d/{_UDEV_RULE_FILE}" for folder in _UDEV_RULE_FOLDERS]
     found = next((path for path in paths if machine.path(path).exists()), None)
     if found is not None:
         yield ok("udev rule", found)
-    elif needs.device is not None or _drivable(machine, needs):
-        what = f"{_RULE} is not installed: joysticks are root's alone, and other programs may reset them"
+    elif needs.device is not None or _drivable_devices(machine, needs):
+        what = f"{_UDEV_RULE_FILE} is not installed: only root may open joysticks, and other programs may reset them"
         yield warn("udev rule", what, "`hapticd install-service` installs it")
     else:
-        yield ok("udev rule", f"{_RULE} is not installed, and no joystick asks for it")
+        yield ok("udev rule", f"{_UDEV_RULE_FILE} is not installed, and no joystick needs it")
 
 
 def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Who else has the nodes of the joysticks open, or could upload effects of their own."""
-    usable = _drivable(machine, needs)
-    users, hidden = _users(machine) if usable else ({}, 0)
-    blind = f" ({hidden} processes could not be looked at: ask as root)" if hidden else ""
+    """Check which other programs have a joystick's nodes open or could upload effects to it."""
+    usable = _drivable_devices(machine, needs)
+    users, hidden = _node_users(machine) if usable else ({}, 0)
+    blind = f" ({hidden} processes could not be checked: run this as root)" if hidden else ""
     for device in usable:
-        node, sysfs = _node(device), f"/sys/class/hidraw/{Path(device.path).name}/device"
+        node, sysfs = _node_path(device), f"/sys/class/hidraw/{Path(device.path).name}/device"
         events = [f"/dev/input/{name}" for name in event_nodes(machine.path(sysfs))]
-        loose = [path for path in events if is_for_others(machine.path(path))]
+        loose = [path for path in events if is_open_to_others(machine.path(path))]
         holders = sorted({name for path in (node, *events) for name in users.get(path, ())})
         if holders:
-            what = f"{node} or its event nodes are open in {', '.join(holders[:_SHOWN])}{blind}"
-            yield warn("competitors", what, "end it: what it uploads resets the joystick")
-        if loose and _kernel_effects(machine, f"{sysfs}/input"):
+            what = f"{node} or its event nodes are open in {', '.join(holders[:_MAX_LISTED_NAMES])}{blind}"
+            yield warn("competitors", what, "end them: an effect that they upload resets the joystick")
+        if loose and _kernel_offers_effects(machine, f"{sysfs}/input"):
             offered = f"the kernel's own driver offers effects of {node} to other programs"
-            todo = f"`hapticd devices claim {node}` hides these nodes, and so does its line in {_RULE}"
-            yield warn("competitors", f"{offered}, at {', '.join(loose[:_SHOWN])}", todo)
+            todo = f"`hapticd devices claim {node}` hides these nodes, and so does a line in {_UDEV_RULE_FILE}"
+            yield warn("competitors", f"{offered}, at {', '.join(loose[:_MAX_LISTED_NAMES])}", todo)
         elif not holders:
-            yield Finding("competitors", "warn" if hidden else "ok", f"nobody else uses {node}{blind}")
+            yield Finding("competitors", "warn" if hidden else "ok", f"no other program uses {node}{blind}")
         if device.resets_seen is False:
-            condition, action = unseen_text(node)
+            condition, action = unseen_reset_text(node)
             yield warn("resets", condition, action) if loose else ok("resets", condition)
 
 
-def _users(machine: Machine) -> tuple[dict[str, set[str]], int]:
-    """Names of processes by the nodes that they have open, but for daemons of ours; how many could not be checked."""
+def _node_users(machine: Machine) -> tuple[dict[str, set[str]], int]:
+    """Return the processes by the files that they have open, except hapticd's, and the number that cannot be read."""
     users: dict[str, set[str]] = {}
     hidden = 0
     for pid in machine.names("/proc", r"\d+"):
@@ -121,17 +124,17 @@ def _users(machine: Machine) -> tuple[dict[str, set[str]], int]:
             hidden += 1
             continue
         except OSError:
-            continue  # it has ended
+            continue  # the process has ended
         if "hapticd" in (machine.text(f"/proc/{pid}/cmdline") or ""):
             continue
         name = f"{machine.text(f'/proc/{pid}/comm') or '?'} ({pid})"
         for fd in fds:
-            with suppress(OSError):  # it has been closed meanwhile
+            with suppress(OSError):  # the process has closed the file
                 users.setdefault(os.readlink(folder / fd), set()).add(name)
     return users, hidden
 
 
-def _kernel_effects(machine: Machine, inputs: str) -> bool:
-    """Whether the kernel's own driver offers effects (EV_FF) of the device's inputs."""
+def _kernel_offers_effects(machine: Machine, inputs: str) -> bool:
+    """Return whether the kernel's own driver offers effects (EV_FF) of the device to other programs."""
     masks = [machine.text(f"{inputs}/{entry}/capabilities/ff") for entry in machine.names(inputs, r"input\d+")]
     return any(mask and mask.replace(" ", "").strip("0") for mask in masks)

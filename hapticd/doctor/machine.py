@@ -1,4 +1,4 @@
-"""The machine as the checks see it: files below a root, and a few questions that a test answers itself."""
+"""Access to the machine for the checks: files below a root, limits, commands. Tests replace each of them."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ from hapticd.hid.discovery import Found, find
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
 
-_MOST_BYTES: Final = 1 << 18
-"""Of a file that is read; a kernel's configuration is the largest."""
-_COMMAND_S: Final = 5.0
+_MAX_FILE_BYTES: Final = 1 << 18
+"""At most this much of a file is read; the kernel's configuration, the largest of them, is smaller."""
+_COMMAND_TIMEOUT_S: Final = 5.0
+"""A command that runs for longer, such as systemctl, is killed and counts as unanswered."""
 
 Verdict = Literal["ok", "warn", "fail"]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line: what was checked, how it is, and what to do about it."""
+    """One line of output: the name of the check, its verdict, what was found, and what to do about it."""
 
     name: str
     verdict: Verdict
@@ -41,53 +42,56 @@ class Finding:
 
 
 def ok(name: str, what: str) -> Finding:
+    """Return a finding that needs no action."""
     return Finding(name, "ok", what)
 
 
 def warn(name: str, what: str, todo: str) -> Finding:
+    """Return a warning, with the action that would remove it."""
     return Finding(name, "warn", what, todo)
 
 
 def fail(name: str, what: str, todo: str) -> Finding:
+    """Return a failure, with the action that would remove it."""
     return Finding(name, "fail", what, todo)
 
 
 def unknown(name: str, where: str) -> Finding:
-    """What cannot be found out."""
+    """Return a warning that a check could not find out what it needs; `where` says which source is missing."""
     return Finding(name, "warn", f"not known: {where}")
 
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What a configuration asks of the machine."""
+    """What a configuration requires of the machine."""
 
     realtime: Literal["required", "preferred", "off"] = "preferred"
     priority: int = 80
     cpu: int | None = None
     device: Hid | None = None
-    """The joystick that is to be driven, and how; None: none is."""
+    """The configuration of the HID joystick; None if the configuration drives no HID joystick."""
 
-    def without(self) -> Verdict:
-        """How bad it is when real time cannot be had."""
+    def verdict_without_realtime(self) -> Verdict:
+        """Return the verdict of a check that finds that real-time scheduling is unavailable."""
         return {"required": "fail", "preferred": "warn", "off": "ok"}[self.realtime]  # type: ignore[return-value]
 
 
-def run(words: Sequence[str]) -> str | None:
-    """What a command says; None where it is not there, fails, or takes too long."""
+def command_output(words: Sequence[str]) -> str | None:
+    """Return the standard output of a command; None if it does not exist, fails or exceeds its time limit."""
     try:
         done = subprocess.run(
-            words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_COMMAND_S, check=False
+            words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_COMMAND_TIMEOUT_S, check=False
         )
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout if done.returncode == 0 else None
 
 
-def holder(path: Path) -> tuple[int, bool] | None:
-    """The process that listens on a Unix socket, and whether it is stopped, by SIGSTOP or by a debugger; None where
-    nobody does, or it cannot be found out. Waits for nothing.
+def socket_holder(path: Path) -> tuple[int, bool] | None:
+    """Return the process that listens on a Unix socket, and whether it is stopped by SIGSTOP or by a debugger.
 
-    Raises HapticdError where no more connections may wait there.
+    Returns None if no process listens there or if it cannot be found out. Never blocks. Raises HapticdError if the
+    listener's queue of connections is full.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as own:
         try:
@@ -95,7 +99,7 @@ def holder(path: Path) -> tuple[int, bool] | None:
             # The credentials of the listener, as the kernel noted them when it began to listen.
             pid, _, _ = struct.unpack("3i", own.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
         except BlockingIOError:
-            raise HapticdError(f"{path}: nobody accepts connections any more: its daemon does not answer") from None
+            raise HapticdError(f"{path}: the daemon does not answer: its queue of connections is full") from None
         except (OSError, ValueError):
             return None
     try:
@@ -106,7 +110,7 @@ def holder(path: Path) -> tuple[int, bool] | None:
 
 
 def group_name(gid: int) -> str | None:
-    """None for a group without a name."""
+    """Return the name of a group; None for a group without a name."""
     try:
         return grp.getgrgid(gid).gr_name
     except KeyError:
@@ -115,36 +119,37 @@ def group_name(gid: int) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """Where to look, and whom to ask."""
+    """The sources that the checks read: a root of files, and functions that query the system."""
 
     root: Path = Path("/")
     limit: Callable[[int], tuple[int, int]] = resource.getrlimit
-    """Soft and hard limit."""
+    """Returns the soft and the hard limit of a resource, by its number."""
     group: Callable[[int], str | None] = group_name
-    run: Callable[[Sequence[str]], str | None] = run
+    """Returns the name of a group, by its number."""
+    run: Callable[[Sequence[str]], str | None] = command_output
     daemon: Callable[[], Mapping[str, object] | None] = field(default=lambda: None)
-    """The daemon's get_status; None where there is none. Raises HapticdError for one that does not answer in time."""
+    """Returns the daemon's get_status; None without a daemon. Raises HapticdError if it does not answer in time."""
     version: str = ""
-    """This package's."""
+    """The version of the installed package."""
     may_write: Callable[[Path], bool] = lambda path: os.access(path, os.W_OK)
     find: Callable[[Path, Path], list[Found]] = find
-    """HID devices, of a /sys/class/hidraw and a /dev."""
+    """Lists HID devices, given the folders /sys/class/hidraw and /dev."""
 
     def path(self, name: str) -> Path:
-        """A file of the machine, by its absolute name."""
+        """Return where a file of the machine is below the root, given its absolute name."""
         return self.root / name.lstrip("/")
 
     def text(self, name: str) -> str | None:
-        """What stands in a file, without the last line's end; None where it cannot be read."""
+        """Return the text of a file without its final newlines; None if it cannot be read."""
         try:
             fd = os.open(self.path(name), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             with open(fd, "rb") as file:
-                return file.read(_MOST_BYTES).decode("utf-8", "replace").rstrip("\n")
+                return file.read(_MAX_FILE_BYTES).decode("utf-8", "replace").rstrip("\n")
         except OSError:
             return None
 
     def names(self, folder: str, pattern: str) -> list[str]:
-        """Names in a folder that match, in the order of their numbers; empty where it cannot be read."""
+        """Return the names in a folder that match, in numerical order; [] if the folder cannot be read."""
         try:
             found = [name for name in os.listdir(self.path(folder)) if re.fullmatch(pattern, name)]
         except OSError:
@@ -152,8 +157,8 @@ class Machine:
         return sorted(found, key=lambda name: (int(re.sub(r"\D", "", name) or 0), name))
 
 
-def processors(text: str) -> set[int]:
-    """A list as the kernel writes it, such as 0-3,6."""
+def parse_cpu_list(text: str) -> set[int]:
+    """Return the processor numbers of a list as the kernel writes it, such as 0-3,6."""
     found: set[int] = set()
     for part in text.split(","):
         first, _, last = part.strip().partition("-")

@@ -1,44 +1,44 @@
-"""HID devices: found, evaluated, set up, driven, lost and found again.
+"""Drives HID joysticks with force feedback: discovery, set-up, connection, recovery after a loss or a reset.
 
 From a plugged-in device to a force, in this order:
 
-    discovery           which HID devices there are, by sysfs, and the one that the configuration means
-    descriptor/         what a report descriptor says: items, fields, reports and axes
-    verdict             decides whether a device can be driven, and why not; everything that says so asks here
-    drivers/            a class of devices each: its set-up and its plan
-        pid             set-up of the PID class: reset, effects made, started with a force of zero
-        pid_plan        two effects, one with a direction, or one axis; what is sent afterwards; effects that play
-        pid_reports     directions, and each report encoded: Set Effect, Set Constant Force, Effect Operation, ...
-        vendor          devices with reports of their own, as device.hid.report describes them
-    plan                what a connection does, as data, handed to C as struct hd_hid_plan
-    sources             a configuration's device: a hidraw node or a recording
-    device              what set-up does with a device: sends reports, reads features
-    replay              a recording that stands in for a device
-    connection          a thread: sets up, hands over, waits, sets up again after a reset, and looks for what is gone
-    link                how fast forces go out, and how often effects are restored at that speed
+    discovery           lists the HID devices of sysfs, and chooses the one that the configuration selects
+    descriptor/         parses report descriptors: items, fields, reports and axes
+    verdict             decides whether a device can be driven, and why not; every command uses this decision
+    drivers/            set-up and plan for each class of devices
+        pid             set-up of the PID class: reset, creation of effects, start with a force of zero
+        pid_plan        the plan of the PID class: two effects, one effect with a direction, or one axis
+        pid_reports     encodes directions and reports: Set Effect, Set Constant Force, Effect Operation, ...
+        vendor          devices with vendor reports, as device.hid.report describes them
+    plan                the plan of a connection as data, passed to C as struct hd_hid_plan
+    sources             opens the device of a configuration: a hidraw node or a recording
+    device              access to an open device: output reports, feature reports, input reports
+    replay              a recording that is played as a device
+    connection          the thread that sets up a device, recovers it after a reset, and reconnects it after a loss
+    link                the rate of forces, and how often effects are restored at that rate
 
-Beside that way:
+Besides that:
 
-    signs               the check, before the first force, of which way a device pushes
-    sign_calibration    `hapticd devices calibrate`: finds out which way it pushes
-    nearest_effect      the effect of a device that is nearest to a mode
-    offload             which mode has which effect
-    stopper             a file and a process that stop a device whose daemon was killed
+    signs               the check, before the first force, of the direction in which a device pushes
+    sign_calibration    `hapticd devices calibrate`: finds the direction in which a device pushes
+    nearest_effect      the device effect that is nearest to a mode
+    offload             assigns device effects to modes
+    stopper             a record and a command that stop a device whose daemon was killed
     claim               keeps other programs off a device
-    device_texts        sentences about devices that clients print, too; cheap to load
+    device_texts        texts about devices that clients print, too; imports nothing heavy
 
 What happens every few milliseconds is in C: csrc/device/hd_hid_reader.c and hd_hid_writer.c, behind hd_hid_mailboxes.c.
 
 Questions, and where to begin:
 
     Can this device be driven?
-        verdict (verdict_of); what a descriptor must have: descriptor/layout (_REPORTS).
+        verdict (verdict_of); the reports that a descriptor must have: descriptor/layout (_PID_REPORTS).
     How is an effect uploaded?
-        drivers/pid (_create, _constant), encoded by drivers/pid_reports.
+        drivers/pid (_create, _create_constant_forces), encoded by drivers/pid_reports.
     What happens to an effect when the cable is pulled?
-        It is gone with the device's memory. C ends reader and writer, and the servo reports the fault `device`.
-        connection lets go (_lose, _let_go; offload no longer offers effects), and has the effects made again when the
-        device is back (_connect). A device that still has power lets its effects end by their finite duration.
+        The device loses it with its power. C ends reader and writer, and the servo reports the fault `device`.
+        connection disconnects (_lose, _disconnect; offload offers no effects then), and creates the effects again when
+        the device is back (_connect). On a device that still has power, effects end after their finite duration.
     What if another program resets the device, or changes an effect?
         connection (_recover); where the device does not report it, link (paced).
     What if the daemon is killed?

@@ -1,15 +1,15 @@
-"""Keeping other programs off one device while it is plugged in, and letting them at it again.
+"""`hapticd devices claim` and `release`: keep other programs off one device while it is plugged in.
 
-The kernel has no driver that gives hidraw without force feedback: hid-generic starts hid-pidff for every device of the
-PID class, and so do the drivers of vendors. What other programs use of it are the device's event and joystick nodes. So
-a device is claimed in this order:
+The kernel has no driver that provides hidraw without force feedback: hid-generic starts hid-pidff for every device of
+the PID class, and so do the drivers of vendors. Other programs use the device's event and joystick nodes. A device is
+claimed in three steps:
 
-1. a udev rule below /run, for this device alone, takes these nodes from everybody but root (kept until a reboot);
-2. the device is taken from its driver, by which every node that a program has open ends;
-3. it is bound to hid-generic if that takes it (the driver of a vendor may insist), else to whichever driver does: the
-   nodes are made again, and hidden from the start.
+1. A udev rule below /run, for this device only, gives these nodes to root; it lasts until a reboot.
+2. The device is unbound from its driver. Programs that have one of its nodes open lose it.
+3. The device is bound to hid-generic, or, if a vendor's driver claims it, to that driver. The nodes are created again,
+   hidden from the start.
 
-To release it, the rule goes and the device is bound again to the driver that the kernel chooses.
+To release a device, the rule is removed, and the device is bound again to the driver that the kernel chooses.
 """
 
 from __future__ import annotations
@@ -25,16 +25,18 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import check_regular
-from hapticd.hid.discovery import Found, event_nodes, is_for_others
+from hapticd.hid.discovery import Found, event_nodes, is_open_to_others
 
-RULES: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
-"""It sorts behind 70-uaccess, which hands joysticks to whoever sits at the seat, and before 73-seat-late."""
-GENERIC: Final = "hid-generic"
-BOUND_S: Final = 5.0
-"""A device that was bound has its hidraw node after so long."""
-_COMMAND_S: Final = 5.0
-_ACL: Final = "system.posix_acl_access"
-_KEPT_BY_RULE: Final = ": its event nodes are root's alone already, as a line of 70-hapticd.rules makes them"
+CLAIM_RULES_PATH: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
+"""Sorts after 70-uaccess, which tags joysticks for the user at the seat, and before 73-seat-late, which applies it."""
+GENERIC_DRIVER: Final = "hid-generic"
+REBIND_TIMEOUT_S: Final = 5.0
+"""A device must have its hidraw node again this long after it was bound."""
+_UDEVADM_TIMEOUT_S: Final = 5.0
+"""Time limit of a command of udev."""
+_ACL_ATTRIBUTE: Final = "system.posix_acl_access"
+"""The extended attribute by which udev gives a node to the user at the seat."""
+_HIDDEN_BY_RULE: Final = ": only root may open its event nodes already, because of a line in 70-hapticd.rules"
 
 Write = Callable[[Path, str], None]
 
@@ -45,21 +47,21 @@ def _write(path: Path, text: str) -> None:
 
 def _run(command: Sequence[str]) -> None:
     with contextlib.suppress(OSError, subprocess.SubprocessError):
-        subprocess.run(command, timeout=_COMMAND_S, capture_output=True, check=False)
+        subprocess.run(command, timeout=_UDEVADM_TIMEOUT_S, capture_output=True, check=False)
 
 
 class Claims:
-    """The devices of a machine that are claimed."""
+    """The claimed devices of a machine, which the udev rule below /run lists."""
 
     def __init__(
         self, root: Path = Path("/"), write: Write = _write, run: Callable[[Sequence[str]], None] = _run
     ) -> None:
-        """`root`: where sys, dev and run lie. `write`: into a file of sysfs. `run`: does a command of udev."""
+        """Access the machine below `root`. `write` writes a file of sysfs, `run` executes a command of udev."""
         self._root, self._write, self._run = root, write, run
-        self._rules = root / RULES
+        self._rules = root / CLAIM_RULES_PATH
 
     def names(self) -> list[str]:
-        """Those that are claimed and still there, as /sys/bus/hid/devices has them."""
+        """Return the claimed devices that are plugged in, by their names in /sys/bus/hid/devices."""
         try:
             text = self._rules.read_text(encoding="utf-8") if self._rules.is_file() else ""
         except OSError:
@@ -68,30 +70,30 @@ class Claims:
         return [name for name in named if self._device(name).exists()]
 
     def claim(self, found: Found) -> str:
-        """Keeps others off it; the driver that it has now. Raises HapticdError, one line."""
+        """Keep other programs off a device, and return its new driver. Raises HapticdError, one line."""
         name, claimed = self._name(found), self.names()
         if name in claimed:
-            raise HapticdError(f"{found} is claimed already; `hapticd devices release {found.path}` lets others at it")
+            raise HapticdError(f"{found} is already claimed; `hapticd devices release {found.path}` releases it")
         if self._is_ruled(name):
-            raise HapticdError(f"{found}{_KEPT_BY_RULE}")
-        driver = self._rebind(found, claimed, [*claimed, name], GENERIC)
+            raise HapticdError(f"{found}{_HIDDEN_BY_RULE}")
+        driver = self._rebind(found, claimed, [*claimed, name], GENERIC_DRIVER)
         for node in self.nodes(name):
             _hide(node)
         return driver
 
     def release(self, found: Found) -> str:
-        """Lets others at it again; the driver that it has now. Raises HapticdError, one line."""
+        """Allow other programs to use a device again, and return its new driver. Raises HapticdError, one line."""
         name, claimed = self._name(found), self.names()
         if name not in claimed:
-            raise HapticdError(f"{found} is not claimed{_KEPT_BY_RULE if self._is_ruled(name) else ''}")
+            raise HapticdError(f"{found} is not claimed{_HIDDEN_BY_RULE if self._is_ruled(name) else ''}")
         return self._rebind(found, claimed, [other for other in claimed if other != name], None)
 
     def nodes(self, name: str) -> list[Path]:
-        """The event and joystick nodes of a device."""
+        """Return the event and joystick nodes of a device."""
         return [self._root / "dev" / "input" / node for node in event_nodes(self._device(name))]
 
     def path(self, name: str) -> str | None:
-        """Its hidraw node; None while there is none."""
+        """Return the hidraw node of a device; None while it does not exist."""
         entry = next(iter(sorted(self._device(name).glob("hidraw/hidraw*"))), None)
         return None if entry is None else str(self._root / "dev" / entry.name)
 
@@ -102,15 +104,15 @@ class Claims:
 
     def _name(self, found: Found) -> str:
         if not found.hid_name:
-            raise HapticdError(f"{found}: sysfs does not say which HID device it is")
+            raise HapticdError(f"{found}: sysfs has no HID device for this node")
         return found.hid_name
 
     def _driver(self, name: str) -> str:
         driver = self._device(name) / "driver"
         return driver.resolve().name if driver.exists() else ""
 
-    def _tell_udev(self, names: Sequence[str]) -> None:
-        """The rule is about these devices from now on."""
+    def _write_rules(self, names: Sequence[str]) -> None:
+        """Write the udev rules of these devices, and have udev read them."""
         if names:
             self._rules.parent.mkdir(parents=True, exist_ok=True)
             check_regular(self._rules)
@@ -121,44 +123,46 @@ class Claims:
             self._run(["udevadm", "control", "--reload"])
 
     def _is_ruled(self, name: str) -> bool:
-        """Whether its nodes are root's alone although nobody has claimed it."""
+        """Return whether only root may open the nodes of a device that is not claimed."""
         nodes = self.nodes(name)
-        return bool(nodes) and not any(map(is_for_others, nodes))
+        return bool(nodes) and not any(map(is_open_to_others, nodes))
 
     def _rebind(self, found: Found, before: Sequence[str], after: Sequence[str], driver: str | None) -> str:
-        """Takes it from its driver and binds it to this one, with a rule about other devices than before; which driver
-        it has now."""
+        """Bind a device to another driver, with the rules of the devices `after`, and return the driver's name.
+
+        If that fails, the rules are again those of `before`. A `driver` of None lets the kernel choose.
+        """
         name = found.hid_name
         try:
-            self._tell_udev(after)
+            self._write_rules(after)
             try:
                 if self._driver(name):
                     self._write(self._root / "sys/bus/hid/drivers" / self._driver(name) / "unbind", name)
                 self._bind(name, driver)
             except BaseException:
-                self._tell_udev(before)
+                self._write_rules(before)
                 raise
         except PermissionError:
-            raise HapticdError(f"{found}: no permission to take it from its driver: use sudo") from None
+            raise HapticdError(f"{found}: no permission to unbind it from its driver: use sudo") from None
         return self._driver(name)
 
     def _bind(self, name: str, driver: str | None) -> None:
-        """To this driver if it takes it, else to whichever does."""
+        """Bind a device to `driver`, or, if that fails, to the driver that the kernel chooses."""
         if driver is not None:
             with contextlib.suppress(OSError):
                 self._write(self._root / "sys/bus/hid/drivers" / driver / "bind", name)
         if not self._driver(name):
             with contextlib.suppress(OSError):
                 self._write(self._root / "sys/bus/hid/drivers_probe", name)
-        deadline = time.monotonic() + BOUND_S
+        deadline = time.monotonic() + REBIND_TIMEOUT_S
         while self.path(name) is None or not os.path.exists(str(self.path(name))):
             if time.monotonic() > deadline:
-                raise HapticdError(f"{name}: no driver took it again: unplug it and plug it in")
+                raise HapticdError(f"{name}: no driver accepted it: unplug it and plug it in again")
             time.sleep(0.01)
 
 
 def _rule(name: str) -> str:
-    """Lines of a udev rule for one device."""
+    """Return the udev rules for one device."""
     return (
         f'SUBSYSTEM=="input", KERNELS=="{name}", ENV{{ID_INPUT_JOYSTICK}}="", TAG-="uaccess"\n'
         f'SUBSYSTEM=="input", KERNEL=="event*|js*", KERNELS=="{name}", GROUP:="root", MODE:="0600"\n'
@@ -166,8 +170,8 @@ def _rule(name: str) -> str:
 
 
 def _hide(node: Path) -> None:
-    """As the rule does, where udev does not run or was here first."""
+    """Apply the rule to a node, in case udev does not run or created the node before it read the rule."""
     with contextlib.suppress(FileNotFoundError):
         with contextlib.suppress(OSError):
-            os.removexattr(node, _ACL)
+            os.removexattr(node, _ACL_ATTRIBUTE)
         os.chmod(node, 0o600)

@@ -1,9 +1,8 @@
-"""Keeps a device connected: sets it up, hands it to C, waits, sets it up again after a reset, and looks for it when it
-has gone.
+"""The connection to a device: sets it up, passes it to C, recovers it after a reset, and reconnects it after a loss.
 
-A thread does that while the daemon runs; C's reader and writer threads (csrc/device/hd_hid_reader.c and
-hd_hid_writer.c) do what happens every few milliseconds, and the servo waits for neither. A device that is lost is
-looked for every `RETRY_S`; the scene stays.
+A thread does this while the daemon runs. What happens every few milliseconds is done by C's reader and writer threads
+(csrc/device/hd_hid_reader.c and hd_hid_writer.c); the servo waits for neither. While the device is lost, the thread
+tries to connect it every `RECONNECT_INTERVAL_S`. The scene stays.
 """
 
 from __future__ import annotations
@@ -19,99 +18,111 @@ from typing import Final
 from hapticd.base.core import CData, HidMeaning, Status, ffi, invalid_reason, lib
 from hapticd.base.errors import HapticdError
 from hapticd.hid.device import Device, Driver
-from hapticd.hid.link import Link, link_of, measured_force_hz, paced
+from hapticd.hid.link import Link, link_of, measured_force_hz, plan_paced_for_link
 from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
 from hapticd.hid.signs import Check
 from hapticd.hid.stopper import StopFile
-from hapticd.system.repeated_lines import STATE_S, Repeats
+from hapticd.system.repeated_lines import MAX_STATE_INTERVAL_S, Repeats
 
-RETRY_S: Final = 0.25
-"""A device that is gone is looked for so often."""
-RECOVERY_S: Final = 0.25
-"""A device that was set up again has this long to say that it is ready."""
-SETTLE_S: Final = 0.02
-"""Reports about its set-up may be under way so long."""
-LISTEN_S: Final = 0.15
-"""So long a device is listened to, to find out whether it reports without being moved."""
-PLAYING_S: Final = 1.0
-"""A device whose reports have room for it has this long to say that an effect plays."""
-STOP_S: Final = 2.0
-"""So long the end waits for a set-up that is under way."""
-_RATE_EVERY_S: Final = 1.0
+RECONNECT_INTERVAL_S: Final = 0.25
+"""Interval of the attempts to connect a lost device."""
+READY_TIMEOUT_S: Final = 0.25
+"""After a device was set up again, its actuators must be on within this time."""
+READY_POLL_INTERVAL_S: Final = 0.02
+"""Interval of the checks whether the actuators are on; reports about the set-up itself may take as long to arrive."""
+FIRST_REPORTS_TIMEOUT_S: Final = 0.15
+"""A device that sends the same input report twice within this time reports steadily.
+
+`start` waits as long for the first position."""
+PLAYING_REPORT_TIMEOUT_S: Final = 1.0
+"""A device whose PID State has a field for it must report within this time that an effect plays."""
+STOP_TIMEOUT_S: Final = 2.0
+"""At its end the daemon waits at most this long for a set-up in progress."""
+_RATE_INTERVAL_S: Final = 1.0
+"""The rates of reports and forces are averaged over this time."""
 
 _log = logging.getLogger("hapticd")
 
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """A device that is open, and how it is driven."""
+    """An open device, and how it is driven."""
 
     device: Device
     driver: Driver
     name: str
     out_interval_s: float | None = None
-    """Interval of the endpoint that takes forces; None where none is known."""
+    """Interval of the endpoint for output reports; None if it is not known."""
     on_change: bool | None = None
-    """The device reports only what changes; None: listen to it."""
+    """Whether the device reports only changes; None if this is found out from its reports."""
     measure: bool = True
-    """Whether it is measured how long reports take."""
+    """Whether the time that output reports take is measured."""
     identity: str = ""
-    """Which device it is, where there may be several."""
+    """Text that distinguishes the device from others."""
 
 
 Source = Callable[[], Opened]
-"""Finds and opens the device. Raises HapticdError, one line, while it cannot."""
+"""Function that finds and opens the device. Raises HapticdError, one line, if it cannot."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Live:
-    """What is connected."""
+class _LiveConnection:
+    """A connected device, with its plan and its link."""
 
     opened: Opened
     plan: Plan
     link: Link
     since_s: float
-    """time.monotonic()"""
+    """When it was connected, as time.monotonic() measures."""
 
     def resets_seen(self, has_played: bool) -> bool | None:
-        """Whether a reset by another program would be seen; None: not known yet, or it has no effects to lose.
-        `has_played`: the device has said that an effect of ours plays."""
+        """Return whether a reset by another program would be noticed.
+
+        None means that it is not known yet, or that the device keeps no effects. `has_played` is whether the device has
+        reported that one of hapticd's effects plays.
+        """
         if self.plan.foreign_s is None:
             return None
-        asked = self.plan.effects is not None and time.monotonic() - self.since_s < PLAYING_S
+        asked = self.plan.effects is not None and time.monotonic() - self.since_s < PLAYING_REPORT_TIMEOUT_S
         return True if has_played else None if asked else False
 
 
 class Connection:
-    """One device, found and found again. `open` and `stop` are for one thread; `status` for any."""
+    """The connection to one device, including recovery and reconnection.
+
+    `open`, `start` and `stop` are for one thread, `status` and `suspect` for any.
+    """
 
     def __init__(
         self, source: Source, priority: int = 0, stop_file: StopFile | None = None, check: Check | None = None
     ) -> None:
-        """`priority`: of C's threads, 0 for none. `stop_file`: where to write what stops a device that is driven.
-        `check`: of signs, of each device before its first force; None: they are trusted."""
+        """Create a connection that is not open yet.
+
+        `priority` is the SCHED_FIFO priority of C's threads, 0 for none. `stop_file` receives the reports that stop the
+        device. `check` checks the signs of each device before its first force; None trusts them.
+        """
         made = lib.hd_hid_new()
         if made == ffi.NULL:
             raise MemoryError("no memory for a connection")
         self.hid: CData = ffi.gc(made, lib.hd_hid_free)
         self.offload = Offload(self.hid)
-        """The effects that the device plays itself."""
+        """The device effects that are played in place of modes."""
         self.denied = False
         """Whether C's threads were refused their priority."""
         self._source = source
         self._priority = priority
         self._stop_file = stop_file
         self._check = check
-        self._live: _Live | None = None
+        self._live: _LiveConnection | None = None
         self._problem: str | None = None
         self._resets = 0
         self._connects = 0
         self._rates: tuple[float | None, float | None] = (None, None)
         self._counted: tuple[float, int, int] | None = None
         self._stop = threading.Event()
-        # Taken by whoever connects or lets go. Once abandoned, the thread does neither any more.
-        self._hands = threading.Lock()
+        # Held to connect or disconnect. Once abandoned, the thread does neither.
+        self._connect_lock = threading.Lock()
         self._abandoned = False
         self._thread: threading.Thread | None = None
         self._repeats = Repeats()
@@ -119,43 +130,43 @@ class Connection:
     # ---- Life ------------------------------------------------------------------------------------------------------
 
     def open(self) -> tuple[Plan, Link]:
-        """Connects for the first time. Raises HapticdError, one line, where that cannot be."""
+        """Connect the device for the first time. Raises HapticdError, one line, if that fails."""
         live = self._connect()
         return live.plan, live.link
 
     def start(self) -> None:
-        """Looks after the connection from now on; waits a moment for the first position, so that the servo has one."""
-        deadline = time.monotonic() + LISTEN_S
+        """Start the thread that maintains the connection, after the first position or a short time."""
+        deadline = time.monotonic() + FIRST_REPORTS_TIMEOUT_S
         while not self._raw().positions and time.monotonic() < deadline and not self._stop.wait(0.002):
             pass
         self._thread = threading.Thread(target=self._run, name="device", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """Force zero, effects stopped and freed, actuators off; then the device is let go.
+        """Send a force of zero, stop and free the effects, disable the actuators, and disconnect.
 
-        A thread that hangs in the kernel in the middle of a set-up is left there after `STOP_S`, and with it the
-        device's descriptor: there was no force while it set the device up.
+        If the thread hangs in the kernel during a set-up, it is abandoned after `STOP_TIMEOUT_S`, together with the
+        file descriptor; the device has no force during a set-up.
         """
         self._stop.set()
         lib.hd_hid_wake(self.hid)
         if self._thread is not None:
-            self._thread.join(STOP_S)
-            with self._hands:
+            self._thread.join(STOP_TIMEOUT_S)
+            with self._connect_lock:
                 self._abandoned = self._thread.is_alive()
                 if self._abandoned:
-                    _log.warning("the device does not answer its set-up: it is left as it is, with a force of zero")
+                    _log.warning("the device does not respond to its set-up; it is left with a force of zero")
                     self.offload.detach()
                     lib.hd_hid_disconnect(self.hid, 1)
             self._thread = None
-        self._let_go(orderly=True)
+        self._disconnect(orderly=True)
 
     def suspect(self) -> None:
-        """The device may have lost what it was sent, as in a suspend: it is set up again. For any thread."""
+        """Have the device set up again, because it may have lost its effects, for example in a suspend."""
         lib.hd_hid_suspect(self.hid)
 
     def status(self) -> dict[str, object]:
-        """What get_status says of the connection."""
+        """Return the member `connection` of get_status."""
         live, raw = self._live, self._raw()
         states = {
             meaning.name.lower(): bool(raw.states >> (meaning - 1) & 1)
@@ -163,8 +174,8 @@ class Connection:
             if raw.states_known >> (meaning - 1) & 1
         }
         connected = live is not None and raw.connected
-        # C ends a connection before the thread hears of it; what is lost has a reason from the first moment.
-        problem = self._problem or (None if connected else _why(raw))
+        # C ends a connection before the thread notices; until then the reason comes from C.
+        problem = self._problem or (None if connected else _disconnect_reason(raw))
         report_hz, force_hz = self._rates
         link = None if live is None else live.link
         seen = live.resets_seen(bool(raw.effects_told)) if live is not None and connected else None
@@ -197,41 +208,41 @@ class Connection:
         while not self._stop.is_set():
             self._repeats.flush()
             if self._live is None:
-                if not self._stop.wait(RETRY_S):
+                if not self._stop.wait(RECONNECT_INTERVAL_S):
                     self._try(self._connect)
                 continue
-            lib.hd_hid_wait(self.hid, int(_RATE_EVERY_S * 1e9))
+            lib.hd_hid_wait(self.hid, int(_RATE_INTERVAL_S * 1e9))
             if self._stop.is_set():
                 break
             raw = self._raw()
             if not raw.connected:
-                self._lose(_why(raw))
+                self._lose(_disconnect_reason(raw))
             elif raw.reset:
                 self._try(self._recover)
             self._count()
 
     def _try(self, work: Callable[[], object]) -> None:
-        """What goes wrong is logged once for each reason, and ends the connection."""
+        """Call `work`. An error ends the connection; each reason is logged once."""
         try:
             work()
         except HapticdError as error:
             self._lose(str(error))
         except Exception as error:
-            # A fault of ours. Without this thread nobody would look for the device again.
+            # A bug of hapticd. The thread must survive it, or the device would never be connected again.
             failure = error
             self._repeats.note(
-                "failed", lambda since: _log.error("the thread of the device failed%s", since.more, exc_info=failure)
+                "failed", lambda since: _log.error("the device's thread failed%s", since.more, exc_info=failure)
             )
             self._lose(f"{type(error).__name__}: {error}")
 
     def _lose(self, why: str) -> None:
         if why != self._problem:
-            self._repeats.line("lost", logging.WARNING, f"device lost: {why}", STATE_S)
+            self._repeats.line("lost", logging.WARNING, f"device lost: {why}", MAX_STATE_INTERVAL_S)
         self._problem = why
-        self._let_go(orderly=False)
+        self._disconnect(orderly=False)
 
-    def _let_go(self, *, orderly: bool) -> None:
-        with self._hands:
+    def _disconnect(self, *, orderly: bool) -> None:
+        with self._connect_lock:
             live, self._live = self._live, None
             self.offload.detach()
             if live is not None and not self._abandoned:
@@ -243,7 +254,7 @@ class Connection:
                     self._stop_file.drop()
         self._counted, self._rates = None, (None, None)
 
-    def _connect(self) -> _Live:
+    def _connect(self) -> _LiveConnection:
         opened = self._source()
         try:
             plan = opened.driver.set_up(opened.device)
@@ -255,7 +266,7 @@ class Connection:
             signs = None
             if self._check is not None:
                 signs = self._check.of(opened.identity, plan.driven_axes, plan.resolution_m)
-            plan = paced(replace(plan, on_change=on_change, signs=signs), link.rate_hz)
+            plan = plan_paced_for_link(replace(plan, on_change=on_change, signs=signs), link.rate_hz)
             self._hand_over(opened.device, plan)
         except BaseException:
             if self._stop_file is not None:
@@ -264,10 +275,12 @@ class Connection:
             raise
         self._connects += 1
         if self._problem is not None:
-            self._repeats.line("found", logging.INFO, f"device found: {opened.name} at {opened.device.path}", STATE_S)
+            self._repeats.line(
+                "found", logging.INFO, f"device found: {opened.name} at {opened.device.path}", MAX_STATE_INTERVAL_S
+            )
         self._problem = None
-        # Last: whoever hears that it is connected hears of no problem, and has it counted.
-        self._live = live = _Live(opened, plan, link, time.monotonic())
+        # Set last: a status that shows the connection shows no problem and includes it in `connects`.
+        self._live = live = _LiveConnection(opened, plan, link, time.monotonic())
         return live
 
     def _hand_over(self, device: Device, plan: Plan) -> None:
@@ -275,9 +288,9 @@ class Connection:
         zero, stop = [message.at_rest() for message in plan.force], [message.at_rest() for message in plan.stop]
         if self._stop_file is not None:
             self._stop_file.keep(device.path, device.fileno(), zero, stop, plan.write_interval_s)
-        with self._hands:
+        with self._connect_lock:
             if self._abandoned:
-                raise DeviceError(f"{device.path}: answers after it was given up")
+                raise DeviceError(f"{device.path}: responds too late; its set-up was abandoned")
             self.offload.detach()
             lib.hd_hid_disconnect(self.hid, 0)
             result = lib.hd_hid_connect(self.hid, described, device.fileno(), self._priority)
@@ -286,7 +299,7 @@ class Connection:
                 result = lib.hd_hid_connect(self.hid, described, device.fileno(), 0)
             if result == Status.OK:
                 if self._stop_file is not None:
-                    # What a fault of the process sends to the device.
+                    # The reports that a fatal signal of the process sends to the device.
                     lengths = ffi.new("uint32_t[]", list(map(len, (*zero, *stop))))
                     reports = ffi.new("uint8_t[]", b"".join((*zero, *stop)))
                     count, pause_s = len(zero) + len(stop), plan.write_interval_s
@@ -295,26 +308,31 @@ class Connection:
         if result == Status.ERR_INVALID:
             raise DeviceError(f"{device.path}: {invalid_reason()}")
         if result != Status.OK:
-            raise DeviceError(f"{device.path}: cannot be connected: {Status(result).name.lower()}")
+            raise DeviceError(f"{device.path}: cannot connect: {Status(result).name.lower()}")
 
     def _recover(self) -> None:
-        """Sets up again a device that was reset. If its effects have the same numbers, the servo notices only
-        forces that did not arrive. A device that keeps its actuators off is tried again and again."""
+        """Set up a device again that was reset.
+
+        If its effects get the same Effect Block Indices, C keeps the connection, and the servo notices only that forces
+        did not arrive. The set-up is repeated as long as the device keeps its actuators off.
+        """
         live = self._live
         assert live is not None
         if self._problem is None:
             self._resets += 1
-            self._repeats.line("reset", logging.WARNING, f"device reset: {live.opened.name} is set up anew")
+            self._repeats.line("reset", logging.WARNING, f"device reset: {live.opened.name} is set up again")
         plan = live.opened.driver.set_up(live.opened.device)
         plan = replace(plan, on_change=live.plan.on_change, signs=live.plan.signs)
-        plan = paced(plan, live.link.rate_hz)
+        plan = plan_paced_for_link(plan, live.link.rate_hz)
         if plan != live.plan:
             self._hand_over(live.opened.device, plan)
-            self._live, self._problem = _Live(live.opened, plan, live.link, time.monotonic()), None
+            self._live, self._problem = _LiveConnection(live.opened, plan, live.link, time.monotonic()), None
             return
-        # The set-up itself resets the device, which it reports too.
-        deadline = time.monotonic() + RECOVERY_S
-        while not self._stop.wait(SETTLE_S) and time.monotonic() < deadline and self._actuators() is not True:
+        # The set-up resets the device, too, and the device reports that reset.
+        deadline = time.monotonic() + READY_TIMEOUT_S
+        while (
+            not self._stop.wait(READY_POLL_INTERVAL_S) and time.monotonic() < deadline and self._actuators() is not True
+        ):
             pass
         if self._actuators() is not False:
             lib.hd_hid_clear_reset(self.hid)
@@ -324,7 +342,7 @@ class Connection:
             self._repeats.line("actuators", logging.WARNING, self._problem)
 
     def _actuators(self) -> bool | None:
-        """Whether the device says that its actuators are on; None where it says nothing."""
+        """Return whether the device reports that its actuators are on; None if it does not report this."""
         raw, bit = self._raw(), 1 << (HidMeaning.ACTUATORS - 1)
         return bool(raw.states & bit) if raw.states_known & bit else None
 
@@ -334,26 +352,29 @@ class Connection:
         return raw
 
     def _count(self) -> None:
-        """Reports and forces a second, over the last second or more."""
+        """Measure the rates of reports and forces, in Hz, over the last second or more."""
         raw, now = self._raw(), time.monotonic()
         if self._counted is None:
             self._counted = (now, raw.reports, raw.forces)
             return
         since, reports, forces = self._counted
-        if now - since >= 0.5 * _RATE_EVERY_S:
+        if now - since >= 0.5 * _RATE_INTERVAL_S:
             self._rates = ((raw.reports - reports) / (now - since), (raw.forces - forces) / (now - since))
             self._counted = (now, raw.reports, raw.forces)
 
 
-def _why(raw: CData) -> str:
-    """What ended a connection."""
+def _disconnect_reason(raw: CData) -> str:
+    """Return the reason why C ended a connection."""
     return os.strerror(raw.error) if raw.error else "the connection ended"
 
 
 def _reports_steadily(device: Device, numbered: bool, stop: threading.Event) -> bool:
-    """Whether a device reports the same thing twice running: then silence means that something is wrong."""
+    """Return whether a device sends the same input report twice in succession.
+
+    Such a device reports steadily, so a pause in its reports is a fault.
+    """
     last: dict[int, bytes] = {}
-    deadline = time.monotonic() + LISTEN_S
+    deadline = time.monotonic() + FIRST_REPORTS_TIMEOUT_S
     while (left := deadline - time.monotonic()) > 0 and not stop.is_set():
         report = device.listen(left)
         if report:

@@ -1,7 +1,7 @@
-"""A device as set-up sees it: reports go out, features come in, and a descriptor of a file carries the rest.
+"""Access to an open device: output reports, feature reports, and a file descriptor for positions and forces.
 
-`HidrawDevice` is a hidraw node: set-up goes through hidapi, positions and forces through a file descriptor that C reads
-and writes. What stands in for it in a replay keeps the same few methods.
+`HidrawDevice` is a hidraw node. Set-up uses hidapi; C reads positions from and writes forces to the file descriptor.
+`ReplayDevice` (replay.py) has the same methods.
 """
 
 from __future__ import annotations
@@ -16,54 +16,59 @@ from typing import Final, Protocol
 from hapticd.base.errors import on_one_line
 from hapticd.hid.plan import DeviceError, Plan
 
-RULE: Final = "install systemd/70-hapticd.rules into /etc/udev/rules.d and plug it in again, or run as its owner"
+PERMISSION_HINT: Final = (
+    "install systemd/70-hapticd.rules into /etc/udev/rules.d and plug it in again, or run as its owner"
+)
 MAX_REPORT_BYTES: Final = 4096
+"""The longest input report that is read; those of joysticks are far shorter."""
 
 
 class Device(Protocol):
-    """An open device. Methods raise DeviceError when it is gone or refuses."""
+    """An open device. Its methods raise DeviceError if the device is gone or refuses a report."""
 
     @property
     def path(self) -> str:
-        """Its node, or the file that stands for it."""
+        """Its hidraw node, or the file of the recording."""
         ...
 
     def fileno(self) -> int:
-        """Reads input reports, takes output reports, one each time; valid until `close`."""
+        """Return a descriptor that reads an input report or writes an output report at a time; valid until `close`."""
         ...
 
     def write(self, report: bytes) -> None:
-        """Sends an output report, its id first, and waits until it is sent."""
+        """Send an output report, its id first, and wait until it is sent."""
         ...
 
     def send_feature(self, report: bytes) -> None:
-        """Sends a feature report, its id first."""
+        """Send a feature report, its id first."""
         ...
 
     def get_feature(self, report_id: int, length: int) -> bytes:
-        """Asks for a feature report of `length` bytes with its id, which comes first."""
+        """Get a feature report of `length` bytes, its id first."""
         ...
 
     def listen(self, timeout_s: float) -> bytes:
-        """The next input report, which `fileno` gives as well; empty if none comes in time."""
+        """Return the next input report, which `fileno` also provides; empty if none arrives within the time."""
         ...
 
     def close(self) -> None:
-        """Lets it go; after that nothing else may be called."""
+        """Close the device. No other method may be called afterwards."""
         ...
 
 
 class Driver(Protocol):
-    """How a kind of device is set up and driven."""
+    """Sets up the devices of one class."""
 
     def set_up(self, device: Device) -> Plan:
-        """Makes it ready, with a force of zero. Raises DeviceError."""
+        """Set up the device, with a force of zero, and return its plan. Raises DeviceError."""
         ...
 
 
-def arriving(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
-    """The input reports of a device that arrive within a time; those that wait there, where it is 0. Raises DeviceError
-    when the device is gone."""
+def arrived_reports(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
+    """Yield the input reports of a device that arrive within a time, in s; if it is 0, those that are queued.
+
+    Raises DeviceError if the device is gone.
+    """
     poll = select.poll()
     poll.register(fd, select.POLLIN)
     until_s = time.monotonic() + within_s
@@ -78,7 +83,10 @@ def arriving(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
 
 
 class HidrawDevice:
-    """A hidraw node, ours alone among daemons. Raises DeviceError: absent, no permission, busy."""
+    """A hidraw node, locked against other daemons.
+
+    The constructor raises DeviceError if the node is absent or busy, or may not be opened.
+    """
 
     def __init__(self, path: str) -> None:
         import hidraw
@@ -87,55 +95,62 @@ class HidrawDevice:
         try:
             self._fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         except PermissionError:
-            raise DeviceError(f"{path}: no permission: {RULE}") from None
+            raise DeviceError(f"{path}: no permission: {PERMISSION_HINT}") from None
         except OSError as error:
             raise DeviceError(f"{path}: {error.strerror}") from None
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(self._fd)
-            raise DeviceError(f"{path}: busy: another daemon drives it; stop that one, or choose another") from None
+            raise DeviceError(f"{path}: busy: another daemon drives it; stop it, or choose another device") from None
         self._hidapi = hidraw.device()
         try:
             self._hidapi.open_path(os.fsencode(path))
         except OSError:
             os.close(self._fd)
-            raise DeviceError(f"{path}: hidapi cannot open it: {_last(self._hidapi)}") from None
+            raise DeviceError(f"{path}: hidapi cannot open it: {_last_error(self._hidapi)}") from None
 
     @property
     def path(self) -> str:
+        """Path of the hidraw node."""
         return self._path
 
     def fileno(self) -> int:
+        """Return the file descriptor of the hidraw node."""
         return self._fd
 
     def write(self, report: bytes) -> None:
+        """Send an output report, its id first, and wait until it is sent."""
         if self._hidapi.write(report) != len(report):
-            raise DeviceError(f"{self._path}: output report {report[0]} is refused: {_last(self._hidapi)}")
+            raise DeviceError(f"{self._path}: cannot send output report {report[0]}: {_last_error(self._hidapi)}")
 
     def send_feature(self, report: bytes) -> None:
+        """Send a feature report, its id first."""
         if self._hidapi.send_feature_report(report) != len(report):
-            raise DeviceError(f"{self._path}: feature report {report[0]} is refused: {_last(self._hidapi)}")
+            raise DeviceError(f"{self._path}: cannot send feature report {report[0]}: {_last_error(self._hidapi)}")
 
     def get_feature(self, report_id: int, length: int) -> bytes:
+        """Get a feature report of `length` bytes, its id first."""
         try:
             return bytes(self._hidapi.get_feature_report(report_id, length))
         except OSError:
-            raise DeviceError(f"{self._path}: feature report {report_id} is not given: {_last(self._hidapi)}") from None
+            reason = _last_error(self._hidapi)
+            raise DeviceError(f"{self._path}: cannot get feature report {report_id}: {reason}") from None
 
     def listen(self, timeout_s: float) -> bytes:
-        """The next input report of hidapi's own queue."""
+        """Return the next input report from the queue of hidapi; empty if none arrives within the time."""
         try:
             return bytes(self._hidapi.read(MAX_REPORT_BYTES, max(1, round(1e3 * timeout_s))))
         except OSError:
             raise DeviceError(f"{self._path}: the device is gone") from None
 
     def close(self) -> None:
+        """Close the node."""
         self._hidapi.close()
         os.close(self._fd)
 
 
-def _last(hidapi: object) -> str:
+def _last_error(hidapi: object) -> str:
     try:
         reason = hidapi.error()  # type: ignore[attr-defined]
     except (OSError, ValueError):

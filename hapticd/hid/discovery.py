@@ -1,6 +1,6 @@
-"""HID devices of this machine, which of them can be driven, and the choice of one.
+"""Lists the HID devices of this machine, and chooses the one that a configuration selects.
 
-What there is stands in sysfs, for everybody to read: nothing is opened to list it.
+The list comes from sysfs, which every user may read: no device is opened for it.
 """
 
 from __future__ import annotations
@@ -15,16 +15,18 @@ from typing import Final, Literal
 
 from hapticd.base.errors import quoted
 from hapticd.config.hid import Hid
-from hapticd.hid.device import RULE
+from hapticd.hid.device import PERMISSION_HINT
 from hapticd.hid.plan import DeviceError, UndrivableError
 from hapticd.hid.verdict import Verdict, verdict_of
 
-SYSFS: Final = Path("/sys/class/hidraw")
-DEV: Final = Path("/dev")
+HIDRAW_SYSFS: Final = Path("/sys/class/hidraw")
+DEV_FOLDER: Final = Path("/dev")
 
-_BUSES: Final = {3: "USB", 5: "Bluetooth", 6: "virtual", 24: "I2C"}
-_MOST_LISTED: Final = 3
-_HERE: Final = "`hapticd devices` lists what is there"
+_BUS_NAMES: Final = {3: "USB", 5: "Bluetooth", 6: "virtual", 24: "I2C"}
+"""Names of the buses by their numbers in linux/input.h."""
+_MAX_REASONS: Final = 3
+"""An error explains at most this many devices that cannot be driven."""
+_LIST_HINT: Final = "`hapticd devices` lists the HID devices"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,32 +42,36 @@ class Found:
     driver: str
     descriptor: bytes
     in_interval_s: float | None
-    """Of its interrupt endpoints (USB); None where it has none."""
+    """Interval of the USB interrupt endpoint for input reports; None if there is no such endpoint."""
     out_interval_s: float | None
+    """Interval of the USB interrupt endpoint for output reports; None if there is no such endpoint."""
     permission: Literal["ok", "denied", "absent"]
+    """Whether this process may open the node, or the node is absent."""
     hid_name: str = ""
-    """As /sys/bus/hid/devices has it."""
+    """Name of the device in /sys/bus/hid/devices."""
     port: str = ""
-    """Where it is plugged in."""
+    """The port that it is plugged into, as HID_PHYS names it."""
     hid: Hid = field(default=Hid(), kw_only=True)
-    """The configuration by which it is evaluated."""
+    """The configuration that the verdict holds for."""
     verdict: Verdict = field(init=False, repr=False, compare=False)
-    """Whether it can be driven."""
+    """Whether and how the device can be driven."""
 
     def __post_init__(self) -> None:
-        # Once: reading the descriptor and planning take some milliseconds.
+        # Computed once: parsing the descriptor and planning take some milliseconds.
         object.__setattr__(self, "verdict", verdict_of(self.hid, self.descriptor))
 
     @property
     def usable(self) -> bool:
-        """Whether it can be driven."""
+        """Whether the device can be driven."""
         return self.verdict.drivable
 
     @property
     def resets_seen(self) -> bool | None:
-        """Whether it has a report that says which of our effects play: without, a reset by another program is not
-        noticed. None where it cannot be driven, and where it has no effects (device.hid.report). A device with such a
-        report may still not send it."""
+        """Whether its PID State report contains the effects that play, so that a reset by another program is noticed.
+
+        None if it cannot be driven or has no effects (device.hid.report). A device may have the report in its
+        descriptor and never send it.
+        """
         plan = self.verdict.plan
         return None if plan is None or plan.foreign_s is None else plan.effects is not None
 
@@ -74,21 +80,21 @@ class Found:
 
     @property
     def identity(self) -> str:
-        """Tells it from any other device that may take its place; one without serial is known by its port, too."""
+        """Text that distinguishes it from other devices; without a serial number it includes the port."""
         return f"{self.vendor:04x}:{self.product:04x} {self.serial or self.port} {self.name} {self.descriptor.hex()}"
 
     @property
-    def is_other(self) -> bool:
-        """Whether it is no device of the PID class at all, or none that can be read."""
+    def lacks_forces(self) -> bool:
+        """Whether its descriptor has no Set Constant Force report, or is not valid."""
         layout = self.verdict.layout
         return layout is None or layout.constant_force is None
 
     def evaluated_by(self, hid: Hid) -> Found:
-        """The same, evaluated by a configuration if that may mean it."""
-        return replace(self, hid=hid) if hid != self.hid and is_meant(hid, self) else self
+        """Return the same device with its verdict for `hid`, if that configuration selects it."""
+        return replace(self, hid=hid) if hid != self.hid and is_selected(hid, self) else self
 
     def to_dict(self) -> dict[str, object]:
-        """For programs."""
+        """Return the device as a map for `hapticd devices --json`."""
         names = ("path", "name", "vendor", "product", "serial", "bus", "driver", "permission")
         verdict, layout = self.verdict, self.verdict.layout
         return {
@@ -103,8 +109,8 @@ class Found:
         }
 
 
-def find(sysfs: Path = SYSFS, dev: Path = DEV) -> list[Found]:
-    """Every hidraw device, by number. A device that goes away meanwhile is left out."""
+def find(sysfs: Path = HIDRAW_SYSFS, dev: Path = DEV_FOLDER) -> list[Found]:
+    """Return all hidraw devices, in the order of their numbers. A device that is unplugged meanwhile is left out."""
     try:
         names = [name for name in os.listdir(sysfs) if re.fullmatch(r"hidraw\d+", name)]
     except OSError:
@@ -112,14 +118,17 @@ def find(sysfs: Path = SYSFS, dev: Path = DEV) -> list[Found]:
     found = []
     for name in sorted(names, key=lambda text: int(text[6:])):
         try:
-            found.append(_look(sysfs / name, dev / name))
+            found.append(_read_device(sysfs / name, dev / name))
         except OSError:
             continue
     return found
 
 
 def choose(hid: Hid, found: Sequence[Found]) -> Found:
-    """The one device that the configuration means. Raises DeviceError: none, several, or one that cannot be driven."""
+    """Return the one device that the configuration selects.
+
+    Raises DeviceError if it selects no device or several, or if the device cannot be driven or opened.
+    """
     keys = {"vendor": hid.vendor, "product": hid.product, "serial": hid.serial, "path": hid.path}
     wanted = [
         f"{key} {quoted(value) if isinstance(value, str) else f'0x{value:04x}'}"
@@ -127,10 +136,10 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
         if value is not None
     ]
     text = f" with {', '.join(wanted)}" if wanted else ""
-    meant = [item.evaluated_by(hid) for item in found if is_meant(hid, item)]
+    meant = [item.evaluated_by(hid) for item in found if is_selected(hid, item)]
     if not meant:
         others = f"; there are {_listed(found)}" if found and wanted else ""
-        raise DeviceError(f"no HID device{text} is connected{others}; {_HERE}")
+        raise DeviceError(f"no HID device{text} is connected{others}; {_LIST_HINT}")
     usable = [item for item in meant if item.usable]
     if len(usable) > 1:
         raise DeviceError(
@@ -138,20 +147,20 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
             "choose one by device.hid.vendor, product, serial or path"
         )
     if not usable:
-        # Those that are made for forces, or that the configuration names or describes.
-        expected = [item for item in meant if not item.is_other or hid.names_one or hid.report is not None]
+        # Devices with force feedback, and those that the configuration names or describes.
+        expected = [item for item in meant if not item.lacks_forces or hid.names_one or hid.report is not None]
         if not expected and len(meant) > 1:
             raise DeviceError(
-                f"no HID device{text} can be driven: none of {_listed(meant)} is a force-feedback device; {_HERE}"
+                f"no HID device{text} can be driven: none of {_listed(meant)} is a force-feedback device; {_LIST_HINT}"
             )
-        shown = (expected or meant)[:_MOST_LISTED]
+        shown = (expected or meant)[:_MAX_REASONS]
         whys = "; ".join(f"{item} cannot be driven: {item.verdict.why_not}" for item in shown)
-        described = hid.report is not None or not any(item.is_other for item in shown)
-        hint = "" if described else "; a device with reports of its own needs device.hid.report"
+        described = hid.report is not None or not any(item.lacks_forces for item in shown)
+        hint = "" if described else "; a device outside the PID class needs device.hid.report"
         raise (UndrivableError if expected else DeviceError)(f"{whys}{hint}")
     one = usable[0]
     if one.permission == "denied":
-        raise DeviceError(f"{one}: no permission: {RULE}")
+        raise DeviceError(f"{one}: no permission: {PERMISSION_HINT}")
     return one
 
 
@@ -159,8 +168,8 @@ def _listed(found: Sequence[Found]) -> str:
     return ", ".join(map(str, found[:8])) + (", ..." if len(found) > 8 else "")
 
 
-def is_meant(hid: Hid, item: Found) -> bool:
-    """Whether a configuration may mean this device."""
+def is_selected(hid: Hid, item: Found) -> bool:
+    """Return whether vendor, product, serial number and path in the configuration fit this device."""
     return (
         hid.vendor in (None, item.vendor)
         and hid.product in (None, item.product)
@@ -169,12 +178,12 @@ def is_meant(hid: Hid, item: Found) -> bool:
     )
 
 
-def _look(entry: Path, node: Path) -> Found:
+def _read_device(entry: Path, node: Path) -> Found:
     device = entry / "device"
     uevent = dict(line.split("=", 1) for line in _text(device / "uevent").splitlines() if "=" in line)
     bus, vendor, product = (int(part, 16) for part in uevent.get("HID_ID", "0:0:0").split(":"))
     descriptor = (device / "report_descriptor").read_bytes()
-    intervals = _intervals(device.resolve().parent)
+    intervals = _endpoint_intervals(device.resolve().parent)
     absent = not node.exists()
     denied = not absent and not os.access(node, os.R_OK | os.W_OK)
     return Found(
@@ -183,7 +192,7 @@ def _look(entry: Path, node: Path) -> Found:
         vendor=vendor & 0xFFFF,
         product=product & 0xFFFF,
         serial=uevent.get("HID_UNIQ", ""),
-        bus=_BUSES.get(bus, f"bus {bus}"),
+        bus=_BUS_NAMES.get(bus, f"bus {bus}"),
         driver=uevent.get("DRIVER", ""),
         descriptor=descriptor,
         in_interval_s=intervals.get("in"),
@@ -198,8 +207,8 @@ def _text(path: Path) -> str:
     return path.read_text(encoding="utf-8", errors="replace")
 
 
-def _intervals(interface: Path) -> dict[str, float]:
-    """Intervals of the interrupt endpoints of a USB interface, by direction."""
+def _endpoint_intervals(interface: Path) -> dict[str, float]:
+    """Return the intervals of the interrupt endpoints of a USB interface, in s, by direction: "in", "out"."""
     found: dict[str, float] = {}
     for endpoint in sorted(interface.glob("ep_*")):
         try:
@@ -211,12 +220,14 @@ def _intervals(interface: Path) -> dict[str, float]:
     return found
 
 
-# ---- The nodes by which other programs use a device ------------------------------------------------------------------
+# ---- Event and joystick nodes, by which other programs use a device --------------------------------------------------
 
 
 def event_nodes(device: Path) -> list[str]:
-    """Names of them below /dev/input, in the order of their numbers. `device`: the HID device in sysfs; none of one
-    that is gone or cannot be read."""
+    """Return the names of a device's event and joystick nodes below /dev/input, in the order of their numbers.
+
+    `device` is the folder of the HID device in sysfs. Returns [] if it does not exist or cannot be read.
+    """
     try:
         entries = [entry for entry in device.glob("input/input*/*") if re.fullmatch(r"(event|js)\d+", entry.name)]
     except OSError:
@@ -228,8 +239,8 @@ def _number(entry: Path) -> tuple[int, str]:
     return int(re.sub(r"\D", "", entry.name) or 0), entry.name
 
 
-def is_for_others(node: Path) -> bool:
-    """Whether anybody but its owner may use a node; false of one that is not there."""
+def is_open_to_others(node: Path) -> bool:
+    """Return whether users other than its owner may use a node; False if it does not exist."""
     try:
         return bool(os.stat(node).st_mode & (stat.S_IRWXG | stat.S_IRWXO))
     except OSError:

@@ -1,9 +1,9 @@
-"""How fast a device takes forces, and how often the effects of a connection are restored at that speed.
+"""The rate at which a device accepts forces, and how often its effects are restored at that rate.
 
-Another program (a game, through the kernel's driver) may reset the device and upload another effect under the
-number of ours. A device that reports which effects play shows it. To any other device each part of our effects is sent
-again and again: magnitude and start with every renewal, direction, type, gain, duration and envelope by the script
-`restore`, one report after the forces of a pass.
+Another program (a game, through the kernel's driver) may reset the device and upload its own effect under the Effect
+Block Index of one of hapticd's. A device that reports which effects play shows this. To any other device all parameters
+of hapticd's effects are sent repeatedly: magnitude and start with every renewal; direction, type, gain, duration and
+envelope by the messages `restore` of the plan, one report after the forces of a pass.
 """
 
 from __future__ import annotations
@@ -18,42 +18,47 @@ from hapticd.base.core import lib
 from hapticd.hid.device import Device
 from hapticd.hid.plan import Plan
 
-MOST_S: Final = 0.1
-"""An effect of another program lasts so long at most, where the link allows that."""
-SHARE: Final = 1 / 3
-"""At most this part of the reports that a link carries restores effects."""
-SPARE_S: Final = 0.005
-"""Added to each bound: the machine may hold the writer up so long."""
-_MEASURED_ROUNDS: Final = 8
-_MEASURED_S: Final = 0.05
+MAX_FOREIGN_EFFECT_S: Final = 0.1
+"""Target for the longest time that another program's effect can replace hapticd's; a slow link takes longer."""
+MAX_RESTORE_SHARE: Final = 1 / 3
+"""Largest share of the link's reports that is spent on restoring effects."""
+WRITER_DELAY_S: Final = 0.005
+"""Added to each bound, because the operating system may delay the writer thread by this time."""
+_MAX_MEASURED_FORCES: Final = 8
+"""Number of forces whose time is measured."""
+_MEASUREMENT_TIMEOUT_S: Final = 0.05
+"""The measurement ends after this time, even if fewer forces were sent."""
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """How fast a device takes forces."""
+    """Limits of the rate at which a device accepts forces; None if a limit is not known.
+
+    A force may need several reports.
+    """
 
     endpoint_hz: float | None
-    """What the endpoint's interval allows, for whole forces."""
+    """Limit by the interval of the endpoint."""
     measured_hz: float | None
-    """What was measured when the device was set up."""
+    """Rate that was measured during set-up."""
     limit_hz: float | None
-    """What the configuration allows."""
+    """Limit by the configuration (`max_rate_hz`)."""
 
     @property
     def rate_hz(self) -> float | None:
-        """The least of them; None: nothing is known to hold it up."""
+        """The smallest of the three limits; None if no limit is known."""
         return min(
             (rate for rate in (self.endpoint_hz, self.measured_hz, self.limit_hz) if rate is not None), default=None
         )
 
     def carried_hz(self, servo_hz: float) -> float | None:
-        """Forces a second that reach the device of a servo at this rate; None: all of them."""
+        """Return the rate of forces that reach the device at this rate of the servo; None if all of them do."""
         rate_hz = self.rate_hz
         return None if rate_hz is None or rate_hz >= servo_hz else rate_hz
 
 
 def link_of(plan: Plan, out_interval_s: float | None, measured_hz: float | None = None) -> Link:
-    """How often a whole force, all of its reports, can be sent through an endpoint of this interval (None: unknown)."""
+    """Return the link of a plan. `out_interval_s` is the interval of its endpoint; None if it is not known."""
     count = max(1, len(plan.force))
     endpoint = None if not out_interval_s else 1.0 / (out_interval_s * count)
     limit = None if plan.write_interval_s <= 0.0 else 1.0 / (plan.write_interval_s * count)
@@ -61,11 +66,11 @@ def link_of(plan: Plan, out_interval_s: float | None, measured_hz: float | None 
 
 
 def measured_force_hz(device: Device, plan: Plan) -> float | None:
-    """Whole forces of zero that it took a second, the median of a few; None where there is none to send."""
+    """Send a few forces of zero and return the median rate in Hz; None if the plan has no message for forces."""
     reports = [message.at_rest() for message in plan.force]
     took_s: list[float] = []
     begun = time.monotonic()
-    while reports and len(took_s) < _MEASURED_ROUNDS and time.monotonic() - begun < _MEASURED_S:
+    while reports and len(took_s) < _MAX_MEASURED_FORCES and time.monotonic() - begun < _MEASUREMENT_TIMEOUT_S:
         start = time.monotonic()
         for report in reports:
             device.write(report)
@@ -73,19 +78,21 @@ def measured_force_hz(device: Device, plan: Plan) -> float | None:
     return 1.0 / max(statistics.median(took_s), 1e-6) if took_s else None
 
 
-def paced(plan: Plan, force_hz: float | None) -> Plan:
-    """The plan with `restore_s` and `foreign_s` for a link that carries so many whole forces a second; None: the link
-    does not hold anything up."""
+def plan_paced_for_link(plan: Plan, force_hz: float | None) -> Plan:
+    """Return the plan with `restore_s` and `foreign_s` for a link that carries `force_hz` forces a second.
+
+    None means that the link has no limit.
+    """
     if plan.foreign_s is None:
         return plan
     report_s = 0.0 if force_hz is None else 1.0 / (force_hz * max(1, len(plan.force)))
-    # What may be under way before the next report that restores something.
+    # Time of the messages that may be sent before the next one that restores an effect.
     strike = 0 if plan.periodic is None else lib.HD_DEVICE_EFFECT_MESSAGES
-    held_up_s = (len(plan.force) + len(plan.renew) + 1 + strike) * report_s + SPARE_S
+    held_up_s = (len(plan.force) + len(plan.renew) + 1 + strike) * report_s + WRITER_DELAY_S
     count = max(1, len(plan.restore))
-    gap_s = max((MOST_S - held_up_s) / count, report_s / SHARE, 1e-3)
-    # On a link that is full, each pass has one such report, after the forces; some have the renewals as well.
+    gap_s = max((MAX_FOREIGN_EFFECT_S - held_up_s) / count, report_s / MAX_RESTORE_SHARE, 1e-3)
+    # On a saturated link each pass sends one such report after the forces; some passes send the renewals, too.
     full_s = count * (len(plan.force) + 1) * report_s
     renewals = min(count, math.floor(full_s / plan.renew_s) + 1)
-    full_s += renewals * len(plan.renew) * report_s + SPARE_S
+    full_s += renewals * len(plan.renew) * report_s + WRITER_DELAY_S
     return replace(plan, restore_s=gap_s, foreign_s=max(max(count * gap_s, plan.foreign_s) + held_up_s, full_s))

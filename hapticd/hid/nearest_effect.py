@@ -1,10 +1,10 @@
-"""The nearest effect to a mode, of those that a device can play itself.
+"""Finds the device effect that is nearest to a mode.
 
-A sine of the PID class has a period, and an envelope of straight lines: from the attack level to the magnitude over the
-attack time, and from there to the fade level over the fade time, at the end of its duration. Levels are absolute, as
-the magnitude is (so in DirectInput's DIENVELOPE and in Linux' struct ff_envelope). Times are whole counts of the
-device's. The nearest such effect to a mode is found by least squares over its levels, none of them below zero, for each
-choice of its times.
+A periodic effect of the PID class, here a sine, has a period and an envelope of straight lines: from the attack level
+to the magnitude during the attack time, and from there to the fade level during the fade time, at the end of the
+effect's duration. Levels are absolute, as the magnitude is (as in DirectInput's DIENVELOPE and Linux' struct
+ff_envelope). Times are integer counts of the device's unit. For each choice of times, non-negative least squares give
+the levels; the choice with the smallest error is the nearest effect.
 """
 
 from __future__ import annotations
@@ -22,23 +22,24 @@ from hapticd.config.modes import Mode
 from hapticd.hid.plan import Numbers, Scale
 from hapticd.rendering.displayability import DISPLAYABLE_RATE_FRACTION
 
-LONGEST_S: Final = 0.1
-"""No effect plays longer: nothing but its end stops it where the daemon is gone."""
-SPAN: Final = 6.0
-"""So many decay times are compared."""
-STEPS: Final = 50
-"""Times are tried at this many places over the span, or at every count if those are fewer."""
-_SAMPLES: Final = 3000
-_PER_CYCLE: Final = 24
-_MOST_SAMPLES: Final = 200_000
-_SUBSETS: Final = tuple(chain.from_iterable(combinations(range(3), size) for size in (1, 2, 3)))
+MAX_EFFECT_S: Final = 0.1
+"""Longest duration of an effect: if the daemon is killed, only the duration ends it."""
+COMPARED_DECAY_TIMES: Final = 6.0
+"""Effect and mode are compared over this many decay times of the mode."""
+TRIED_TIMES: Final = 50
+"""Each time of the envelope is tried at about this many values, or at every count if there are fewer."""
+_MIN_COMPARED_SAMPLES: Final = 3000
+_SAMPLES_PER_CYCLE: Final = 24
+_MAX_COMPARED_SAMPLES: Final = 200_000
+"""Effect and mode are compared at this many samples at least, at this many per cycle, and at this many at most."""
+_LEVEL_SUBSETS: Final = tuple(chain.from_iterable(combinations(range(3), size) for size in (1, 2, 3)))
 
 _Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class NearestEffect:
-    """The nearest effect to a mode with a coefficient of one: times in counts of the device, levels over one."""
+    """The nearest effect to a mode with a coefficient of 1 N: times in counts of the device, levels in N."""
 
     period: int
     duration: int
@@ -50,11 +51,11 @@ class NearestEffect:
     period_s: float
     duration_s: float
     error: float
-    """RMS of the difference from the mode over the mode's."""
+    """RMS of the difference from the mode, divided by the RMS of the mode."""
 
     @property
     def frequency_hz(self) -> float:
-        """What is shown in place of the mode's frequency."""
+        """The frequency of the effect."""
         return 1.0 / self.period_s
 
     @property
@@ -63,8 +64,8 @@ class NearestEffect:
         return max(self.attack_level, self.magnitude, self.fade_level)
 
 
-class _Times(NamedTuple):
-    """What is tried, each of the same length: counts, and where the lines of the envelope meet, s."""
+class _TriedTimes(NamedTuple):
+    """Envelopes that are tried, as arrays of equal length: times in counts, and the corners of the envelope in s."""
 
     duration: npt.NDArray[np.int64]
     attack: npt.NDArray[np.int64]
@@ -76,8 +77,8 @@ class _Times(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def nearest_effect(mode: Mode, numbers: Numbers) -> NearestEffect | None:
-    """The nearest effect that a device with these numbers can play; None where there is none at all."""
-    times = _times(min(SPAN * mode.decay_time_s, LONGEST_S), numbers)
+    """Return the nearest effect to a mode that a device with these fields can play; None if it can play no effect."""
+    times = _tried_times(min(COMPARED_DECAY_TIMES * mode.decay_time_s, MAX_EFFECT_S), numbers)
     if not len(times.end_s):
         return None
     best: NearestEffect | None = None
@@ -87,9 +88,9 @@ def nearest_effect(mode: Mode, numbers: Numbers) -> NearestEffect | None:
         if not numbers.period.least <= period <= numbers.period.most or period_s <= 0.0:
             continue
         gram, product, power = _products(mode, period_s, times)
-        levels = _not_negative(gram, product)
+        levels = _non_negative_levels(gram, product)
         at = int(np.argmax(np.einsum("ij,ij->i", levels, product)))
-        shown = _rounded(levels[at], numbers)
+        shown = _rounded_levels(levels[at], numbers)
         error = math.sqrt(max(0.0, float(power - 2.0 * shown @ product[at] + shown @ gram[at] @ shown)) / power)
         if best is None or error < best.error:
             best = NearestEffect(
@@ -108,10 +109,10 @@ def nearest_effect(mode: Mode, numbers: Numbers) -> NearestEffect | None:
 
 
 def streamed_error(mode: Mode, carried_hz: float) -> float:
-    """RMS of the difference over RMS, of a mode that is held for a frame of the link at a time.
+    """Return the relative RMS error of a mode that is streamed, that is, held constant during each frame of the link.
 
-    sqrt(2 - 2 sin(h) / h), h = w / (2 rate), is that of a steady sine once its delay is taken off. 1 above 0.4 of the
-    rate, where nothing is shown, or something else.
+    It is sqrt(2 - 2 sin(h) / h) with h = w / (2 rate), the error of a steady sine after its delay is removed. Above 0.4
+    of the rate, where the mode is muted or replaced, it is 1.
     """
     if mode.frequency_hz > DISPLAYABLE_RATE_FRACTION * carried_hz:
         return 1.0
@@ -120,12 +121,12 @@ def streamed_error(mode: Mode, carried_hz: float) -> float:
 
 
 def _multiples(scale: Scale, longest: float) -> npt.NDArray[np.int64]:
-    """Counts of times from nothing to the longest, at most about STEPS of them."""
+    """Return about TRIED_TIMES evenly spaced counts for times from 0 to `longest`, in s."""
     first, last = scale.counts(0.0), scale.counts(longest)
-    return np.arange(first, last + 1, max(1, round((last - first) / STEPS)))
+    return np.arange(first, last + 1, max(1, round((last - first) / TRIED_TIMES)))
 
 
-def _times(longest: float, numbers: Numbers) -> _Times:
+def _tried_times(longest: float, numbers: Numbers) -> _TriedTimes:
     durations, attacks = _multiples(numbers.duration, longest), _multiples(numbers.attack_time, longest)
     duration, attack = (grid.ravel() for grid in np.meshgrid(durations, attacks, indexing="ij"))
     end_s, attack_s = numbers.duration.quantity(duration), numbers.attack_time.quantity(attack)
@@ -135,18 +136,19 @@ def _times(longest: float, numbers: Numbers) -> _Times:
     fade = np.clip(counts, fade_time.least - 1, fade_time.most).astype(np.int64)
     fade_from_s = np.maximum(end_s - fade_time.quantity(fade), attack_s)
     sound = (end_s > 0.0) & (attack_s >= 0.0) & (attack_s < end_s) & (fade >= fade_time.least)
-    return _Times(duration[sound], attack[sound], fade[sound], attack_s[sound], fade_from_s[sound], end_s[sound])
+    return _TriedTimes(duration[sound], attack[sound], fade[sound], attack_s[sound], fade_from_s[sound], end_s[sound])
 
 
-def _products(mode: Mode, period_s: float, times: _Times) -> tuple[_Floats, _Floats, float]:
-    """Of what attack level, magnitude and fade level contribute to the effects: their products with each other
-    [n][3][3], with the mode [n][3], and the mode's with itself; means over the span.
+def _products(mode: Mode, period_s: float, times: _TriedTimes) -> tuple[_Floats, _Floats, float]:
+    """Return the normal equations for the levels of n envelopes, as means over the compared time.
 
-    Sums up to each sample are made once; every product over a stretch between two knots is a difference of them.
+    The three basis functions are the contributions of attack level, magnitude and fade level. Returned are their inner
+    products with each other [n][3][3] and with the mode [n][3], and the mode's with itself. Each inner product over a
+    segment of the envelope is a difference of cumulative sums.
     """
-    span_s = SPAN * mode.decay_time_s
+    span_s = COMPARED_DECAY_TIMES * mode.decay_time_s
     cycles = span_s * max(mode.frequency_hz, 1.0 / period_s)
-    count = min(max(_SAMPLES, math.ceil(_PER_CYCLE * cycles)), _MOST_SAMPLES)
+    count = min(max(_MIN_COMPARED_SAMPLES, math.ceil(_SAMPLES_PER_CYCLE * cycles)), _MAX_COMPARED_SAMPLES)
     time_s = (np.arange(count) + 0.5) * (span_s / count)
     wanted = np.exp(-mode.decay_rate_per_s * time_s) * np.sin(mode.angular_frequency_rad_per_s * time_s)
     sine = np.sin(2.0 * np.pi * time_s / period_s)
@@ -165,7 +167,7 @@ def _products(mode: Mode, period_s: float, times: _Times) -> tuple[_Floats, _Flo
     flat = between(times.attack_s, times.fade_from_s)
     gram[:, 1, 1] += flat[0]
     product[:, 1] += flat[3]
-    # A line from level `first` at u to the next one at v: (v - t) / (v - u) of the one, (t - u) / (v - u) of the other.
+    # A segment from level `first` at u to the next level at v has the weights (v - t) / (v - u) and (t - u) / (v - u).
     for first, u, v in ((0, start_s, times.attack_s), (1, times.fade_from_s, times.end_s)):
         zero, one, two, with_zero, with_one = between(u, v)
         length = np.where(v > u, v - u, np.inf)
@@ -179,13 +181,13 @@ def _products(mode: Mode, period_s: float, times: _Times) -> tuple[_Floats, _Flo
     return gram, product, float(wanted @ wanted) / count
 
 
-def _not_negative(gram: _Floats, product: _Floats) -> _Floats:
-    """[n][3]: least squares with no level below zero. The best of the solutions in which some of them are zero."""
+def _non_negative_levels(gram: _Floats, product: _Floats) -> _Floats:
+    """Return the non-negative least-squares levels [n][3]: the best feasible solution with some of the levels zero."""
     best, gained = np.zeros_like(product), np.zeros(len(product))
-    for subset in _SUBSETS:
+    for subset in _LEVEL_SUBSETS:
         rows = list(subset)
         part = gram[:, rows][:, :, rows]
-        # What contributes nothing gets nothing.
+        # The ridge sets a level without contribution to zero.
         ridge = 1e-12 * np.trace(part, axis1=1, axis2=2) + 1e-30
         part = part + ridge[:, None, None] * np.eye(len(rows))
         found = np.linalg.solve(part, product[:, rows, None])[:, :, 0]
@@ -197,16 +199,16 @@ def _not_negative(gram: _Floats, product: _Floats) -> _Floats:
     return best
 
 
-def _rounded(levels: _Floats, numbers: Numbers) -> _Floats:
-    """The levels as the device has them where the strike is as strong as it can be; weaker ones are coarser."""
-    full_n = most_n(float(levels.max()), numbers)
+def _rounded_levels(levels: _Floats, numbers: Numbers) -> _Floats:
+    """Return the levels rounded to the device's counts for the strongest possible strike; weaker ones are coarser."""
+    full_n = max_coefficient_n(float(levels.max()), numbers)
     scales = (numbers.attack_level, numbers.magnitude, numbers.fade_level)
     shown = [scale.quantity(scale.counts(level * full_n)) for scale, level in zip(scales, levels, strict=True)]
     return np.array(shown) / full_n
 
 
-def most_n(peak: float, numbers: Numbers) -> float:
-    """The largest coefficient, N, whose largest level every field can hold."""
+def max_coefficient_n(peak: float, numbers: Numbers) -> float:
+    """Return the largest coefficient, in N, for which every field can hold the level `peak` times the coefficient."""
     return min(scale.largest for scale in (numbers.attack_level, numbers.magnitude, numbers.fade_level)) / max(
         peak, 1e-9
     )

@@ -1,7 +1,7 @@
-"""Modes that a device plays itself: which mode has which of the device's effects, and what became of the others.
+"""Assigns device effects to modes, and reports for each tap and rupture whether the device plays it.
 
-The nearest effect to a mode is found in nearest_effect.py. `Offload` is used by two threads: the one that changes the
-scene, and the one that looks after the connection.
+nearest_effect.py finds the nearest effect to a mode. Two threads use `Offload`: the one that changes the scene, and the
+one that maintains the connection.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from hapticd.base.core import CData, HidQuantity, Status, ffi, invalid_reason, l
 from hapticd.base.errors import HapticdError
 from hapticd.config.materials import Material, Tap
 from hapticd.config.modes import Mode
-from hapticd.hid.nearest_effect import NearestEffect, most_n, nearest_effect, streamed_error
+from hapticd.hid.nearest_effect import NearestEffect, max_coefficient_n, nearest_effect, streamed_error
 from hapticd.hid.plan import Message, Periodic, Scale, Value
 
-MOST_ERROR: Final = 0.2
-"""An effect that differs by more from its mode (RMS of the difference over RMS) is not used."""
+MAX_EFFECT_ERROR: Final = 0.2
+"""Largest relative RMS error of an effect that is used in place of a mode."""
 
 
 class EffectUse(NamedTuple):
-    """What a mode's record says of the effect that is played in its place."""
+    """The device effect that is played in place of a mode, as the mode's record refers to it."""
 
     id: int
     peak: float
-    """The largest level over the coefficient."""
+    """Largest level of the envelope, divided by the mode's coefficient."""
     duration_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Offloaded:
-    """What became of a tap or a rupture; what is None is not known, as there is no effect."""
+    """Whether and how the device plays a tap or a rupture. Without an effect its properties are not known (None)."""
 
     material: str
     mode: str
@@ -46,56 +46,61 @@ class Offloaded:
     error_percent: float | None
     streamed_error_percent: float
     refused: str | None
-    """Why it is streamed; None: the device plays it."""
+    """Why it is streamed; None if the device plays it."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Held:
+class _AssignedEffect:
     id: int
     place: int
     effect: NearestEffect
 
 
 class Offload:
-    """The effects of one connection, and the modes that have them. A mode keeps its effect while something uses it, and
-    afterwards until another mode needs the place."""
+    """The device effects of one connection, and the modes that they are assigned to.
+
+    A mode keeps its effect while it is used, and afterwards until another mode needs the place.
+    """
 
     def __init__(self, hid: CData) -> None:
-        """`hid`: a `struct hd_hid *`."""
+        """Create the assignment for a connection, a `struct hd_hid *`."""
         self._hid = hid
         self._lock = threading.Lock()
         self._carried_hz = math.inf
         self._periodic: Periodic | None = None
         self._problem = "the device is not connected"
         self._attached = False
-        self._held: dict[Mode, _Held] = {}
-        """The longest unused first."""
+        self._held: dict[Mode, _AssignedEffect] = {}
+        """Assigned effects; the one that was taken longest ago is first."""
         self._uses: Counter[Mode] = Counter()
         self._nearest: dict[Mode, NearestEffect | None] = {}
-        """Of the modes that are used: a fit takes its time, and what asks for the status has none."""
+        """Nearest effects of the used modes, cached, because finding one takes too long for a request of the status."""
         self._last_id = 0
         self._changed = False
         self.version = 0
-        """Raised whenever what `outcomes` says may be another."""
+        """Incremented whenever the result of `outcomes` may change."""
 
     # ---- The connection's thread ---------------------------------------------------------------------------------
 
     def attach(self, periodic: Periodic | None, problem: str) -> None:
-        """There is a connection, with these effects; without, `problem` says why. The first ones that there are decide
-        what modes look like; a device with others plays none."""
+        """Use the effects of a new connection; without effects, `problem` says why.
+
+        The first device with effects determines the effects of all modes. A later device with other properties plays
+        none.
+        """
         with self._lock:
             known = self._periodic
             if known is None or periodic is None:
                 self._problem = problem
             elif (known.numbers, len(known.blocks)) != (periodic.numbers, len(periodic.blocks)):
-                periodic, self._problem = None, "the device that is connected now plays other effects"
+                periodic, self._problem = None, "the device that is connected now has other effects"
             self._periodic = periodic if known is None else known if periodic is None else periodic
             self._attached = periodic is not None
             self.version += 1
             self._offer()
 
     def detach(self) -> None:
-        """The connection is about to end."""
+        """Stop using the device's effects, because the connection is about to end."""
         with self._lock:
             self._attached = False
             self._problem = "the device is not connected"
@@ -104,11 +109,11 @@ class Offload:
     # ---- The thread that changes the scene -----------------------------------------------------------------------
 
     def set_carried(self, carried_hz: float) -> None:
-        """How many forces a second are streamed otherwise."""
+        """Set the rate of streamed forces, in Hz, that the effects are compared with."""
         self._carried_hz = carried_hz
 
     def take(self, mode: Mode) -> EffectUse | None:
-        """Something uses this mode from now on: what is played in its place, None if it is streamed."""
+        """Register a use of a mode, and return the effect that is played in its place; None if it is streamed."""
         with self._lock:
             if mode not in self._nearest and self._periodic is not None:
                 self._nearest[mode] = nearest_effect(mode, self._periodic.numbers)
@@ -120,7 +125,7 @@ class Offload:
             return EffectUse(held.id, held.effect.peak, held.effect.duration_s)
 
     def give(self, mode: Mode) -> None:
-        """One thing less uses it."""
+        """Remove a use of a mode that was registered by `take`."""
         with self._lock:
             self._uses[mode] -= 1
             if not self._uses[mode]:
@@ -128,19 +133,19 @@ class Offload:
                 self._nearest.pop(mode, None)
 
     def settle(self) -> None:
-        """The device knows what was taken before this returns."""
+        """Pass newly assigned effects to C, which uploads them to the device."""
         with self._lock:
             if self._changed:
                 self._offer()
 
     def shown_hz(self, mode: Mode) -> float | None:
-        """The frequency that the device plays in place of a mode; None where it is streamed."""
+        """Return the frequency that the device plays in place of a mode, in Hz; None if the mode is streamed."""
         with self._lock:
             held = self._held.get(mode) if self._attached else None
             return None if held is None else held.effect.frequency_hz
 
     def outcomes(self, materials: Mapping[str, Material]) -> list[Offloaded]:
-        """What became of the taps and ruptures of these materials, which are all used."""
+        """Return for each tap and rupture of these materials whether the device plays it. All must be in use."""
         found: list[Offloaded] = []
         for name, material in materials.items():
             if material.tap is not None:
@@ -151,9 +156,9 @@ class Offload:
 
     def _outcome_of_tap(self, material: str, tap: Tap) -> Offloaded:
         if tap.waveform is not None:
-            hertz, why = tap.waveform.curve.middle_hz, "it is a waveform, which no effect plays"
+            hertz, why = tap.waveform.curve.middle_hz, "it is a waveform, which no effect can play"
         elif tap.mode_table is not None:
-            hertz, why = tap.mode.frequency_hz, "its mode follows the speed, an effect has one"
+            hertz, why = tap.mode.frequency_hz, "its mode depends on the speed, an effect has a fixed mode"
         else:
             return self._outcome(material, "tap", tap.mode)
         streamed = 100.0 * streamed_error(Mode(1.0, 2.0 * math.pi * hertz), self._carried_hz)
@@ -167,11 +172,11 @@ class Offload:
                 return Offloaded(material, use, mode.frequency_hz, None, None, None, None, streamed, self._problem)
             numbers = periodic.numbers
             nearest = self._nearest.get(mode)
-            refused = _refusal(nearest, mode, self._carried_hz)
+            refused = _refusal_reason(nearest, mode, self._carried_hz)
             if refused is None and not self._attached:
                 refused = self._problem
             if refused is None and mode not in self._held:
-                refused = f"the device has no more than {len(periodic.blocks)} effects for this"
+                refused = f"all {len(periodic.blocks)} effects of the device are assigned to other modes"
             return Offloaded(
                 material,
                 use,
@@ -186,17 +191,21 @@ class Offload:
 
     # ---- With the lock held --------------------------------------------------------------------------------------
 
-    def _assign(self, mode: Mode) -> _Held | None:
+    def _assign(self, mode: Mode) -> _AssignedEffect | None:
         held = self._held.pop(mode, None)
         if held is None:
             nearest = self._nearest.get(mode)
-            if self._periodic is None or nearest is None or _refusal(nearest, mode, self._carried_hz) is not None:
+            if (
+                self._periodic is None
+                or nearest is None
+                or _refusal_reason(nearest, mode, self._carried_hz) is not None
+            ):
                 return None
             place = self._free_place(len(self._periodic.blocks))
             if place is None:
                 return None
             self._last_id = self._last_id % 0xFFFFFFFF + 1
-            held = _Held(self._last_id, place, nearest)
+            held = _AssignedEffect(self._last_id, place, nearest)
             self._changed = True
             self.version += 1
         self._held[mode] = held
@@ -220,30 +229,30 @@ class Offload:
             raise HapticdError(f"device.hid.offload: {invalid_reason()}")
 
 
-def _refusal(nearest: NearestEffect | None, mode: Mode, carried_hz: float) -> str | None:
-    """Why a mode is streamed rather than played as its nearest effect."""
+def _refusal_reason(nearest: NearestEffect | None, mode: Mode, carried_hz: float) -> str | None:
+    """Return why a mode is streamed rather than played as its nearest effect; None if it is played."""
     if nearest is None:
-        return "no effect of the device is like it"
-    if nearest.error > MOST_ERROR:
+        return "the device can play no effect"
+    if nearest.error > MAX_EFFECT_ERROR:
         return f"the nearest effect is {100 * nearest.error:.2g} % off"
     streamed = streamed_error(mode, carried_hz)
     if nearest.error >= streamed:
-        return f"streamed it is nearer, {100 * streamed:.2g} %"
+        return f"streaming is more accurate, {100 * streamed:.2g} % off"
     return None
 
 
-def _for_c(held: _Held, periodic: Periodic) -> dict[str, object]:
-    """What initializes a `struct hd_device_effect`."""
+def _for_c(held: _AssignedEffect, periodic: Periodic) -> dict[str, object]:
+    """Return the members of a `struct hd_device_effect`."""
     numbers, shape = periodic.numbers, held.effect
     messages = [message.for_c() for message in effect_messages(shape, periodic, held.place)]
-    largest_n = most_n(shape.peak, numbers)
+    largest_n = max_coefficient_n(shape.peak, numbers)
     finest_n = min(level.resolution for level in (numbers.attack_level, numbers.magnitude, numbers.fade_level))
     return {
         "id": held.id,
         "place": held.place,
         "message_count": len(messages),
         "duration_ns": round(shape.duration_s * 1e9),
-        # Half a count of the finest level.
+        # Coefficient whose level is half a count of the finest field.
         "least_n": min(0.5 * finest_n / max(shape.peak, 1e-9), largest_n),
         "most_n": largest_n,
         "messages": messages,
@@ -252,8 +261,10 @@ def _for_c(held: _Held, periodic: Periodic) -> dict[str, object]:
 
 
 def effect_messages(shape: NearestEffect, periodic: Periodic, place: int) -> tuple[Message, ...]:
-    """Set Effect, Set Envelope, Set Periodic and the start of one of the device's effects; their force is the mode's
-    coefficient as a vector."""
+    """Return Set Effect, Set Envelope, Set Periodic and the start (Effect Operation) of one of the device's effects.
+
+    The force of these messages is the mode's coefficient as a vector.
+    """
     numbers, block = periodic.numbers, periodic.blocks[place]
     effect, envelope, period = bytearray(block.set_effect.data), bytearray(block.envelope), bytearray(block.periodic)
     numbers.duration.bits.put(effect, shape.duration)

@@ -1,8 +1,8 @@
-"""What a connection does with a device, as data: where positions stand, and which reports carry a force.
+"""The plan of a connection as data: the fields of positions in input reports, and the reports that carry a force.
 
-Made once by `pid.py`, `vendor.py` or `replay.py`, and handed to C as `struct hd_hid_plan` (csrc/api/hd_api_device.h
-says what each number means). Reports are bytes with the report id first, 0 where reports are not numbered; bits are
-counted after it.
+A driver makes the plan (drivers/pid.py, drivers/vendor.py), which is passed to C as `struct hd_hid_plan`;
+csrc/api/hd_api_device.h describes each member. Reports are bytes with the report id first, 0 if reports have no ids;
+bits are counted from the byte after the id.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from hapticd.hid.signs import Signs
 
 Counts = TypeVar("Counts", float, npt.NDArray[Any])
 
-STILL_M_PER_COUNT: Final = 1e-15
-"""A handle with one axis: its other one moves by nothing that matters."""
+STILL_AXIS_M_PER_COUNT: Final = 1e-15
+"""Resolution of the missing axis of a handle that has only one: its motion is negligible at any count."""
 
 
 class DeviceError(HapticdError):
-    """A device that cannot be driven; `str` is one line that says which, why and what would be right."""
+    """Error for a device that cannot be driven; its text is one line: which device, why, and what would be right."""
 
 
 class UndrivableError(DeviceError):
-    """A device that is there and that no plan can be made for, whatever happens to it later."""
+    """Error for a connected device that no plan can be made for, so that trying again is useless."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bits:
-    """Where a number lies in a report, counted from the lowest bit of the byte after the report id."""
+    """A bit field of a report; its offset counts from the lowest bit of the byte after the report id."""
 
     bit_offset: int
     bit_size: int
@@ -42,32 +42,32 @@ class Bits:
 
     @property
     def end(self) -> int:
-        """The first bit after it."""
+        """Offset of the first bit after the field."""
         return self.bit_offset + self.bit_size
 
     @property
     def least(self) -> int:
-        """The smallest number that it holds."""
+        """The smallest number that the field can hold."""
         return -(1 << (self.bit_size - 1)) if self.signed else 0
 
     @property
     def most(self) -> int:
-        """The largest number that it holds."""
+        """The largest number that the field can hold."""
         return (1 << (self.bit_size - self.signed)) - 1
 
     def put(self, report: bytearray, counts: int) -> None:
-        """Writes a number into a report (id first).
+        """Write a number into a report (id first).
 
-        Raises ValueError for a number that does not fit, or a field that lies beyond the report.
+        Raises ValueError if the number does not fit into the field, or the field lies beyond the report.
         """
-        field = ffi.new("struct hd_hid_field *", _for_c(self))
+        field = ffi.new("struct hd_hid_field *", _c_members(self))
         buffer = ffi.from_buffer("uint8_t[]", report, require_writable=True)
         if lib.hd_bits_put(field, buffer, len(report), counts) != Status.OK:
             raise ValueError(f"bit {self.bit_offset} to {self.end - 1} of {len(report) - 1} bytes: cannot be {counts}")
 
     def get(self, report: bytes) -> int:
-        """Reads it from a report (id first). Raises ValueError where it lies beyond the report."""
-        field, counts = ffi.new("struct hd_hid_field *", _for_c(self)), ffi.new("int64_t *")
+        """Read the number from a report (id first). Raises ValueError if the field lies beyond the report."""
+        field, counts = ffi.new("struct hd_hid_field *", _c_members(self)), ffi.new("int64_t *")
         if lib.hd_bits_get(field, ffi.from_buffer("uint8_t[]", report), len(report), counts) != Status.OK:
             raise ValueError(f"bit {self.end - 1} lies beyond a report of {len(report) - 1} bytes")
         return int(counts[0])
@@ -75,7 +75,7 @@ class Bits:
 
 @dataclass(frozen=True, slots=True)
 class AxisPlan:
-    """One axis: position in m = (counts - zero_counts) * m_per_count."""
+    """The position field of an axis: position in m = (counts - zero_counts) * m_per_count."""
 
     bits: Bits
     report_id: int
@@ -85,9 +85,9 @@ class AxisPlan:
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A number that a message carries: quantity * counts_per_unit + zero_counts, rounded, within least .. most.
+    """A number in a message: quantity * counts_per_unit + zero_counts, rounded, and limited to least .. most.
 
-    Of a force along one axis, the other axis's force times `counts_per_other_n` comes to it.
+    If the quantity is the force along one axis, the other axis's force times `counts_per_other_n` is added.
     """
 
     bits: Bits
@@ -101,27 +101,27 @@ class Value:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """An output report as it is, and the numbers written into it."""
+    """An output report as a template, and the numbers that are written into it."""
 
     data: bytes
     values: tuple[Value, ...] = ()
 
     def at_rest(self) -> bytes:
-        """The report for a force of zero."""
+        """Return the report for a force of zero."""
         report = bytearray(self.data)
         for value in self.values:
             value.bits.put(report, min(max(round(value.zero_counts), round(value.least)), round(value.most)))
         return bytes(report)
 
     def for_c(self) -> dict[str, object]:
-        """What initializes a `struct hd_hid_message`."""
-        values = [_for_c(value) for value in self.values]
+        """Return the members of a `struct hd_hid_message`."""
+        values = [_c_members(value) for value in self.values]
         return {"length": len(self.data), "bytes": self.data, "value_count": len(values), "values": values}
 
 
 @dataclass(frozen=True, slots=True)
 class StateBit:
-    """Where an input report says how the device is."""
+    """The field of an input report for a state of the device, for example whether the actuators are on."""
 
     bits: Bits
     report_id: int
@@ -130,20 +130,20 @@ class StateBit:
 
 @dataclass(frozen=True, slots=True)
 class PlayingBits:
-    """Where an input report says which effect it speaks of, and whether that plays."""
+    """The fields Effect Block Index and Effect Playing of an input report (PID State)."""
 
     index: Bits
     playing: Bits
     report_id: int
     indices: tuple[int, ...]
-    """Of the effects that are watched."""
+    """Effect Block Indices of hapticd's effects."""
     proof: int
-    """Renewals that together take longer than an effect."""
+    """Number of renewals that together take longer than the duration of an effect."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """A number of a report and what it stands for: quantity * counts_per_unit + zero_counts, within least .. most."""
+    """The scale of a field of a report: counts = quantity * counts_per_unit + zero_counts, within least .. most."""
 
     bits: Bits
     counts_per_unit: float
@@ -153,26 +153,26 @@ class Scale:
 
     @property
     def resolution(self) -> float:
-        """The quantity of one count."""
+        """The change of the quantity by one count."""
         return 1.0 / self.counts_per_unit
 
     @property
     def largest(self) -> float:
-        """The quantity of the largest number."""
+        """The quantity of the largest count."""
         return self.quantity(self.most)
 
     def counts(self, quantity: float) -> int:
-        """The nearest number within its limits."""
+        """Return the nearest count to a quantity, within the limits."""
         return min(max(round(quantity * self.counts_per_unit + self.zero_counts), self.least), self.most)
 
     def quantity(self, counts: Counts) -> Counts:
-        """What a number stands for, or each of many."""
+        """Return the quantity of a count, or of each element of an array."""
         return (counts - self.zero_counts) / self.counts_per_unit
 
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """The numbers of a periodic effect: times in s, levels in N."""
+    """The fields of a periodic effect with their scales: times in s, levels in N."""
 
     duration: Scale
     attack_time: Scale
@@ -185,10 +185,10 @@ class Numbers:
 
 @dataclass(frozen=True, slots=True)
 class PeriodicBlock:
-    """The reports of one periodic effect that the device has made, without its times and levels."""
+    """The reports of one periodic effect that was created on the device, without its times and levels."""
 
     set_effect: Message
-    """With the direction of the force."""
+    """Set Effect, into which the direction of the force is written."""
     envelope: bytes
     periodic: bytes
     start: Message
@@ -197,7 +197,7 @@ class PeriodicBlock:
 
 @dataclass(frozen=True, slots=True)
 class Periodic:
-    """Periodic effects that the device plays itself."""
+    """The periodic effects that were created on the device, to be played in place of modes."""
 
     numbers: Numbers
     blocks: tuple[PeriodicBlock, ...]
@@ -205,7 +205,7 @@ class Periodic:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Everything that a connection does."""
+    """The plan of a connection: fields, messages and their timing."""
 
     x: AxisPlan
     y: AxisPlan
@@ -218,53 +218,53 @@ class Plan:
     begin: tuple[Message, ...] = ()
     """Sent once, before the first force."""
     restore: tuple[Message, ...] = ()
-    """What another program may have changed of the effects: sent one by one, in turn, to a device that does not say
-    that they play."""
+    """Reports with the parameters of effects that another program may have changed. Sent one at a time, in turn, to a
+    device that does not report which effects play."""
     effects: PlayingBits | None = None
-    """Where the device reports that it has forgotten an effect; None: nowhere."""
+    """The fields by which the device reports the loss of an effect; None if it does not report this."""
     states: tuple[StateBit, ...] = ()
     on_change: bool = False
-    """The device reports only what changes."""
+    """Whether the device reports only changes."""
     renew_s: float = 0.04
     restore_s: float = 0.04
-    """Between two messages of `restore`."""
+    """Interval between two messages of `restore`."""
     foreign_s: float | None = None
-    """At most so long another program's effect acts in the place of ours, where the device does not report it. Until
-    `link.paced` has taken the link into account, it follows from the renewals alone. None: it keeps no effects."""
+    """The longest time, in s, that another program's effect can replace hapticd's, if the device does not report it. It
+    follows from the renewals until `link.plan_paced_for_link` includes the link. None without effects."""
     write_interval_s: float = 0.0
-    """Between two writes at least; 0: as fast as the device takes them."""
+    """Shortest interval between two output reports; 0 means as fast as the device accepts them."""
     periodic: Periodic | None = None
     no_periodic: str = "the device has no periodic effects"
-    """Why there is none."""
+    """Why there is no `periodic`."""
     leak: float = 0.0
-    """At most this part of a force comes out across it, since a direction is a whole number of counts."""
+    """Largest part of a force that acts at right angles to it, because a direction is an integer number of counts."""
     signs: Signs | None = None
-    """What is checked before the first force of the scene; None: the signs are trusted."""
+    """The check of signs before the first force of the scene; None if the signs are trusted."""
 
     @property
     def resolution_m(self) -> float:
-        """The step of positions, the coarser axis's."""
+        """The resolution of positions in m; the larger one of the two axes."""
         return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
 
     @property
     def leak_text(self) -> str:
-        """What `leak` means, for a person; empty where it is below a thousandth."""
+        """A text for users about `leak`; empty if it is below a thousandth."""
         if self.leak < 1e-3:
             return ""
-        return f"one effect for both axes: up to {100.0 * self.leak:.2g} % of a force comes out across it"
+        return f"one effect for both axes: up to {100.0 * self.leak:.2g} % of a force acts at right angles to it"
 
     @property
     def driven_axes(self) -> tuple[bool, bool]:
-        """Whether the device both moves and pushes along x, and along y."""
+        """For x and y: whether the device has both a position and a force along the axis."""
         steps_n = self.force_steps_n
         return (
-            self.x.m_per_count != STILL_M_PER_COUNT and steps_n[0] > 0.0,
-            self.y.m_per_count != STILL_M_PER_COUNT and steps_n[1] > 0.0,
+            self.x.m_per_count != STILL_AXIS_M_PER_COUNT and steps_n[0] > 0.0,
+            self.y.m_per_count != STILL_AXIS_M_PER_COUNT and steps_n[1] > 0.0,
         )
 
     @property
     def force_steps_n(self) -> tuple[float, float]:
-        """Steps of a force along x and along y; 0 where no message carries it."""
+        """The resolution of a force along x and along y in N; 0 if no message carries it."""
         values = [value for message in self.force for value in message.values]
         x, y = (
             max((1.0 / abs(value.counts_per_unit) for value in values if value.quantity in quantities), default=0.0)
@@ -273,23 +273,23 @@ class Plan:
         return x, y
 
     def to_c(self) -> CData:
-        """A `struct hd_hid_plan *`. Raises DeviceError for what has no room in it."""
+        """Return the plan as `struct hd_hid_plan *`. Raises DeviceError if it has more than the struct can hold."""
 
         def script(messages: Sequence[Message]) -> dict[str, object]:
             return {"count": len(messages), "messages": [message.for_c() for message in messages]}
 
-        effects = {} if self.effects is None else {**_for_c(self.effects), "count": len(self.effects.indices)}
+        effects = {} if self.effects is None else {**_c_members(self.effects), "count": len(self.effects.indices)}
         plan = {
-            "axes": [_for_c(self.x), _for_c(self.y)],
+            "axes": [_c_members(self.x), _c_members(self.y)],
             "begin": script(self.begin),
             "force": script(self.force),
             "renew": script(self.renew),
             "restore": script(self.restore),
             "stop": script(self.stop),
             "effects": effects,
-            "states": [_for_c(state) for state in self.states],
+            "states": [_c_members(state) for state in self.states],
             "state_count": len(self.states),
-            "signs": {} if self.signs is None else _for_c(self.signs),
+            "signs": {} if self.signs is None else _c_members(self.signs),
             "on_change": self.on_change,
             "renew_ns": round(self.renew_s * 1e9),
             "restore_ns": round(self.restore_s * 1e9),
@@ -298,12 +298,13 @@ class Plan:
         try:
             return ffi.new("struct hd_hid_plan *", plan)
         except IndexError as error:
-            raise DeviceError(f"the device needs more reports, or longer ones, than are sent: {error}") from None
+            raise DeviceError(f"the device needs more or longer reports than hapticd can send: {error}") from None
 
 
-_IN_C: Final = {"bits": "field", "signed": "is_signed"}
+_C_MEMBER_NAMES: Final = {"bits": "field", "signed": "is_signed"}
+"""Names in C of members that have another name here."""
 
 
-def _for_c(part: Bits | AxisPlan | Value | StateBit | PlayingBits | Signs) -> dict[str, object]:
-    """What initializes the struct of the same members."""
-    return asdict(part, dict_factory=lambda members: {_IN_C.get(name, name): value for name, value in members})
+def _c_members(part: Bits | AxisPlan | Value | StateBit | PlayingBits | Signs) -> dict[str, object]:
+    """Return the members of the C struct that corresponds to a dataclass."""
+    return asdict(part, dict_factory=lambda pairs: {_C_MEMBER_NAMES.get(name, name): value for name, value in pairs})

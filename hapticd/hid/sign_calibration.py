@@ -1,7 +1,7 @@
-"""Which way a device pushes: small forces along each of its axes, both ways, while nobody holds the handle.
+"""Finds the axis and the sign of a device's forces: small forces along each axis, while nobody holds the handle.
 
-The force rises and falls over ramps, is held for a moment, and ends early once the handle has clearly moved. However a
-calibration ends, the force ends at zero and the effects are stopped.
+Each push rises over a ramp and is held; it ends early once the handle has clearly moved. At the end of a calibration,
+also by an error, the force is zero and the effects are stopped.
 """
 
 from __future__ import annotations
@@ -14,34 +14,38 @@ from typing import Final, Literal
 
 from hapticd.base.core import ffi, lib
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
-from hapticd.hid.device import Device, Driver, arriving
+from hapticd.hid.device import Device, Driver, arrived_reports
 from hapticd.hid.plan import DeviceError, Plan
 
-MOST_OF_FULL: Final = 0.1
-"""No more than this part of the full force is used."""
-RAMP_S: Final = 0.2
-HOLD_S: Final = 0.4
-REST_S: Final = 0.5
-STEP_S: Final = 0.01
-MOVED: Final = 0.02
-"""A handle that moved by less than this part of its half travel was not pushed."""
-ENOUGH: Final = 0.2
-"""A push ends early once the handle has moved by this part."""
-CLEARLY_FARTHER: Final = 2.0
-"""The axis that was pushed moves so many times as far as the other."""
+MAX_FORCE_SHARE: Final = 0.1
+"""Largest force of a calibration, as a fraction of the device's largest force."""
+PUSH_RAMP_S: Final = 0.2
+"""Time over which the force of a push rises."""
+PUSH_HOLD_S: Final = 0.4
+"""Time for which a push is held after its ramp."""
+PUSH_PAUSE_S: Final = 0.5
+"""Pause before each push, in which the handle comes to rest."""
+PUSH_STEP_S: Final = 0.01
+"""Interval between two forces."""
+MIN_MOTION_SHARE: Final = 0.02
+"""A motion by less than this fraction of the handle's half travel counts as none."""
+SUFFICIENT_MOTION_SHARE: Final = 0.2
+"""A push ends early once the handle has moved by this fraction of its half travel."""
+MIN_MOTION_RATIO: Final = 2.0
+"""The handle must move this many times as far along one axis as along the other, or the result is not clear."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What was found."""
+    """The result of a calibration."""
 
     force_axes: ForceAxes
     moved_m: dict[str, tuple[float, float]]
-    """How far the handle went along x and y with a force along each of the device's axes."""
+    """Motion of the handle along x and y for a force along each of the device's axes."""
 
 
 class _Pusher:
-    """Sends forces and reads positions, with the time that it takes."""
+    """Sends forces and reads positions in real time."""
 
     def __init__(self, device: Device, plan: Plan, now: Callable[[], float], pause: Callable[[float], None]) -> None:
         self._device, self._plan = device, plan
@@ -52,7 +56,7 @@ class _Pusher:
         self.position_m: list[float | None] = [None, None]
 
     def put(self, x_n: float, y_n: float) -> None:
-        """One force; what was reported meanwhile is read."""
+        """Send a force, wait for PUSH_STEP_S, and read the reports that arrived."""
         force, sent = ffi.new("double[2]", [x_n, y_n]), []
         for place, message in enumerate(self._plan.force):
             report = ffi.new("uint8_t[]", len(message.data))
@@ -64,43 +68,43 @@ class _Pusher:
             for renewal in self._plan.renew:
                 self._device.write(renewal.data)
         self._sent = sent if x_n or y_n else self._sent
-        self._pause(STEP_S)
+        self._pause(PUSH_STEP_S)
         self.read()
 
     def read(self) -> None:
-        """Takes what was reported; the newest position of each axis stays."""
+        """Read the queued input reports and store the newest position of each axis."""
         numbered = self._plan.x.report_id != 0
-        for report in arriving(self._device.fileno()):
+        for report in arrived_reports(self._device.fileno()):
             data = report if numbered else b"\0" + report
             for place, axis in enumerate((self._plan.x, self._plan.y)):
                 if data[0] == axis.report_id and axis.bits.end <= 8 * (len(data) - 1):
                     self.position_m[place] = (axis.bits.get(data) - axis.zero_counts) * axis.m_per_count
 
     def push(self, along: int, force_n: float, half_m: float) -> tuple[float, float]:
-        """How far the handle goes when it is pushed along an axis (0 or 1), m."""
+        """Push the handle along an axis (0 or 1) and return its motion along x and y, in m."""
         start = self._now()
-        while self._now() - start < REST_S:
+        while self._now() - start < PUSH_PAUSE_S:
             self.put(0.0, 0.0)
         rest: tuple[float | None, ...] = tuple(self.position_m)
         moved = (0.0, 0.0)
         start = self._now()
-        while (passed := self._now() - start) < RAMP_S + HOLD_S:
-            share = min(1.0, passed / RAMP_S)
+        while (passed := self._now() - start) < PUSH_RAMP_S + PUSH_HOLD_S:
+            share = min(1.0, passed / PUSH_RAMP_S)
             self.put(*((share * force_n, 0.0) if along == 0 else (0.0, share * force_n)))
-            # A device that reports only what changes first says where it is when it moves.
+            # A device that reports only changes sends its first position when it moves.
             rest = tuple(here if known is None else known for known, here in zip(rest, self.position_m, strict=True))
             x, y = (
                 0.0 if here is None or was is None else here - was
                 for here, was in zip(self.position_m, rest, strict=True)
             )
             moved = (x, y)
-            if max(abs(x), abs(y)) > ENOUGH * half_m:
+            if max(abs(x), abs(y)) > SUFFICIENT_MOTION_SHARE * half_m:
                 break
         self.put(0.0, 0.0)
         return moved
 
     def sent(self) -> str:
-        """What the device was sent for the last push, and what of its effects went before it, in hex, ids first."""
+        """Return the reports of the last push and, before them, those of its effects, in hex, ids first."""
         before = [message.at_rest() for message in (*self._plan.restore, *self._plan.renew)]
         return ", ".join(report.hex(" ") for report in (*before, *self._sent))
 
@@ -114,13 +118,14 @@ def calibrate(
     now: Callable[[], float] = time.monotonic,
     pause: Callable[[float], None] = time.sleep,
 ) -> Calibration:
-    """Pushes along each axis both ways and sees what moves; some five seconds.
+    """Push the handle along each axis in both directions, and find the force axes from its motion; takes about 5 s.
 
-    `driver` and `hid` must have the force axes as the device has them. Raises DeviceError: nothing moved, it is not
-    clear what did, or the device is gone; ValueError for more than a tenth of the full force.
+    `driver` and `hid` must not correct the force axes. Raises DeviceError if the handle did not move, if the result is
+    not clear, or if the device is gone; ValueError if the force exceeds MAX_FORCE_SHARE of the full force.
     """
-    if not 0.0 < force_n <= MOST_OF_FULL * hid.full_scale_force_n * (1 + 1e-9):
-        raise ValueError(f"{force_n:g} N is not above 0 and up to {MOST_OF_FULL * hid.full_scale_force_n:g} N")
+    if not 0.0 < force_n <= MAX_FORCE_SHARE * hid.full_scale_force_n * (1 + 1e-9):
+        limit_n = MAX_FORCE_SHARE * hid.full_scale_force_n
+        raise ValueError(f"the force must be above 0 and at most {limit_n:g} N, is {force_n:g} N")
     plan = driver.set_up(device)
     pusher = _Pusher(device, plan, now, pause)
     half_m = hid.travel_m
@@ -128,27 +133,27 @@ def calibrate(
         moved: dict[str, tuple[float, float]] = {}
         axes: tuple[Literal["x", "y"], ...] = ("x", "y")
         for along, name in enumerate(axes):
-            # A device of one axis has nothing to push along the other.
+            # A device with one axis is not pushed along the other.
             if not plan.driven_axes[along]:
                 continue
             there = pusher.push(along, force_n, half_m)
             back = pusher.push(along, -force_n, half_m)
             moved[name] = ((there[0] - back[0]) / 2.0, (there[1] - back[1]) / 2.0)
-            if max(map(abs, moved[name])) < MOVED * half_m:
+            if max(map(abs, moved[name])) < MIN_MOTION_SHARE * half_m:
                 raise DeviceError(
                     f"the handle did not move along any axis when {force_n:g} N pushed along the device's {name} axis, "
-                    f"nor for -{force_n:g} N: sent was {pusher.sent()} (hex, id first); is a hand on it, or does it "
-                    f"take these reports otherwise? Else try more with --force{_alone(moved)}"
+                    f"nor for -{force_n:g} N: sent reports: {pusher.sent()} (hex, id first); release the handle, check "
+                    f"that the device accepts these reports, or try a larger --force{_single_axis_hint(moved)}"
                 )
-        return Calibration(_found(moved), moved)
+        return Calibration(_force_axes_of(moved), moved)
     finally:
-        _rest(device, plan)
+        _send_rest(device, plan)
 
 
-def _alone(moved: dict[str, tuple[float, float]]) -> str:
-    """What a device needs that pushes along its first axis and not along its second one, as wheels that name both."""
+def _single_axis_hint(moved: dict[str, tuple[float, float]]) -> str:
+    """Return the hint for a device, such as a wheel, that has two axes in its descriptor and only a motor for x."""
     x, y = moved["x"]
-    if "y" not in moved or abs(x) < CLEARLY_FARTHER * abs(y):
+    if "y" not in moved or abs(x) < MIN_MOTION_RATIO * abs(y):
         return ""
     sign = 1 if x > 0 else -1
     return (
@@ -156,23 +161,24 @@ def _alone(moved: dict[str, tuple[float, float]]) -> str:
     )
 
 
-def _found(moved: dict[str, tuple[float, float]]) -> ForceAxes:
+def _force_axes_of(moved: dict[str, tuple[float, float]]) -> ForceAxes:
+    """Return the force axes for these motions. Raises DeviceError if they are not clear."""
     ways = {}
     for name, (x, y) in moved.items():
-        if max(abs(x), abs(y)) < CLEARLY_FARTHER * min(abs(x), abs(y)):
+        if max(abs(x), abs(y)) < MIN_MOTION_RATIO * min(abs(x), abs(y)):
             raise DeviceError(
                 f"the device's {name} axis moved the handle by {1e3 * x:.1f} mm along x and {1e3 * y:.1f} mm along y: "
-                "not clear which it is; was the handle touched?"
+                "the axis is not clear; do not touch the handle"
             )
         ways[name] = ("x", x) if abs(x) > abs(y) else ("y", y)
     if len(ways) == 2 and ways["x"][0] == ways["y"][0]:
-        raise DeviceError(f"both of the device's axes moved the handle along {ways['x'][0]}: was the handle touched?")
+        raise DeviceError(f"both of the device's axes moved the handle along {ways['x'][0]}; do not touch the handle")
     signs: dict[str, Literal[1, -1]] = {name: 1 if way[1] > 0 else -1 for name, way in ways.items()}
     return ForceAxes(x=ForceAxis(sign=signs["x"]), y=ForceAxis(sign=signs.get("y", 1)), swap=ways["x"][0] == "y")
 
 
-def _rest(device: Device, plan: Plan) -> None:
-    """A force of zero, and the end of every effect, as far as the device still takes it."""
+def _send_rest(device: Device, plan: Plan) -> None:
+    """Send a force of zero and the end of every effect, and ignore errors of the device."""
     for report in (*(message.at_rest() for message in plan.force), *(message.data for message in plan.stop)):
         with suppress(DeviceError):
             device.write(report)

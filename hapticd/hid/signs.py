@@ -1,5 +1,4 @@
-"""The check of a device's signs before the first force of the scene: csrc/device/hd_signs.h does it, here is what it
-is given and what it reports."""
+"""Parameters and reports of the check of signs before the first force of the scene (csrc/device/hd_signs.h)."""
 
 from __future__ import annotations
 
@@ -9,15 +8,15 @@ from typing import Final
 
 from hapticd.base.core import SignsProblem, SignsState, lib
 
-FORCE: Final = 0.1
-"""Of a pulse, as a part of the device's largest force; `hapticd devices calibrate` uses no more."""
-LEAST: Final = 0.005
-"""A handle that moved by less than this part of its half travel was not moved."""
-ENOUGH: Final = 0.1
-"""A pulse ends early once the handle has moved by this part."""
-_STEPS: Final = 2.0
-"""Of the encoder: less is no motion either."""
-_SEEN: Final[dict[SignsProblem, str]] = {
+PULSE_FORCE_SHARE: Final = 0.1
+"""Force of a pulse, as a fraction of the device's largest force; the same as the limit of a calibration."""
+MIN_PULSE_MOTION_SHARE: Final = 0.005
+"""A motion by less than this fraction of the handle's half travel counts as none."""
+PULSE_END_MOTION_SHARE: Final = 0.1
+"""A pulse ends early once the handle has moved by this fraction of its half travel."""
+_MIN_MOTION_ENCODER_STEPS: Final = 2.0
+"""A motion by fewer steps of the encoder counts as none."""
+_PROBLEM_TEXTS: Final[dict[SignsProblem, str]] = {
     SignsProblem.REVERSED: "a force along {axis} moves the handle the other way",
     SignsProblem.SWAPPED: "a force along {axis} moves the handle along {other}",
     SignsProblem.STILL: "the handle did not move when it was pushed along {axis}",
@@ -25,46 +24,54 @@ _SEEN: Final[dict[SignsProblem, str]] = {
     SignsProblem.MOVING: "the handle does not come to rest",
     SignsProblem.CONTACT: "the handle touches an object of the scene",
 }
-_log = logging.getLogger("hapticd")
-CORRECT: Final = (
+SIGNS_REMEDY: Final = (
     "run `hapticd devices calibrate` to find device.hid.force_axes, or set device.hid.signs: trust to skip the check"
 )
+
+_log = logging.getLogger("hapticd")
 
 
 @dataclass(frozen=True, slots=True)
 class Signs:
-    """What a connection has checked: the members of `struct hd_hid_signs`."""
+    """The check of one device: the members of `struct hd_hid_signs`."""
 
     number: int
-    """Of this device, from 1; each is checked once."""
+    """Number of the device, from 1; each device is checked once."""
     axes: int
-    """Bit 0 x, bit 1 y."""
+    """The axes that are checked: bit 0 x, bit 1 y."""
     force_n: float
+    """Force of a pulse."""
     least_m: float
+    """A shorter motion counts as none."""
     enough_m: float
+    """A pulse ends early after this motion."""
 
 
 class Check:
-    """Which devices are to be checked, and how."""
+    """The parameters of the check for each device that is connected."""
 
     def __init__(self, travel_m: float, full_scale_force_n: float) -> None:
-        """`travel_m`: half the handle's travel; `full_scale_force_n`: the device's largest force."""
-        self._travel_m, self._force_n = travel_m, FORCE * full_scale_force_n
+        """Create the check for a handle with half the travel `travel_m` and the largest force `full_scale_force_n`."""
+        self._travel_m, self._force_n = travel_m, PULSE_FORCE_SHARE * full_scale_force_n
         self._numbers: dict[str, int] = {}
 
     def of(self, identity: str, axes: tuple[bool, bool], resolution_m: float) -> Signs | None:
-        """For the device of this identity, whose axes that move and are pushed are these. A device that comes back is
-        not checked again. None: no axis is both."""
+        """Return the check of a device; None if it has no axis with both a position and a force.
+
+        `axes` says for x and y whether they have both. A device that is connected again gets the same number, so that
+        it is not checked again.
+        """
         if not any(axes):
             return None
         number = self._numbers.setdefault(identity, len(self._numbers) + 1)
-        least_m = max(LEAST * self._travel_m, _STEPS * resolution_m)
-        return Signs(number, axes[0] | axes[1] << 1, self._force_n, least_m, max(ENOUGH * self._travel_m, least_m))
+        least_m = max(MIN_PULSE_MOTION_SHARE * self._travel_m, _MIN_MOTION_ENCODER_STEPS * resolution_m)
+        enough_m = max(PULSE_END_MOTION_SHARE * self._travel_m, least_m)
+        return Signs(number, axes[0] | axes[1] << 1, self._force_n, least_m, enough_m)
 
 
 @dataclass(frozen=True, slots=True)
 class SignsStatus:
-    """What the servo reports of the check."""
+    """The state of the check, as the servo reports it."""
 
     state: SignsState
     problem: SignsProblem
@@ -72,38 +79,38 @@ class SignsStatus:
 
     @classmethod
     def read(cls, word: int) -> SignsStatus:
-        """From `signs` of struct hd_counters."""
+        """Decode `signs` of struct hd_counters."""
         problem = word >> lib.HD_SIGNS_PROBLEM_SHIFT & 0xFF
         axis = word >> lib.HD_SIGNS_AXIS_SHIFT & 0xFF
         return cls(SignsState(word & 0xFF), SignsProblem(problem), "xy"[axis])
 
     @property
     def holds_back(self) -> bool:
-        """Forces are on, and the scene is not felt yet."""
+        """Whether forces are on but the scene is held back until the check has ended."""
         return self.state in (SignsState.CHECKING, SignsState.WAITING)
 
     @property
     def seen(self) -> str | None:
-        """What is wrong or in the way; None: nothing."""
-        seen = _SEEN.get(self.problem)
+        """What is wrong or prevents the check; None if nothing does."""
+        seen = _PROBLEM_TEXTS.get(self.problem)
         return None if seen is None else seen.format(axis=self.axis, other="y" if self.axis == "x" else "x")
 
     @property
     def advice(self) -> str:
-        """What to do about that."""
+        """What the user should do."""
         if self.state == SignsState.WRONG:
-            return CORRECT
+            return SIGNS_REMEDY
         if self.state == SignsState.UNCLEAR:
-            return f"let go of the handle and turn forces on again, or {CORRECT}"
+            return f"let go of the handle and turn forces on again, or {SIGNS_REMEDY}"
         away = "move it away and " if self.problem == SignsProblem.CONTACT else ""
         return f"{away}let go of it"
 
     def line(self) -> str | None:
-        """What was seen and what to do about it, in one line; None: there is nothing to do."""
+        """Return problem and advice in one line; None without a problem."""
         return None if self.seen is None else f"{self.seen}: {self.advice}"
 
     def to_dict(self) -> dict[str, object]:
-        """For get_status."""
+        """Return the member `signs` of get_status."""
         named = self.state in (SignsState.CHECKING, SignsState.WRONG, SignsState.UNCLEAR)
         return {
             "state": self.state.name.lower(),
@@ -114,13 +121,13 @@ class SignsStatus:
 
 
 class SignsLog:
-    """Lines of the log: where the check has come to something, or waits for somebody; no line twice in a row."""
+    """Logs the result of the check, and what it waits for; the same line is not logged twice in succession."""
 
     def __init__(self) -> None:
         self._last: SignsStatus | None = None
 
     def note(self, status: SignsStatus) -> None:
-        """How far the check is now."""
+        """Log the present state of the check, if it differs from the last one that was logged."""
         line = status.line()
         if status == self._last or (line is None and status.state != SignsState.RIGHT):
             return

@@ -1,4 +1,4 @@
-"""Where a configuration's device comes from: the machine's HID devices, or a recording."""
+"""Opens the device of a configuration: a hidraw node or a recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hapticd.hid.verdict import verdict_of
 
 
 def source_of(device: DeviceConfig) -> Source:
-    """What finds and opens the device of a configuration whose kind is hid or replay."""
+    """Return the function that finds and opens the device of a configuration whose kind is hid or replay."""
     if device.kind == "replay":
         assert device.replay is not None
         return replay_source(device.replay, device.hid)
@@ -21,9 +21,9 @@ def source_of(device: DeviceConfig) -> Source:
 
 
 def open_hid(hid: Hid) -> Opened:
-    """The device that the configuration means, open. Raises DeviceError, one line."""
+    """Open the device that the configuration selects. Raises DeviceError, one line."""
     found = choose(hid, find())
-    driver, _ = found.verdict.sound()
+    driver, _ = found.verdict.driver_and_plan()
     on_change = True if "reports_on_change" in hid.quirks else False if "reports_steadily" in hid.quirks else None
     return Opened(
         HidrawDevice(found.path), driver, found.name, found.out_interval_s, on_change, identity=found.identity
@@ -31,7 +31,7 @@ def open_hid(hid: Hid) -> Opened:
 
 
 def replay_source(replay: Replay, hid: Hid) -> Source:
-    """What plays a recording, once or for ever. Raises HapticdError for one that cannot be read."""
+    """Return the function that opens a recording as a device. Raises HapticdError if it cannot be read."""
     recording = load(replay.path)
     driver = _ReplayDriver(hid, recording.descriptor)
     played: list[ReplayDevice] = []
@@ -47,11 +47,11 @@ def replay_source(replay: Replay, hid: Hid) -> Source:
 
 
 class _ReplayDriver:
-    """A recording is not set up."""
+    """Driver of a recording, which needs no set-up."""
 
     def __init__(self, hid: Hid, descriptor: bytes) -> None:
-        _, self._plan = verdict_of(hid, descriptor).sound()
+        _, self._plan = verdict_of(hid, descriptor).driver_and_plan()
 
     def set_up(self, device: Device) -> Plan:
-        """Nothing but the plan."""
+        """Return the plan."""
         return self._plan

@@ -1,10 +1,11 @@
-"""Stops a device whose daemon could not: `hapticd stop-device`, which systemd runs whatever ended the daemon.
+"""Stops a device whose daemon did not: `hapticd stop-device`, which systemd runs after every end of the daemon.
 
-Before a daemon lets any force through to a real device, it writes into its runtime directory which node that is, how to
-know it again, and the exact reports that take its force to zero and stop its effects. The record stays until an orderly
-end did that itself. Whoever finds it sends those reports, unless the node is another device by now.
+Before a daemon sends forces to a real device, it writes a record into its runtime directory: the device's node, its
+identity, and the reports that set its force to zero and stop its effects. The daemon removes the record when it has
+sent these reports itself at an orderly end. `stop_device` sends them if the record exists, unless the node belongs to
+another device now.
 
-Nothing is loaded here that a process needs which lives for a moment.
+This module imports little, so that `hapticd stop-device` starts fast.
 """
 
 from __future__ import annotations
@@ -25,18 +26,21 @@ from hapticd.base.errors import HapticdError, on_one_line, quoted
 from hapticd.base.files import write_whole
 from hapticd.system.trusted_files import read_trusted
 
-SYSFS: Final = Path("/sys")
-DEADLINE_S: Final = 3.0
-"""A device that has not taken its reports by then is given up."""
-_VERSION: Final = 1
-_LARGEST_BYTES: Final = 1 << 16
-_KEYS: Final = ("HID_ID", "HID_NAME", "HID_PHYS", "HID_UNIQ")
-_GONE: Final = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
+SYSFS_ROOT: Final = Path("/sys")
+STOP_DEADLINE_S: Final = 3.0
+"""A device must accept all of its reports within this time."""
+_RECORD_VERSION: Final = 1
+_MAX_RECORD_BYTES: Final = 1 << 16
+"""A larger file cannot be a record."""
+_IDENTITY_KEYS: Final = ("HID_ID", "HID_NAME", "HID_PHYS", "HID_UNIQ")
+"""The members of the uevent in sysfs that identify a device."""
+_GONE_ERRNOS: Final = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
+"""Errors of a device that was unplugged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """How a hidraw node is known again: its number, and what its driver says of the device."""
+    """The identity of a hidraw node: its device number, and its device's members of the uevent in sysfs."""
 
     major: int
     minor: int
@@ -47,8 +51,8 @@ class Identity:
         return quoted(self.device.get("HID_NAME", "no name"))
 
 
-def identity_of(status: os.stat_result, sysfs: Path = SYSFS) -> Identity | None:
-    """Of a node; None for whatever is no hidraw node."""
+def identity_of(status: os.stat_result, sysfs: Path = SYSFS_ROOT) -> Identity | None:
+    """Return the identity of a node; None if it is not a hidraw node."""
     if not stat.S_ISCHR(status.st_mode):
         return None
     major, minor = os.major(status.st_rdev), os.minor(status.st_rdev)
@@ -60,94 +64,98 @@ def identity_of(status: os.stat_result, sysfs: Path = SYSFS) -> Identity | None:
     except OSError:
         return None
     uevent = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
-    return Identity(major, minor, {key: uevent[key] for key in _KEYS if key in uevent})
+    return Identity(major, minor, {key: uevent[key] for key in _IDENTITY_KEYS if key in uevent})
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What stops one device."""
+    """The record of one device: its node, its identity, and the reports that stop it."""
 
     path: str
     identity: Identity
     zero: tuple[bytes, ...]
-    """Reports that say a force of zero, ids first."""
+    """Output reports for a force of zero, ids first."""
     stop: tuple[bytes, ...]
-    """Reports that stop its effects, or switch it off."""
+    """Output reports that stop its effects or disable its actuators, ids first."""
     pause_s: float = 0.0
-    """What it needs between two reports."""
+    """Shortest pause between two reports."""
 
 
 class StopFile:
-    """The record in a daemon's runtime directory."""
+    """The file with the record, in a daemon's runtime directory."""
 
     def __init__(self, path: Path, identify: Callable[[int], Identity | None] | None = None) -> None:
-        """`identify`: of an open device's descriptor."""
+        """Use the file at `path`. `identify` returns the identity of an open device, given its file descriptor."""
         self.path = path
         self._identify = identify or (lambda fd: identity_of(os.fstat(fd)))
 
     def keep(self, path: str, fd: int, zero: Sequence[bytes], stop: Sequence[bytes], pause_s: float) -> None:
-        """Writes it, whole or not at all; nothing for what is no real device. Raises HapticdError: without it no force
-        may go out."""
+        """Write the record atomically; does nothing if the descriptor does not belong to a hidraw node.
+
+        Raises HapticdError; without the record no force may be sent.
+        """
         identity = self._identify(fd)
         if identity is None:
             return
         record = {
-            "version": _VERSION,
+            "version": _RECORD_VERSION,
             "path": path,
             "identity": asdict(identity),
             "zero": [report.hex() for report in zero],
             "stop": [report.hex() for report in stop],
             "pause_s": pause_s,
         }
-        if self.path.is_symlink():  # its end would be written, and a link is never trusted
+        if self.path.is_symlink():  # otherwise its target would be written; `load` refuses a link anyway
             self.path.unlink()
-        for part in self.path.parent.glob(f".{self.path.name}.*.part"):  # of a daemon that was killed here
+        for part in self.path.parent.glob(f".{self.path.name}.*.part"):  # left by a killed daemon
             part.unlink(missing_ok=True)
         write_whole(self.path, json.dumps(record), overwrite=True, mode=0o600)
 
     def drop(self) -> None:
-        """The device is at zero."""
+        """Remove the record, because the device has a force of zero."""
         self.path.unlink(missing_ok=True)
 
 
 def load(path: Path) -> Record | None:
-    """Reads a record; None where there is none. Raises HapticdError for one that others may have written, or that is no
-    record."""
+    """Read a record; returns None if the file does not exist.
+
+    Raises HapticdError if other users could have written the file, or if it is not a valid record.
+    """
     if path.is_symlink():
-        raise HapticdError(f"{path}: is a symbolic link; it must be a file of the daemon's own")
+        raise HapticdError(f"{path}: must be a regular file of the daemon, is a symbolic link")
     try:
-        text = read_trusted(path, _LARGEST_BYTES)
+        text = read_trusted(path, _MAX_RECORD_BYTES)
     except HapticdError:
         if os.path.lexists(path):
             raise
         return None
     try:
         record = json.loads(text)
-        if record["version"] != _VERSION:
-            raise ValueError(f"not of version {_VERSION}")
+        if record["version"] != _RECORD_VERSION:
+            raise ValueError(f"version: must be {_RECORD_VERSION}")
         identity, pause_s = record["identity"], float(record["pause_s"])
         zero, stop = (tuple(map(bytes.fromhex, record[name])) for name in ("zero", "stop"))
         is_path = os.path.isabs(record["path"]) and "\0" not in record["path"]
         if not (is_path and 0.0 <= pause_s <= 10.0 and all((*zero, *stop))):
-            raise ValueError("no absolute path, a pause beyond 10 s or a report without bytes")
+            raise ValueError("path must be absolute, pause_s at most 10 s, and no report empty")
         known = Identity(int(identity["major"]), int(identity["minor"]), dict(identity["device"]))
         return Record(record["path"], known, zero, stop, pause_s)
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-        raise HapticdError(f"{path}: is no record of a device: {on_one_line(str(error))}") from None
+        raise HapticdError(f"{path}: not a record of a device: {on_one_line(str(error))}") from None
 
 
 def stop_device(
     path: Path,
     *,
-    sysfs: Path = SYSFS,
-    deadline_s: float = DEADLINE_S,
+    sysfs: Path = SYSFS_ROOT,
+    deadline_s: float = STOP_DEADLINE_S,
     opened: Callable[[Record], int] | None = None,
     write: Callable[[int, bytes], int] = os.write,
 ) -> str | None:
-    """Sends what the record at `path` says, and takes it away; what was done, in one line. None: there is no record.
+    """Send the reports of the record at `path`, remove the record, and return what was done, in one line.
 
-    `opened` opens the node in the place of this module's own checks, `write` writes a report. Raises HapticdError where
-    the device may still push.
+    Returns None if no record exists. `opened`, if given, opens the node instead of this module's checks; `write` writes
+    a report. Raises HapticdError if the device may still push.
     """
     record = load(path)
     if record is None:
@@ -156,16 +164,16 @@ def stop_device(
     what = f"{record.path} ({record.identity})"
     try:
         fd = opened(record) if opened is not None else _open(record, sysfs)
-    except _NotThereError as error:
+    except _DeviceAbsentError as error:
         path.unlink(missing_ok=True)
         return f"{what}: {error}"
     except OSError as error:
-        raise HapticdError(f"{what}: cannot be opened: {error.strerror}; it may still push") from None
+        raise HapticdError(f"{what}: cannot open it: {error.strerror}; it may still push") from None
     with os.fdopen(fd, "wb", buffering=0):
         _lock(fd, what, until_s)
         try:
             refused = _send(fd, record, what, until_s, write)
-        except _NotThereError as error:
+        except _DeviceAbsentError as error:
             path.unlink(missing_ok=True)
             return f"{what}: {error}"
     path.unlink(missing_ok=True)
@@ -174,55 +182,58 @@ def stop_device(
     return f"{what}: force zero, effects stopped{said}"
 
 
-class _NotThereError(Exception):
-    """The device that is meant is not there."""
+class _DeviceAbsentError(Exception):
+    """The device of the record is not connected."""
 
 
 def _open(record: Record, sysfs: Path) -> int:
-    """The node, if it is still the same device. Raises _NotThereError, OSError."""
+    """Open the node if it is still the same device. Raises _DeviceAbsentError, OSError."""
     try:
-        # Looked at before it is opened: opening alone may do something to what it is now.
-        _check(record, identity_of(os.lstat(record.path), sysfs))
+        # Checked before it is opened, because opening alone could affect another device.
+        _check_identity(record, identity_of(os.lstat(record.path), sysfs))
         fd = os.open(record.path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
     except OSError as error:
-        if error.errno in _GONE:
-            raise _NotThereError("is not connected any more; nothing was sent") from None
+        if error.errno in _GONE_ERRNOS:
+            raise _DeviceAbsentError("no longer connected; nothing was sent") from None
         raise
     try:
-        _check(record, identity_of(os.fstat(fd), sysfs))
+        _check_identity(record, identity_of(os.fstat(fd), sysfs))
     except BaseException:
         os.close(fd)
         raise
     return fd
 
 
-def _check(record: Record, found: Identity | None) -> None:
+def _check_identity(record: Record, found: Identity | None) -> None:
     if found is None:
-        raise _NotThereError("is no HID device any more; nothing was sent")
+        raise _DeviceAbsentError("no longer a HID device; nothing was sent")
     if found != record.identity:
-        raise _NotThereError(f"is another device now, {found}; nothing was sent")
+        raise _DeviceAbsentError(f"now another device, {found}; nothing was sent")
 
 
 def _lock(fd: int, what: str, until_s: float) -> None:
-    """Ours alone among daemons: one that is dead lets go when the kernel is done with it."""
+    """Lock the device against daemons. The lock of a killed daemon ends when the kernel has removed its process."""
     while True:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return
         except BlockingIOError:
             if time.monotonic() >= until_s:
-                raise HapticdError(f"{what}: a daemon drives it; stop that one") from None
+                raise HapticdError(f"{what}: a daemon drives it; stop that daemon") from None
             time.sleep(0.01)
 
 
 def _send(fd: int, record: Record, what: str, until_s: float, write: Callable[[int, bytes], int]) -> list[str]:
-    """Writes all reports, and says which were refused. Raises HapticdError where neither a force of zero nor the end of
-    its effects was taken whole, in time (a write may hang in the kernel, so it is another thread's), _NotThereError."""
+    """Write all reports, and return a text for each report that was refused.
+
+    Raises HapticdError if the device accepted neither all reports for a force of zero nor all that stop its effects in
+    time, _DeviceAbsentError if it is gone. A separate thread writes, because a write may hang in the kernel.
+    """
     reports = [*record.zero, *record.stop]
-    pause_s = min(record.pause_s, DEADLINE_S / 2.0 / len(reports)) if reports else 0.0
+    pause_s = min(record.pause_s, STOP_DEADLINE_S / 2.0 / len(reports)) if reports else 0.0
     problems: dict[int, OSError] = {}
     given_up = threading.Event()
-    # Its own: one that comes back late must not write to what has the number of a closed one by then.
+    # A duplicate for the thread: a write that returns late must not use a number that was reused after close.
     own = os.dup(fd)
 
     def send() -> None:
@@ -232,10 +243,10 @@ def _send(fd: int, record: Record, what: str, until_s: float, write: Callable[[i
                     return
                 try:
                     if write(own, report) != len(report):
-                        raise OSError(errno.EIO, "taken in part")
+                        raise OSError(errno.EIO, "only a part was written")
                 except OSError as error:
                     problems[number] = error
-                    if error.errno in _GONE:
+                    if error.errno in _GONE_ERRNOS:
                         return
                 given_up.wait(pause_s)
         finally:
@@ -245,14 +256,14 @@ def _send(fd: int, record: Record, what: str, until_s: float, write: Callable[[i
     try:
         writer.start()
     except RuntimeError:
-        send()  # no thread is to be had: better to wait for a device that hangs than to leave each as it is
+        send()  # no thread can be started: rather risk to hang than leave the device with its force
     else:
         writer.join(max(0.0, until_s - time.monotonic()))
     if writer.is_alive():
         given_up.set()
-        raise HapticdError(f"{what}: does not take reports; it may still push")
-    if any(error.errno in _GONE for error in problems.values()):
-        raise _NotThereError("went away while it was told")
+        raise HapticdError(f"{what}: does not accept reports; it may still push")
+    if any(error.errno in _GONE_ERRNOS for error in problems.values()):
+        raise _DeviceAbsentError("was unplugged while it was stopped")
     refused = [f"report {reports[number].hex(' ')}: {error.strerror}" for number, error in sorted(problems.items())]
     zeroed = bool(record.zero) and min(problems, default=len(reports)) >= len(record.zero)
     stopped = bool(record.stop) and max(problems, default=-1) < len(record.zero)

@@ -1,7 +1,7 @@
-"""Whether a device can be driven, by its report descriptor and the configuration alone: one plan, one verdict.
+"""Decides whether a device can be driven, from its report descriptor and the configuration.
 
-The daemon, `hapticd devices`, `devices parse`, `doctor` and `check` all ask here, so that they cannot disagree. A
-device that is found drivable may still refuse to make an effect when it is set up; that is not in its descriptor.
+The daemon, `hapticd devices`, `devices parse`, `doctor` and `check` all use this decision, so that they agree. A device
+that can be driven may still refuse to create an effect during set-up, which its descriptor does not show.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from hapticd.base.core import Status, invalid_reason, lib
 from hapticd.config.hid import Hid
-from hapticd.hid.descriptor.layout import SKIPPED, Layout, layout_of
+from hapticd.hid.descriptor.layout import SKIPPED_ITEM_PREFIX, Layout, layout_of
 from hapticd.hid.descriptor.parser import DescriptorError, parse
 from hapticd.hid.device import Driver
 from hapticd.hid.drivers.pid import PidDriver
@@ -19,50 +19,52 @@ from hapticd.hid.drivers.vendor import VendorDriver
 from hapticd.hid.drivers.vendor import plan_of as vendor_plan_of
 from hapticd.hid.plan import DeviceError, Plan, UndrivableError
 
-_MOST_STEP_M = 1.0
-"""The servo takes no coarser positions."""
-_SHOWN = 3
+_MAX_POSITION_STEP_M = 1.0
+"""The servo accepts no coarser positions."""
+_MAX_LISTED_PROBLEMS = 3
+"""An error lists at most this many fields that cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What becomes of a device with this report descriptor."""
+    """Whether and how a device with this report descriptor can be driven."""
 
     layout: Layout | None
-    """None where the descriptor cannot be read."""
+    """The reports and axes of the descriptor; None if the descriptor is not valid."""
     problem: str | None
-    """Why it cannot be read."""
+    """Why the descriptor is not valid."""
     driver: Driver | None
-    """What sets it up; None where it cannot be driven."""
+    """The driver that sets up the device; None if it cannot be driven."""
     plan: Plan | None
-    """The plan for a device that has room for what is wanted and numbers its effects from the first on; None where it
-    cannot be driven."""
+    """The plan, assuming that the device can create all wanted effects and numbers them from the first Effect Block
+    Index on; None if it cannot be driven."""
     why_not: str | None
-    """One line; None where it can be driven."""
+    """Why it cannot be driven, in one line; None if it can be driven."""
 
     @property
     def drivable(self) -> bool:
+        """Whether the device can be driven."""
         return self.why_not is None
 
-    def sound(self) -> tuple[Driver, Plan]:
-        """Its driver and its plan. Raises UndrivableError where it cannot be driven."""
+    def driver_and_plan(self) -> tuple[Driver, Plan]:
+        """Return driver and plan. Raises UndrivableError if the device cannot be driven."""
         if self.driver is None or self.plan is None:
             why_not = str(self.why_not)
-            # A fault of the configuration names its key, which says enough.
+            # An error of the configuration begins with its key and needs no prefix.
             raise UndrivableError(
                 why_not if why_not.startswith("device.hid.") else f"the device cannot be driven: {why_not}"
             )
         return self.driver, self.plan
 
     def to_dict(self) -> dict[str, object]:
-        """As JSON: the layout, and the verdict."""
+        """Return layout and verdict as a map for `hapticd devices parse --json`."""
         layout = {} if self.layout is None else self.layout.to_dict()
         leak = None if self.plan is None else self.plan.leak
         return {**layout, "usable": self.drivable, "why_not": self.why_not, "leak": leak}
 
 
 def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
-    """Never raises: what is wrong with the device is the verdict."""
+    """Return the verdict on a device with this report descriptor; a device that cannot be driven raises no error."""
     layout, problem = None, None
     try:
         layout = layout_of(parse(descriptor))
@@ -70,7 +72,7 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
         problem = str(error)
     try:
         if hid.report is not None:
-            # What a descriptor says of effects is of no matter to reports of its own.
+            # With vendor reports, the PID reports of the descriptor do not matter.
             vendor = VendorDriver(hid, descriptor)
             return Verdict(layout, problem, vendor, _checked(vendor_plan_of(hid, hid.report)), None)
         if layout is None:
@@ -79,7 +81,7 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
             raise DeviceError(f"its report descriptor has no {', no '.join(layout.missing)}")
         driver = PidDriver(layout, hid)
         first, last = layout.effect_indices or (1, 1)
-        # Set-up goes on to the next way where the device has no room for the first one.
+        # If the device has no room for the first way, set-up tries the next one; so all plans are checked.
         plans = [
             _checked(plan_of(layout, hid, way, range(first, last + 1)[: 1 if way in ("one", "polar") else 2]))
             for way in ways_of(layout, hid)
@@ -88,23 +90,23 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
     except DeviceError as error:
         why_not = str(error)
         if layout is not None and not why_not.startswith("device.hid."):
-            why_not += _unused(layout)
+            why_not += _unused_fields_text(layout)
         return Verdict(layout, problem, None, None, why_not)
 
 
-def _unused(layout: Layout) -> str:
-    """What fields are there and cannot be used: one of them may be the cause."""
-    fields = [problem for problem in layout.problems if not problem.startswith(SKIPPED)]
+def _unused_fields_text(layout: Layout) -> str:
+    """Return a text about fields that exist but cannot be used, since one of them may be the cause."""
+    fields = [problem for problem in layout.problems if not problem.startswith(SKIPPED_ITEM_PREFIX)]
     if not fields:
         return ""
-    more = f", and {len(fields) - _SHOWN} more" if len(fields) > _SHOWN else ""
-    return f" (not used: {'; '.join(fields[:_SHOWN])}{more})"
+    more = f", and {len(fields) - _MAX_LISTED_PROBLEMS} more" if len(fields) > _MAX_LISTED_PROBLEMS else ""
+    return f" (not used: {'; '.join(fields[:_MAX_LISTED_PROBLEMS])}{more})"
 
 
 def _checked(plan: Plan) -> Plan:
-    """The plan, if the core takes it. Raises DeviceError."""
+    """Return the plan if C accepts it. Raises DeviceError."""
     if lib.hd_hid_check(plan.to_c()) != Status.OK:
         raise DeviceError(invalid_reason())
-    if not plan.resolution_m < _MOST_STEP_M:
-        raise DeviceError(f"positions come in steps of {plan.resolution_m:g} m; the servo takes less than 1 m")
+    if not plan.resolution_m < _MAX_POSITION_STEP_M:
+        raise DeviceError(f"the step of positions must be below 1 m, is {plan.resolution_m:g} m")
     return plan

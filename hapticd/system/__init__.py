@@ -1,12 +1,12 @@
-"""What the operating system is asked for: paths, the log, systemd, idle states, installed files.
+"""Services of the operating system: paths, log, systemd notifications, idle states, installed files.
 
-    paths           where a daemon and its clients meet: the runtime directory, its names, its lock and its sockets
-    journal         where the log goes, and which events of the servo it has
-    repeated_lines  lines of the log that repeat each other, summed up
-    notify          systemd's notifications: ready, alive, reloading, stopping, and a line of state
-    service_files   `hapticd install-service`: the units of this installation, put in place by systemd/install.sh
-    trusted_files   files that are obeyed: refused where somebody else may change them
-    open_files      how many descriptors the process may have, and how many clients may take
+    paths           the runtime directory of a daemon: its sockets, its lock, its owner
+    journal         the log on stderr, and the events of the servo that it contains
+    repeated_lines  rate limit for repeated lines of the log
+    notify          notifications to systemd: ready, watchdog, reloading, stopping, status line
+    service_files   `hapticd install-service`: adapts the units to this installation and runs systemd/install.sh
+    trusted_files   reads files with keys or commands, and refuses them if other users may change them
+    open_files      the limit of file descriptors, and how many connections it allows
     idle_states     keeps the processors out of deep idle states
 
 Questions, and where to begin:
@@ -16,5 +16,5 @@ Questions, and where to begin:
     Why is a daemon refused as the second one?
         paths (owned).
     Why is a line of the log missing, or a sum?
-        repeated_lines (Repeats); which events are lines at all: journal (EventLog).
+        repeated_lines (Repeats); which events are logged: journal (EventLog).
 """

@@ -1,7 +1,7 @@
-"""Keeping the processors out of deep idle states, from which they wake up late.
+"""Lock that keeps the processors out of deep idle states, which take long to leave.
 
-While `/dev/cpu_dma_latency` is held open with a latency of 0, the kernel's idle governor stays shallow
-(Documentation/power/pm_qos_interface). It costs power, so it is held only while a servo with real-time rights runs.
+While `/dev/cpu_dma_latency` is held open with a latency of 0, the kernel's idle governor selects only shallow states
+(Documentation/power/pm_qos_interface). This costs power, so it is held only while a servo with real-time rights runs.
 """
 
 from __future__ import annotations
@@ -10,23 +10,25 @@ import os
 import struct
 from typing import Final
 
-DEVICE: Final = "/dev/cpu_dma_latency"
+LATENCY_DEVICE: Final = "/dev/cpu_dma_latency"
+"""The kernel's interface for the latency request: it holds as long as the file is open."""
 
 
 class IdleStateLock:
-    """Holds the request, or not."""
+    """The request for shallow idle states, which can be held and released."""
 
     def __init__(self) -> None:
         self._fd: int | None = None
 
     @property
     def held(self) -> bool:
+        """Whether the request is active."""
         return self._fd is not None
 
     def hold(self) -> None:
-        """Raises OSError where the system does not let us."""
+        """Make the request, if it is not held. Raises OSError if the process lacks the permission."""
         if self._fd is None:
-            fd = os.open(DEVICE, os.O_WRONLY | os.O_CLOEXEC)
+            fd = os.open(LATENCY_DEVICE, os.O_WRONLY | os.O_CLOEXEC)
             try:
                 os.write(fd, struct.pack("=i", 0))
             except OSError:
@@ -35,7 +37,7 @@ class IdleStateLock:
             self._fd = fd
 
     def release(self) -> None:
-        """The kernel forgets the request when the file is closed; it may be released twice."""
+        """Withdraw the request by closing the file; does nothing if it is not held."""
         if self._fd is not None:
             os.close(self._fd)
             self._fd = None

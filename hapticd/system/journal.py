@@ -1,9 +1,8 @@
-"""Where the daemon's log goes, and which events of the servo stand in it.
+"""The log of the daemon and of `hapticd web` on stderr, and the events of the servo that it contains.
 
-Lines go to stderr, by a thread that writes them: nobody else waits for a journal or a terminal that does not read. What
-it does not take is lost, and counted.
-Under systemd, whose journal takes them from stderr, each begins with its priority (`<3>` for an error, sd-daemon(3)),
-so that `journalctl -p warning` shows those that matter.
+A separate thread writes the lines, so that no other thread waits for a journal or a terminal that does not read. Lines
+that do not fit into its queue are lost and counted. If stderr is the journal of systemd, each line begins with its
+priority (`<3>` for an error, sd-daemon(3)), so that `journalctl -p warning` selects lines.
 """
 
 from __future__ import annotations
@@ -20,38 +19,38 @@ from queue import Full, Queue
 from typing import Final
 
 from hapticd.base import wording
-from hapticd.system.repeated_lines import LONGEST_S, STATE_S, Repeats, Since
+from hapticd.system.repeated_lines import MAX_REPEAT_INTERVAL_S, MAX_STATE_INTERVAL_S, Repeats, Since
 
-LEVELS: Final = ("debug", "info", "warning", "error")
-"""What a line may be, the least important first."""
-_PRIORITIES: Final = {"CRITICAL": 2, "ERROR": 3, "WARNING": 4, "INFO": 6, "DEBUG": 7}
-"""Python's levels as those of syslog."""
+LOG_LEVELS: Final = ("debug", "info", "warning", "error")
+"""The levels that `--log-level` accepts, the least important first."""
+_SYSLOG_PRIORITIES: Final = {"CRITICAL": 2, "ERROR": 3, "WARNING": 4, "INFO": 6, "DEBUG": 7}
+"""The priority of syslog for each level of Python's logging."""
 
-MOST_WAITING: Final = 10_000
-"""Lines."""
-END_S: Final = 1.0
-"""So long the end waits for the last lines to be written."""
+MAX_QUEUED_LINES: Final = 10_000
+"""Lines that wait to be written; further lines are lost."""
+FINAL_FLUSH_TIMEOUT_S: Final = 1.0
+"""At its end the process waits at most this long for the last lines to be written."""
 
 _log = logging.getLogger("hapticd")
 
 
 @contextmanager
 def attached(level: str = "info", environ: Mapping[str, str] = os.environ) -> Iterator[None]:
-    """Meanwhile lines of the log go to stderr.
+    """Write the log to stderr while the context lasts.
 
-    `level`, one of LEVELS: less important lines of ours are left out; of the libraries' those below a warning, too.
-    Each line begins with the time of day, in a file with the date, too; under the journal, which has its own, with its
-    priority.
+    `level`, one of LOG_LEVELS, is the least important level of hapticd's lines that is written. Lines of libraries are
+    written from warnings on. A line begins with the time of day, and with the date if stderr is not a terminal; if
+    stderr is the journal, which adds the time itself, with the priority.
     """
     handler = logging.StreamHandler(sys.stderr)
-    if is_stderr(environ.get("JOURNAL_STREAM", "")):
-        handler.setFormatter(_ForJournal())
+    if is_stderr_stream(environ.get("JOURNAL_STREAM", "")):
+        handler.setFormatter(_JournalFormatter())
     else:
         on_terminal = sys.stderr is not None and sys.stderr.isatty()
         time_of = "%H:%M:%S" if on_terminal else "%Y-%m-%d %H:%M:%S"
         handler.setFormatter(logging.Formatter("%(asctime)s hapticd: %(message)s", time_of))
-    queued = _Queued(handler)
-    # A daemon's thread: one that nobody reads does not hold up the end of the process.
+    queued = _LineQueue(handler)
+    # A daemon thread: if it blocks because stderr is not read, the process can still end.
     writer = threading.Thread(target=queued.write, name="log", daemon=True)
     root, before = logging.getLogger(), _log.level
     root.addHandler(queued)
@@ -63,50 +62,50 @@ def attached(level: str = "info", environ: Mapping[str, str] = os.environ) -> It
         _log.setLevel(before)
         root.removeHandler(queued)
         queued.end()
-        writer.join(END_S)
+        writer.join(FINAL_FLUSH_TIMEOUT_S)
 
 
-class _Queued(QueueHandler):
-    """Lines that wait for the thread that writes them."""
+class _LineQueue(QueueHandler):
+    """Handler that puts lines into the queue of the thread that writes them."""
 
     def __init__(self, handler: logging.Handler) -> None:
-        self._waiting: Queue[logging.LogRecord | None] = Queue(MOST_WAITING)
+        self._waiting: Queue[logging.LogRecord | None] = Queue(MAX_QUEUED_LINES)
         super().__init__(self._waiting)
         self._handler = handler
         self._lost = 0
 
     def enqueue(self, record: logging.LogRecord) -> None:
-        """Without room the line is lost."""
+        """Put a line into the queue; if the queue is full, the line is lost."""
         try:
             self._waiting.put_nowait(record)
         except Full:
             self._lost += 1
 
     def end(self) -> None:
-        """No more lines come. Without room the thread ends with the process."""
+        """End the writing thread after the lines of the queue; if the queue is full, it ends with the process."""
         with suppress(Full):
             self._waiting.put_nowait(None)
 
     def write(self) -> None:
-        """Writes all that come, until the end."""
+        """Write the lines of the queue until `end` is called. It runs in the thread."""
         while (record := self._waiting.get()) is not None:
             self._handler.handle(record)
             if self._lost:
                 lost, self._lost = self._lost, 0
-                words = f"{wording.count(lost, 'line')} of this log were lost: nobody read it"
+                words = f"{wording.count(lost, 'line')} of this log were lost, because its reader was too slow"
                 self._handler.handle(_log.makeRecord(_log.name, logging.WARNING, "", 0, words, (), None))
 
 
-class _ForJournal(logging.Formatter):
-    """A priority before each line, of a traceback too."""
+class _JournalFormatter(logging.Formatter):
+    """Formatter that begins each line, also those of a traceback, with the priority of syslog."""
 
     def format(self, record: logging.LogRecord) -> str:
-        priority = _PRIORITIES.get(record.levelname, 6)
+        priority = _SYSLOG_PRIORITIES.get(record.levelname, 6)
         return "\n".join(f"<{priority}>{line}" for line in super().format(record).splitlines())
 
 
-def is_stderr(stream: str) -> bool:
-    """Whether $JOURNAL_STREAM, `DEVICE:INODE`, names what stderr is."""
+def is_stderr_stream(stream: str) -> bool:
+    """Return whether `stream`, the `DEVICE:INODE` of $JOURNAL_STREAM, is this process's stderr."""
     try:
         status = os.fstat(2)
     except OSError:
@@ -116,12 +115,12 @@ def is_stderr(stream: str) -> bool:
 
 # ---- Events --------------------------------------------------------------------------------------------------------
 
-_STATES: Final = frozenset(("fault", "device_lost", "device_found", "rate"))
-"""Events that say how things are from now on."""
+_STATE_EVENTS: Final = frozenset(("fault", "device_lost", "device_found", "rate"))
+"""Events that report a state which lasts; repeated lines of them are delayed by at most MAX_STATE_INTERVAL_S."""
 
 
-def _line(event: Mapping[str, object]) -> tuple[int, str] | None:
-    """How important an event is, and its words; None for those that do not stand in the log, contacts for example."""
+def _level_and_text(event: Mapping[str, object]) -> tuple[int, str] | None:
+    """Return the level and the text of an event; None if it is not logged, for example a contact."""
     match event["event"]:
         case "fault":
             faults = event["faults"]
@@ -137,16 +136,16 @@ def _line(event: Mapping[str, object]) -> tuple[int, str] | None:
             share = wording.percent(_number(event, "missed_share"))
             return logging.WARNING, f"overload: {share} of a second's periods were missed"
         case "rate":
-            return logging.WARNING, f"the servo goes on at {wording.si(_number(event, 'rate_hz'), 'Hz')}"
+            return logging.WARNING, f"the servo continues at {wording.si(_number(event, 'rate_hz'), 'Hz')}"
         case "resumed":
             lasted = wording.duration(_number(event, "suspended_s"))
             return logging.WARNING, f"the machine was suspended for {lasted}"
         case "memory_refused":
-            refused = f"locked memory for all objects: {event['problem']}"
-            return logging.WARNING, f"{refused}; the rest is rendered from memory that is not"
+            refused = f"cannot lock the memory of all objects: {event['problem']}"
+            return logging.WARNING, f"{refused}; the others are rendered from memory that may be paged out"
         case "glitch":
             speed = wording.quantity(_number(event, "speed_m_per_s"), "m/s", 3)
-            return logging.WARNING, f"the position jumped, at {speed}"
+            return logging.WARNING, f"the position jumped, at a speed of {speed}"
         case _:
             return None
 
@@ -156,9 +155,9 @@ def _number(event: Mapping[str, object], name: str) -> float:
 
 
 class EventLog:
-    """Tells events of consequence in the log: the first of a kind at once, those that follow as `repeats` says.
+    """Logs faults, overruns, lost devices and similar events; repeated ones are summed up (repeated_lines.py).
 
-    With level DEBUG every event is logged, each as it comes.
+    With level DEBUG every event is also logged as it comes.
     """
 
     def __init__(
@@ -167,13 +166,16 @@ class EventLog:
         missing: Callable[[], bool] = lambda: False,
         rate_hz: Callable[[], float] | None = None,
     ) -> None:
-        """`missing`: whether real-time rights that were asked for are missing; `rate_hz`: the servo's, now."""
+        """Create the log of events.
+
+        `missing` returns whether requested real-time rights were refused; `rate_hz` returns the servo's present rate.
+        """
         self._repeats = Repeats(now_s)
         self._missing, self._rate_hz = missing, rate_hz
         self._hinted = False
 
     def note(self, event: Mapping[str, object]) -> None:
-        """Takes one event, a map as telemetry sends it."""
+        """Log one event, a map as telemetry sends it, now or in a later sum."""
         kind = str(event["event"])
         if _log.isEnabledFor(logging.DEBUG):
             members = ", ".join(f"{name} {value}" for name, value in event.items() if name != "event")
@@ -182,21 +184,23 @@ class EventLog:
             amounts = {name: int(str(event[name])) for name in ("missed", "count")}
             self._repeats.note(kind, self._overrun, amounts)
             return
-        found = _line(event)
+        found = _level_and_text(event)
         if found is not None:
             level, line = found
-            self._repeats.line(kind, level, line, STATE_S if kind in _STATES else LONGEST_S)
+            self._repeats.line(
+                kind, level, line, MAX_STATE_INTERVAL_S if kind in _STATE_EVENTS else MAX_REPEAT_INTERVAL_S
+            )
 
     def flush(self) -> None:
-        """Tells what was held back and is due."""
+        """Log the sums of repeated events that are due."""
         self._repeats.flush()
 
     def finish(self) -> None:
-        """Tells all that was held back, at the end."""
+        """Log all remaining sums, at the end."""
         self._repeats.finish()
 
     def _overrun(self, since: Since) -> None:
-        """Periods that were missed, in a line that sums up with the part of all periods that they are."""
+        """Log the missed periods; in a sum, also their share of all periods."""
         missed, times = since.amounts["missed"], since.amounts["count"]
         line = f"{wording.count(missed, 'period')} missed"
         if since.seconds and self._rate_hz is not None:
@@ -206,4 +210,4 @@ class EventLog:
         _log.warning("%s", line)
         if not self._hinted and self._missing():
             self._hinted = True
-            _log.warning("real-time rights are missing, so other programs hold the servo up: see hapticd doctor")
+            _log.warning("real-time rights are missing, so other programs delay the servo: see hapticd doctor")

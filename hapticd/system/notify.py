@@ -1,7 +1,7 @@
-"""What systemd hears of the daemon and of `hapticd web`: ready, alive, reloading, stopping, and a line of state.
+"""Notifications of the daemon and of `hapticd web` to systemd: ready, watchdog, reloading, stopping, status line.
 
-The protocol is that of sd_notify(3): a datagram to the socket that `$NOTIFY_SOCKET` names. Where nothing is named,
-nothing is sent, and every function says so by False. A message that cannot be sent is logged and changes nothing.
+The protocol is that of sd_notify(3): a datagram to the socket that `$NOTIFY_SOCKET` names. If it is unset, nothing is
+sent and every function returns False. A message that cannot be sent is logged; the caller need not react.
 """
 
 from __future__ import annotations
@@ -13,41 +13,41 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-LOOK_EVERY_S: Final = 1.0
-"""The line of state follows what happens within this time."""
-_SEND_S: Final = 2.0
-"""A service manager that does not read for so long is not waited for."""
+STATUS_INTERVAL_S: Final = 1.0
+"""The status line is updated at this interval."""
+_SEND_TIMEOUT_S: Final = 2.0
+"""A message is dropped if the service manager does not read its socket for this long."""
 
 _log = logging.getLogger("hapticd")
 
 
 def ready(line: str = "") -> bool:
-    """The start is over, or a reload is; `line` is what `systemctl status` shows."""
-    return _tell("READY=1", *_status(line))
+    """Report that the start or a reload has ended; `line` is the status line that `systemctl status` shows."""
+    return _send("READY=1", *_status_assignment(line))
 
 
 def reloading() -> bool:
-    """A reload begins; `ready` ends it, also where nothing was taken."""
-    return _tell("RELOADING=1", f"MONOTONIC_USEC={time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000}")
+    """Report that a reload begins. `ready` must follow, also if the reload changes nothing."""
+    return _send("RELOADING=1", f"MONOTONIC_USEC={time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000}")
 
 
 def stopping() -> bool:
-    """An orderly end begins."""
-    return _tell("STOPPING=1")
+    """Report that an orderly end begins."""
+    return _send("STOPPING=1")
 
 
 def status(line: str) -> bool:
-    """The line of state."""
-    return _tell(*_status(line))
+    """Set the status line that `systemctl status` shows."""
+    return _send(*_status_assignment(line))
 
 
 def alive() -> bool:
-    """Feeds the watchdog. Never waits: a manager that is busy gets it the next time."""
-    return _tell("WATCHDOG=1", wait_s=0.0)
+    """Feed the watchdog. Never blocks: returns False if the socket of the service manager is full."""
+    return _send("WATCHDOG=1", wait_s=0.0)
 
 
 def watchdog_s() -> float | None:
-    """The watchdog's interval; None where there is none, or it is another process's."""
+    """Return the watchdog's interval in s; None if no watchdog is set, or it is set for another process."""
     text, pid = os.environ.get("WATCHDOG_USEC", ""), os.environ.get("WATCHDOG_PID", "")
     if not text.isdecimal() or int(text) == 0 or (pid and pid != str(os.getpid())):
         return None
@@ -55,37 +55,39 @@ def watchdog_s() -> float | None:
 
 
 class Watch:
-    """Feeds the watchdog, but only while the servo ticks, and keeps the line of state. For the thread whose life the
-    watchdog is to report, which calls it often."""
+    """Feeds the watchdog while the servo ticks, and updates the status line.
 
-    def __init__(self, look: Callable[[], tuple[int, str]], now: Callable[[], float] = time.monotonic) -> None:
-        """`look`: ticks rendered so far, and the line of state; called once in a while."""
-        self._look, self._now = look, now
+    The thread that the watchdog supervises calls it often.
+    """
+
+    def __init__(self, poll: Callable[[], tuple[int, str]], now: Callable[[], float] = time.monotonic) -> None:
+        """Create a watch. `poll` returns the number of ticks rendered and the status line."""
+        self._poll, self._now = poll, now
         interval_s = watchdog_s()
         self._fed = interval_s is not None
         self._on = self._fed or bool(os.environ.get("NOTIFY_SOCKET"))
-        self._every_s = LOOK_EVERY_S if interval_s is None else min(LOOK_EVERY_S, interval_s / 4.0)
-        self._ticks, self._line = look()[0], ""
+        self._every_s = STATUS_INTERVAL_S if interval_s is None else min(STATUS_INTERVAL_S, interval_s / 4.0)
+        self._ticks, self._line = poll()[0], ""
         self._due_s = now() + self._every_s
 
     def __call__(self) -> None:
-        """Tells what is due."""
+        """Feed the watchdog and send the status line, if the interval has passed and they have changed."""
         if not self._on or self._now() < self._due_s:
             return
         self._due_s = self._now() + self._every_s
-        ticks, line = self._look()
-        # The ticks that were reported are remembered only once they were sent: a message that was lost is made up for.
+        ticks, line = self._poll()
+        # Ticks and line are stored only after they were sent, so that a lost message is sent again.
         if self._fed and ticks != self._ticks and alive():
             self._ticks = ticks
         if line != self._line and status(line):
             self._line = line
 
 
-def _status(line: str) -> tuple[str, ...]:
+def _status_assignment(line: str) -> tuple[str, ...]:
     return (f"STATUS={' '.join(line.split())}",) if line else ()
 
 
-def _tell(*assignments: str, wait_s: float = _SEND_S) -> bool:
+def _send(*assignments: str, wait_s: float = _SEND_TIMEOUT_S) -> bool:
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address or not assignments:
         return False
@@ -98,6 +100,6 @@ def _tell(*assignments: str, wait_s: float = _SEND_S) -> bool:
     except BlockingIOError:
         return False
     except OSError as error:
-        _log.warning("systemd is not told %s: %s", assignments[0], error.strerror or error)
+        _log.warning("cannot send %s to systemd: %s", assignments[0], error.strerror or error)
         return False
     return True

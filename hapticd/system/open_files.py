@@ -1,28 +1,30 @@
-"""How many descriptors the process may have, and how many of them clients may take."""
+"""The process's limit of file descriptors, and how many connections of clients it allows."""
 
 from __future__ import annotations
 
 import resource
 from typing import Final
 
-ENOUGH: Final = 65536
-RESERVE: Final = 256
-"""Whatever clients do, so many are left for the device, signals, reloads, the flight recorder and the log."""
-MOST_CONNECTIONS: Final = 1024
-"""To one socket."""
-_SOCKETS: Final = 2
+MAX_DESCRIPTORS: Final = 65536
+"""The limit of descriptors (RLIMIT_NOFILE) that the process sets, if its hard limit allows it."""
+RESERVED_DESCRIPTORS: Final = 256
+"""Descriptors that clients cannot take: for the device, signals, reloads, the flight recorder and the log."""
+MAX_SOCKET_CONNECTIONS: Final = 1024
+"""Largest number of connections to one socket."""
+_SOCKET_COUNT: Final = 2
+"""The daemon's sockets: command and telemetry."""
 
 
-def settle() -> int:
-    """Lets the process have as many descriptors as it can use; how many connections each of its sockets may have."""
+def raise_descriptor_limit() -> int:
+    """Raise the process's limit to MAX_DESCRIPTORS, as far as it may, and return the connections allowed per socket."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = ENOUGH if hard == resource.RLIM_INFINITY else min(ENOUGH, hard)
+    wanted = MAX_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(MAX_DESCRIPTORS, hard)
     if soft == resource.RLIM_INFINITY or soft >= wanted:
-        return connections(ENOUGH if soft == resource.RLIM_INFINITY else soft)
+        return max_connections(MAX_DESCRIPTORS if soft == resource.RLIM_INFINITY else soft)
     resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
-    return connections(wanted)
+    return max_connections(wanted)
 
 
-def connections(limit: int) -> int:
-    """Of a process that may have `limit` descriptors."""
-    return max(8, min(MOST_CONNECTIONS, (limit - RESERVE) // _SOCKETS))
+def max_connections(limit: int) -> int:
+    """Return the number of connections allowed per socket, if the process may have `limit` descriptors."""
+    return max(8, min(MAX_SOCKET_CONNECTIONS, (limit - RESERVED_DESCRIPTORS) // _SOCKET_COUNT))

@@ -1,12 +1,12 @@
-"""Where a daemon and its clients meet: the runtime directory, the names in it, and how a daemon owns it.
+"""The runtime directory, in which a daemon and its clients meet: its place, its file names, and its ownership.
 
-The directory is the one that was named, else `$HAPTICD_RUNTIME_DIR`, else `$RUNTIME_DIRECTORY` where systemd gives one,
-else `$XDG_RUNTIME_DIR/hapticd`, else `/tmp/hapticd-UID`. Only the directory's owner can put sockets into it, so that
-whoever connects to a name in it talks to the daemon of that owner.
+The directory is the one that was given, else `$HAPTICD_RUNTIME_DIR`, else `$RUNTIME_DIRECTORY` (set by systemd), else
+`$XDG_RUNTIME_DIR/hapticd`, else `/tmp/hapticd-UID`. Only the directory's owner can put sockets into it, so a client
+that connects to one of them reaches the daemon of that owner.
 
-A daemon locks it with flock(2). systemd-tmpfiles leaves a locked directory alone, with all that is in it, and elsewhere
-a socket of a name that /proc/net/unix has. So sockets are bound under their own names: between bind(2) and listen(2) a
-client is refused, and tries again. At its end a daemon removes only those files that are still the ones that it made.
+A daemon locks the directory with flock(2). systemd-tmpfiles does not clean a locked directory, nor a socket whose path
+is listed in /proc/net/unix. Therefore sockets are bound under their final names; between bind(2) and listen(2) a client
+is refused and tries again. At its end a daemon removes a file only if it is still the file that it created.
 """
 
 from __future__ import annotations
@@ -26,25 +26,26 @@ from typing import Final
 from hapticd.base.errors import HapticdError
 
 SYSTEM_DIRECTORY: Final = Path("/run/hapticd")
-"""The runtime directory of the service of the system. It is there while the service runs."""
-_LONGEST_SOCKET_NAME: Final = 107
-"""sockaddr_un has room for 108 bytes, the last of which is NUL."""
-_BACKLOG: Final = 128
+"""The runtime directory of the system service; systemd creates it and removes it with the service."""
+_MAX_SOCKET_PATH_BYTES: Final = 107
+"""The longest path of a socket: sockaddr_un has room for 108 bytes, the last of which is NUL."""
+_LISTEN_BACKLOG: Final = 128
 """Connections that may wait to be accepted."""
-_CHECK_EVERY_S: Final = 1.0
+_OWNERSHIP_CHECK_INTERVAL_S: Final = 1.0
+"""Interval at which a daemon checks that its files have not been removed or replaced."""
 
 _log = logging.getLogger("hapticd")
 
 
 @dataclass(frozen=True, slots=True)
 class RuntimePaths:
-    """The names in one runtime directory."""
+    """The files of one runtime directory."""
 
     directory: Path
 
     @property
     def command(self) -> Path:
-        """The command socket (ROUTER); it is bound last, so that its existence means ready."""
+        """The command socket (ROUTER). It is bound last: once it exists, the daemon is ready."""
         return self.directory / "hapticd.command"
 
     @property
@@ -54,12 +55,12 @@ class RuntimePaths:
 
     @property
     def lock(self) -> Path:
-        """The daemon's process number. What it holds an flock on as long as it lives is the directory."""
+        """A file with the daemon's process number. The lock itself, flock(2), is on the directory."""
         return self.directory / "hapticd.lock"
 
     @property
     def device(self) -> Path:
-        """What stops the device that the daemon drives (stopper.py); it outlives a daemon that was killed."""
+        """The reports that stop the daemon's device (hid/stopper.py); the file remains if the daemon is killed."""
         return self.directory / "hapticd.device"
 
     @property
@@ -74,12 +75,12 @@ class RuntimePaths:
 
 
 def runtime_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:
-    """The names in `directory`, by default in the one that the environment says.
+    """Return the files of a runtime directory, by default of the one that the environment selects.
 
-    Raises HapticdError where a socket's name would be longer than the system takes.
+    Raises HapticdError if the path of a socket would be too long or is not UTF-8.
     """
     environ = os.environ
-    # systemd lists several directories separated by colons; the first is the service's own.
+    # systemd separates several directories by colons; the first is the runtime directory.
     given = environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
     named = directory or environ.get("HAPTICD_RUNTIME_DIR") or given
     if named:
@@ -92,38 +93,39 @@ def runtime_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePat
     try:
         os.fspath(paths.directory).encode("utf-8")
     except UnicodeEncodeError:
-        raise HapticdError("runtime directory: its name must be UTF-8, or ZeroMQ cannot connect to it") from None
+        raise HapticdError("runtime directory: its path must be UTF-8, or ZeroMQ cannot connect to it") from None
     longest = max(len(os.fsencode(paths.command)), len(os.fsencode(paths.telemetry)))
-    if longest > _LONGEST_SOCKET_NAME:
+    if longest > _MAX_SOCKET_PATH_BYTES:
         raise HapticdError(
-            f"runtime directory {chosen}: too long, the socket names in it would have {longest} bytes "
-            f"(at most {_LONGEST_SOCKET_NAME})"
+            f"runtime directory {chosen}: path too long: the paths of its sockets may have at most "
+            f"{_MAX_SOCKET_PATH_BYTES} bytes, they would have {longest} bytes"
         )
     return paths
 
 
 def check_directory(paths: RuntimePaths) -> None:
-    """Raises HapticdError unless the directory exists, is no symbolic link, and is ours alone to write."""
+    """Raise HapticdError unless the path is a directory, not a symbolic link, that only this user may write."""
     try:
         status = os.lstat(paths.directory)
     except OSError as error:
         raise HapticdError(f"runtime directory {paths.directory}: {error.strerror}") from None
     problem, mode = None, stat.S_IMODE(status.st_mode)
     if not stat.S_ISDIR(status.st_mode):
-        problem = "must be a directory, and no symbolic link"
+        problem = "must be a directory, not a symbolic link"
     elif status.st_uid != os.geteuid():
         problem = f"belongs to user {status.st_uid}, not to {os.geteuid()}"
     elif mode & 0o022:
-        problem = f"others may write to it (mode {mode:04o}); it must be 0750 or 0700"
+        problem = f"other users may write to it (mode {mode:04o}); its mode must be 0750 or 0700"
     if problem:
         raise HapticdError(f"runtime directory {paths.directory}: {problem}")
 
 
 def daemon_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:
-    """The names that a client connects to; raises HapticdError where somebody else could have put them there.
+    """Return the files that a client connects to.
 
-    A directory that was named, or that the environment names, is taken as it is: a system daemon's belongs
-    to that daemon's user. The one under /tmp must be the user's own, since anybody could have made it.
+    A directory that was given, or that the environment names, is not checked: that of a system daemon belongs to the
+    daemon's user. The directory below /tmp could have been created by any user: raises HapticdError unless it belongs
+    to this user.
     """
     paths = runtime_paths(directory)
     named = directory or any(map(os.environ.get, ("HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR")))
@@ -132,65 +134,68 @@ def daemon_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePath
     return paths
 
 
-# ---- A daemon owns it ------------------------------------------------------------------------------------------------
+# ---- Ownership by a daemon -------------------------------------------------------------------------------------------
 
 
 @dataclass(slots=True)
 class Owned:
-    """The runtime directory of a running daemon."""
+    """The runtime directory of a running daemon, and the files that this daemon created in it."""
 
     paths: RuntimePaths
     _files: dict[Path, tuple[int, int]] = field(default_factory=dict)
-    """Each file that this daemon made: its device and inode."""
+    """Device and inode of each file that this daemon created."""
     _due_s: float = 0.0
 
     def note(self, path: Path) -> None:
-        """Remembers that the file at `path` is ours."""
+        """Register the file at `path` as created by this daemon."""
         self._files[path] = _identity(path)
 
     def listen(self, path: Path) -> socket.socket:
-        """A socket that listens at `path`, in place of what a killed daemon left there. Raises HapticdError."""
+        """Return a socket that listens at `path`; a socket that a killed daemon left there is replaced.
+
+        Raises HapticdError if it cannot be bound.
+        """
         own = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
         try:
             path.unlink(missing_ok=True)
-            os.fchmod(own.fileno(), 0o660)  # the file's mode, from its first moment
+            os.fchmod(own.fileno(), 0o660)  # so the file has this mode from its creation on
             own.bind(os.fspath(path))
-            self.note(path)  # before anybody can be connected: who is may replace the file
-            own.listen(_BACKLOG)
+            self.note(path)  # before the first client connects, which could replace the file
+            own.listen(_LISTEN_BACKLOG)
         except OSError as error:
             own.close()
-            raise HapticdError(f"{path}: cannot be bound: {error.strerror}") from None
+            raise HapticdError(f"{path}: cannot bind the socket: {error.strerror}") from None
         return own
 
     def remove(self, path: Path) -> None:
-        """Removes the file at `path` if it is still ours."""
+        """Remove the file at `path` if this daemon created it."""
         if self.is_ours(path):
             path.unlink(missing_ok=True)
 
     def is_ours(self, path: Path) -> bool:
-        """Whether the file at `path` is the one that this daemon made."""
+        """Return whether the file at `path` is the one that this daemon created."""
         try:
             return self._files.get(path) == _identity(path)
         except OSError:
             return False
 
     def check(self) -> None:
-        """Logs once of each file that somebody removed or replaced. Looks once a second, however often it is called."""
+        """Log each file that another process removed or replaced, once. Checks at most once a second."""
         if time.monotonic() < self._due_s:
             return
-        self._due_s = time.monotonic() + _CHECK_EVERY_S
+        self._due_s = time.monotonic() + _OWNERSHIP_CHECK_INTERVAL_S
         for path in [path for path in self._files if not self.is_ours(path)]:
             del self._files[path]
-            _log.error("%s: was removed or replaced by another process; restart the daemon to make it again", path)
+            _log.error("%s: removed or replaced by another process; restart the daemon to create it again", path)
 
 
 @contextmanager
 def owned(paths: RuntimePaths) -> Iterator[Owned]:
-    """The runtime directory, made if it is missing, ours alone while the context lasts.
+    """Create the runtime directory if it is missing, and lock it while the context lasts.
 
-    Raises HapticdError where another daemon holds it.
+    Raises HapticdError if another daemon has locked it.
     """
-    _make(paths)
+    _make_directory(paths)
     mine = Owned(paths)
     with ExitStack() as stack:
         try:
@@ -202,7 +207,7 @@ def owned(paths: RuntimePaths) -> Iterator[Owned]:
         except BlockingIOError:
             holder = paths.lock.read_text(errors="replace").strip() if paths.lock.exists() else "unknown"
             raise HapticdError(
-                f"another daemon (process {holder}) runs on {paths.directory}; stop it, or choose another "
+                f"another daemon (process {holder}) uses {paths.directory}; stop it, or choose another "
                 "directory with --runtime-dir"
             ) from None
         except OSError as error:
@@ -212,11 +217,11 @@ def owned(paths: RuntimePaths) -> Iterator[Owned]:
         yield mine
 
 
-def _make(paths: RuntimePaths) -> None:
-    """Creates the directory and missing parents, for the user alone, or takes the one that is there if it passes
-    `check_directory`.
+def _make_directory(paths: RuntimePaths) -> None:
+    """Create the directory and its missing parents with mode 0700, or accept an existing one if `check_directory` does.
 
-    One that is there keeps 0750 or 0700, as systemd or an administrator chose it, and gets 0700 otherwise.
+    An existing directory keeps its mode if that is 0750 or 0700, as systemd or an administrator set it; otherwise it
+    gets 0700.
     """
     try:
         for folder in reversed((paths.directory, *paths.directory.parents)):

@@ -1,11 +1,12 @@
-"""Lines of the log that repeat each other: the first at once, those that follow as sums at doubling intervals.
+"""Rate limit for repeated lines of the log: the first is logged at once, later ones as sums at doubling intervals.
 
     14:03:22  40 periods missed
     14:03:23  1,210 periods missed (12.1 %), 31 times, in the last 1 s
     14:03:25  2,377 periods missed (11.9 %), 58 times, in the last 2 s
     14:03:29  ...
 
-The interval doubles with each line, from one second to an hour. Whoever was quiet for five minutes begins again.
+The interval doubles with each line, from one second to an hour. After five minutes without a line of this kind, the
+next one is logged at once again.
 """
 
 from __future__ import annotations
@@ -19,35 +20,40 @@ from typing import Final
 
 from hapticd.base import wording
 
-SHORTEST_S: Final = 1.0
-LONGEST_S: Final = 3600.0
-STATE_S: Final = 60.0
-"""The longest interval for changes of a state that somebody has to know of: a fault, a lost device."""
-QUIET_S: Final = 300.0
-"""After so long without one, what is held back is logged, and the next is a first one again."""
+MIN_REPEAT_INTERVAL_S: Final = 1.0
+"""Shortest interval between two lines of one kind."""
+MAX_REPEAT_INTERVAL_S: Final = 3600.0
+"""Longest interval between two lines of one kind, unless the caller sets a shorter one."""
+MAX_STATE_INTERVAL_S: Final = 60.0
+"""Longest interval for changes of a state that users must know of: a fault, a lost device."""
+FORGET_AFTER_S: Final = 300.0
+"""After this time without a line of a kind, its remaining sum is logged, and the next line is logged at once."""
 
 _log = logging.getLogger("hapticd")
 
 
 @dataclass(frozen=True, slots=True)
 class Since:
-    """What a line sums up: all of its kind since the line before."""
+    """The sum that a line reports: number, time and amounts since the previous line of its kind."""
 
     times: int = 1
+    """Number of lines that this one stands for, itself included."""
     seconds: float = 0.0
-    """Since the line before; 0 for a line that is logged at once."""
+    """Time since the previous line, in s; 0 for a line that is logged at once."""
     amounts: Mapping[str, int] = field(default_factory=dict)
-    """Numbers that were added up."""
+    """Sum of each amount that was passed to `Repeats.note`, by its name."""
 
     @property
     def window(self) -> str:
-        """`in the last 64 s`; empty for a line that is logged at once."""
+        """The time as text, `in the last 64 s`; empty for a line that is logged at once."""
         return f"in the last {wording.duration(round(self.seconds) or self.seconds)}" if self.seconds else ""
 
     @property
     def more(self) -> str:
-        """What follows a line that shows the newest of several: ` (and 12 more in the last 64 s)`, ` (once in the last
-        64 s)`."""
+        """The suffix of a line that shows only the newest of several; empty for a line that is logged at once.
+
+        Examples: ` (and 12 more in the last 64 s)`, ` (once in the last 64 s)`.
+        """
         parts = [f"and {self.times - 1:,} more"] if self.times > 1 else ["once"] if self.seconds else []
         parts += [self.window] if self.seconds else []
         return f" ({' '.join(parts)})" if parts else ""
@@ -55,7 +61,7 @@ class Since:
 
 @dataclass(slots=True)
 class _Kind:
-    """A kind of line that was logged, and what came since."""
+    """State of one kind of line: when it was logged, and the sum since then."""
 
     logged_s: float
     interval_s: float
@@ -65,22 +71,22 @@ class _Kind:
     times: int = 0
     amounts: dict[str, int] = field(default_factory=dict)
 
-    def over(self, now_s: float) -> bool:
-        """Whether the next is a first one again."""
+    def has_expired(self, now_s: float) -> bool:
+        """Return whether the next line of this kind is logged at once, as if it were the first."""
         quiet_s = now_s - self.newest_s
-        return self.waiting is None and quiet_s >= QUIET_S and now_s - self.logged_s >= SHORTEST_S
+        return self.waiting is None and quiet_s >= FORGET_AFTER_S and now_s - self.logged_s >= MIN_REPEAT_INTERVAL_S
 
 
 class Repeats:
-    """Says which lines are logged. For any thread; one calls `flush` now and then, ten times a second say."""
+    """Rate limit for the lines of a log, usable from any thread. One thread calls `flush`, about ten times a second."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
         self._lock = threading.RLock()
         self._kinds: dict[str, _Kind] = {}
 
-    def line(self, kind: str, level: int, text: str, longest_s: float = LONGEST_S) -> None:
-        """Has a line logged of which the newest of several is shown, with their number."""
+    def line(self, kind: str, level: int, text: str, longest_s: float = MAX_REPEAT_INTERVAL_S) -> None:
+        """Log `text` now, or later together with the number of lines of this kind; the newest text is shown."""
         self.note(kind, lambda since: _log.log(level, "%s%s", text, since.more), longest_s=longest_s)
 
     def note(
@@ -88,16 +94,16 @@ class Repeats:
         kind: str,
         log: Callable[[Since], None],
         amounts: Mapping[str, int] | None = None,
-        longest_s: float = LONGEST_S,
+        longest_s: float = MAX_REPEAT_INTERVAL_S,
     ) -> None:
-        """Has `log` called now, or later with the sum of those that came until then. Of several the newest is called.
+        """Call `log` now, or later with the sum of all calls of this kind until then; the newest `log` is called.
 
-        Lines of one kind repeat each other.
+        `amounts` are added up by their names.
         """
         with self._lock:
             now_s = self._now_s()
             known = self._kinds.get(kind)
-            if known is None or known.over(now_s):
+            if known is None or known.has_expired(now_s):
                 known = self._kinds[kind] = _Kind(now_s, 0.0, longest_s, now_s)
             known.waiting, known.newest_s = log, now_s
             known.times += 1
@@ -107,17 +113,17 @@ class Repeats:
                 self._log(known, now_s, at_once=known.times == 1)
 
     def flush(self) -> None:
-        """Logs the sums that are due, and forgets who was quiet."""
+        """Log the sums that are due, and forget kinds without a line for FORGET_AFTER_S."""
         with self._lock:
             now_s = self._now_s()
             for kind, known in list(self._kinds.items()):
-                if known.over(now_s):
+                if known.has_expired(now_s):
                     del self._kinds[kind]
-                elif now_s - known.logged_s >= known.interval_s or now_s - known.newest_s >= QUIET_S:
+                elif now_s - known.logged_s >= known.interval_s or now_s - known.newest_s >= FORGET_AFTER_S:
                     self._log(known, now_s)
 
     def finish(self) -> None:
-        """Logs all that is held back, at the end."""
+        """Log all remaining sums, at the end."""
         with self._lock:
             now_s = self._now_s()
             for known in self._kinds.values():
@@ -128,5 +134,5 @@ class Repeats:
             return
         since = Since(known.times, 0.0 if at_once else now_s - known.logged_s, known.amounts)
         log, known.waiting, known.times, known.amounts = known.waiting, None, 0, {}
-        known.logged_s, known.interval_s = now_s, min(max(2 * known.interval_s, SHORTEST_S), known.longest_s)
+        known.logged_s, known.interval_s = now_s, min(max(2 * known.interval_s, MIN_REPEAT_INTERVAL_S), known.longest_s)
         log(since)

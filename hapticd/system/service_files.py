@@ -1,4 +1,4 @@
-"""`hapticd install-service`: the units of this installation, put in place by systemd/install.sh."""
+"""`hapticd install-service`: adapts the units to this installation and runs systemd/install.sh."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from hapticd.base.errors import HapticdError, on_one_line, quoted
 
 Action = Literal["system", "user", "remove-system", "remove-user"]
 
-_EXECUTABLE: Final = "/usr/bin/hapticd"
-"""As the unit files name it."""
-_HIDDEN: Final = ("/home", "/root", "/run/user")
-"""Folders that the units hide by ProtectHome."""
+_UNIT_EXECUTABLE: Final = "/usr/bin/hapticd"
+"""The executable's path in the unit files, which is replaced by that of this installation."""
+_HIDDEN_FOLDERS: Final = ("/home", "/root", "/run/user")
+"""Folders that ProtectHome of the units hides."""
 
 
 @dataclass(frozen=True, slots=True)
 class Installation:
-    """Where this hapticd is."""
+    """The paths of an installation of hapticd."""
 
     executable: Path
     folders: tuple[Path, ...]
-    """What it needs to run, beside the system's own files."""
+    """Folders that it needs to run, in addition to the files of the system."""
 
     @staticmethod
     def this() -> Installation:
-        """Of this process. Raises HapticdError where no executable is installed."""
+        """Return the installation of this process. Raises HapticdError if no executable is installed."""
         places = f"{Path(sys.executable).parent}{os.pathsep}{sysconfig.get_path('scripts')}"
         started = sys.argv[0] if Path(sys.argv[0]).name == "hapticd" else None
         found = shutil.which("hapticd", path=places) or (started and shutil.which(started))
@@ -46,9 +46,9 @@ class Installation:
         return Installation(path, tuple(sorted(outer)))
 
     def adapted(self, unit: str) -> str:
-        """A unit's text with this executable, and with its folders where the sandbox would hide them."""
-        unit = unit.replace(f"={_EXECUTABLE} ", f"={unit_word(self.executable)} ")
-        hidden = [one for one in self.folders if any(one.is_relative_to(place) for place in _HIDDEN)]
+        """Return a unit's text with this executable, and with read-only mounts of folders that its sandbox hides."""
+        unit = unit.replace(f"={_UNIT_EXECUTABLE} ", f"={unit_word(self.executable)} ")
+        hidden = [one for one in self.folders if any(one.is_relative_to(place) for place in _HIDDEN_FOLDERS)]
         if not hidden:
             return unit
         lines = "".join(f"BindReadOnlyPaths={unit_word(folder)}\n" for folder in hidden)
@@ -56,9 +56,9 @@ class Installation:
 
 
 def run(action: Action, installation: Installation, root: Path | None = None, dry_run: bool = False) -> list[str]:
-    """Runs install.sh; its lines: the commands that it ran, or with `dry_run` would run.
+    """Run install.sh and return the commands that it ran, or with `dry_run` would run.
 
-    `root` stands for the root of another system. Raises HapticdError with what the command said that failed.
+    `root` is the root folder of another system. Raises HapticdError with the output of a command that failed.
     """
     shipped = resources.files("hapticd")
     with (
@@ -76,15 +76,15 @@ def run(action: Action, installation: Installation, root: Path | None = None, dr
     if done.returncode != 0:
         said = on_one_line(done.stderr) or f"exit code {done.returncode}"
         may_not = "Permission denied" in said and not action.endswith("user")
-        hint = "; run it as root, or install it for yourself alone with --user" if may_not else ""
+        hint = "; run it as root, or install it for your user only with --user" if may_not else ""
         raise HapticdError(f"{said}{hint}")
     return done.stdout.splitlines()
 
 
 def unit_word(path: Path) -> str:
-    """A path as one word of a unit file. Raises HapticdError for one that has characters of systemd's own."""
+    """Return a path as one word of a unit file. Raises HapticdError if it has characters that systemd interprets."""
     text = str(path)
     if not text.isprintable() or set(text) & set("$:;\"'\\"):
-        raise HapticdError(f"{quoted(text)}: a unit file has no way to name this path; install hapticd elsewhere")
+        raise HapticdError(f"{quoted(text)}: a unit file cannot contain this path; install hapticd elsewhere")
     text = text.replace("%", "%%")
     return f'"{text}"' if " " in text else text

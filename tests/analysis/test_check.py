@@ -59,7 +59,7 @@ def test_link_and_steps_are_the_daemons(
     plugged(monkeypatch, bytes(stick), interval_s)
     report = check(config)
     fake = FakePid(bytes(stick))
-    driver, _ = verdict_of(config.device.hid, bytes(stick)).sound()
+    driver, _ = verdict_of(config.device.hid, bytes(stick)).driver_and_plan()
     opened = Opened(fake.device, driver, "stick", interval_s, on_change=False, measure=False)
     monkeypatch.setattr("hapticd.daemon.engine.source_of", lambda device: lambda: opened)
     engine = Engine(config)

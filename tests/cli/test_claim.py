@@ -92,7 +92,7 @@ def test_the_status_says_what_nobody_sees_how_long_it_lasts_and_what_to_do() -> 
         (
             "unseen",
             "/dev/hidraw3 does not report which of its effects play: a reset by another program is not noticed; "
-            "what it uploads lasts up to 95 ms",
+            "an effect that it uploads lasts up to 95 ms",
         ),
         ("", "`hapticd devices claim /dev/hidraw3` keeps other programs off"),
     ]

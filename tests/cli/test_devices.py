@@ -69,7 +69,7 @@ def test_one_effect_for_both_axes_says_how_much_comes_out_across_a_force(
     ):
         file.write_bytes(bytes(like))
         assert main(["devices", "parse", str(file)]) == 0
-        told.append("up to 1.2 % of a force comes out across it" in capsys.readouterr().out)
+        told.append("up to 1.2 % of a force acts at right angles to it" in capsys.readouterr().out)
     assert told == [True, False, False]
     assert main(["devices", "parse", str(file), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["leak"] == 0.0
@@ -122,7 +122,7 @@ def test_what_is_skipped_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ("content", "told"),
     [
         (b"", "the report descriptor is empty"),
-        (STICK[:-1], "report descriptor: a collection is still open where it ends"),
+        (STICK[:-1], "report descriptor: a collection is still open at its end"),
         (b"05 01\n09 4\n", 'descriptor, line 2: "09 4" is not bytes in hexadecimal such as 05 01 09 04'),
         (b"a joystick\n", 'line 1: "a joystick" is not bytes in hexadecimal'),
     ],
@@ -135,7 +135,7 @@ def test_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: by
 
 def test_a_file_without_end(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["devices", "parse", "/dev/zero"]) == 1
-    assert "the longest that Linux takes has 4096" in capsys.readouterr().err
+    assert "must have at most 4096 bytes" in capsys.readouterr().err
 
 
 def test_no_such_file(capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,9 +19,8 @@ import pytest
 from hapticd.base.errors import HapticdError
 from hapticd.cli import main
 from hapticd.config.hid import Hid
-from hapticd.doctor import CHECKS, devices, diagnose, realtime, service
-from hapticd.doctor.machine import Finding, Machine, Needs, holder
-from hapticd.doctor.machine import processors as numbers
+from hapticd.doctor import ALL_CHECKS, devices, diagnose, realtime, service
+from hapticd.doctor.machine import Finding, Machine, Needs, parse_cpu_list, socket_holder
 from hapticd.hid.discovery import find
 from hapticd.protocol.calls import DaemonNotRunning
 from tests.support.hid_descriptors import Joystick
@@ -80,7 +79,7 @@ def test_a_processor_that_is_asked_for_is_not_known_without_files(tmp_path: Path
 def test_every_check_stands_an_empty_machine(tmp_path: Path) -> None:
     for needs in (Needs(), Needs("required", 90, 3, Hid())):
         found = list(diagnose(Machine(tmp_path, limit=nothing), needs))
-        assert len(found) >= len(CHECKS) - 1  # without a joystick nobody competes for one
+        assert len(found) >= len(ALL_CHECKS) - 1  # without a joystick nobody competes for one
 
 
 def test_files_that_hold_nonsense(tmp_path: Path) -> None:
@@ -232,7 +231,7 @@ def test_locked_memory(tmp_path: Path, limit: int, capabilities: str, verdict: s
 
 @pytest.mark.parametrize(("text", "wanted"), [("0-3,6", {0, 1, 2, 3, 6}), ("", set()), ("5", {5}), ("(null)", set())])
 def test_lists_of_processors(text: str, wanted: set[int]) -> None:
-    assert numbers(text) == wanted
+    assert parse_cpu_list(text) == wanted
 
 
 @pytest.mark.parametrize(
@@ -330,7 +329,7 @@ def test_a_joystick_that_may_be_driven(tmp_path: Path) -> None:
     assert reported(tmp_path, devices.rule).startswith("warn 70-hapticd.rules is not installed")
     put(tmp_path, {"etc/udev/rules.d/70-hapticd.rules": ""})
     assert reported(tmp_path, devices.rule) == "ok /etc/udev/rules.d/70-hapticd.rules -> "
-    assert reported(tmp_path, devices.competitors) == "ok nobody else uses /dev/hidraw0 -> "
+    assert reported(tmp_path, devices.competitors) == "ok no other program uses /dev/hidraw0 -> "
 
 
 def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
@@ -349,7 +348,7 @@ def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
     mine = Needs(device=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
     other = Needs(device=Hid.model_validate({"vendor": 0x45E, "product": 0x1C, "report": report}))
     assert reported(tmp_path, devices.permissions, needs=mine) == "ok Stick at /dev/hidraw0 may be driven from here -> "
-    assert reported(tmp_path, devices.competitors, needs=mine) == "ok nobody else uses /dev/hidraw0 -> "
+    assert reported(tmp_path, devices.competitors, needs=mine) == "ok no other program uses /dev/hidraw0 -> "
     missing = "warn no force-feedback joystick that the configuration describes is connected; there are 1 other"
     assert reported(tmp_path, devices.permissions, needs=other).startswith(missing)
     # A description that does not fit is reported as by `hapticd run`.
@@ -390,7 +389,7 @@ def test_a_joystick_without_permission(tmp_path: Path) -> None:
 def test_competing_programs(tmp_path: Path) -> None:
     joystick(tmp_path)
     process(tmp_path, 77, "hapticd", "/dev/hidraw0")
-    assert reported(tmp_path, devices.competitors).startswith("ok nobody else")
+    assert reported(tmp_path, devices.competitors).startswith("ok no other program")
     process(tmp_path, 88, "game", "/dev/null", "/dev/input/event5")
     process(tmp_path, 99, "other", "/dev/hidraw1")
     said = reported(tmp_path, devices.competitors)
@@ -403,7 +402,7 @@ def test_the_kernels_own_effects_are_reported_where_others_may_use_them(tmp_path
     (tmp_path / "dev" / "input" / "event5").chmod(0o660)
     assert "at /dev/input/event5" in reported(tmp_path, devices.competitors)
     put(tmp_path, {"sys/class/hidraw/hidraw0/device/input/input9/capabilities/ff": "0\n"})
-    assert reported(tmp_path, devices.competitors).startswith("ok nobody else")
+    assert reported(tmp_path, devices.competitors).startswith("ok no other program")
 
 
 def test_a_device_whose_resets_nobody_sees(tmp_path: Path) -> None:
@@ -446,10 +445,10 @@ def test_the_unit(tmp_path: Path, properties: dict[str, str], wanted: str) -> No
 
 def test_the_daemon(tmp_path: Path) -> None:
     status = {"version": "1.2", "faults": [], "realtime": {"missing": []}}
-    assert reported(tmp_path, service.daemon).startswith("warn none answers")
+    assert reported(tmp_path, service.daemon).startswith("warn no daemon answers")
     assert reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2") == "ok hapticd 1.2 answers -> "
     assert reported(tmp_path, service.daemon, daemon=lambda: status, version="1.3").startswith(
-        "warn it is hapticd 1.2, this"
+        "warn hapticd 1.2 runs, but 1.3"
     )
     status |= {"faults": ["device"], "realtime": {"missing": ["SCHED_FIFO priority 80: not permitted"]}}
     said = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
@@ -457,7 +456,10 @@ def test_the_daemon(tmp_path: Path) -> None:
     assert "warn a fault holds the forces off: device" in said
     status["connection"] = {"path": "/dev/hidraw3", "resets_seen": False, "foreign_effect_s": 0.0957}
     said = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
-    assert "is not noticed; what it uploads lasts up to 96 ms -> `hapticd devices claim /dev/hidraw3` keeps" in said
+    assert (
+        "is not noticed; an effect that it uploads lasts up to 96 ms -> `hapticd devices claim /dev/hidraw3` keeps"
+        in said
+    )
 
     def silent() -> None:
         raise HapticdError("the daemon did not answer within 2 s")
@@ -482,7 +484,7 @@ def test_the_command_on_this_machine(
     assert code == (1 if failed else 0)
     assert captured.err.startswith("hapticd: not ready: ") == bool(failed)
     assert {item["name"] for item in found} >= {"kernel", "clock", "rtprio", "memlock", "daemon"}
-    assert [item["what"] for item in found if item["name"] == "daemon"] == ["none answers"]
+    assert [item["what"] for item in found if item["name"] == "daemon"] == ["no daemon answers"]
     assert main(["doctor"]) == code
     assert len(capsys.readouterr().out.splitlines()) == len(found)
 
@@ -544,7 +546,7 @@ def test_a_stopped_daemon_is_known_without_being_asked(
 
     os.kill(silent.pid, signal.SIGSTOP)
     assert os.WIFSTOPPED(os.waitpid(silent.pid, os.WUNTRACED)[1])
-    assert holder(tmp_path / "hapticd.command") == (silent.pid, True)
+    assert socket_holder(tmp_path / "hapticd.command") == (silent.pid, True)
     monkeypatch.setattr("hapticd.client.blocking.connect", asked)
     line = of_the_daemon(tmp_path, capsys)
     assert f"process {silent.pid} holds {tmp_path} and does not answer: it is stopped; kill -CONT" in line
@@ -559,9 +561,9 @@ def test_a_daemon_that_runs_and_does_not_answer_is_named(
 
 
 def test_nobody_holds_what_nobody_listens_on(tmp_path: Path) -> None:
-    assert holder(tmp_path / "hapticd.command") is None
+    assert socket_holder(tmp_path / "hapticd.command") is None
     (tmp_path / "hapticd.command").touch()
-    assert holder(tmp_path / "hapticd.command") is None
+    assert socket_holder(tmp_path / "hapticd.command") is None
 
 
 def test_whose_daemon_is_asked(

@@ -10,7 +10,7 @@ import pytest
 
 from hapticd.base.errors import HapticdError
 from hapticd.hid import claim as claim_module
-from hapticd.hid.claim import RULES, Claims
+from hapticd.hid.claim import CLAIM_RULES_PATH, Claims
 from tests.support.hid_tree import Kernel
 from tests.support.special_files import KINDS, refused, special, untouched
 
@@ -36,7 +36,7 @@ def test_claimed_and_released(kernel: Kernel) -> None:
     assert after != before and kernel.claims.path(STICK) == after and not os.path.exists(before)
     # Of this device, and no other: also where no udev is there to do it.
     assert kernel.modes(STICK) == {0o600} and kernel.modes(OTHER) == {0o660}
-    lines = (kernel.root / RULES).read_text().splitlines()
+    lines = (kernel.root / CLAIM_RULES_PATH).read_text().splitlines()
     assert len(lines) == 2 and all(f'KERNELS=="{STICK}"' in line and OTHER not in line for line in lines)
     assert 'GROUP:="root", MODE:="0600"' in lines[1] and 'TAG-="uaccess"' in lines[0]
 
@@ -44,14 +44,14 @@ def test_claimed_and_released(kernel: Kernel) -> None:
     assert kernel.claims.release(kernel.found(STICK)) == "hid-generic"
     assert kernel.log == [f"drivers/hid-generic/unbind {STICK}", f"drivers_probe {STICK}"]
     assert kernel.modes(STICK) == {0o660} and kernel.claims.names() == []
-    assert not (kernel.root / RULES).exists() and len(kernel.commands) == 2
+    assert not (kernel.root / CLAIM_RULES_PATH).exists() and len(kernel.commands) == 2
 
 
 def test_the_rule_stands_before_the_nodes_are_made_anew(kernel: Kernel) -> None:
     seen: list[bool] = []
 
     def write(path: Path, text: str) -> None:
-        seen.append((kernel.root / RULES).exists())
+        seen.append((kernel.root / CLAIM_RULES_PATH).exists())
         kernel.write(path, text)
 
     Claims(kernel.root, write, kernel.run).claim(kernel.found(STICK))
@@ -82,7 +82,7 @@ def test_two_are_claimed_and_one_is_unplugged(kernel: Kernel) -> None:
     (kernel.root / "sys/bus/hid/devices" / STICK).unlink()
     assert kernel.claims.names() == [OTHER]
     kernel.claims.release(kernel.found(OTHER))
-    assert not (kernel.root / RULES).exists()
+    assert not (kernel.root / CLAIM_RULES_PATH).exists()
 
 
 def refusal(kernel: Kernel, what: str, claims: Claims | None = None) -> str:
@@ -96,15 +96,16 @@ def test_what_is_refused(kernel: Kernel) -> None:
     assert refusal(kernel, "release") == "/dev/hidraw5 (Stick, 2341:8036) is not claimed"
     for node in kernel.claims.nodes(STICK):
         node.chmod(0o600)
-    kept = "its event nodes are root's alone already, as a line of 70-hapticd.rules makes them"
+    kept = "only root may open its event nodes already, because of a line in 70-hapticd.rules"
     assert refusal(kernel, "claim") == f"/dev/hidraw5 (Stick, 2341:8036): {kept}"
-    assert "is not claimed: its event nodes are root's alone already, as a line of 70-hapticd.rules" in refusal(
-        kernel, "release"
+    assert (
+        "is not claimed: only root may open its event nodes already, because of a line in 70-hapticd.rules"
+        in refusal(kernel, "release")
     )
     for node in kernel.claims.nodes(STICK):
         node.chmod(0o644)
     kernel.claims.claim(kernel.found(STICK))
-    assert "is claimed already; `hapticd devices release /dev/hidraw7`" in refusal(kernel, "claim")
+    assert "is already claimed; `hapticd devices release /dev/hidraw7`" in refusal(kernel, "claim")
 
 
 def test_without_rights_nothing_changes(kernel: Kernel) -> None:
@@ -112,27 +113,27 @@ def test_without_rights_nothing_changes(kernel: Kernel) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 
     without = Claims(kernel.root, denied, kernel.run)
-    message = "no permission to take it from its driver: use sudo"
+    message = "no permission to unbind it from its driver: use sudo"
     assert refusal(kernel, "claim", without).endswith(message)
-    assert not (kernel.root / RULES).exists() and kernel.modes(STICK) == {0o660}
+    assert not (kernel.root / CLAIM_RULES_PATH).exists() and kernel.modes(STICK) == {0o660}
     kernel.claims.claim(kernel.found(STICK))
     assert message in refusal(kernel, "release", without)
     assert kernel.claims.names() == [STICK]
 
 
 def test_a_device_that_no_driver_takes_again(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(claim_module, "BOUND_S", 0.0)
+    monkeypatch.setattr(claim_module, "REBIND_TIMEOUT_S", 0.0)
     kernel.stubborn.add(STICK)
-    assert refusal(kernel, "claim") == f"{STICK}: no driver took it again: unplug it and plug it in"
-    assert not (kernel.root / RULES).exists()
+    assert refusal(kernel, "claim") == f"{STICK}: no driver accepted it: unplug it and plug it in again"
+    assert not (kernel.root / CLAIM_RULES_PATH).exists()
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_rules_are_written_to_nothing_but_a_file(kernel: Kernel, kind: str, tmp_path: Path) -> None:
-    rules, end = kernel.root / RULES, tmp_path / "end"
+    rules, end = kernel.root / CLAIM_RULES_PATH, tmp_path / "end"
     rules.parent.mkdir(parents=True, exist_ok=True)
     special(end, kind)
     rules.symlink_to(end)
     with untouched(tmp_path):
-        assert refusal(kernel, "claim") == refused(f"/{RULES}", kind)
+        assert refusal(kernel, "claim") == refused(f"/{CLAIM_RULES_PATH}", kind)
     assert kernel.log == []

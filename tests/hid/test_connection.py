@@ -56,10 +56,10 @@ class World:
         self._thread: threading.Thread | None = None
         self._monkeypatch = monkeypatch
         monkeypatch.setattr("hapticd.daemon.engine.source_of", lambda _: self.open)
-        monkeypatch.setattr(connection_module, "RETRY_S", 0.01)
+        monkeypatch.setattr(connection_module, "RECONNECT_INTERVAL_S", 0.01)
         # What a device says of a set-up must not be taken for news of later.
-        monkeypatch.setattr(connection_module, "SETTLE_S", 0.3)
-        monkeypatch.setattr(connection_module, "RECOVERY_S", 60.0)
+        monkeypatch.setattr(connection_module, "READY_POLL_INTERVAL_S", 0.3)
+        monkeypatch.setattr(connection_module, "READY_TIMEOUT_S", 60.0)
 
     def plug(self, **keys: Any) -> FakePid:
         self.stick = FakePid(bytes(self.like), **keys)
@@ -331,7 +331,7 @@ def test_effects_with_other_numbers_after_a_reset(world: World) -> None:
 def test_a_set_up_that_hangs_does_not_keep_the_end_waiting(
     world: World, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(connection_module, "STOP_S", 0.1)
+    monkeypatch.setattr(connection_module, "STOP_TIMEOUT_S", 0.1)
     stick = world.plug()
     engine = world.start()
     assert engine.connection is not None
@@ -350,8 +350,8 @@ def test_a_set_up_that_hangs_does_not_keep_the_end_waiting(
     assert asked.wait(60)
     engine.stop()
     world.engine = None
-    assert [record.message for record in caplog.records if "does not answer" in record.message] == [
-        "the device does not answer its set-up: it is left as it is, with a force of zero"
+    assert [record.message for record in caplog.records if "does not respond" in record.message] == [
+        "the device does not respond to its set-up; it is left with a force of zero"
     ]
     # What the thread still holds stays open; when it comes back it does nothing that would need it.
     assert not stick.device.closed and thread.is_alive()
@@ -406,7 +406,7 @@ def test_whether_a_device_reports_steadily_is_heard(
     stick = world.plug()
     world.on_change = None
     if steady:  # a report like the one before it ends that at once
-        monkeypatch.setattr(connection_module, "LISTEN_S", 60.0)
+        monkeypatch.setattr(connection_module, "FIRST_REPORTS_TIMEOUT_S", 60.0)
     done = threading.Event()
 
     def report() -> None:

@@ -138,7 +138,7 @@ def test_a_physical_range_that_stands_from_another_field() -> None:
 
 
 def test_a_logical_minimum_above_the_maximum() -> None:
-    with pytest.raises(DescriptorError, match=r"byte \d+ \(Input\): its logical minimum 5 lies above its maximum 4"):
+    with pytest.raises(DescriptorError, match=r"byte \d+ \(Input\): its logical minimum 5 is above its maximum 4"):
         stick(usage(0x30), logical(5, 4), size(8), data(INPUT))
     assert stick(logical(5, 4), size(8), data(INPUT, CONSTANT)).fields[0].is_constant
 
@@ -320,11 +320,11 @@ def test_an_unknown_main_item_ends_the_local_state_and_others_do_not() -> None:
     ("body", "first", "message"),
     [
         # Without a usage it is padding.
-        (item(0x18, 0x30), None, "(Usage Minimum): a range without its other end: skipped"),
-        (usage(0x31) + item(0x28, 0x30), Y, "(Usage Minimum): a range without its other end: skipped"),
-        (usage_range(0x31, 0x30), None, "(Usage Maximum): the range from 0x31 to 0x30 is none: skipped"),
-        (item(0x18, 0x10030, 4) + item(0x28, 0x31), None, "the range from 0x10030 to 0x31 is none: skipped"),
-        (usage_page(0x10001) + usage(0x30), X, "(Usage Page): 0x10001 has more than 16 bits: taken for 0x1"),
+        (item(0x18, 0x30), None, "(Usage Minimum): a range without one of its ends: skipped"),
+        (usage(0x31) + item(0x28, 0x30), Y, "(Usage Minimum): a range without one of its ends: skipped"),
+        (usage_range(0x31, 0x30), None, "(Usage Maximum): not a valid range, from 0x31 to 0x30: skipped"),
+        (item(0x18, 0x10030, 4) + item(0x28, 0x31), None, "not a valid range, from 0x10030 to 0x31: skipped"),
+        (usage_page(0x10001) + usage(0x30), X, "(Usage Page): 0x10001 has more than 16 bits: used as 0x1"),
     ],
 )
 def test_usages_that_are_not_as_they_should_be(body: bytes, first: int | None, message: str) -> None:
@@ -358,22 +358,22 @@ def test_no_more_is_told_than_a_person_reads() -> None:
     [
         (b"", "empty"),
         (STICK, "declares no collection"),
-        (bytes(4097), "4097 bytes"),
+        (bytes(4097), "has 4097"),
         (STICK + bytes([0xA1]), r"byte 4 \(Collection\): the descriptor ends after 0 of its 1 bytes"),
         (bytes([0x27, 1, 2]), r"byte 0 \(Logical Maximum\): the descriptor ends after 2 of its 4 bytes"),
         (bytes([0xFE]), "byte 0 .long item.: the descriptor ends"),
         (bytes([0xFE, 9, 1, 2]), "byte 0 .long item.: the descriptor ends after 3 of its 11 bytes"),
-        (STICK + item(0xA0, 1), r"a collection is still open where it ends \(byte 6\)"),
+        (STICK + item(0xA0, 1), r"a collection is still open at its end \(byte 6\)"),
         (collection(STICK, APPLICATION) + item(0xC0), r"byte 7 \(End Collection\): no collection is open"),
-        (item(0x84, 0), r"byte 0 \(Report ID\): 0 is no report id"),
-        (item(0x84, 256), r"256 is no report id; they go from 1 to 255"),
+        (item(0x84, 0), r"byte 0 \(Report ID\): must be between 1 and 255, is 0"),
+        (item(0x84, 256), r"must be between 1 and 255, is 256"),
         (pop(), r"\(Pop\): nothing was pushed"),
         (push() * 65, r"byte 64 \(Push\): more than 64"),
         (item(0xA0, 0) * 65, r"byte 128 \(Collection\): more than 64"),
         (item(0xA8, 0), r"\(Delimiter\): no set is open"),
-        (item(0xA8, 1) * 2, "another set is open"),
-        (bytes([0xC4, 0]), "byte 0 .C4.: the HID specification knows no such global item"),
-        (size(32, 65536) + data(INPUT), f"longer than {MAX_REPORT_BYTES} bytes"),
+        (item(0xA8, 1) * 2, "a set is already open"),
+        (bytes([0xC4, 0]), "byte 0 .C4.: unknown global item"),
+        (size(32, 65536) + data(INPUT), f"must have at most {MAX_REPORT_BYTES} bytes, has 262144"),
         (size(8 * MAX_REPORT_BYTES) + data(OUTPUT) + size(1) + data(OUTPUT), r"byte 13 \(Output\)"),
     ],
 )

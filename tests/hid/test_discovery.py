@@ -145,11 +145,11 @@ def test_the_only_one_is_chosen(machine: Machine) -> None:
 
 
 def test_none(machine: Machine) -> None:
-    assert machine.refusal() == "no HID device is connected; `hapticd devices` lists what is there"
+    assert machine.refusal() == "no HID device is connected; `hapticd devices` lists the HID devices"
     machine.add(0)
     assert machine.refusal(vendor=0x45E, serial="x") == (
         'no HID device with vendor 0x045e, serial "x" is connected; there are /dev/hidraw0 (Lab stick, 1209:5aff); '
-        "`hapticd devices` lists what is there"
+        "`hapticd devices` lists the HID devices"
     )
 
 
@@ -158,7 +158,7 @@ def test_one_that_cannot_be_driven(machine: Machine) -> None:
     message = machine.refusal(product=0xB13)
     assert message == (
         "/dev/hidraw0 (Pad, 045e:0b13) cannot be driven: its report descriptor has no Set Constant Force; "
-        "a device with reports of its own needs device.hid.report"
+        "a device outside the PID class needs device.hid.report"
     )
     machine.add(1, MOUSE, (1, 2), "Mouse")
     assert "none of /dev/hidraw0 (Pad, 045e:0b13), /dev/hidraw1 (Mouse, 0001:0002)" in machine.refusal()

@@ -14,7 +14,7 @@ from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.drivers.pid_plan import periodic_of
-from hapticd.hid.nearest_effect import _times
+from hapticd.hid.nearest_effect import _tried_times
 from hapticd.hid.verdict import verdict_of
 from tests.soak import fuzz_descriptors as fuzz
 from tests.support.hid_descriptors import Joystick, logical, physical, usage
@@ -97,7 +97,7 @@ def test_times_in_parts_of_a_picosecond_do_not_overflow() -> None:
     """A fade of 0.1 s is 4e20 counts, more than 64 bits hold: the longest that the field holds is taken."""
     numbers = periodic_of(layout_of(parse(bytes(Joystick(time_exponent=-4)))), Hid(), [1]).numbers
     tiny = replace(numbers.fade_time, counts_per_unit=4e21)
-    times = _times(0.05, replace(numbers, fade_time=tiny))
+    times = _tried_times(0.05, replace(numbers, fade_time=tiny))
     assert len(times.fade) and set(times.fade.tolist()) <= {0, tiny.most}
 
 

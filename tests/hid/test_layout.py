@@ -325,7 +325,7 @@ def test_ranges_that_do_not_fit() -> None:
 def test_wide_fields_and_long_reports() -> None:
     found = layout(Joystick(axis_bits=40))
     assert found.missing == ("Joystick: X or Y",)
-    assert "40 bits; 32 at most" in found.problems[0]
+    assert "at most 32 bits, has 40" in found.problems[0]
     long = collection(
         usage_page(PID) + usage(0x73),
         LOGICAL,
@@ -334,7 +334,7 @@ def test_wide_fields_and_long_reports() -> None:
     )
     found = layout(bytes(Joystick(without=frozenset({0x73}))) + long)
     assert found.missing == ("Set Constant Force: Effect Block Index", "Set Constant Force: Magnitude")
-    assert f"{MAX_REPORT_BYTES} at most" in found.problems[0]
+    assert f"at most {MAX_REPORT_BYTES} bytes" in found.problems[0]
 
 
 def test_block_indices_that_do_not_meet() -> None:
@@ -402,7 +402,7 @@ def test_a_report_without_an_id_among_others() -> None:
     numbered = report_id(1) + pad(INPUT, 8)
     found = layout(collection(usage_page(DESKTOP) + usage(4), APPLICATION, axes, numbered))
     assert not found.input
-    assert found.problems == ("input report without an id, bit 0: other input reports have one",)
+    assert found.problems == ("input report without an id, bit 0: other input reports have an id",)
 
 
 def test_feature_and_output_are_not_the_same() -> None:

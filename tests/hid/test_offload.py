@@ -25,7 +25,7 @@ from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.drivers.pid_plan import periodic_of
-from hapticd.hid.nearest_effect import LONGEST_S, NearestEffect, nearest_effect, streamed_error
+from hapticd.hid.nearest_effect import MAX_EFFECT_S, NearestEffect, nearest_effect, streamed_error
 from hapticd.hid.offload import Offload, effect_messages
 from hapticd.hid.plan import DeviceError, Message, Numbers, Periodic, Plan
 from hapticd.protocol.changes import Played
@@ -119,7 +119,7 @@ def test_the_error_is_that_of_the_effect(name: str, exponent: int) -> None:
     assert distance(mode, played(found, 10.0**exponent, time_s), time_s) == pytest.approx(found.error, abs=0.005)
     assert found.attack + found.fade <= found.duration
     assert min(found.attack_level, found.magnitude, found.fade_level) >= 0.0
-    assert found.duration_s == pytest.approx(found.duration * 10.0**exponent) and found.duration_s <= LONGEST_S
+    assert found.duration_s == pytest.approx(found.duration * 10.0**exponent) and found.duration_s <= MAX_EFFECT_S
 
 
 @pytest.mark.parametrize("name", METALS)
@@ -143,7 +143,7 @@ def test_levels_are_those_that_the_device_has() -> None:
 
 def test_no_effect_is_longer_than_a_tenth_of_a_second() -> None:
     slow = nearest_effect(Mode(decay_rate_per_s=1.0, angular_frequency_rad_per_s=300.0), numbers(Joystick()))
-    assert slow is not None and slow.duration_s <= LONGEST_S
+    assert slow is not None and slow.duration_s <= MAX_EFFECT_S
     # What is left of the mode after the tenth: exp(-2 * 0.1) of its power.
     assert slow.error >= math.exp(-0.1) - 0.01
 
@@ -154,7 +154,7 @@ def test_extreme_modes_and_devices() -> None:
         for angular in (0.05, 1e3, 1e6):
             for like in (Joystick(), Joystick(time_exponent=-6), Joystick(time_exponent=0, level=1)):
                 found = nearest_effect(Mode(decay, angular), numbers(like))
-                assert found is None or (0.0 <= found.error <= 1.0 + 1e-9 and found.duration_s <= LONGEST_S)
+                assert found is None or (0.0 <= found.error <= 1.0 + 1e-9 and found.duration_s <= MAX_EFFECT_S)
 
 
 @pytest.mark.long
@@ -273,7 +273,7 @@ def test_a_device_that_refuses_the_effect_is_driven_without() -> None:
     stick.on_log = heard
     try:
         plan = PidDriver(stick.layout, Hid(offload="auto")).set_up(stick.device)
-        assert plan.periodic is None and plan.no_periodic == "the device refuses to make such an effect"
+        assert plan.periodic is None and plan.no_periodic == "the device refuses to create a periodic effect"
         assert stick.enabled and [effect.playing for effect in stick.effects.values()][:2] == [True, True]
     finally:
         stick.close()
@@ -337,7 +337,7 @@ def test_a_device_with_other_effects_plays_none() -> None:
     held.detach()
     assert held.shown_hz(wood) is None and held.outcomes(material)[0].refused == "the device is not connected"
     held.attach(periodic(Joystick(), 2), "")
-    assert held.outcomes(material)[0].refused == "the device that is connected now plays other effects"
+    assert held.outcomes(material)[0].refused == "the device that is connected now has other effects"
     held.detach()
     held.attach(periodic(FINE, 2), "")
     assert held.shown_hz(wood) is not None and held.outcomes(material)[0].refused is None
@@ -352,7 +352,7 @@ def test_what_is_told_and_why() -> None:
         coarse.take(mode_of(name))
     wood, steel, cellophane = coarse.outcomes(materials)
     assert (wood.material, wood.mode, wood.frequency_hz) == ("wood", "tap", pytest.approx(67.0))
-    assert wood.refused == "streamed it is nearer, 1.2 %"
+    assert wood.refused == "streaming is more accurate, 1.2 % off"
     assert steel.refused is not None and steel.refused.startswith("the nearest effect is 8")
     assert steel.shown_hz == 1000.0 and steel.streamed_error_percent < 100.0
     assert cellophane.mode == "rupture"
@@ -360,7 +360,7 @@ def test_what_is_told_and_why() -> None:
     coarse.set_carried(250.0)
     assert [outcome.refused for outcome in coarse.outcomes(materials)][1:] == [
         steel.refused,
-        "the device has no more than 8 effects for this",
+        "all 8 effects of the device are assigned to other modes",
     ]
     assert coarse.outcomes(materials)[1].streamed_error_percent == 100.0
 

@@ -248,8 +248,8 @@ def test_quirks_leave_reports_out() -> None:
 @pytest.mark.parametrize(
     ("says", "reason"),
     [
-        ("full", "fake0: PID Block Load says that there is no room for another effect"),
-        ("error", "fake0: PID Block Load says that the effect is refused"),
+        ("full", "fake0: PID Block Load: full, no room for another effect"),
+        ("error", "fake0: PID Block Load: error, the effect is refused"),
     ],
 )
 def test_block_load_refuses(says: str, reason: str) -> None:
@@ -261,14 +261,14 @@ def test_block_load_refuses(says: str, reason: str) -> None:
 def test_block_load_gives_what_cannot_be() -> None:
     with joystick(Joystick(indices=5), first_index=6) as stick, pytest.raises(DeviceError) as caught:
         driver(stick).set_up(stick.device)
-    assert str(caught.value) == "fake0: PID Block Load gives effect 6, not one of 1 to 5"
+    assert str(caught.value) == "fake0: PID Block Load: Effect Block Index must be between 1 and 5, is 6"
 
 
 @pytest.mark.parametrize(
     ("answers_as", "without", "reason"),
     [
-        (1, {0x7F}, "fake0: asked for PID Block Load, report 2, the device answers report 1"),
-        (9, set(), "fake0: asked for PID Block Load, report 2, the device answers report 9"),
+        (1, {0x7F}, "fake0: requested PID Block Load, report 2, the device returned report 1"),
+        (9, set(), "fake0: requested PID Block Load, report 2, the device returned report 9"),
     ],
 )
 def test_another_report_is_no_answer(answers_as: int, without: set[int], reason: str) -> None:
@@ -368,7 +368,7 @@ def test_a_magnitude_that_does_not_say_which_count_is_no_force_is_refused() -> N
     force = layout.constant_force
     assert force is not None and ways_of(layout, hid())
     below = replace(force, magnitude=replace(force.magnitude, physical_min=-10000, physical_max=10000))
-    with pytest.raises(DeviceError, match="which count is no force"):
+    with pytest.raises(DeviceError, match="count for a force of zero is not clear"):
         PidDriver(replace(layout, constant_force=below), hid())
 
 

@@ -42,7 +42,7 @@ class Pooled(FakePid):
         if self.frees:
             self._forget()
         if self.stalls:
-            raise DeviceError(f"fake0: feature report {report_id} is not given: Broken pipe")
+            raise DeviceError(f"fake0: cannot get feature report {report_id}: Broken pipe")
         if self.says:
             most = self.says.pop(0) if len(self.says) > 1 else self.says[0]
             where = place.simultaneous_effects_max
@@ -52,7 +52,7 @@ class Pooled(FakePid):
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pid, "AGAIN_S", 0.0)
+    monkeypatch.setattr(pid, "POOL_REREAD_DELAY_S", 0.0)
     monkeypatch.setattr(pid, "_repeats", Repeats())
 
 
@@ -97,7 +97,7 @@ def test_a_pool_that_is_not_given_is_told_once(sticks: list[Pooled], caplog: pyt
     set_up(sticks, stick, times=3)
     assert len(stick.effects) == 10
     assert lines(caplog) == [
-        "fake0: feature report 3 is not given: Broken pipe; PID Block Load decides how many effects there are"
+        "fake0: cannot get feature report 3: Broken pipe; PID Block Load decides how many effects there are"
     ]
 
 
@@ -106,7 +106,7 @@ def test_a_pool_that_ends_too_soon(sticks: list[Pooled], caplog: pytest.LogCaptu
     stick = Pooled(bytes(FINE), cut=2, room=5)
     set_up(sticks, stick)
     assert len(stick.effects) == 5
-    assert lines(caplog) == ["fake0: PID Pool is too short: 2 bytes; PID Block Load decides how many effects there are"]
+    assert lines(caplog) == ["fake0: PID Pool is too short, 2 bytes; PID Block Load decides how many effects there are"]
 
 
 def test_a_pool_that_is_another_report(sticks: list[Pooled], caplog: pytest.LogCaptureFixture) -> None:
@@ -115,7 +115,7 @@ def test_a_pool_that_is_another_report(sticks: list[Pooled], caplog: pytest.LogC
     set_up(sticks, stick)
     assert len(stick.effects) == 10
     assert lines(caplog) == [
-        "fake0: asked for PID Pool, report 3, the device answers nothing; "
+        "fake0: requested PID Pool, report 3, the device returned nothing; "
         "PID Block Load decides how many effects there are"
     ]
 

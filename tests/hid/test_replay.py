@@ -54,25 +54,28 @@ HEAD = '{"recording": 1, "name": "a", "vendor": 1, "product": 2, "descriptor": "
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no report"),
-        ("hello\n", ":1: is no line of a recording: Expecting value: line 1 column 1 (char 0)"),
-        ("[]\n", ":1: is no line of a recording: "),
-        ("{}\n", ":1: is no line of a recording: the first line needs recording, name"),
-        ('{"recording": 2}\n', ":1: is no line of a recording: a recording of version 2; this reads version 1"),
+        ("", "contains no reports"),
+        ("hello\n", ":1: not a line of a recording: Expecting value: line 1 column 1 (char 0)"),
+        ("[]\n", ":1: not a line of a recording: "),
+        ("{}\n", ":1: not a line of a recording: the first line must have recording, name"),
+        ('{"recording": 2}\n', ":1: not a line of a recording: recording: must be version 1, is 2"),
         (
             '{"recording": 1, "name": "a", "descriptor": ""}\n',
-            ":1: is no line of a recording: the first line needs vendor, product",
+            ":1: not a line of a recording: the first line must have vendor, product",
         ),
-        (HEAD.replace("0501", "05x"), ":1: is no line of a recording: non-hexadecimal number"),
-        (HEAD, "holds no report: was the device moved while it was recorded?"),
-        (HEAD + '[0.1, "01"]\n[0.05, "01"]\n', ":3: is no line of a recording: the time 0.05 does not follow 0.1"),
-        (HEAD + '["a", "01"]\n', ":2: is no line of a recording: could not convert string to float: 'a'"),
-        (HEAD + '[NaN, "01"]\n', "the time nan does not follow 0"),
-        (HEAD + '[0, "0"]\n', ":2: is no line of a recording: "),
-        (HEAD + '[0, ""]\n', "a report has 1 to 4096 bytes, this one 0"),
-        (HEAD + "[0]\n", ":2: is no line of a recording: "),
-        (HEAD + "{}\n", ":2: is no line of a recording: "),
-        (HEAD + f'[1{"0" * 400}, "01"]\n', ":2: is no line of a recording: "),
+        (HEAD.replace("0501", "05x"), ":1: not a line of a recording: non-hexadecimal number"),
+        (HEAD, "contains no reports; move the device while it is recorded"),
+        (
+            HEAD + '[0.1, "01"]\n[0.05, "01"]\n',
+            ":3: not a line of a recording: the time must be between 0.1 and 1e+06 s, is 0.05",
+        ),
+        (HEAD + '["a", "01"]\n', ":2: not a line of a recording: could not convert string to float: 'a'"),
+        (HEAD + '[NaN, "01"]\n', "the time must be between 0 and 1e+06 s, is nan"),
+        (HEAD + '[0, "0"]\n', ":2: not a line of a recording: "),
+        (HEAD + '[0, ""]\n', "a report must have 1 to 4096 bytes, this one has 0"),
+        (HEAD + "[0]\n", ":2: not a line of a recording: "),
+        (HEAD + "{}\n", ":2: not a line of a recording: "),
+        (HEAD + f'[1{"0" * 400}, "01"]\n', ":2: not a line of a recording: "),
         (HEAD + "[" * 50000 + "\n", ":2: "),
     ],
 )
@@ -97,7 +100,7 @@ def test_what_may_have_no_end_is_no_recording(path: str) -> None:
     for other in (path, "/dev/zero"):
         with pytest.raises(HapticdError) as caught:
             load(other)
-        assert str(caught.value) == f"{other}: is no recording: no regular file"
+        assert str(caught.value) == f"{other}: not a recording: not a regular file"
 
 
 def test_rounds_that_take_no_time_are_held_apart(path: str, monkeypatch: pytest.MonkeyPatch) -> None:

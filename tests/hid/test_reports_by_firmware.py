@@ -16,7 +16,7 @@ import yaml
 from hapticd.base.core import ffi, lib
 from hapticd.config.hid import Hid
 from hapticd.config.modes import Mode
-from hapticd.hid.descriptor.layout import AXES, layout_of
+from hapticd.hid.descriptor.layout import AXIS_USAGES, layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.nearest_effect import nearest_effect
@@ -181,7 +181,7 @@ def test_axes_alone_go_the_way_of_the_device(name: str) -> None:
 @pytest.mark.parametrize(("first", "second"), [("Rx", "Ry"), ("Z", "Rz"), ("X", "Z")])
 def test_axes_of_other_names_are_enabled_one_by_one(first: str, second: str) -> None:
     """A handle of other axes than X and Y, without an angle: no axis was enabled, so that no force was felt."""
-    pair = (AXES[first.lower()], AXES[second.lower()])
+    pair = (AXIS_USAGES[first.lower()], AXIS_USAGES[second.lower()])
     descriptor = bytes(Joystick(axes=pair, force_axes=pair, direction_bits=0, without=frozenset({0x56})))
     with driven(descriptor, axes={"x": {"usage": first}, "y": {"usage": second}}) as (stick, _):
         shown = [str(stick.read(report)[1]["axes"]) for report in stick.sent("set_effect")]
@@ -290,8 +290,8 @@ def test_a_device_that_never_says_full_keeps_its_constant_forces(caplog: pytest.
     """The first effect was lost to a periodic one: all are made anew, without any that the device plays itself."""
     variant = Variant(most_effects=5, never_full=True, pool_stalls=True)
     with driven(descriptors.SIDEWINDER_FF2, variant, offload="auto") as (stick, plan):
-        assert plan.periodic is None and "gives effect 1 twice" in plan.no_periodic
-        assert "gives effect 1 twice; no effects are played by the device" in caplog.text
+        assert plan.periodic is None and "returns Effect Block Index 1 twice" in plan.no_periodic
+        assert "returns Effect Block Index 1 twice; no effects are played by the device" in caplog.text
         assert len(stick.effects) == 2
         for force_n in FORCES:
             send(stick, plan, force_n)

@@ -16,7 +16,7 @@ from hapticd.config.hid import Hid
 from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.link import MOST_S, SHARE, paced
+from hapticd.hid.link import MAX_FOREIGN_EFFECT_S, MAX_RESTORE_SHARE, plan_paced_for_link
 from hapticd.hid.plan import Message, Plan
 from tests.support.firmware import ADAPT, FINO, OPENFFBOARD, Firmware, Variant
 from tests.support.firmware_descriptors import ADAPT_FFB_JOY, OPENFFBOARD_2
@@ -108,8 +108,8 @@ def wobbling(force_n: tuple[float, float]) -> Callable[[int], tuple[float, float
 def test_what_a_stranger_uploads_ends_in_time(kind: str, keys: dict[str, Any], report_s: float) -> None:
     with Firmware(*KINDS[kind]) as stick:
         plan = set_up(stick, **keys)
-        plan = paced(plan, 1.0 / (report_s * len(plan.force)) if report_s else None)
-        assert plan.foreign_s is not None and plan.foreign_s <= MOST_S + 1e-9
+        plan = plan_paced_for_link(plan, 1.0 / (report_s * len(plan.force)) if report_s else None)
+        assert plan.foreign_s is not None and plan.foreign_s <= MAX_FOREIGN_EFFECT_S + 1e-9
         writer = Writer(stick, plan, report_s)
         wanted = wobbling((4.0, -2.5))
         ours: tuple[float, float] | None = None
@@ -131,13 +131,13 @@ def test_what_a_stranger_uploads_ends_in_time(kind: str, keys: dict[str, Any], r
                 passes += 1
                 if stick.force() != pytest.approx(ours, abs=0.02):
                     wrong = writer.now
-            assert wrong - begun <= MOST_S, turn
+            assert wrong - begun <= MAX_FOREIGN_EFFECT_S, turn
 
 
 def test_without_restoring_it_would_last(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the test above rests on: the firmware does turn our force round."""
     with Firmware(FINO_DESCRIPTOR, FINO) as stick:
-        writer = Writer(stick, paced(set_up(stick), 500.0), 1e-3)
+        writer = Writer(stick, plan_paced_for_link(set_up(stick), 500.0), 1e-3)
         object.__setattr__(writer.plan, "restore", ())
         for _ in range(100):
             writer.go((4.0, 0.0))
@@ -150,22 +150,22 @@ def test_without_restoring_it_would_last(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_an_envelope_and_a_gain_of_a_stranger_end_too() -> None:
     with Firmware(FINO_DESCRIPTOR, FINO) as stick:
-        writer = Writer(stick, paced(set_up(stick), 500.0), 1e-3)
+        writer = Writer(stick, plan_paced_for_link(set_up(stick), 500.0), 1e-3)
         envelope, gain = stick.forms["envelope"], stick.forms["gain"]
         stick.take(envelope.write(index=1, attack_level=0, attack_time=30000))
         stick.take(gain.write(gain=20))
         begun = writer.now
-        while writer.now < begun + MOST_S:
+        while writer.now < begun + MAX_FOREIGN_EFFECT_S:
             writer.go((4.0, -2.5))
         assert stick.force() == pytest.approx((4.0 / FULL_N, -2.5 / FULL_N), abs=0.01)
 
 
 def test_a_device_that_ignores_effects_that_it_lost_shows_no_force_but_ours() -> None:
     with Firmware(ADAPT_FFB_JOY, ADAPT) as stick:
-        writer = Writer(stick, paced(set_up(stick), 500.0), 1e-3)
+        writer = Writer(stick, plan_paced_for_link(set_up(stick), 500.0), 1e-3)
         stick.stranger(turns=0.3, magnitude=0.9)
         begun = writer.now
-        while writer.now < begun + MOST_S:
+        while writer.now < begun + MAX_FOREIGN_EFFECT_S:
             writer.go((4.0, -2.5))
         assert stick.force() == pytest.approx((4.0 / FULL_N, 0.0), abs=0.02)
 
@@ -176,8 +176,8 @@ def test_restoring_takes_a_third_of_a_slow_link_at_most_and_says_how_long_it_tak
         plan = set_up(stick)
         # Direction and envelope of two effects, and the gain of the device.
         assert len(plan.restore) == 5
-        plan = paced(plan, 1.0 / (report_s * len(plan.force)))
-        assert plan.foreign_s is not None and (plan.foreign_s <= MOST_S + 1e-9) == (report_s <= 4e-3)
+        plan = plan_paced_for_link(plan, 1.0 / (report_s * len(plan.force)))
+        assert plan.foreign_s is not None and (plan.foreign_s <= MAX_FOREIGN_EFFECT_S + 1e-9) == (report_s <= 4e-3)
         writer = Writer(stick, plan, report_s)
         wanted = wobbling((4.0, -2.5))
         begun, longest, since, turns = writer.now, 0.0, writer.now, 0
@@ -187,7 +187,7 @@ def test_restoring_takes_a_third_of_a_slow_link_at_most_and_says_how_long_it_tak
                 turns = writer.restored // len(plan.restore)
                 longest, since = max(longest, writer.now - since), writer.now
         assert turns > 3 and longest <= plan.foreign_s + 1e-9
-        assert writer.restored <= SHARE * (writer.now - begun) / report_s + 1
+        assert writer.restored <= MAX_RESTORE_SHARE * (writer.now - begun) / report_s + 1
         # The effects are started again before they end, however slow the link is.
         starts = [t_s for t_s, _, data in stick.reports if data[:1] == plan.renew[0].data[:1]]
         assert max(b - a for a, b in pairwise(starts)) < 0.1 or report_s > 8e-3
@@ -197,7 +197,7 @@ def test_a_plan_without_effects_is_left_as_it_is() -> None:
     with Firmware(FINO_DESCRIPTOR, FINO) as stick:
         plan = set_up(stick)
         other = Plan(x=plan.x, y=plan.y, force=plan.force, renew=plan.renew, stop=plan.stop)
-        assert paced(other, 100.0) == other and other.foreign_s is None
+        assert plan_paced_for_link(other, 100.0) == other and other.foreign_s is None
 
 
 # ---- The core's own writer -------------------------------------------------------------------------------------------
@@ -210,7 +210,7 @@ def test_the_writer_restores_what_a_stranger_took(kind: str) -> None:
     """Judged when reports come, and never by when they do."""
     descriptor, variant = KINDS[kind]
     with Firmware(descriptor, variant, clock=time.monotonic) as stick:
-        plan = paced(set_up(stick), None)
+        plan = plan_paced_for_link(set_up(stick), None)
         hid = ffi.gc(lib.hd_hid_new(), lib.hd_hid_free)
         assert lib.hd_hid_connect(hid, plan.to_c(), stick.device.fileno(), 0) == Status.OK
         try:

@@ -14,7 +14,7 @@ from hapticd.config.hid import Hid
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.drivers.vendor import VendorDriver
 from hapticd.hid.plan import DeviceError
-from hapticd.hid.sign_calibration import MOST_OF_FULL, Calibration, calibrate
+from hapticd.hid.sign_calibration import MAX_FORCE_SHARE, Calibration, calibrate
 from tests.hid.test_vendor import DESCRIPTOR, REPORT, Recorder
 from tests.support.hid_descriptors import Joystick
 from tests.support.hid_device import FakePid
@@ -88,7 +88,7 @@ def test_a_push_ends_once_the_handle_has_moved() -> None:
             ((0.0, 0.0), (0.0, 0.0)),
             "the handle did not move along any axis when 0.4 N pushed along the device's x axis",
         ),
-        (((1.0, 0.5), (1.0, 0.5)), "not clear which it is"),
+        (((1.0, 0.5), (1.0, 0.5)), "the axis is not clear"),
         (((1.0, 1.0), (0.0, 0.0)), "both of the device's axes moved the handle along x"),
     ],
 )
@@ -111,8 +111,8 @@ def test_a_device_that_goes_meanwhile() -> None:
 
 def test_no_more_than_a_tenth() -> None:
     bench = Bench(((1.0, 0.0), (0.0, 1.0)))
-    with pytest.raises(ValueError, match="N is not above 0"):
-        bench.calibrate(1.1 * MOST_OF_FULL * FULL_N)
+    with pytest.raises(ValueError, match="must be above 0"):
+        bench.calibrate(1.1 * MAX_FORCE_SHARE * FULL_N)
     bench.stick.close()
     assert bench.stick.log == []
 
@@ -146,4 +146,4 @@ def test_of_a_report_of_its_own_the_last_one_is_told() -> None:
             pause=lambda duration_s: None,
         )
     device.close()
-    assert "sent was 02 fe 70 00 80 00 00 (hex" in str(caught.value)
+    assert "sent reports: 02 fe 70 00 80 00 00 (hex" in str(caught.value)

@@ -107,7 +107,7 @@ def test_zero_then_stop(record: Path, node: Node) -> None:
 @pytest.mark.parametrize("key", ["HID_ID", "HID_NAME", "HID_PHYS", "HID_UNIQ"])
 def test_another_device_at_the_same_node_gets_nothing(record: Path, node: Node, key: str) -> None:
     node.says("".join(line + ("x" if line.startswith(key) else "") + "\n" for line in UEVENT.splitlines()))
-    assert "is another device now" in str(stop_device(record, sysfs=node.sysfs))
+    assert "now another device" in str(stop_device(record, sysfs=node.sysfs))
     assert node.written() == b""
     assert not record.exists()
 
@@ -120,20 +120,20 @@ def test_a_driver_that_changed_is_the_same_device(record: Path, node: Node) -> N
 def test_a_node_that_is_no_hid_device_gets_nothing(record: Path, node: Node) -> None:
     (node.entry / "subsystem").unlink()
     (node.entry / "subsystem").symlink_to("../../../../class/tty")
-    assert "is no HID device any more" in str(stop_device(record, sysfs=node.sysfs))
+    assert "no longer a HID device" in str(stop_device(record, sysfs=node.sysfs))
     assert node.written() == b""
 
 
 def test_a_link_in_the_place_of_the_node_gets_nothing(record: Path, node: Node, tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(node.path)
     record.write_text(record.read_text().replace(node.path, str(tmp_path / "link")))
-    assert "is no HID device any more" in str(stop_device(record, sysfs=node.sysfs))
+    assert "no longer a HID device" in str(stop_device(record, sysfs=node.sysfs))
     assert node.written() == b""
 
 
 def test_a_device_that_is_gone(record: Path, node: Node, tmp_path: Path) -> None:
     record.write_text(record.read_text().replace(node.path, str(tmp_path / "none")))
-    assert "is not connected any more" in str(stop_device(record, sysfs=node.sysfs))
+    assert "no longer connected" in str(stop_device(record, sysfs=node.sysfs))
     assert not record.exists()
 
 
@@ -149,7 +149,7 @@ def test_a_device_that_a_daemon_drives_is_left_to_it(record: Path, node: Node) -
 
 def test_a_device_that_hangs_is_given_up(record: Path, node: Node) -> None:
     termios.tcflow(node.theirs, termios.TCOOFF)
-    with pytest.raises(HapticdError, match="does not take reports; it may still push"):
+    with pytest.raises(HapticdError, match="does not accept reports; it may still push"):
         stop_device(record, sysfs=node.sysfs, deadline_s=0.1)
     assert record.exists()
 
@@ -210,7 +210,7 @@ def test_a_device_that_goes_away_meanwhile_does_not_push(tmp_path: Path) -> None
     def gone(fd: int, report: bytes) -> int:
         raise OSError(errno.ENODEV, "No such device")
 
-    assert "went away while it was told" in str(stop_device(path, **{**refuses(), "write": gone}))
+    assert "was unplugged while it was stopped" in str(stop_device(path, **{**refuses(), "write": gone}))
     assert not path.exists()
 
 
@@ -221,7 +221,7 @@ def test_a_device_that_cannot_be_opened_may_still_push(tmp_path: Path) -> None:
     def refused(record: Record) -> int:
         raise OSError(errno.EACCES, "Permission denied")
 
-    with pytest.raises(HapticdError, match="cannot be opened: Permission denied; it may still push"):
+    with pytest.raises(HapticdError, match="cannot open it: Permission denied; it may still push"):
         stop_device(path, opened=refused)
     assert path.exists()
 
@@ -232,14 +232,14 @@ def test_a_device_that_cannot_be_opened_may_still_push(tmp_path: Path) -> None:
 @pytest.mark.parametrize("mode", [0o620, 0o602, 0o666])
 def test_a_record_that_others_may_write(record: Path, node: Node, mode: int) -> None:
     record.chmod(mode)
-    with pytest.raises(HapticdError, match="others may change it"):
+    with pytest.raises(HapticdError, match="other users may change it"):
         stop_device(record, sysfs=node.sysfs)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
 def test_a_record_of_somebody_else(record: Path, node: Node) -> None:
     os.chown(record, 65534, -1)
-    with pytest.raises(HapticdError, match="belongs to user 65534; it must belong to root or to us"):
+    with pytest.raises(HapticdError, match="belongs to user 65534; it must belong to root or to user "):
         stop_device(record, sysfs=node.sysfs)
     assert node.written() == b""
 
@@ -248,7 +248,7 @@ def test_a_record_that_is_no_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "folder").mkdir()
     for name in ("pipe", "folder"):
-        with pytest.raises(HapticdError, match=r"must be a regular file|cannot be read: Is a directory"):
+        with pytest.raises(HapticdError, match=r"not a regular file|cannot be read: Is a directory"):
             load(tmp_path / name)
 
 
@@ -278,7 +278,7 @@ def changed(record: Any, key: str, value: object) -> Any:
 )
 def test_a_record_that_is_none(record: Path, key: str, value: object) -> None:
     record.write_text(json.dumps(changed(json.loads(record.read_text()), key, value)))
-    with pytest.raises(HapticdError, match="is no record of a device"):
+    with pytest.raises(HapticdError, match="not a record of a device"):
         load(record)
 
 
@@ -387,7 +387,7 @@ def test_a_daemon_stops_first_what_the_one_before_it_left(
         record.write_text("{}")
         record.chmod(0o622)
         _stop_what_was_left(record)
-        assert "others may change it" in caplog.text
+        assert "other users may change it" in caplog.text
         caplog.clear()
         _stop_what_was_left(tmp_path / "none")
     assert not caplog.records
@@ -404,8 +404,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     captured = capsys.readouterr()
     assert captured.out == ""
     error = json.loads(captured.err)["error"]
-    assert "is no record of a device" in error["message"] and error["exit_code"] == 1
+    assert "not a record of a device" in error["message"] and error["exit_code"] == 1
     missing = Record("/dev/hidraw99", Identity(1, 2, {}), tuple(ZERO), (), 0.0)
     StopFile(tmp_path / "hapticd.device", lambda fd: missing.identity).keep(missing.path, 0, ZERO, STOP, 0.0)
     assert main(["--runtime-dir", str(tmp_path), "stop-device", "--json"]) == 0
-    assert "is not connected any more" in json.loads(capsys.readouterr().out)["stopped"]
+    assert "no longer connected" in json.loads(capsys.readouterr().out)["stopped"]

@@ -12,7 +12,7 @@ from hapticd.base.errors import InvalidError
 from hapticd.config.configuration import load_config
 from hapticd.config.hid import Hid
 from hapticd.hid.drivers.vendor import VendorDriver, plan_of
-from hapticd.hid.plan import STILL_M_PER_COUNT, DeviceError
+from hapticd.hid.plan import STILL_AXIS_M_PER_COUNT, DeviceError
 from tests.support.hid_descriptors import (
     APPLICATION,
     INPUT,
@@ -149,7 +149,7 @@ def test_a_single_axis_stays_where_it_is_along_the_other() -> None:
     report = copy.deepcopy(REPORT)
     del report["input"]["y"], report["output"]["y"]
     plan = plan_of(hid(report), hid(report).report or pytest.fail())
-    assert plan.y.m_per_count == STILL_M_PER_COUNT and len(plan.force[0].values) == 1
+    assert plan.y.m_per_count == STILL_AXIS_M_PER_COUNT and len(plan.force[0].values) == 1
 
 
 @pytest.mark.parametrize(
@@ -215,8 +215,7 @@ def test_wrong_scripts() -> None:
         ),
         (
             {"input__y": {"bit_offset": 24}},
-            "device.hid.report.input.y: bit 39 lies beyond input report 1 of the device, which has 4 bytes after "
-            "its id",
+            "device.hid.report.input.y: bit 39 is beyond input report 1 of the device, which has 4 bytes after its id",
         ),
     ],
 )

@@ -118,7 +118,7 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
         {},
     ),
     "a duration in years": (
-        "its shortest effect would push for 1e+07 s after the daemon has gone",
+        "its shortest effect would push for 1e+07 s after the daemon was killed",
         with_duration(logical(0, 32767) + physical(0, 32767) + unit(0x1003, 7)),
         {},
     ),
@@ -133,17 +133,17 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
         {},
     ),
     "two axes and nothing that tells them apart": (
-        "neither Direction nor Axes Enable to tell them apart",
+        "neither Direction nor Axes Enable to distinguish them",
         bytes(Joystick(force_axes=(), direction_bits=0)),
         {},
     ),
     "one effect, and no angle": (
-        "the device has two axes, room for one effect, and no angle to say the direction of a force",
+        "the device has two axes, room for one effect, and no angle for the direction of a force",
         bytes(Joystick(direction_bits=0)),
         {"quirks": ["one_effect"]},
     ),
     "a vector, and magnitudes without a sign": (
-        "the device has two axes, magnitudes without a sign, and no angle to say the direction of a force",
+        "the device has two axes, magnitudes without a sign, and no angle for the direction of a force",
         instead(
             usage32(ORDINAL, 1, 2) + logical(0, 255) + physical(0, 36000),
             usage32(DESKTOP, 0x30, 0x31) + logical(-127, 127) + physical(-127, 127),
@@ -152,7 +152,7 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
         {},
     ),
     "a scaled magnitude": (
-        "does not say which count is no force",
+        "count for a force of zero is not clear",
         instead(
             usage(0x70) + logical(0, 10000) + physical(0, 10000),
             usage(0x70) + logical(0, 10000) + physical(-10000, 10000),
@@ -171,10 +171,10 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
         STICK,
         {"axes": {"y": {"usage": "Z"}}},
     ),
-    "a magnitude without force": ("ends without a force above zero", with_magnitude(-10000, 0), {}),
+    "a magnitude without force": ("has no count above zero", with_magnitude(-10000, 0), {}),
     "a magnitude of three steps": ("fewer than 8 counts from none to full force", with_magnitude(-3, 3), {}),
     "a magnitude of one way": (
-        "-1 to 10000, has less than half of the force the other way",
+        "-1 to 10000, has less than half of the full force in the negative",
         with_magnitude(-1, 10000),
         {},
     ),
@@ -294,9 +294,9 @@ def test_a_reversed_range_is_one_line_whoever_asks(tmp_path: Path, capsys: pytes
     file.write_bytes(descriptor)
     assert main(["devices", "parse", str(file)]) == 1
     message = capsys.readouterr().err
-    assert "its logical minimum 100 lies above its maximum 5" in message and message.count("\n") == 1
+    assert "its logical minimum 100 is above its maximum 5" in message and message.count("\n") == 1
     why_not = verdict_of(Hid(), descriptor).why_not
-    assert why_not is not None and "its logical minimum 100 lies above its maximum 5" in why_not
+    assert why_not is not None and "its logical minimum 100 is above its maximum 5" in why_not
 
 
 def test_levels_of_periodic_effects_that_end_at_zero_are_no_levels() -> None:

@@ -118,7 +118,7 @@ def test_directory_that_is_a_link_or_open_to_others_is_refused(tmp_path: Path) -
     assert "symbolic link" in one_line(run_once(directory=tmp_path / "link"))
     (tmp_path / "open").mkdir()
     os.chmod(tmp_path / "open", 0o777)
-    assert "others may write" in one_line(run_once(directory=tmp_path / "open"))
+    assert "other users may write" in one_line(run_once(directory=tmp_path / "open"))
 
 
 @pytest.mark.long
@@ -370,8 +370,8 @@ def test_client_that_does_not_read_its_answers_stops_nobody() -> None:
 def test_a_daemon_whose_lock_was_removed_keeps_its_directory() -> None:
     with running_daemon() as daemon:
         (daemon.directory / "hapticd.lock").unlink()
-        assert "another daemon (process unknown) runs on" in one_line(run_once(directory=daemon.directory))
-        until(lambda: "hapticd.lock: was removed or replaced" in daemon.said())
+        assert "another daemon (process unknown) uses" in one_line(run_once(directory=daemon.directory))
+        until(lambda: "hapticd.lock: removed or replaced" in daemon.said())
         with wired(daemon) as wire:
             assert wire.result("get_status")["state"] == "running"
 

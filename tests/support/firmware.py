@@ -475,7 +475,7 @@ class Firmware(Node):
             self._free_all()
         if self.variant.pool_stalls:
             self.reports.append((self.now, "get", b""))
-            raise DeviceError(f"firmware: feature report {form.report} is not given: Broken pipe")
+            raise DeviceError(f"firmware: cannot get feature report {form.report}: Broken pipe")
         said = self.variant.pool_says[self._pools - 1 : self._pools]
         true = self.variant.most_effects if self.variant.simultaneous is None else self.variant.simultaneous
         return form.write(

@@ -15,18 +15,18 @@ import pytest
 
 from hapticd.base.core import EVENT_DTYPE, EventKind, records
 from hapticd.protocol.events import event_map
-from hapticd.system.journal import EventLog, is_stderr
-from hapticd.system.repeated_lines import QUIET_S
+from hapticd.system.journal import EventLog, is_stderr_stream
+from hapticd.system.repeated_lines import FORGET_AFTER_S
 
 ROOT = Path(__file__).parents[2]
 
 
 def test_lines_go_to_stderr_and_for_the_journal_with_their_priority() -> None:
-    assert not is_stderr("")
-    assert not is_stderr("1:x")
+    assert not is_stderr_stream("")
+    assert not is_stderr_stream("1:x")
     status = os.fstat(2)
-    assert is_stderr(f"{status.st_dev}:{status.st_ino}")
-    assert not is_stderr(f"{status.st_dev}:{status.st_ino + 1}")
+    assert is_stderr_stream(f"{status.st_dev}:{status.st_ino}")
+    assert not is_stderr_stream(f"{status.st_dev}:{status.st_ino + 1}")
     program = """
 import logging, os
 from hapticd.system import journal
@@ -131,9 +131,9 @@ def test_a_flood_is_one_line_at_once_and_then_sums_at_doubling_intervals(said: p
     ]
     assert said.messages[-1] == "108,000 periods missed, 72,000 times, in the last 1 h"
     assert len(said.messages) == 1 + 12 + 8
-    clock.s += QUIET_S
+    clock.s += FORGET_AFTER_S
     log.flush()  # what was held back
-    clock.s += QUIET_S
+    clock.s += FORGET_AFTER_S
     log.note(overrun(1, 1))
     assert said.messages[-1] == "1 period missed"
 

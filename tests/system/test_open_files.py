@@ -27,5 +27,5 @@ def test_the_limit_is_raised_and_a_reserve_is_left(
     asked: list[tuple[int, int]] = []
     monkeypatch.setattr(resource, "getrlimit", lambda _: limits)
     monkeypatch.setattr(resource, "setrlimit", lambda _, new: asked.append(new))
-    assert open_files.settle() == connections
+    assert open_files.raise_descriptor_limit() == connections
     assert asked == ([] if wanted is None else [(wanted, limits[1])])

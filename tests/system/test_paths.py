@@ -69,6 +69,6 @@ def test_a_client_trusts_a_guessed_directory_only_if_it_is_ours(
     link = tmp_path / "link"
     link.symlink_to(tmp_path)
     monkeypatch.setattr("hapticd.system.paths.Path", lambda *parts: link)
-    with pytest.raises(HapticdError, match="no symbolic link"):
+    with pytest.raises(HapticdError, match="not a symbolic link"):
         daemon_paths()
     assert daemon_paths(link).directory == link, "what was named is taken"

@@ -7,7 +7,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hapticd.system.repeated_lines import LONGEST_S, QUIET_S, SHORTEST_S, Repeats, Since
+from hapticd.system.repeated_lines import FORGET_AFTER_S, MAX_REPEAT_INTERVAL_S, MIN_REPEAT_INTERVAL_S, Repeats, Since
 
 
 class Clock:
@@ -23,7 +23,7 @@ def test_sparse_ones_are_told_as_they_come() -> None:
     repeats = Repeats(clock)
     for _ in range(20):
         repeats.note("a", told.append)
-        clock.s += QUIET_S
+        clock.s += FORGET_AFTER_S
         repeats.flush()
     assert told == [Since()] * 20
     assert not repeats._kinds
@@ -50,15 +50,15 @@ def test_one_that_was_held_back_says_so() -> None:
 def test_what_is_held_back_is_told_when_it_has_been_quiet() -> None:
     clock, told = Clock(), list[Since]()
     repeats = Repeats(clock)
-    while clock.s < 2 * LONGEST_S:
+    while clock.s < 2 * MAX_REPEAT_INTERVAL_S:
         repeats.note("a", told.append)
         repeats.flush()
         clock.s += 1.0
     before = len(told)
-    clock.s += QUIET_S
+    clock.s += FORGET_AFTER_S
     repeats.flush()
     assert len(told) == before + 1
-    clock.s += SHORTEST_S
+    clock.s += MIN_REPEAT_INTERVAL_S
     repeats.note("a", told.append)
     assert told[-1] == Since()
 
@@ -76,11 +76,11 @@ def test_nothing_is_lost_and_no_two_lines_come_close(steps: list[tuple[float, in
         clock.s += seconds
         repeats.flush()
         repeats.note("a", tell, {"n": amount})
-    clock.s += LONGEST_S
+    clock.s += MAX_REPEAT_INTERVAL_S
     repeats.flush()
     assert sum(since.times for since in told) == len(steps)
     assert sum(since.amounts["n"] for since in told) == sum(amount for _, amount in steps)
-    assert all(after - before >= SHORTEST_S for before, after in pairwise(at))
+    assert all(after - before >= MIN_REPEAT_INTERVAL_S for before, after in pairwise(at))
 
 
 def test_at_the_end_all_is_told() -> None:

@@ -68,14 +68,14 @@ def test_what_others_may_write_to_is_refused(tmp_path: Path) -> None:
     paths = runtime_paths(tmp_path / "run")
     paths.directory.mkdir()
     paths.directory.chmod(0o777)
-    with pytest.raises(HapticdError, match="others may write to it"):
+    with pytest.raises(HapticdError, match="other users may write to it"):
         take(paths)
 
 
 def test_links_and_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir(mode=0o700)
     (tmp_path / "link").symlink_to(tmp_path / "real")
-    with pytest.raises(HapticdError, match="no symbolic link"):
+    with pytest.raises(HapticdError, match="not a symbolic link"):
         take(runtime_paths(tmp_path / "link"))
     (tmp_path / "file").touch()
     with pytest.raises(HapticdError, match="must be a directory"):
@@ -129,7 +129,7 @@ def test_a_socket_is_known_as_ours_before_anybody_can_be_connected(
 
 def test_a_name_that_cannot_be_taken_is_one_line(paths: RuntimePaths) -> None:
     paths.command.mkdir()
-    with pytest.raises(HapticdError, match=r"hapticd\.command: cannot be bound: Is a directory$"):
+    with pytest.raises(HapticdError, match=r"hapticd\.command: cannot bind the socket: Is a directory$"):
         Owned(paths).listen(paths.command)
 
 

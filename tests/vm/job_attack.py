@@ -32,7 +32,7 @@ import hapticd
 import hapticd.cli
 from hapticd.base.errors import HapticdError
 from hapticd.protocol import zmtp
-from hapticd.system.open_files import MOST_CONNECTIONS
+from hapticd.system.open_files import MAX_SOCKET_CONNECTIONS
 
 COMMAND = rig.RUNTIME / "hapticd.command"
 TELEMETRY = rig.RUNTIME / "hapticd.telemetry"
@@ -41,7 +41,7 @@ BOARD = Path("/run/attack")
 ATTACKERS = 5
 EACH = 300
 """Connections of an attacker to each of the two sockets; without bounds the daemon's descriptors would not do."""
-OF_A_PROCESS = MOST_CONNECTIONS // 4
+OF_A_PROCESS = MAX_SOCKET_CONNECTIONS // 4
 MODELS = 60
 WATCHDOG_S = 1
 """Of the unit meanwhile; the models take longer."""
@@ -187,8 +187,8 @@ def many_connections() -> None:
     command, telemetry = ([count[at] for count in counts] for at in (0, 1))
     for name, found in (("command", command), ("telemetry", telemetry)):
         check(
-            len(found) == ATTACKERS and max(found) <= OF_A_PROCESS and 0.9 < sum(found) / MOST_CONNECTIONS <= 1.0,
-            f"{OF_A_PROCESS} of a process at most and {MOST_CONNECTIONS:,} in all, hardly fewer, {name}",
+            len(found) == ATTACKERS and max(found) <= OF_A_PROCESS and 0.9 < sum(found) / MAX_SOCKET_CONNECTIONS <= 1.0,
+            f"{OF_A_PROCESS} of a process at most and {MAX_SOCKET_CONNECTIONS:,} in all, hardly fewer, {name}",
             found,
         )
     obeys()

@@ -17,7 +17,7 @@ import yaml
 from groups import with_group
 from rig import answer_of, check, done, hapticd_says, scenario, until
 
-from hapticd.hid.claim import RULES as RULES_OF_CLAIMS
+from hapticd.hid.claim import CLAIM_RULES_PATH as RULES_OF_CLAIMS
 
 RULES = Path(__file__).resolve().parents[2] / "systemd" / "70-hapticd.rules"
 

@@ -92,7 +92,7 @@ def test_secrets_that_others_may_read_or_change_are_refused(name: str, mode: int
     before = stat.S_IMODE(path.stat().st_mode)
     path.chmod(mode)
     try:
-        assert "others may" in refused("0.0.0.0", files["cert"], files["key"], files["password"])
+        assert "other users may" in refused("0.0.0.0", files["cert"], files["key"], files["password"])
     finally:
         path.chmod(before)
 

@@ -1,25 +1,23 @@
-"""HID report descriptors, read item by item as the HID specification 1.11 (chapters 5 and 6.2.2) has it.
+"""Parser of HID report descriptors, according to the HID specification 1.11 (chapters 5 and 6.2.2).
 
-Nothing is guessed: what cannot be read is refused, with the byte at which the item stands. What Linux skips or takes
-although the specification does not have it is skipped or taken here, too, and named in `Descriptor.skipped`. Where the
-specification leaves room, this is how Linux reads (drivers/hid/hid-core.c), since Linux has read the descriptor before
-we do:
+An invalid item is an error, which names the item's byte. Items that Linux skips or accepts although the specification
+does not define them are skipped or accepted here, too, and listed in `Descriptor.skipped`. If the specification is
+ambiguous, the parser does what Linux does (drivers/hid/hid-core.c), because Linux has parsed the descriptor before:
 
-- Minima are signed numbers. A maximum is signed if its minimum is negative, and unsigned if not: `15 00 25 FF` is
-  0 to 255. This is decided where the field is declared, so the order of the two items does not matter.
-- A usage of one or two bytes takes the usage page that holds where it stands. If another page follows the last usage,
-  then that page holds for it, and for those before it back to the first that has that page already.
-- Usages are dealt to the elements of a field in the order in which they stand, single ones and ranges alike. If there
-  are fewer, the last one repeats; if there are more, the rest is dropped.
-- Of the usages between delimiters the first, the preferred one, is taken; the others are skipped.
+- Minima are signed numbers. A maximum is signed if its minimum is negative, else unsigned: `15 00 25 FF` is 0 to 255.
+  This is decided at the main item, so the order of the two items does not matter.
+- A usage of one or two bytes has the usage page that is current at its item. If the page changes between the last usage
+  and the main item, the new page applies to that usage, and to those before it back to one that already has this page.
+- Usages are assigned to the elements of a field in the order of their items, single usages and ranges alike. If there
+  are fewer usages than elements, the last usage repeats; surplus usages are ignored.
+- Of the usages between delimiters only the first, the preferred one, is used.
 - A collection has the first of the usages before it.
-- A unit exponent of 8 to 15 is a negative nibble; a physical range of 0 to 0 is absent, and the logical
-  one counts.
+- A unit exponent of 8 to 15 is a negative nibble. A physical range of 0 to 0 is absent, and the logical range is used.
 
-Skipped are reserved items (type 3), unknown local items, unknown main items (which end the local state as any main item
-does), long items (the specification defines none; Linux refuses them), and ranges of usages that lack an end, end
-before they begin or go beyond a page. A usage page keeps its lowest 16 bits. A set of alternatives that is open at a
-main item ends there. Unknown global items are refused, as by Linux. Zero bytes after the last collection are padding.
+Skipped are reserved items (type 3), unknown local items, unknown main items (they end the local state as any main item
+does), long items (the specification defines none; Linux refuses them), and usage ranges that lack an end, end before
+they begin or cross a page. Of a usage page the lowest 16 bits are used. A set of alternative usages that is open at a
+main item ends there. Unknown global items are errors, as in Linux. Zero bytes after the last collection are padding.
 """
 
 from __future__ import annotations
@@ -33,29 +31,30 @@ from typing import Final
 from hapticd.base.errors import HapticdError
 
 MAX_DESCRIPTOR_BYTES: Final = 4096
-"""Linux takes no longer one."""
+"""The longest report descriptor that Linux accepts."""
 MAX_REPORT_BYTES: Final = 16384
-"""Linux takes no longer one."""
-MAX_DEPTH: Final = 64
-"""Of collections, and of Push."""
+"""The longest report that Linux accepts."""
+MAX_NESTING_DEPTH: Final = 64
+"""Largest depth of nested collections, and of the stack of Push."""
 
 APPLICATION_COLLECTION: Final = 1
-"""The type of a collection that is a device: a joystick, a keyboard."""
+"""The type of an application collection: a device such as a joystick or a keyboard."""
 IS_CONSTANT: Final = 0x01
 IS_VARIABLE: Final = 0x02
 IS_RELATIVE: Final = 0x04
-"""Bits of an Input, Output or Feature item."""
+"""Bits in the data of an Input, Output or Feature item."""
 
-_LONG_ITEM: Final = 0xFE
-_MOST_LISTED: Final = 16
+_LONG_ITEM_PREFIX: Final = 0xFE
+_MAX_LISTED_SKIPS: Final = 16
+"""`Descriptor.skipped` lists at most this many items, and the number of the others."""
 
 
 class DescriptorError(HapticdError):
-    """A report descriptor that cannot be read; says where (the byte at which the item begins) and why."""
+    """Error for an invalid report descriptor; its text names the byte at which the item begins, and the reason."""
 
 
 class ReportKind(enum.StrEnum):
-    """What a report is for: to the computer, from it, or asked for and set."""
+    """The kind of a report: input (from the device), output (to it) or feature (requested or set)."""
 
     INPUT = "input"
     OUTPUT = "output"
@@ -64,11 +63,11 @@ class ReportKind(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """A collection. `number` counts them in the order in which they open, so two of the same usage differ."""
+    """A collection. `number` counts collections in the order in which they open, so two of the same usage differ."""
 
     number: int
     usage: int
-    """Usage page << 16 | usage; 0 without one."""
+    """Usage page << 16 | usage; 0 without a usage."""
     type: int
 
 
@@ -85,26 +84,26 @@ class UsageRange:
 
 @dataclass(frozen=True, slots=True)
 class ReportField:
-    """What one Input, Output or Feature item declares: `count` elements of `bit_size` bits.
+    """The field that an Input, Output or Feature item declares: `count` elements of `bit_size` bits.
 
-    Bits are counted from the lowest bit of the first byte after the report id. In a variable field each element is a
-    number of its own usage; in an array field each element holds `logical_min` + the index of the usage that is on.
+    Bits are counted from the lowest bit of the first byte after the report id. In a variable field each element has a
+    usage and holds a number; in an array field each element holds `logical_min` plus the index of the active usage.
     """
 
     kind: ReportKind
     report_id: int
-    """0 where reports are not numbered."""
+    """0 if reports have no ids."""
     bit_offset: int
     bit_size: int
     count: int
     usages: tuple[UsageRange, ...]
-    """In the order of elements (variable) or of indices (array); empty for padding."""
+    """Usages in the order of elements (variable) or of indices (array); empty for padding."""
     logical_min: int
     logical_max: int
     physical_min: int
     physical_max: int
     is_physical_stale: bool
-    """The physical range was given for another logical one, and stands only because nothing took it back."""
+    """Whether the physical range was declared for an earlier field with another logical range, and never reset."""
     unit: int
     unit_exponent: int
     flags: int
@@ -113,18 +112,24 @@ class ReportField:
 
     @property
     def is_constant(self) -> bool:
+        """Whether the field is constant, not data."""
         return bool(self.flags & IS_CONSTANT)
 
     @property
     def is_variable(self) -> bool:
+        """Whether the field is variable, not an array."""
         return bool(self.flags & IS_VARIABLE)
 
     @property
     def is_relative(self) -> bool:
+        """Whether the values are changes, not absolute."""
         return bool(self.flags & IS_RELATIVE)
 
     def usage_at(self, index: int) -> int | None:
-        """The usage of an element (variable) or of an index (array); the last one repeats in a variable field."""
+        """Return the usage of an element (variable) or of an index (array); None if it has no usage.
+
+        In a variable field the last usage repeats.
+        """
         for usages in self.usages:
             if index < len(usages):
                 return usages.first + index
@@ -132,7 +137,7 @@ class ReportField:
         return self.usages[-1].last if self.usages and self.is_variable else None
 
     def index_of(self, usage: int) -> int | None:
-        """The first element (variable) or index (array) that has this usage."""
+        """Return the first element (variable) or index (array) that has this usage; None if none has it."""
         base = 0
         for usages in self.usages:
             if usages.first <= usage <= usages.last:
@@ -142,34 +147,34 @@ class ReportField:
         return None
 
     def within(self, usage: int) -> Collection | None:
-        """The innermost collection around it that has this usage."""
+        """Return the innermost collection around the field that has this usage; None without such a collection."""
         return next((collection for collection in reversed(self.path) if collection.usage == usage), None)
 
 
 @dataclass(frozen=True, slots=True)
 class Descriptor:
-    """A report descriptor, read."""
+    """A parsed report descriptor."""
 
     fields: tuple[ReportField, ...]
-    """In the order of their items; fields without a bit are left out."""
+    """Fields in the order of their items, except those of zero bits."""
     collections: tuple[Collection, ...]
     report_bits: dict[tuple[ReportKind, int], int]
-    """How long each report is by kind and id, without the id."""
+    """Length of each report in bits, without the id, by kind and id."""
     skipped: tuple[str, ...] = ()
-    """What is not as the specification has it and does not matter, one line each: which byte, and what became of it."""
+    """Items that deviate from the specification, one line each: byte, name, and how the item was treated."""
 
     def numbered(self, kind: ReportKind) -> bool:
-        """Whether reports of this kind begin with their id."""
+        """Return whether reports of this kind begin with a report id."""
         return any(of == kind and report_id for of, report_id in self.report_bits)
 
     def report_bytes(self, kind: ReportKind, report_id: int) -> int:
-        """The length of a report as it is read and written: with its id where it has one."""
+        """Return the length of a report in bytes, including its id if it has one."""
         return (self.report_bits[kind, report_id] + 7) // 8 + (report_id != 0)
 
 
 @dataclass(slots=True)
-class _Number:
-    """The data of an item whose sign is not known yet."""
+class _ItemData:
+    """The data of an item; the main item decides whether they are signed."""
 
     raw: int = 0
     size: int = 0
@@ -182,24 +187,24 @@ class _Number:
 
 @dataclass(slots=True)
 class _Globals:
-    numbers: dict[str, _Number] = dataclasses.field(default_factory=dict)
-    """By the names of their items; what was not given is 0."""
+    numbers: dict[str, _ItemData] = dataclasses.field(default_factory=dict)
+    """Data by the names of the global items; the default is 0."""
     usage_page: int = 0
     physical_of: tuple[int, int] | None = None
-    """The logical range of the field that the physical one was given for; None until there is one."""
+    """Logical range of the first field after the physical range was declared; None before that field."""
 
-    def number(self, name: str) -> _Number:
-        return self.numbers.get(name, _Number())
+    def number(self, name: str) -> _ItemData:
+        return self.numbers.get(name, _ItemData())
 
     def range(self, which: str) -> tuple[int, int]:
-        """From "Logical" or "Physical" Minimum to Maximum."""
+        """Return the "Logical" or "Physical" range, as minimum and maximum."""
         least, most = self.number(f"{which} Minimum").signed, self.number(f"{which} Maximum")
         return least, most.signed if least < 0 else most.raw
 
 
 @dataclass(slots=True)
 class _Usage:
-    """A usage or a range of them, and the page that holds for it; `page` is None where the item has its own."""
+    """A usage or a range of usages with its page; `page` has no value (None) if the item itself includes the page."""
 
     first: int
     last: int
@@ -216,13 +221,14 @@ class _Locals:
     minimum: _Usage | None = None
     maximum: _Usage | None = None
     in_set: bool = False
-    """A set of alternatives is open."""
+    """Whether a set of alternative usages is open (Delimiter)."""
     has_preferred: bool = False
-    """Its first usage has been read."""
+    """Whether the first usage of that set has been read."""
 
 
-_MAIN: Final = {0x8: "Input", 0x9: "Output", 0xA: "Collection", 0xB: "Feature", 0xC: "End Collection"}
-_GLOBAL: Final = {
+# Names of the main, global and local items by their tags (chapters 6.2.2.4, 6.2.2.7 and 6.2.2.8).
+_MAIN_ITEMS: Final = {0x8: "Input", 0x9: "Output", 0xA: "Collection", 0xB: "Feature", 0xC: "End Collection"}
+_GLOBAL_ITEMS: Final = {
     0x0: "Usage Page",
     0x1: "Logical Minimum",
     0x2: "Logical Maximum",
@@ -236,7 +242,7 @@ _GLOBAL: Final = {
     0xA: "Push",
     0xB: "Pop",
 }
-_LOCAL: Final = {
+_LOCAL_ITEMS: Final = {
     0x0: "Usage",
     0x1: "Usage Minimum",
     0x2: "Usage Maximum",
@@ -244,23 +250,27 @@ _LOCAL: Final = {
     **dict.fromkeys((0x7, 0x8, 0x9), "String"),
     0xA: "Delimiter",
 }
-_NAMES: Final[tuple[dict[int, str], ...]] = (_MAIN, _GLOBAL, _LOCAL, {})
-_UNKNOWN: Final = ("unknown main item", "", "unknown local item", "reserved item")
-"""What is skipped, by type; unknown global items are refused."""
-_BY_PREFIX: Final = tuple(
-    "long item" if one == _LONG_ITEM else _NAMES[one >> 2 & 3].get(one >> 4, _UNKNOWN[one >> 2 & 3])
-    for one in range(256)
+_ITEM_NAMES: Final[tuple[dict[int, str], ...]] = (_MAIN_ITEMS, _GLOBAL_ITEMS, _LOCAL_ITEMS, {})
+"""Names of items by their type (main, global, local, reserved) and tag."""
+_UNKNOWN_ITEM_NAMES: Final = ("unknown main item", "", "unknown local item", "reserved item")
+"""Names of skipped items by their type; unknown global items are errors."""
+_NAME_BY_PREFIX: Final = tuple(
+    "long item"
+    if prefix == _LONG_ITEM_PREFIX
+    else _ITEM_NAMES[prefix >> 2 & 3].get(prefix >> 4, _UNKNOWN_ITEM_NAMES[prefix >> 2 & 3])
+    for prefix in range(256)
 )
-_KINDS: Final = {"Input": ReportKind.INPUT, "Output": ReportKind.OUTPUT, "Feature": ReportKind.FEATURE}
+"""The name of the item with each prefix byte; empty for an unknown global item."""
+_REPORT_KINDS: Final = {"Input": ReportKind.INPUT, "Output": ReportKind.OUTPUT, "Feature": ReportKind.FEATURE}
 
 
 def parse(data: bytes) -> Descriptor:
-    """Reads a report descriptor; raises DescriptorError."""
+    """Parse a report descriptor. Raises DescriptorError."""
     if not data:
         raise DescriptorError("the report descriptor is empty")
     if len(data) > MAX_DESCRIPTOR_BYTES:
         raise DescriptorError(
-            f"the report descriptor has {len(data)} bytes; the longest that Linux takes has {MAX_DESCRIPTOR_BYTES}"
+            f"the report descriptor must have at most {MAX_DESCRIPTOR_BYTES} bytes (Linux), has {len(data)}"
         )
     parser = _Parser()
     for offset, name, number in _items(data, parser):
@@ -272,26 +282,26 @@ def _error(offset: int, name: str, what: str) -> DescriptorError:
     return DescriptorError(f"report descriptor, byte {offset} ({name}): {what}")
 
 
-def _items(data: bytes, parser: _Parser) -> Iterator[tuple[int, str, _Number]]:
+def _items(data: bytes, parser: _Parser) -> Iterator[tuple[int, str, _ItemData]]:
     at, end = 0, len(data)
     while at < end:
         prefix = data[at]
         if prefix == 0 and parser.closed and not any(data[at:]):
             return
-        name = _BY_PREFIX[prefix]
+        name = _NAME_BY_PREFIX[prefix]
         if not name:
-            raise _error(at, f"{prefix:02X}", "the HID specification knows no such global item, and Linux refuses it")
+            raise _error(at, f"{prefix:02X}", "unknown global item, which Linux refuses, too")
         size = (0, 1, 2, 4)[prefix & 3]
-        if prefix == _LONG_ITEM:
+        if prefix == _LONG_ITEM_PREFIX:
             size = 2 + data[at + 1] if at + 1 < len(data) else 2
         if at + 1 + size > end:
             raise _error(at, name, f"the descriptor ends after {end - at - 1} of its {size} bytes")
-        yield at, name, _Number(int.from_bytes(data[at + 1 : at + 1 + min(size, 4)], "little"), size)
+        yield at, name, _ItemData(int.from_bytes(data[at + 1 : at + 1 + min(size, 4)], "little"), size)
         at += 1 + size
 
 
 class _Parser:
-    """The state of a reader: global and local items, open collections, and how far each report has come."""
+    """State of the parser: global and local items, open collections, and the length of each report."""
 
     def __init__(self) -> None:
         self._global = _Globals()
@@ -305,20 +315,20 @@ class _Parser:
 
     @property
     def closed(self) -> bool:
-        """Every collection has ended, and there was one."""
+        """Whether at least one collection was opened, and all are closed."""
         return bool(self._collections) and not self._path
 
-    def take(self, at: int, name: str, number: _Number) -> None:
-        """One item."""
+    def take(self, at: int, name: str, number: _ItemData) -> None:
+        """Process one item."""
         state, value = self._global, number.raw
-        if name in _MAIN.values():
+        if name in _MAIN_ITEMS.values():
             self._end_locals(at)
         match name:
             case "Input" | "Output" | "Feature":
                 self._add_field(at, name, value)
             case "Collection":
-                if len(self._path) >= MAX_DEPTH:
-                    raise _error(at, name, f"more than {MAX_DEPTH} are nested")
+                if len(self._path) >= MAX_NESTING_DEPTH:
+                    raise _error(at, name, f"more than {MAX_NESTING_DEPTH} are nested")
                 first = self._local.usages[0].complete().first if self._local.usages else 0
                 collection = Collection(len(self._collections), first, value)
                 self._collections.append(collection)
@@ -329,13 +339,13 @@ class _Parser:
                 self._path = self._path[:-1]
             case "Usage Page":
                 if value > 0xFFFF:
-                    self._skip(at, name, f"{value:#x} has more than 16 bits: taken for {value & 0xFFFF:#x}")
+                    self._skip(at, name, f"{value:#x} has more than 16 bits: used as {value & 0xFFFF:#x}")
                 state.usage_page = value & 0xFFFF
             case "Report ID" if not 1 <= value <= 255:
-                raise _error(at, name, f"{value} is no report id; they go from 1 to 255")
+                raise _error(at, name, f"must be between 1 and 255, is {value}")
             case "Push":
-                if len(self._pushed) >= MAX_DEPTH:
-                    raise _error(at, name, f"more than {MAX_DEPTH} are nested")
+                if len(self._pushed) >= MAX_NESTING_DEPTH:
+                    raise _error(at, name, f"more than {MAX_NESTING_DEPTH} are nested")
                 self._pushed.append(dataclasses.replace(state, numbers=dict(state.numbers)))
             case "Pop":
                 if not self._pushed:
@@ -346,32 +356,32 @@ class _Parser:
                 self._add_usage(at, name, _Usage(value, value, page))
             case "Delimiter":
                 if bool(value) == self._local.in_set:
-                    raise _error(at, name, f"{'another' if value else 'no'} set is open")
+                    raise _error(at, name, "a set is already open" if value else "no set is open")
                 self._local.in_set, self._local.has_preferred = bool(value), False
             case "unknown main item" | "unknown local item" | "reserved item" | "long item":
                 self._skip(at, name, "skipped")
             case "Designator" | "String":
-                pass  # where a hand is, and words
+                pass  # body parts and texts, which do not matter here
             case _:
                 state.numbers[name] = number
                 if name in ("Physical Minimum", "Physical Maximum"):
                     state.physical_of = None
-        if name in _MAIN.values() or name == "unknown main item":
+        if name in _MAIN_ITEMS.values() or name == "unknown main item":
             self._local = _Locals()
 
     def _skip(self, at: int, name: str, what: str) -> None:
-        """Notes what Linux does not mind either."""
+        """Note an item that deviates from the specification and that Linux accepts, too."""
         self._skipped.append(f"byte {at} ({name}): {what}")
 
     def finish(self, end: int) -> Descriptor:
-        """What was read, if nothing is left open."""
+        """Return the descriptor. Raises DescriptorError if a collection is open or none was declared."""
         if self._path:
-            raise DescriptorError(f"report descriptor: a collection is still open where it ends (byte {end})")
+            raise DescriptorError(f"report descriptor: a collection is still open at its end (byte {end})")
         if not self._collections:
-            raise DescriptorError("the report descriptor declares no collection, so there is no device in it")
-        skipped = self._skipped[:_MOST_LISTED]
-        if len(self._skipped) > _MOST_LISTED:
-            skipped.append(f"{len(self._skipped) - _MOST_LISTED} more items")
+            raise DescriptorError("the report descriptor declares no collection, and so no device")
+        skipped = self._skipped[:_MAX_LISTED_SKIPS]
+        if len(self._skipped) > _MAX_LISTED_SKIPS:
+            skipped.append(f"{len(self._skipped) - _MAX_LISTED_SKIPS} more items")
         return Descriptor(tuple(self._fields), tuple(self._collections), self._bits, tuple(skipped))
 
     def _add_usage(self, at: int, name: str, usage: _Usage) -> None:
@@ -386,22 +396,22 @@ class _Parser:
             first, last = local.minimum, local.maximum
             local.minimum = local.maximum = None
             if first.page != last.page or last.first < first.first or last.first >> 16 != first.first >> 16:
-                self._skip(at, name, f"the range from {first.first:#x} to {last.first:#x} is none: skipped")
+                self._skip(at, name, f"not a valid range, from {first.first:#x} to {last.first:#x}: skipped")
             else:
                 self._take_usage(_Usage(first.first, last.first, last.page))
 
     def _take_usage(self, usage: _Usage) -> None:
-        """Unless it is an alternative to another one."""
+        """Add a usage, unless it is an alternative to the preferred usage of its set."""
         local = self._local
         if not local.in_set or not local.has_preferred:
             local.usages.append(usage)
         local.has_preferred = local.in_set
 
     def _end_locals(self, at: int) -> None:
-        """What usages stand before the main item at this byte is known now."""
+        """Apply the current usage page to the usages before the main item at this byte."""
         local = self._local
         if local.minimum is not None or local.maximum is not None:
-            self._skip(at, "Usage Minimum", "a range without its other end: skipped")
+            self._skip(at, "Usage Minimum", "a range without one of its ends: skipped")
         page_now = self._global.usage_page
         for usage in reversed(local.usages):
             if usage.page == page_now:
@@ -410,20 +420,22 @@ class _Parser:
                 usage.page = page_now
 
     def _add_field(self, at: int, name: str, value: int) -> None:
-        state, kind = self._global, _KINDS[name]
+        state, kind = self._global, _REPORT_KINDS[name]
         report = (kind, state.number("Report ID").raw)
         size, count = state.number("Report Size").raw, state.number("Report Count").raw
         exponent = state.number("Unit Exponent")
         offset = self._bits.setdefault(report, 0)
         bits = size * count
         if offset + bits > 8 * MAX_REPORT_BYTES:
-            raise _error(at, name, f"the report becomes longer than {MAX_REPORT_BYTES} bytes")
+            raise _error(
+                at, name, f"the report must have at most {MAX_REPORT_BYTES} bytes, has {(offset + bits + 7) // 8}"
+            )
         if bits == 0:
             return
         self._bits[report] = offset + bits
         logical = state.range("Logical")
         if logical[0] > logical[1] and not value & IS_CONSTANT:
-            raise _error(at, name, f"its logical minimum {logical[0]} lies above its maximum {logical[1]}")
+            raise _error(at, name, f"its logical minimum {logical[0]} is above its maximum {logical[1]}")
         physical = state.range("Physical")
         state.physical_of = state.physical_of or logical
         stale = physical != (0, 0) and state.physical_of != logical

@@ -1,1 +1,1 @@
-"""How each class of device is set up and driven: the PID class (pid*.py), and devices with reports of their own."""
+"""Drivers that set up devices: the PID class (pid*.py), and devices with vendor reports (vendor.py)."""

@@ -1,11 +1,11 @@
-"""Devices of the PID class: set-up. pid_plan.py has what is sent afterwards, pid_reports.py how reports are encoded.
+"""Set-up of devices of the PID class. pid_plan.py makes the plan for the time after it, pid_reports.py encodes reports.
 
-A set-up resets the device, enables its actuators, sets its gain, has it make the effects, and starts them with a force
-of zero. Where it has no room for two effects, one with a direction is used.
+A set-up resets the device, enables its actuators, sets its gain, creates the effects, and starts them with a force of
+zero. If the device has no room for two effects, one effect with a direction is used.
 
-PID Pool says how many effects a device plays at a time. Some firmware frees every effect when its pool is read. So it
-is read once in a set-up, after the reset and before the first effect is made. Nothing depends on it: where it is not
-given, PID Block Load says whether there is room.
+The feature report PID Pool contains how many effects the device plays at a time. It is read once in a set-up, after the
+reset and before the first effect is created, because some firmware frees every effect when it is read. It is optional:
+without it, PID Block Load shows whether there is room for an effect.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ from hapticd.hid.drivers.pid_reports import (
 from hapticd.hid.plan import DeviceError, Plan
 from hapticd.system.repeated_lines import Repeats
 
-LOAD_TRIES: Final = 30
-LOAD_PAUSE_S: Final = 0.01
-"""A device that has not yet loaded an effect is asked again so often, after this time."""
-AGAIN_S: Final = 0.05
-"""A device that says that it plays one effect, or none, is asked once more, after this time."""
+MAX_BLOCK_LOAD_READS: Final = 30
+BLOCK_LOAD_READ_INTERVAL_S: Final = 0.01
+"""While an effect is not loaded, PID Block Load is read at this interval, at most MAX_BLOCK_LOAD_READS times."""
+POOL_REREAD_DELAY_S: Final = 0.05
+"""If PID Pool contains 1 or 0 effects, it is read once more after this time."""
 
 _log = logging.getLogger("hapticd")
 _repeats = Repeats()
@@ -61,14 +61,14 @@ class _FullError(DeviceError):
 
 
 class _RefusedError(DeviceError):
-    """The device does not take an effect."""
+    """The device refuses to create an effect."""
 
 
 class PidDriver:
-    """Sets up one device, as often as it is asked to."""
+    """Sets up a device of the PID class; `set_up` may be called repeatedly."""
 
     def __init__(self, layout: Layout, hid: Hid) -> None:
-        """Raises DeviceError where the layout cannot show what is wanted."""
+        """Create a driver. Raises DeviceError if the descriptor lacks what the configuration needs."""
         self._layout = layout
         self._hid = hid
         self._ways = ways_of(layout, hid)
@@ -77,13 +77,13 @@ class PidDriver:
         duration_of(layout, hid)
 
     def set_up(self, device: Device) -> Plan:
-        """Resets the device, enables it, and leaves its effects running with a force of zero."""
+        """Reset and enable the device, create its effects, start them with a force of zero, and return the plan."""
         self._prepare(device)
-        ways, most = self._ways, self._room(device)
+        ways, most = self._ways, self._effects_in_pool(device)
         needed = len(effects_of(ways[0], self._hid))
         if most is not None and most < needed:
             other = "one effect with direction is used" if len(ways) > 1 else "PID Block Load decides"
-            _warn(f"{device.path}: plays {most} effect at a time, {needed} are needed; {other}")
+            _warn_once(f"{device.path}: plays {most} effect at a time, {needed} are needed; {other}")
             ways = ways[1:] or ways
         for way in ways:
             try:
@@ -96,20 +96,22 @@ class PidDriver:
         raise AssertionError("there is always a way")
 
     def _prepare(self, device: Device) -> None:
-        """Resets it and enables it: without effects, at full gain."""
+        """Reset the device, free its effects, enable its actuators, and set its gain to the maximum."""
         layout, quirks = self._layout, self._hid.quirks
         if self._indices and ("no_reset" in quirks or control_report(layout, "device_reset") is None):
-            # Nothing else would free what the last set-up made.
-            _undo(layout, device, self._indices)
+            # Without a reset, the effects of the last set-up must be freed one by one.
+            _free_effects(layout, device, self._indices)
         self._indices = []
         for name in ("device_reset", "stop_all_effects", "enable_actuators"):
             if name != "device_reset" or "no_reset" not in quirks:
                 _send(device, control_report(layout, name))
         _send(device, gain_report(layout, self._hid))
 
-    def _room(self, device: Device) -> int | None:
-        """How many effects the device says that it plays, where more than one is wanted; None: not known. No effect
-        may exist yet."""
+    def _effects_in_pool(self, device: Device) -> int | None:
+        """Return the number of effects in PID Pool, if more than one effect is wanted; None if it is not known.
+
+        Must be called before the first effect is created.
+        """
         pool = None if "no_pid_pool" in self._hid.quirks else self._layout.pool
         several = len(effects_of(self._ways[0], self._hid)) > 1
         wanted = several or periodic_problem(self._layout, self._hid) is None
@@ -118,64 +120,64 @@ class PidDriver:
         most = 0
         for attempt in range(2):
             if attempt:
-                time.sleep(AGAIN_S)
+                time.sleep(POOL_REREAD_DELAY_S)
             try:
-                answer = _feature(device, pool.report_id, pool.report_bytes, "PID Pool")
+                answer = _get_feature(device, pool.report_id, pool.report_bytes, "PID Pool")
                 most = _number_in(answer, pool.simultaneous_effects_max, "PID Pool", device)
             except DeviceError as error:
-                _warn(f"{error}; PID Block Load decides how many effects there are")
+                _warn_once(f"{error}; PID Block Load decides how many effects there are")
                 return None
             if most > 1:
                 break
         return most if most > 0 else None
 
     def _set_up(self, device: Device, way: Way, most: int | None) -> Plan:
-        plan = self._constant(device, way)
+        plan = self._create_constant_forces(device, way)
         problem = periodic_problem(self._layout, self._hid)
         if problem is not None:
             return replace(plan, no_periodic=problem)
         try:
-            return self._with_periodic(device, plan, most)
+            return self._add_periodic_effects(device, plan, most)
         except DeviceError as error:
-            # They are worth something, the constant ones are needed; one of those may have been lost.
-            _undo(self._layout, device, self._indices)
+            # Periodic effects are optional, constant forces are required and may have been lost: create them again.
+            _free_effects(self._layout, device, self._indices)
             _log.warning("%s; no effects are played by the device", error)
             self._prepare(device)
-            return replace(self._constant(device, way), no_periodic=str(error))
+            return replace(self._create_constant_forces(device, way), no_periodic=str(error))
 
-    def _constant(self, device: Device, way: Way) -> Plan:
-        """The constant forces, made and started, and their plan."""
+    def _create_constant_forces(self, device: Device, way: Way) -> Plan:
+        """Create and start the constant forces, and return their plan."""
         layout, indices = self._layout, list[int]()
         try:
             for effect in effects_of(way, self._hid):
                 index = self._create(device)
                 if index in indices:
-                    raise DeviceError(f"{device.path}: PID Block Load gives effect {index} twice")
+                    raise DeviceError(f"{device.path}: PID Block Load returns Effect Block Index {index} twice")
                 indices.append(index)
                 device.write(set_effect_report(layout, self._hid, index, effect if way != "polar" else None))
                 device.write(constant_force_report(layout, index).at_rest())
                 device.write(operation_report(layout, index, "start").data)
         except DeviceError:
-            _undo(layout, device, indices)
+            _free_effects(layout, device, indices)
             raise
         self._indices = list(indices)
         return plan_of(layout, self._hid, way, indices)
 
-    def _with_periodic(self, device: Device, plan: Plan, room: int | None) -> Plan:
-        """The plan, and what periodic effects there is room for beside the constant ones."""
+    def _add_periodic_effects(self, device: Device, plan: Plan, room: int | None) -> Plan:
+        """Create as many periodic effects as there is room for, and return the plan with them."""
         layout, problem = self._layout, "the device has no room for another effect"
         constant, made = len(self._indices), list[int]()
         try:
             while len(made) < min(lib.HD_DEVICE_EFFECTS, (room or constant + lib.HD_DEVICE_EFFECTS) - constant):
                 index = self._create(device, "sine")
                 if index in self._indices:
-                    raise DeviceError(f"{device.path}: PID Block Load gives effect {index} twice")
+                    raise DeviceError(f"{device.path}: PID Block Load returns Effect Block Index {index} twice")
                 made.append(index)
                 self._indices.append(index)
         except _FullError:
-            pass  # as many as there are
+            pass  # the effects that were created are used
         except _RefusedError:
-            problem = "the device refuses to make such an effect"
+            problem = "the device refuses to create a periodic effect"
         if not made:
             return replace(plan, no_periodic=problem)
         periodic = periodic_of(layout, self._hid, made)
@@ -183,37 +185,38 @@ class PidDriver:
             message for message in (block_free_report(layout, index) for index in made) if message is not None
         )
         stops = () if control_report(layout, "stop_all_effects") else tuple(block.stop for block in periodic.blocks)
-        # Last of all: an effect that is not freed costs room, no force.
+        # Freed last, because a periodic effect that is not freed takes room but exerts no force.
         return replace(plan, stop=(*stops, *plan.stop, *frees), periodic=periodic)
 
     def _create(self, device: Device, kind: str = "constant_force") -> int:
-        """A new effect; its block index."""
+        """Create an effect, and return its Effect Block Index. Raises DeviceError."""
         create, load = self._layout.create_new_effect, self._layout.block_load
         assert create is not None and load is not None
         report = ReportWriter(create)
         report.choose(create.effect_type, kind)
         device.send_feature(bytes(report.data))
-        for _ in range(LOAD_TRIES):
-            answer = _feature(device, load.report_id, load.report_bytes, "PID Block Load")
+        for _ in range(MAX_BLOCK_LOAD_READS):
+            answer = _get_feature(device, load.report_id, load.report_bytes, "PID Block Load")
             status = _load_status(load, answer, device)
             if status == "success":
                 index = _number_in(answer, load.effect_index, "PID Block Load", device)
                 first, last = self._layout.effect_indices or (1, 0)
                 if not first <= index <= last:
                     raise DeviceError(
-                        f"{device.path}: PID Block Load gives effect {index}, not one of {first} to {last}"
+                        f"{device.path}: PID Block Load: Effect Block Index must be between {first} and {last}, "
+                        f"is {index}"
                     )
                 return index
             if status == "full":
-                raise _FullError(f"{device.path}: PID Block Load says that there is no room for another effect")
+                raise _FullError(f"{device.path}: PID Block Load: full, no room for another effect")
             if status == "error":
-                raise _RefusedError(f"{device.path}: PID Block Load says that the effect is refused")
-            time.sleep(LOAD_PAUSE_S)
-        raise DeviceError(f"{device.path}: PID Block Load does not say that the effect is loaded")
+                raise _RefusedError(f"{device.path}: PID Block Load: error, the effect is refused")
+            time.sleep(BLOCK_LOAD_READ_INTERVAL_S)
+        raise DeviceError(f"{device.path}: PID Block Load does not report that the effect is loaded")
 
 
-def _undo(layout: Layout, device: Device, indices: Sequence[int]) -> None:
-    """Ends a set-up that failed half way, as far as the device still takes it: what it has room for is free again."""
+def _free_effects(layout: Layout, device: Device, indices: Sequence[int]) -> None:
+    """Stop and free effects after a failed set-up, and ignore errors of the device."""
     with suppress(DeviceError):
         for message in stop_messages(layout, indices):
             device.write(message.data)
@@ -225,7 +228,7 @@ def _send(device: Device, report: bytes | None) -> None:
 
 
 def _load_status(load: BlockLoad, answer: bytes, device: Device) -> str | None:
-    """success, full or error; None: not yet known."""
+    """Return "success", "full" or "error"; None if the device has not finished."""
     if load.status is None:
         return "success" if _number_in(answer, load.effect_index, "PID Block Load", device) else "full"
     for name, entry in load.status.entries.items():
@@ -234,23 +237,23 @@ def _load_status(load: BlockLoad, answer: bytes, device: Device) -> str | None:
     return None
 
 
-def _warn(text: str) -> None:
-    """Once, and as a count for a device that is found again and again."""
+def _warn_once(text: str) -> None:
+    """Log a warning, and sums of repeated ones, for a device that is connected repeatedly."""
     _repeats.line(text, logging.WARNING, text)
 
 
-def _feature(device: Device, report_id: int, report_bytes: int, name: str) -> bytes:
-    """The answer to a feature report, its id first. Raises DeviceError where it is another report."""
+def _get_feature(device: Device, report_id: int, report_bytes: int, name: str) -> bytes:
+    """Get a feature report, its id first. Raises DeviceError if the device returns another report."""
     answer = device.get_feature(report_id, report_bytes + (report_id == 0))
     if answer[:1] != bytes([report_id]):
         other = f"report {answer[0]}" if answer else "nothing"
-        raise DeviceError(f"{device.path}: asked for {name}, report {report_id}, the device answers {other}")
+        raise DeviceError(f"{device.path}: requested {name}, report {report_id}, the device returned {other}")
     return answer
 
 
 def _number_in(answer: bytes, field: Field, name: str, device: Device) -> int:
-    """A number of a report, its id first. Raises DeviceError for a report that ends before it."""
+    """Return the number in a field of a report (id first). Raises DeviceError if the report ends before the field."""
     try:
         return bits_of(field).get(answer)
     except ValueError:
-        raise DeviceError(f"{device.path}: {name} is too short: {len(answer)} bytes") from None
+        raise DeviceError(f"{device.path}: {name} is too short, {len(answer)} bytes") from None

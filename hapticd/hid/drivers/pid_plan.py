@@ -1,15 +1,15 @@
-"""How a device of the PID class shows a force, and the plan of what it is sent once it is set up, from the layout of
-its descriptor alone.
+"""Plan of a device of the PID class, made from the layout of its descriptor.
 
-A constant force is shown by
+A force is exerted by constant forces, in one of these ways:
 
-- two effects, one for each axis, whose magnitudes carry a sign: a component that did not change costs no report, unless
-  the directions are not quite along the axes (`pid_reports.parts`); or
-- one effect whose magnitude and direction are both sent, where magnitudes have no sign, or one effect is all there is.
+- Two effects, one for each axis, with signed magnitudes. A component that did not change costs no report, unless the
+  directions are not exactly along the axes (`pid_reports.force_components`).
+- One effect, for which magnitude and direction are sent. It is used if magnitudes have no sign, or if the device has
+  room for one effect only.
 
-Effects have a finite duration and are started again in time: a daemon that is stopped or killed leaves no force.
-A direction is where a force comes from, clockwise from away from the user ("north"), as the specification and Linux
-have it; `device.hid.force_axes` says where a device has it otherwise.
+Effects have a finite duration and are renewed in time, so that a daemon that is stopped or killed leaves no force. A
+direction is where a force comes from, clockwise from "north", which is away from the user, as in the specification and
+in Linux; `device.hid.force_axes` describes devices that deviate from this.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from hapticd.hid.drivers.pid_reports import (
     control_report,
     duration_of,
     envelope_report,
+    force_components,
     gain_report,
     has_one_axis,
     has_vector,
     is_by_angle,
-    leak,
+    leak_share,
     level_scale,
     operation_report,
-    parts,
     polar_effect_report,
     set_effect_report,
-    shared_report,
+    shared_report_problem,
     time_scale,
 )
 from hapticd.hid.plan import (
-    STILL_M_PER_COUNT,
+    STILL_AXIS_M_PER_COUNT,
     AxisPlan,
     DeviceError,
     Message,
@@ -57,28 +57,29 @@ from hapticd.hid.plan import (
     StateBit,
 )
 
-RENEWED_ENOUGH_S: Final = 0.05
-"""What is renewed so often needs no restoring."""
+MAX_RENEW_WITHOUT_RESTORE_S: Final = 0.05
+"""Messages that are renewed at this interval or a shorter one need not be restored in addition."""
 
 Way = Literal["two", "polar", "one", "sides"]
-"""two: an effect for each axis; polar: one with direction; one: a single axis; sides: that, with an effect each way."""
+"""two: one effect for each axis; polar: one effect with a direction; one: one effect for a device with one axis; sides:
+two effects for a device with one axis, one for each direction."""
 
 
 # ---- Ways and axes ---------------------------------------------------------------------------------------------------
 
 
 def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
-    """How a force can be shown, the best first. Raises DeviceError."""
+    """Return the ways in which a force can be exerted, the best first. Raises DeviceError if there is no way."""
     effect, force = layout.set_effect, layout.constant_force
     assert effect is not None and force is not None
-    shared = shared_report(layout)
+    shared = shared_report_problem(layout)
     if shared is not None:
         raise DeviceError(shared)
     angle, signed = angle_of(effect), force.magnitude.is_signed
     if not signed and force.magnitude.physical_min < 0 < force.magnitude.physical_max:
         raise DeviceError(
             f"the magnitude of Set Constant Force counts from {force.magnitude.logical_min}, and its physical range "
-            "begins below zero: it does not say which count is no force"
+            "begins below zero: the count for a force of zero is not clear"
         )
     room = layout.effect_indices is None or layout.effect_indices[1] > layout.effect_indices[0]
     room = room and "one_effect" not in hid.quirks
@@ -88,7 +89,7 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
             return ("one",)
         if angle is not None and room:
             return ("sides",)
-        raise DeviceError("the device has magnitudes without a sign, and no way to say the direction of a force")
+        raise DeviceError("the device has magnitudes without a sign, and no field for the direction of a force")
     ways: list[Way] = []
     if signed and room and (angle is not None or both):
         ways.append("two")
@@ -96,20 +97,20 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
         ways.append("polar")
     if not ways:
         if not both:
-            lacks = "and neither Direction nor Axes Enable to tell them apart in a force"
+            lacks = "and neither Direction nor Axes Enable to distinguish them in a force"
         elif signed:
-            lacks = "room for one effect, and no angle to say the direction of a force"
+            lacks = "room for one effect, and no angle for the direction of a force"
         else:
-            lacks = "magnitudes without a sign, and no angle to say the direction of a force"
+            lacks = "magnitudes without a sign, and no angle for the direction of a force"
         raise DeviceError(f"the device has two axes, {lacks}")
     return tuple(ways)
 
 
 def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
-    """The handle's axes. Raises DeviceError where the device has no such axis."""
+    """Return the position fields of the handle's axes. Raises DeviceError if the device lacks a configured axis."""
     x = _axis(layout, hid.axes.x, "x", hid)
     if has_one_axis(layout, hid) and hid.axes.y.usage.lower() not in layout.input:
-        return x, AxisPlan(x.bits, x.report_id, x.zero_counts, STILL_M_PER_COUNT)
+        return x, AxisPlan(x.bits, x.report_id, x.zero_counts, STILL_AXIS_M_PER_COUNT)
     return x, _axis(layout, hid.axes.y, "y", hid)
 
 
@@ -125,6 +126,7 @@ def _axis(layout: Layout, axis: HandleAxis, name: str, hid: Hid) -> AxisPlan:
 
 
 def effects_of(way: Way, hid: Hid) -> tuple[Effect, ...]:
+    """Return the effects that exert a force in this way."""
     axes, swap = hid.force_axes, hid.force_axes.swap
     along_x, along_y = (HidQuantity.Y, HidQuantity.X) if swap else (HidQuantity.X, HidQuantity.Y)
     # A force to the right comes from the left, one away from the user from the user.
@@ -145,38 +147,38 @@ def effects_of(way: Way, hid: Hid) -> tuple[Effect, ...]:
 
 
 def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
-    """What a connection does once these effects exist."""
+    """Return the plan for effects with these Effect Block Indices."""
     x, y = axes_of(layout, hid)
     effects = effects_of(way, hid)
-    # The direction first: the new strength is never shown the old way.
+    # The direction is sent before the magnitude, so that a new magnitude never acts along the old direction.
     force = [polar_effect_report(layout, hid, indices[0])] if way == "polar" else []
-    for effect, index, part in zip(effects, indices, _parts(layout, effects), strict=True):
+    for effect, index, part in zip(effects, indices, _force_components(layout, effects), strict=True):
         force.append(constant_force_report(layout, index, effect, hid, part))
     infinite = "infinite_duration" in hid.quirks
     _, duration_s = duration_of(layout, hid)
     renew_s = hid.renew_s if infinite else min(hid.renew_s, 0.5 * duration_s)
-    watched = _playing(layout, indices, math.ceil(duration_s / renew_s) + 2)
+    watched = _playing_bits(layout, indices, math.ceil(duration_s / renew_s) + 2)
     return Plan(
         x=x,
         y=y,
         force=tuple(force),
         renew=tuple(operation_report(layout, index, "start") for index in indices),
-        restore=tuple(_restore(layout, hid, way, indices, renew_s)),
+        restore=tuple(_restore_messages(layout, hid, way, indices, renew_s)),
         stop=stop_messages(layout, indices),
-        # Most devices say that an effect plays when it begins to. The set-up began it before anybody listened; the
-        # first renewal comes at once.
+        # Most devices report that an effect plays when it starts. The set-up started it before reports were read, so
+        # the effects are stopped once; the first renewal starts them again at once.
         begin=tuple(operation_report(layout, index, "stop") for index in indices) if watched else (),
         effects=watched,
-        states=_states(layout),
+        states=_state_bits(layout),
         renew_s=renew_s,
-        foreign_s=renew_s if renew_s <= RENEWED_ENOUGH_S else 0.0,
+        foreign_s=renew_s if renew_s <= MAX_RENEW_WITHOUT_RESTORE_S else 0.0,
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
         leak=_leak_of(layout) if way == "polar" else 0.0,
     )
 
 
-def _parts(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
-    """What the magnitude of each effect has of the force along its axis, and of the other one."""
+def _force_components(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
+    """Return for each effect which shares of the force along its axis and of the other one its magnitude contains."""
     to = layout.set_effect
     assert to is not None
     angle = angle_of(to)
@@ -188,27 +190,27 @@ def _parts(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float
     ):
         return straight
     sign = effects[0].sign * effects[1].sign
-    shown = parts(angle, effects[0].from_turns, effects[1].from_turns)
+    shown = force_components(angle, effects[0].from_turns, effects[1].from_turns)
     return [(along, other * sign) for along, other in shown]
 
 
 def _leak_of(layout: Layout) -> float:
     assert layout.set_effect is not None
     angle = angle_of(layout.set_effect)
-    return 0.0 if angle is None else leak(angle)
+    return 0.0 if angle is None else leak_share(angle)
 
 
-def _restore(layout: Layout, hid: Hid, way: Way, indices: Sequence[int], renew_s: float) -> Iterator[Message]:
-    """What an effect of another program changes in the place of ours, and is not renewed often enough anyway."""
+def _restore_messages(layout: Layout, hid: Hid, way: Way, indices: Sequence[int], renew_s: float) -> Iterator[Message]:
+    """Yield the messages that restore an effect which another program changed, except those renewed often enough."""
     effects = effects_of(way, hid)
-    for effect, index, part in zip(effects, indices, _parts(layout, effects), strict=True):
+    for effect, index, part in zip(effects, indices, _force_components(layout, effects), strict=True):
         if way != "polar":
             yield Message(set_effect_report(layout, hid, index, effect))
-        elif renew_s > RENEWED_ENOUGH_S:
+        elif renew_s > MAX_RENEW_WITHOUT_RESTORE_S:
             yield polar_effect_report(layout, hid, index)
         if layout.set_envelope is not None:
             yield Message(envelope_report(layout.set_envelope, index))
-        if renew_s > RENEWED_ENOUGH_S:
+        if renew_s > MAX_RENEW_WITHOUT_RESTORE_S:
             yield constant_force_report(layout, index, effect, hid, part)
             yield operation_report(layout, index, "start")
     gain = gain_report(layout, hid)
@@ -217,7 +219,7 @@ def _restore(layout: Layout, hid: Hid, way: Way, indices: Sequence[int], renew_s
 
 
 def stop_messages(layout: Layout, indices: Sequence[int]) -> tuple[Message, ...]:
-    """Stops and frees these effects, and switches the actuators off."""
+    """Return the messages that stop and free these effects, and disable the actuators."""
     control = [control_report(layout, name) for name in ("stop_all_effects", "disable_actuators")]
     stop = [
         *(operation_report(layout, index, "stop") for index in indices),
@@ -227,7 +229,7 @@ def stop_messages(layout: Layout, indices: Sequence[int]) -> tuple[Message, ...]
     return tuple(message for message in stop if message is not None)
 
 
-def _states(layout: Layout) -> tuple[StateBit, ...]:
+def _state_bits(layout: Layout) -> tuple[StateBit, ...]:
     state = layout.pid_state
     if state is None:
         return ()
@@ -241,8 +243,8 @@ def _states(layout: Layout) -> tuple[StateBit, ...]:
     return tuple(StateBit(bits_of(field), field.report_id, meaning) for field, meaning in states if field is not None)
 
 
-def _playing(layout: Layout, indices: Sequence[int], proof: int) -> PlayingBits | None:
-    """Where the device says which effects play; None where it does not, or cannot name ours."""
+def _playing_bits(layout: Layout, indices: Sequence[int], proof: int) -> PlayingBits | None:
+    """Return the fields of PID State for the effects that play; None if they are absent or cannot hold the indices."""
     state = layout.pid_state
     if state is None or state.effect_index is None or state.effect_playing is None:
         return None
@@ -252,11 +254,11 @@ def _playing(layout: Layout, indices: Sequence[int], proof: int) -> PlayingBits 
     return PlayingBits(bits_of(index), bits_of(playing), state.report_id, tuple(indices), proof)
 
 
-# ---- Effects that the device plays itself ----------------------------------------------------------------------------
+# ---- Periodic effects, played in place of modes ----------------------------------------------------------------------
 
 
 def periodic_problem(layout: Layout, hid: Hid) -> str | None:
-    """Why there are no periodic effects, short; None: the descriptor has all of it, and they are wanted."""
+    """Return why periodic effects are not used; None if they are configured and the descriptor has what they need."""
     effect, create = layout.set_effect, layout.create_new_effect
     assert effect is not None and create is not None
     if hid.offload == "off":
@@ -269,7 +271,7 @@ def periodic_problem(layout: Layout, hid: Hid) -> str | None:
         absent.append("Direction of two axes")
     if absent:
         return f"the device has no {', no '.join(absent)}"
-    shared = shared_report(layout, with_periodic=True)
+    shared = shared_report_problem(layout, with_periodic=True)
     if shared is not None:
         return shared
     assert layout.set_periodic is not None and layout.set_envelope is not None
@@ -279,14 +281,14 @@ def periodic_problem(layout: Layout, hid: Hid) -> str | None:
     first, last = layout.effect_indices or (1, 0)
     indices = (layout.set_periodic.effect_index, lines.effect_index)
     if any(index.logical_min > first or index.logical_max < last for index in indices):
-        return "Set Periodic or Set Envelope does not take every Effect Block Index"
+        return "Set Periodic or Set Envelope cannot hold every Effect Block Index"
     if "infinite_duration" in hid.quirks:
         return "the device ignores finite durations"
     return None
 
 
 def periodic_of(layout: Layout, hid: Hid, indices: Sequence[int]) -> Periodic:
-    """Periodic effects that were made; the layout has all that they need."""
+    """Return the periodic effects with these Effect Block Indices; `periodic_problem` must have returned None."""
     effect, periodic, envelope = layout.set_effect, layout.set_periodic, layout.set_envelope
     assert effect is not None and periodic is not None and envelope is not None
     numbers = Numbers(

@@ -1,5 +1,7 @@
-"""The reports that a device of the PID class is sent, encoded by the layout of its descriptor: directions as the counts
-that stand for an angle, with what comes of whole counts only being near it, and then each report."""
+"""Encodes the reports for a device of the PID class, from the layout of its descriptor.
+
+Directions are integer counts, so a force along one axis may also act along the other; this module computes by how much.
+"""
 
 from __future__ import annotations
 
@@ -13,33 +15,36 @@ from hapticd.hid.descriptor.fields import Choice, Field, duration_fault
 from hapticd.hid.descriptor.layout import Layout, Report, SetEffect, SetEnvelope
 from hapticd.hid.plan import Bits, DeviceError, Message, Scale, Value
 
-_LEAST_SINE: Final = 0.5
-"""Two directions whose sine is below this do not distinguish the axes."""
+_MIN_DIRECTION_SINE: Final = 0.5
+"""Two directions distinguish the axes if the sine of the angle between them is at least this."""
 
 
 # ---- Directions ------------------------------------------------------------------------------------------------------
 
 
 def angle_of(effect: SetEffect) -> Field | None:
-    """The direction as an angle; None where there is none, or parts of a vector stand for it."""
+    """Return the direction's field for an angle; None if there is no direction, or it is a vector."""
     return None if effect.is_direction_cartesian or not effect.direction else effect.direction[0]
 
 
 def has_vector(effect: SetEffect) -> bool:
-    """Whether the direction has a part along each of two axes."""
+    """Return whether the direction is a vector with components along at least two axes."""
     return effect.is_direction_cartesian and len(effect.direction) >= 2
 
 
 def has_one_axis(layout: Layout, hid: Hid) -> bool:
-    """Whether the device pushes along one axis only, as a wheel does that has pedals and no Y."""
+    """Return whether the device exerts forces along one axis only, such as a wheel with pedals and without Y."""
     assert layout.set_effect is not None
     no_y = hid.axes.y.usage == "Y" and "y" not in layout.input
     return no_y or len(layout.input) == 1 or len(layout.set_effect.axes_enable) == 1
 
 
 def enabled_for(effect: SetEffect, axes: HandleAxes, axis: Literal["x", "y"]) -> str:
-    """Which axis is enabled for a force along the device's first axis (x) or its second one (y): X and Y where it has
-    both, else those of the handle, else its axes in their order. A device with one axis has it under any name."""
+    """Return the axis to enable for a force along the device's first (x) or second axis (y).
+
+    The two axes are X and Y if the device has both, else those of the handle, else the device's axes in their order.
+    On a device with one axis it is that axis, whatever its name.
+    """
     known = effect.axes_enable
     handle = (axes.x.usage.lower(), axes.y.usage.lower())
     names = next(names for names in (("x", "y"), handle, tuple(known)) if known.keys() >= set(names))
@@ -47,18 +52,18 @@ def enabled_for(effect: SetEffect, axes: HandleAxes, axis: Literal["x", "y"]) ->
 
 
 def counts_of(angle: Field, turns: float) -> float:
-    """The counts of a direction, at least the field's first and less than a turn beyond."""
+    """Return the counts of a direction, from the field's minimum to less than one turn above it."""
     per_turn = angle.counts_per_turn()
     if per_turn <= 0.0:
         return angle.logical_min
     return angle.logical_min + (angle.counts_at_north() + per_turn * turns - angle.logical_min) % per_turn
 
 
-def mirrored(axes: ForceAxes) -> tuple[int, float]:
-    """What the device takes for a direction of d turns: slope * d + offset, by its signs and a swap of its axes.
+def direction_transform(axes: ForceAxes) -> tuple[int, float]:
+    """Return slope and offset of the device's direction: it is slope * d + offset for a direction of d turns.
 
-    A direction is an angle from +y towards +x. Taking x negative turns d into -d, y negative into 1/2 - d, and swapping
-    the axes into 1/4 - d; the swap comes first.
+    A direction is an angle from +y towards +x. A negative sign of x turns d into -d, a negative sign of y turns d into
+    1/2 - d, and swapped axes turn d into 1/4 - d. The swap is applied first.
     """
     slope, offset = (-1, 0.25) if axes.swap else (1, 0.0)
     if axes.x.sign < 0:
@@ -68,29 +73,30 @@ def mirrored(axes: ForceAxes) -> tuple[int, float]:
     return slope, offset
 
 
-def parts(angle: Field, x_turns: float, y_turns: float) -> list[tuple[float, float]]:
-    """What the magnitudes of two effects must have of the forces, so that both together push straight along an axis:
-    of the force along the effect's own axis, and of the other one, for the effect of x and that of y.
+def force_components(angle: Field, x_turns: float, y_turns: float) -> list[tuple[float, float]]:
+    """Return the shares by which the magnitudes of two effects contain the forces along their axes.
 
-    Of 255 counts a turn none is a right angle: a single effect that is meant for one axis pushes along the other with
-    up to 1.2 % of its force. `x_turns`, `y_turns`: where their forces come from.
+    For the effect of x and then for that of y: its share of the force along its axis, and of the force along the other.
+    With these shares both effects together push exactly along an axis. With 255 counts per turn, no count is a right
+    angle, and a single effect for one axis would push along the other with up to 1.2 % of its force. `x_turns` and
+    `y_turns` are the directions of the effects.
     """
-    x_x, x_y = _pushes(angle, x_turns)
-    y_x, y_y = _pushes(angle, y_turns)
+    x_x, x_y = _push_vector(angle, x_turns)
+    y_x, y_y = _push_vector(angle, y_turns)
     area = x_x * y_y - x_y * y_x
-    if area < _LEAST_SINE:
+    if area < _MIN_DIRECTION_SINE:
         return [(1.0, 0.0)] * 2
     return [(y_y / area, -y_x / area), (x_x / area, -x_y / area)]
 
 
-def leak(angle: Field) -> float:
-    """What part of a force comes out across it, at most, where its direction is half a count off."""
+def leak_share(angle: Field) -> float:
+    """Return the largest part of a force that acts at right angles to it, if its direction is half a count off."""
     per_turn = angle.counts_per_turn()
     return math.sin(math.pi / per_turn) if per_turn > 2.0 else 1.0
 
 
-def _pushes(angle: Field, turns: float) -> tuple[float, float]:
-    """Which way the whole counts of a direction push."""
+def _push_vector(angle: Field, turns: float) -> tuple[float, float]:
+    """Return the unit vector of the force for a direction that is rounded to counts."""
     per_turn = angle.counts_per_turn()
     if per_turn > 0.0:
         counts = min(max(round(counts_of(angle, turns)), angle.logical_min), angle.logical_max)
@@ -103,40 +109,41 @@ def _pushes(angle: Field, turns: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """One effect: the axis it is for, where its force comes from (turns), and what its magnitude is."""
+    """A constant force: its axis, the direction its force comes from in turns, and the quantity of its magnitude."""
 
     axis: Literal["x", "y"]
     from_turns: float
     quantity: HidQuantity
     sign: int
     needs_angle: bool = False
-    """An enabled axis would not say which way."""
+    """Whether an enabled axis would not define the direction, because magnitudes have no sign."""
 
 
 class ReportWriter:
-    """The bytes of a report that is written field by field, its id first."""
+    """Writes a report field by field into `data`, its id first."""
 
     def __init__(self, to: Report) -> None:
+        """Begin a report of zeros."""
         self.data = bytearray(to.report_bytes + (to.report_id == 0))
         self.data[0] = to.report_id
 
     def put(self, field: Field | None, counts: float) -> None:
-        """The number of counts, rounded and limited to the field's range; nothing where there is no field."""
+        """Write counts, rounded and limited to the field's range; does nothing without a field."""
         if field is not None:
             bits_of(field).put(self.data, min(max(round(counts), field.logical_min), field.logical_max))
 
     def flag(self, field: Field | None, is_on: bool = True) -> None:
-        """A flag, on or off, whatever its range says."""
+        """Set or clear a flag, even if its range is invalid; does nothing without a field."""
         if field is not None:
             bits_of(field).put(self.data, (field.counts_when_on() or 0) if is_on else 0)
 
     def fill(self, field: Field | None) -> None:
-        """All ones: none, or without end."""
+        """Write all ones, which mean "none" or "infinite"; does nothing without a field."""
         if field is not None:
             Bits(field.bit_offset, field.bit_size, False).put(self.data, (1 << field.bit_size) - 1)
 
     def choose(self, choice: Choice, name: str) -> None:
-        """One of several names."""
+        """Select an entry of a choice by its name."""
         entry = choice.entries[name]
         bits_of(entry.field).put(self.data, entry.value)
 
@@ -144,7 +151,7 @@ class ReportWriter:
 def set_effect_report(
     layout: Layout, hid: Hid, index: int, effect: Effect | None, kind: str = "constant_force"
 ) -> bytes:
-    """Set Effect; without `effect` its direction is sent later. `kind`: of EFFECT_TYPES."""
+    """Return Set Effect; without `effect` its direction is sent later. `kind` is a key of EFFECT_TYPE_USAGES."""
     to = layout.set_effect
     assert to is not None
     report = ReportWriter(to)
@@ -159,12 +166,12 @@ def set_effect_report(
     if to.gain is not None:
         report.put(to.gain, to.gain.logical_max)
     report.fill(to.trigger_button)
-    _aim(report, to, hid, effect)
+    _put_direction(report, to, hid, effect)
     return bytes(report.data)
 
 
-def _aim(report: ReportWriter, to: SetEffect, hid: Hid, effect: Effect | None) -> None:
-    """Where the force of an effect comes from: an angle if the device takes one, else the axes that are enabled."""
+def _put_direction(report: ReportWriter, to: SetEffect, hid: Hid, effect: Effect | None) -> None:
+    """Write the direction of an effect: as an angle if the device accepts it, else as the enabled axes."""
     angle, by_angle = angle_of(to), is_by_angle(to, effect)
     if by_angle:
         report.flag(to.direction_enable)
@@ -172,8 +179,8 @@ def _aim(report: ReportWriter, to: SetEffect, hid: Hid, effect: Effect | None) -
             assert angle is not None
             report.put(angle, counts_of(angle, effect.from_turns))
     elif angle is not None and effect is not None:
-        # Without Direction Enable there is a direction for each axis; firmware that takes it for a factor has no
-        # force along x where it is 0.
+        # Without Direction Enable there is one direction for each axis. Firmware that uses it as a factor exerts no
+        # force along x if it is 0.
         for field in to.direction:
             report.put(field, counts_of(field, effect.from_turns))
     elif to.is_direction_cartesian and effect is not None:
@@ -186,14 +193,15 @@ def _aim(report: ReportWriter, to: SetEffect, hid: Hid, effect: Effect | None) -
 
 
 def is_by_angle(to: SetEffect, effect: Effect | None) -> bool:
-    """Whether an effect's direction is an angle, rather than the axes that are enabled."""
+    """Return whether an effect's direction is an angle, rather than the enabled axes."""
     needed = effect is None or effect.needs_angle
     return angle_of(to) is not None and (to.direction_enable is not None or not to.axes_enable or needed)
 
 
 def duration_of(layout: Layout, hid: Hid) -> tuple[int, float]:
-    """The duration of an effect, in counts and as the device understands them, s; of endless ones, what is asked for.
-    Raises DeviceError where the device has none that would do.
+    """Return the duration of an effect in counts, and in s as the device interprets these counts.
+
+    With the quirk infinite_duration it is the configured one. Raises DeviceError if no duration is suitable.
     """
     assert layout.set_effect is not None
     field = layout.set_effect.duration
@@ -209,7 +217,7 @@ def duration_of(layout: Layout, hid: Hid) -> tuple[int, float]:
 
 
 def operation_report(layout: Layout, index: int, name: str) -> Message:
-    """Effect Operation; `name` is of OPERATIONS."""
+    """Return Effect Operation; `name` is a key of OPERATION_USAGES."""
     to = layout.effect_operation
     assert to is not None
     report = ReportWriter(to)
@@ -220,7 +228,7 @@ def operation_report(layout: Layout, index: int, name: str) -> Message:
 
 
 def block_free_report(layout: Layout, index: int) -> Message | None:
-    """PID Block Free; None where the device has no such report, or it cannot carry this index."""
+    """Return PID Block Free; None if the device has no such report, or it cannot hold this index."""
     to = layout.block_free
     if to is None or not to.effect_index.logical_min <= index <= to.effect_index.logical_max:
         return None
@@ -230,7 +238,7 @@ def block_free_report(layout: Layout, index: int) -> Message | None:
 
 
 def control_report(layout: Layout, name: str) -> bytes | None:
-    """A command of Device Control; None where the device knows no such command."""
+    """Return a command of Device Control; None if the device lacks the command."""
     to = layout.device_control
     assert to is not None
     if name not in to.command.entries:
@@ -241,7 +249,7 @@ def control_report(layout: Layout, name: str) -> bytes | None:
 
 
 def gain_report(layout: Layout, hid: Hid) -> bytes | None:
-    """Device Gain at its maximum; None where the device has no such report, or does not take it."""
+    """Return Device Gain at its maximum; None if the device has no such report, or does not accept it."""
     to = layout.device_gain
     if to is None or "no_device_gain" in hid.quirks:
         return None
@@ -257,9 +265,9 @@ def constant_force_report(
     hid: Hid | None = None,
     part: tuple[float, float] = (1.0, 0.0),
 ) -> Message:
-    """Set Constant Force of an effect; without `effect` for a force of zero.
+    """Return Set Constant Force of an effect; without `effect` for a force of zero.
 
-    `part`: what the magnitude has of the force along the effect's own axis, and of the force along the other one.
+    `part` has the shares of the force along the effect's axis, and along the other one, in the magnitude.
     """
     force = layout.constant_force
     assert force is not None
@@ -277,13 +285,13 @@ def constant_force_report(
 
 
 def polar_effect_report(layout: Layout, hid: Hid, index: int, kind: str = "constant_force") -> Message:
-    """Set Effect of this kind that carries the direction of the force."""
+    """Return Set Effect of this kind, into which the direction of the force is written."""
     assert layout.set_effect is not None
     field = angle_of(layout.set_effect)
     assert field is not None
     per_turn = field.counts_per_turn()
-    slope, turns = mirrored(hid.force_axes)
-    # Within one turn of the range's begin, so that C has to take at most one away or add one.
+    slope, turns = direction_transform(hid.force_axes)
+    # Within one turn above the minimum, so that C has to add or subtract at most one turn.
     zero = counts_of(field, turns)
     value = Value(
         bits_of(field),
@@ -297,15 +305,17 @@ def polar_effect_report(layout: Layout, hid: Hid, index: int, kind: str = "const
 
 
 def envelope_report(to: SetEnvelope, index: int) -> bytes:
-    """Set Envelope of an effect, with times and levels of zero."""
+    """Return Set Envelope of an effect, with times and levels of zero."""
     report = ReportWriter(to)
     report.put(to.effect_index, index)
     return bytes(report.data)
 
 
-def shared_report(layout: Layout, *, with_periodic: bool = False) -> str | None:
-    """Which output reports of a device share an id, so that sending one sets the others to zero; None: none do.
-    `with_periodic`: periodic effects are sent, too."""
+def shared_report_problem(layout: Layout, *, with_periodic: bool = False) -> str | None:
+    """Return which output reports share an id, so that sending one sets the others to zero; None if no two do.
+
+    `with_periodic` includes the reports of periodic effects.
+    """
     sent = {
         "Set Effect": layout.set_effect,
         "Set Constant Force": layout.constant_force,
@@ -328,14 +338,14 @@ def shared_report(layout: Layout, *, with_periodic: bool = False) -> str | None:
 
 
 def time_scale(field: Field) -> Scale:
-    """A time, s; counts of the specification's own unit, 1 ms, where the descriptor names none."""
+    """Return the scale of a time in s. Without a unit in the descriptor, a count is the specification's 1 ms."""
     step_s = field.seconds_per_count()
     zero = 0.0 if step_s is None else field.logical_min - field.physical_min * 10.0**field.unit_exponent / step_s
     return Scale(bits_of(field), 1.0 / (step_s or 1e-3), zero, field.logical_min, field.logical_max)
 
 
 def level_scale(field: Field, hid: Hid) -> Scale:
-    """A level, N; the largest number is the full force."""
+    """Return the scale of a level in N; the largest count is the full force."""
     zero = min(max(0, field.logical_min), field.logical_max)
     return Scale(
         bits_of(field), (field.logical_max - zero) / hid.full_scale_force_n, zero, field.logical_min, field.logical_max
@@ -343,5 +353,5 @@ def level_scale(field: Field, hid: Hid) -> Scale:
 
 
 def bits_of(field: Field) -> Bits:
-    """Where a field lies, for what is handed to C."""
+    """Return the bit field of a field."""
     return Bits(field.bit_offset, field.bit_size, field.is_signed)

@@ -1,4 +1,4 @@
-"""Devices with reports of their own, driven by the description in `device.hid.report`."""
+"""Driver of devices with vendor reports, which `device.hid.report` describes."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from hapticd.base.core import HidQuantity
 from hapticd.config.hid import Hid, VendorBits, VendorInputAxis, VendorReport
 from hapticd.hid.descriptor.parser import Descriptor, DescriptorError, ReportKind, parse
 from hapticd.hid.device import Device
-from hapticd.hid.plan import STILL_M_PER_COUNT, AxisPlan, Bits, DeviceError, Message, Plan, Value
+from hapticd.hid.plan import STILL_AXIS_M_PER_COUNT, AxisPlan, Bits, DeviceError, Message, Plan, Value
 
 
 class VendorDriver:
-    """Sends what switches the device on; the rest is in the plan."""
+    """Sends the configured reports that enable the device, and makes its plan."""
 
     def __init__(self, hid: Hid, descriptor: bytes) -> None:
-        """`descriptor` is the device's own, against which the description is held.
+        """Create a driver, and compare the configuration with the device's report descriptor.
 
-        Raises DeviceError where the two disagree. A descriptor that cannot be read says nothing.
+        Raises DeviceError if the two contradict each other. An invalid descriptor is ignored.
         """
         assert hid.report is not None
         self._hid = hid
@@ -27,7 +27,7 @@ class VendorDriver:
         _check(self._report, parsed)
 
     def set_up(self, device: Device) -> Plan:
-        """Switches it on."""
+        """Send the reports that enable the device, and return the plan."""
         for text in self._report.enable:
             report = report_bytes(text)
             if text.startswith("feature"):
@@ -38,12 +38,12 @@ class VendorDriver:
 
 
 def report_bytes(text: str) -> bytes:
-    """A report of the configuration, its id first."""
+    """Return the bytes of a report of the configuration, its id first."""
     return bytes.fromhex(text.removeprefix("feature "))
 
 
 def plan_of(hid: Hid, report: VendorReport) -> Plan:
-    """What a connection does with such a device."""
+    """Return the plan of a device with vendor reports."""
     into, out = report.input, report.output
     data = bytes([out.report_id]) + bytes(out.length)
     values = [
@@ -54,7 +54,7 @@ def plan_of(hid: Hid, report: VendorReport) -> Plan:
     ]
     return Plan(
         x=_axis(into.x, into.report_id),
-        # A handle with one axis stays where it is along the other.
+        # A handle with one axis does not move along the other.
         y=_axis(into.x, into.report_id, still=True) if into.y is None else _axis(into.y, into.report_id),
         force=(Message(data, tuple(values)),),
         renew=(),
@@ -65,7 +65,9 @@ def plan_of(hid: Hid, report: VendorReport) -> Plan:
 
 
 def _axis(axis: VendorInputAxis, report_id: int, still: bool = False) -> AxisPlan:
-    return AxisPlan(_bits(axis), report_id, axis.zero_counts, STILL_M_PER_COUNT if still else 1.0 / axis.counts_per_m)
+    return AxisPlan(
+        _bits(axis), report_id, axis.zero_counts, STILL_AXIS_M_PER_COUNT if still else 1.0 / axis.counts_per_m
+    )
 
 
 def _bits(axis: VendorBits) -> Bits:
@@ -73,6 +75,7 @@ def _bits(axis: VendorBits) -> Bits:
 
 
 def _check(report: VendorReport, descriptor: Descriptor) -> None:
+    """Raise DeviceError if the configuration contradicts the report descriptor."""
     into, out = report.input, report.output
     written = _data_bytes(descriptor, ReportKind.OUTPUT, out.report_id)
     if written != out.length:
@@ -84,13 +87,13 @@ def _check(report: VendorReport, descriptor: Descriptor) -> None:
     for name, axis in (("x", into.x), ("y", into.y)):
         if axis is not None and axis.end > 8 * read:
             raise DeviceError(
-                f"device.hid.report.input.{name}: bit {axis.end - 1} lies beyond input report {into.report_id} of the "
+                f"device.hid.report.input.{name}: bit {axis.end - 1} is beyond input report {into.report_id} of the "
                 f"device, which has {read} bytes after its id"
             )
 
 
 def _data_bytes(descriptor: Descriptor, kind: ReportKind, report_id: int) -> int:
-    """The length of a report without its id. Raises DeviceError where the device has none of that id."""
+    """Return the length of a report in bytes, without its id. Raises DeviceError if there is no report of that id."""
     bits = descriptor.report_bits.get((kind, report_id))
     if bits is None:
         ids = sorted(number for of, number in descriptor.report_bits if of == kind)
