@@ -20,7 +20,7 @@ import numpy.typing as npt
 from hapticd.analysis.calibration.fit import Fit, Point, model_motion, points_of, tapered
 from hapticd.analysis.calibration.sweep import Floats, Record
 from hapticd.analysis.recordings.clock import COLUMN_OF, check_columns
-from hapticd.analysis.recordings.files import MAX_BYTES, TABLE_READERS, ending_of, file_bytes
+from hapticd.analysis.recordings.files import MAX_RECORDING_BYTES, TABLE_READERS, ending_of, file_bytes
 from hapticd.analysis.statistics import require_scipy
 from hapticd.base.errors import HapticdError
 
@@ -56,7 +56,7 @@ def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recordin
     name = os.fspath(path)
     check_name(name)
     try:
-        table = TABLE_READERS[ending_of(name)](file_bytes(name, MAX_BYTES))
+        table = TABLE_READERS[ending_of(name)](file_bytes(name, MAX_RECORDING_BYTES))
         time_s, acceleration = table.read([table.place(COLUMN_OF["time"]), table.place(COLUMN_OF["acceleration"])])
         check_columns({"time": time_s, "acceleration": acceleration})
     except ValueError as error:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.statistics import LEVEL, Estimate, FitError, student_t
+from hapticd.analysis.statistics import CONFIDENCE_LEVEL, Estimate, FitError, student_t
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class PairedComparison:
     """Of Wilcoxon's signed ranks, two-sided; 1 where no difference is other than 0."""
 
 
-def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = LEVEL) -> PairedComparison:
+def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = CONFIDENCE_LEVEL) -> PairedComparison:
     """Compares values (n,), a participant's in the same place of both. Raises FitError for fewer than two participants,
     and where all differences are alike."""
     first, second = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
@@ -61,7 +61,7 @@ def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = LEVEL) -> Pa
     )
 
 
-def noncentrality(t: float, freedom: int, level: float = LEVEL) -> tuple[float, float]:
+def noncentrality(t: float, freedom: int, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
     """The interval of the noncentrality parameter of a t statistic (Steiger and Fouladi, 1997)."""
     from scipy.optimize import brentq
     from scipy.special import nctdtr

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hapticd.analysis.statistics import LEVEL, FitError
+from hapticd.analysis.statistics import CONFIDENCE_LEVEL, FitError
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Proportion:
     """Of the exact binomial test against chance, two-sided; None where no chance level is given."""
 
 
-def proportion(successes: int, trials: int, chance: float | None = None, level: float = LEVEL) -> Proportion:
+def proportion(successes: int, trials: int, chance: float | None = None, level: float = CONFIDENCE_LEVEL) -> Proportion:
     """Raises FitError without trials, for counts that are none, and for a chance level outside 0 to 1."""
     if trials < 1 or not 0 <= successes <= trials:
         raise FitError(

@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.statistics import LEVEL, Estimate, FitError
+from hapticd.analysis.statistics import CONFIDENCE_LEVEL, Estimate, FitError
 from hapticd.experiment.analysis.likelihood_search import (
     GUESS,
     LAPSE,
@@ -165,7 +165,7 @@ def fit(
 
 
 def bootstrap(
-    found: PsychometricFit, resamples: int = RESAMPLES, seed: int = 0, level: float = LEVEL
+    found: PsychometricFit, resamples: int = RESAMPLES, seed: int = 0, level: float = CONFIDENCE_LEVEL
 ) -> dict[str, Estimate]:
     """FIGURES with their intervals. The same seed gives the same intervals."""
     generator = np.random.Generator(np.random.PCG64(seed))
@@ -186,7 +186,7 @@ def goodness_of_fit(found: PsychometricFit, resamples: int = RESAMPLES, seed: in
     return (1.0 + float(as_large)) / (1.0 + resamples)
 
 
-def percentiles(spread: Floats, level: float = LEVEL) -> tuple[float, float]:
+def percentiles(spread: Floats, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
     """Ends of the interval that holds `level` of resampled values (n,): their order statistics at (n + 1) times
     shares."""
     rest = 0.5 * (1.0 - level)
