@@ -156,8 +156,8 @@ def test_numbers_that_are_none_are_refused(
     [
         (("-o", "none/found.yaml"), "none/found.yaml: cannot be written: there is no folder none"),
         (("--plot", "none/response.png"), "none/response.png: cannot be written: there is no folder none"),
-        (("--plot", "response.foo"), "response.foo: cannot be drawn: must end in .png or another of "),
-        (("--accelerometer", "felt.wav"), "felt.wav: a recording ends in .npz or .csv"),
+        (("--plot", "response.foo"), "response.foo: unknown picture format: the name must end in .png or another of "),
+        (("--accelerometer", "felt.wav"), "felt.wav: the name of a recording must end in .npz or .csv"),
     ],
 )
 def test_what_cannot_be_written_is_told_before_anything_moves(
@@ -197,7 +197,9 @@ def test_verify(capsys: pytest.CaptureFixture[str]) -> None:
     assert 0 < told["cellophane", "rupture"]["error"] < 1
     assert 0 < told["wood", "wall"]["error"] < 1
     np.savez("felt.npz", time_s=np.arange(100.0), acceleration_m_per_s2=np.random.default_rng(1).normal(size=100))
-    assert "what was driven is not in it" in said(capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.npz")
+    assert "the drive was not found in the recording" in said(
+        capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.npz"
+    )
 
 
 def test_a_real_device_needs_a_recording(capsys: pytest.CaptureFixture[str]) -> None:
@@ -212,7 +214,7 @@ def test_a_real_device_needs_a_recording(capsys: pytest.CaptureFixture[str]) -> 
 def stick(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakePid]:
     """A joystick whose handle is stuck in the middle."""
     fake = FakePid(bytes(Joystick()))
-    monkeypatch.setattr(rig, "STALLED_S", 60.0)
+    monkeypatch.setattr(rig, "SERVO_STALL_TIMEOUT_S", 60.0)
     monkeypatch.setattr(
         sources,
         "open_hid",

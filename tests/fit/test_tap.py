@@ -122,7 +122,7 @@ def test_the_chance_of_a_fuller_model_is_of_the_f_distribution() -> None:
 
 
 def test_what_cannot_be_told_is_refused() -> None:
-    with pytest.raises(FitError, match="1 points cannot determine 1 figures"):
+    with pytest.raises(FitError, match="1 points cannot determine 1 coefficients"):
         common(np.array([1.0]))
     with pytest.raises(FitError, match="two columns are linearly dependent"):
         least_squares(np.ones((5, 2)), np.arange(5.0))

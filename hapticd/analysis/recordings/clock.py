@@ -39,9 +39,9 @@ MIN_RECORDING_SAMPLES: Final = 16
 MAX_RECORDING_SAMPLES: Final = 20_000_000
 """Limit of memory: 160 MB per column."""
 MIN_RECORDING_RATE_HZ: Final = 100.0
-"""At a lower rate the vibrations that a hand feels cannot be sampled; the times are probably in another unit."""
+"""A lower rate usually means that the times are in another unit."""
 MAX_RECORDING_RATE_HZ: Final = 1e6
-"""Faster than any accelerometer; at a higher rate the times are probably in another unit."""
+"""A higher rate usually means that the times are in another unit."""
 MAX_UNIFORM_DEVIATION_PERIODS: Final = 1e-3
 """Samples that deviate at most by this fraction of a period from a uniform clock are taken as uniform."""
 MAX_JITTER_PERIODS: Final = 0.5
