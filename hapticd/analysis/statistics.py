@@ -28,7 +28,7 @@ CONFIDENCE_LEVEL: Final = 0.95
 TUKEY_TUNING: Final = 4.685
 """Residual, in standard deviations, beyond which a point has no weight; the efficiency for normal errors is 95 %."""
 MAX_REWEIGHTING_ROUNDS: Final = 60
-"""Most rounds of the iteratively reweighted least squares, which usually converge in far fewer."""
+"""Limit of the rounds of iteratively reweighted least squares."""
 
 
 class FitError(HapticdError):
