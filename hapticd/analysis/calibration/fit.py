@@ -285,7 +285,7 @@ class _Fitting:
         found = least_squares(
             lambda own: self._model(values, own, window)[0] - window.seen_m,
             start,
-            lambda own: self._by_start(values, own, window),
+            lambda own: self._start_slopes(values, own, window),
             # Bounds keep a burst with little information near its initial start.
             bounds=(start - 100 * window.start_scale, start + 100 * window.start_scale),
             x_scale=window.start_scale,
@@ -298,7 +298,7 @@ class _Fitting:
         """Return the residual of all bursts, each with its best start."""
         lefts = []
         for window in self._windows:
-            window.start, left = self._begun(values, window.start, window)
+            window.start, left = self._fit_start(values, window.start, window)
             lefts.append(left)
         return np.concatenate(lefts)
 
@@ -317,7 +317,7 @@ class _Fitting:
                 moved[which] += 1e-4 * scale[which]
                 slopes[:, which] = (self._model(moved, window.start, window)[0] - model) / 1e-4
             slopes[:, _DELAY] = -speed * scale[_DELAY]
-            own = self._by_start(values, window.start, window) * window.start_scale
+            own = self._start_slopes(values, window.start, window) * window.start_scale
             own = own[:, np.abs(own).max(axis=0) > MIN_START_EFFECT_M]
             left, _, _ = np.linalg.svd(own / np.linalg.norm(own, axis=0), full_matrices=False)
             found.append(slopes - left @ (left.T @ slopes))
@@ -335,7 +335,7 @@ class _Fitting:
         """Run the fit."""
         self._descend()
         # The start of a burst that begins while friction stops the handle may be a wrong local minimum.
-        self._begin_anew()
+        self._retry_starts()
         return self._result(self._descend())
 
     def _descend(self) -> Floats:
@@ -373,7 +373,7 @@ class _Fitting:
 
     def _retry_starts(self) -> None:
         """Fit each burst whose residual is above the usual one again from other initial speeds."""
-        found = [self._begun(self._values, window.start, window) for window in self._windows]
+        found = [self._fit_start(self._values, window.start, window) for window in self._windows]
         usual = float(np.median([np.mean(left**2) for _, left in found]))
         for window, (start, left) in zip(self._windows, found, strict=True):
             starts = [(start, left)]
@@ -381,7 +381,7 @@ class _Fitting:
                 speed = self._speed(window)
                 for part in (0.0, 0.5, 1.0, 1.5, 2.0):
                     tried = np.array([window.seen_m[0], part * speed, 0.0])
-                    starts.append(self._begun(self._values, tried, window))
+                    starts.append(self._fit_start(self._values, tried, window))
             window.start, _ = min(starts, key=lambda each: float(np.sum(each[1] ** 2)))
 
     def _result(self, residual: Floats) -> Fit:
@@ -419,7 +419,7 @@ class _Fitting:
             freedom=count - 1,
             residual_m=float(np.sqrt(np.mean(residual**2))),
             motion_m=float(np.sqrt(np.mean(motion**2))),
-            points=points_of(self._lines()),
+            points=points_of(self._spectral_lines()),
         )
 
     def _spectral_lines(self) -> Iterable[tuple[float, complex, complex]]:
