@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.report import Advance, Floats, Options, Section, Table, between, verdict
 from bench.swept import swept, workers
-from hapticd.analysis.calibration.verify import AT_TICK, acceleration_on, tap_force
+from hapticd.analysis.calibration.verify import ONSET_LEAD_PERIODS, acceleration_on, tap_force
 from hapticd.config.configuration import Compensation, Hand, Sim, load_config
 from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import shipped_materials
@@ -79,7 +79,9 @@ def tapped(
     return tap_force(load_config(config), "it", 1 / 64, int(LASTING_S * rate_hz), part=part)[:, 1]
 
 
-def moved_error(mode: Mode, grip: str, compensation: Compensation, rate_hz: float, part: float = AT_TICK) -> float:
+def moved_error(
+    mode: Mode, grip: str, compensation: Compensation, rate_hz: float, part: float = ONSET_LEAD_PERIODS
+) -> float:
     """Displayed error of the motion. What the handle could not do before the first tick counts."""
     force = tapped(mode, grip, compensation, rate_hz, part)
     late = round(part * PARTS_PER_PERIOD)
@@ -103,7 +105,7 @@ def walled(force_n: Floats, grip: str, rate_hz: float) -> Floats:
     return acceleration_on(sim, forces, rate_hz, WALL_N_PER_M)[:, 1]
 
 
-def wall_error(mode: Mode, grip: str, known: bool, part: float = AT_TICK) -> float:
+def wall_error(mode: Mode, grip: str, known: bool, part: float = ONSET_LEAD_PERIODS) -> float:
     """Displayed error with `full` on a surface of WALL_N_PER_M; not `known`: with the forces of a tap on nothing."""
     force = tapped(mode, grip, "full", RATE_HZ, part, WALL_N_PER_M if known else 0.0)
     moved = np.concatenate((np.zeros(round(part * PARTS_PER_PERIOD)), walled(force, grip, RATE_HZ)))
@@ -152,7 +154,7 @@ def in_grip(point: SweepPoint) -> dict[str, float | None]:
         "alone": pole_shape(mode, held(grip), RATE_HZ, pole_gain(mode, held(grip), 1 / RATE_HZ)).error,
         "full": moved_error(mode, grip, "full", RATE_HZ),
         "tail_s": None if shape.tail is None else shape.tail.end_s,
-        "largest": float(np.abs(tapped(mode, grip, "full", RATE_HZ, AT_TICK)).max() / held(grip).mass_kg),
+        "largest": float(np.abs(tapped(mode, grip, "full", RATE_HZ, ONSET_LEAD_PERIODS)).max() / held(grip).mass_kg),
         "off_anywhere": anywhere("off"),
         "full_anywhere": anywhere("full"),
     }

@@ -1,14 +1,14 @@
-"""What is found by measuring: configurations checked, devices calibrated, recordings of surfaces read.
+"""Measurements and checks: configurations checked, devices calibrated, recordings of surfaces read.
 
-    check         `hapticd check`: what of a configuration its device, rate and grip can carry
-    calibration/  `hapticd calibrate` and `hapticd verify`: handle and hand measured, what is displayed compared
-    recordings/   recordings of surfaces in SI units on one clock, with what is wrong in them
+    check         `hapticd check`: whether device, rate and grip can display the scene of a configuration
+    calibration/  `hapticd calibrate`: mass and damping of handle and hand; `hapticd verify`: error of the display
+    recordings/   recordings of surfaces in SI units on one clock, with their faults
     statistics    least squares with intervals, robust regression
     drawing       what every figure and page of results shares: matplotlib, SVG in a page, labels
 
 Questions, and where to begin:
 
-    What does `hapticd check` say, and from what?
+    Where do the results of `hapticd check` come from?
         check (check); its figures are those of rendering: displayability, lagging_modes, driven_hand, scene_stability.
     How are mass and damping of a handle found?
         calibration/handle (calibrate); the fit itself is calibration/fit.

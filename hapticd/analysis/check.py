@@ -1,7 +1,7 @@
-"""What of a configuration its device, rate and grip can carry, found before anything moves.
+"""Check whether the device, the rate and the grip of a configuration can display its scene, before anything moves.
 
-The scene is compiled as the daemon would, nothing is sent to a device and no force is made. Of a HID joystick that is
-connected the report descriptor and the endpoint's interval are read, which the system knows without asking it.
+The scene is compiled as in the daemon, but nothing is sent to a device. Of a connected HID joystick the report
+descriptor and the endpoint's interval are read from sysfs; the joystick itself is not accessed.
 """
 
 from __future__ import annotations
@@ -45,69 +45,69 @@ from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable_text import Use
 
-_UNPLUGGED: Final = "the encoder's step is not known"
-_LINK_UNKNOWN: Final = (
-    "is not given, and the joystick is not connected: vibrations are judged by the servo's rate, although its link may "
-    "carry fewer forces a second; an interval of 4 ms carries 250 reports a second, and a force takes a report "
-    "for each effect"
+_STEP_UNKNOWN_TEXT: Final = "the encoder's step is not known"
+_LINK_UNKNOWN_TEXT: Final = (
+    "not set, and the joystick is not connected: vibrations are checked at the servo's rate, but the link may carry "
+    "fewer forces per second; an interval of 4 ms carries 250 reports per second, and a force takes one report per "
+    "effect"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """A mode or a waveform of a material, or the peak of its noise, and what becomes of it."""
+    """A mode, the waveform or the texture of a material, as written and as displayed."""
 
     use: Use
     frequency_hz: float
-    """Of a waveform, the frequency below which half of its energy lies."""
+    """Frequency of the mode, peak of the texture's spectrum, or the frequency below which half of the waveform's energy
+    lies."""
     shown_hz: float | None
-    """None: silent."""
+    """The frequency that is displayed, None if it is silent."""
     error: float | None
-    """How far the handle's acceleration is from the library's waveform
-    (hapticd.rendering.displayed_error.displayed_error); None where
-    nobody knows the handle, or where something else sounds."""
+    """Error of the handle's acceleration (hapticd.rendering.displayed_error.displayed_error); None if the handle is
+    unknown or another frequency is displayed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A material, whether the scene uses it, and what becomes of its sounds."""
+    """A material of the library, whether the scene uses it, and its sounds."""
 
     name: str
     used: bool
     stiffness_n_per_m: float
     sounds: tuple[Sound, ...]
     verdict: Mapping[str, str]
-    """good, fair or poor, by the kind of fit; empty where it was not fitted."""
+    """Quality of each fit by its kind: good, fair or poor; empty if the material was not fitted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was found."""
+    """The result of `hapticd check`."""
 
     output: Output
     device: str
-    """What is known of it, in words."""
+    """Description of the device in words."""
     materials: tuple[Checked, ...]
     stability: Stability
     refused: tuple[Problem, ...]
-    """What the daemon would not start with."""
+    """Problems that keep the daemon from starting."""
     undisplayable: tuple[Problem, ...]
     warnings: tuple[Problem, ...]
     notes: tuple[Problem, ...]
-    """What may surprise, and is as it is meant."""
+    """Properties that may surprise but are no faults."""
 
     @property
     def encoder_step_m(self) -> float | None:
-        """Of the positions; None where it is not known."""
+        """Step of the measured positions in m, None if it is unknown."""
         return None if self.stability.assumed is None else self.stability.assumed.encoder_step_m
 
     @property
     def faults(self) -> int:
-        """How much of the scene cannot be carried as it is meant; what is not known or not proved is not among it."""
+        """Number of problems of the scene; unknown or unproved stability does not count."""
         return len(self.refused) + len(self.undisplayable) + len(self.warnings) + len(self.stability.harmful)
 
     def to_dict(self) -> dict[str, object]:
-        """As JSON."""
+        """Return the report as JSON."""
         lists = ("refused", "undisplayable", "warnings", "notes", "materials")
         return {
             "can_be_shown": self.faults == 0,
@@ -122,20 +122,20 @@ class Report:
 
 
 def check(config: Config) -> Report:
-    """Checks a configuration. Raises nothing for what cannot be shown: that is what is reported."""
+    """Check a configuration; what cannot be displayed is reported and raises no error."""
     scene, materials = config.scene, config.materials
     device = _device(config)
     output = output_of(config, config.servo.rate_hz, device.link_hz)
     shown = materials_in(scene.objects, materials)
     refused = rate_faults(scene.objects, materials, output)
-    told: list[Problem] = []
+    found_warnings: list[Problem] = []
     if not refused:
-        # What the actuator is the cause of is reported once.
-        told += lag_warnings(shown, output)
-        slowed = {problem.where for problem in told}
+        # A sound that the actuator slows is reported once, as a problem of the actuator.
+        found_warnings += lag_warnings(shown, output)
+        slowed = {problem.where for problem in found_warnings}
         others = [*warnings(scene.objects, materials, output)]
         others += [] if device.loop is None else driven_hand_warnings(config, device.loop, shown)
-        told += [problem for problem in others if problem.where not in slowed]
+        found_warnings += [problem for problem in others if problem.where not in slowed]
     unknown = Stability(device.unknown, None)
     return Report(
         output=output,
@@ -144,13 +144,13 @@ def check(config: Config) -> Report:
         stability=unknown if device.loop is None else _stability(config, output, device.loop),
         refused=(*device.undrivable, *refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
-        warnings=tuple(told),
-        notes=(*device.notes, *_gone_through(config), *_doubtful(shown)),
+        warnings=tuple(found_warnings),
+        notes=(*device.notes, *_weak_discs(config), *_imperfect_fits(shown)),
     )
 
 
-def _gone_through(config: Config) -> Iterator[Problem]:
-    """The discs that hold less than the device could: no more than K R, at their centre."""
+def _weak_discs(config: Config) -> Iterator[Problem]:
+    """Yield a note for each disc whose largest force, stiffness times radius at its centre, is below max_force_n."""
     most_n = config.device.max_force_n
     for id, item in config.scene.objects.items():
         if not isinstance(item, Disc):
@@ -160,14 +160,14 @@ def _gone_through(config: Config) -> Iterator[Problem]:
         if held_n < most_n * (1.0 - 1e-9):
             yield Problem(
                 path_text(("scene", "objects", id)),
-                f"holds {held_n:.3g} N, its stiffness times its radius; a hand that presses harder comes out on the "
-                f"other side; with radius_m {most_n / stiffness:.3g} or {most_n / item.radius_m:.4g} N/m it holds "
-                f"device.max_force_n, {most_n:g} N",
+                f"holds {held_n:.3g} N, its stiffness times its radius; a hand that presses harder passes through it; "
+                f"with radius_m {most_n / stiffness:.3g} or {most_n / item.radius_m:.4g} N/m it "
+                f"holds device.max_force_n, {most_n:g} N",
             )
 
 
-def _doubtful(shown: Mapping[str, Material]) -> Iterator[Problem]:
-    """The materials of the scene whose fits are not good, and why."""
+def _imperfect_fits(shown: Mapping[str, Material]) -> Iterator[Problem]:
+    """Yield a note with the reasons for each fit of a material of the scene that is not good."""
     for name, material in shown.items():
         for kind, verdict in material.fitted.items():
             if verdict.quality != "good":
@@ -177,7 +177,7 @@ def _doubtful(shown: Mapping[str, Material]) -> Iterator[Problem]:
 
 def _stability(config: Config, output: Output, loop: Loop) -> Stability:
     compiler = Compiler(output)
-    # What pushes is the same whatever sounds, and a sound that is refused cannot be compiled.
+    # Textures do not affect stability, and one that is refused cannot be compiled.
     silent = {
         name: material.model_copy(update={"texture": None}) if isinstance(material.texture, Stochastic) else material
         for name, material in config.materials.items()
@@ -187,18 +187,18 @@ def _stability(config: Config, output: Output, loop: Loop) -> Stability:
 
 
 class _Device(NamedTuple):
-    """What a configuration drives."""
+    """The device of a configuration."""
 
     words: str
     unknown: str | None = None
-    """What is not known, where there is no loop."""
+    """Why the stability is unknown; None if there is a loop."""
     loop: Loop | None = None
     link_hz: float | None = None
-    """Forces a second that its link carries, where that is known."""
+    """Forces per second that the link carries, None if that is unknown."""
     undrivable: tuple[Problem, ...] = ()
-    """Why the daemon would not start with a device that is there."""
+    """Problems of a connected device that keep the daemon from starting."""
     notes: tuple[Problem, ...] = ()
-    """What is assumed of it."""
+    """Notes on what is assumed of the device."""
 
 
 def _device(config: Config) -> _Device:
@@ -210,26 +210,31 @@ def _device(config: Config) -> _Device:
         try:
             verdict_of(device.hid, load(device.replay.path).descriptor).driver_and_plan()
         except HapticdError as error:
-            return _Device(f"a recording: {error}", _UNPLUGGED, undrivable=(Problem("device.replay", str(error)),))
-        return _Device("a recording, which nothing pushes", "a recording has no loop")
+            return _Device(
+                f"a recording: {error}", _STEP_UNKNOWN_TEXT, undrivable=(Problem("device.replay", str(error)),)
+            )
+        return _Device("a recording that no force moves", "a recording has no loop")
     hid = device.hid
-    handle = "" if device.handle is not None else "; what its handle is, is not given"
+    handle = "" if device.handle is not None else "; device.handle is not set"
     away = _Device(
-        "", UNKNOWN_HANDLE if handle else _UNPLUGGED, None, Link(None, None, hid.max_rate_hz).carried_hz(rate_hz)
+        "",
+        UNKNOWN_HANDLE if handle else _STEP_UNKNOWN_TEXT,
+        None,
+        Link(None, None, hid.max_rate_hz).carried_hz(rate_hz),
     )
     try:
         found = choose(hid, find())
     except UndrivableError as error:
         return away._replace(words=f"{error}{handle}", undrivable=(Problem("device.hid", str(error)),))
     except HapticdError as error:
-        notes = () if hid.max_rate_hz is not None else (Problem("device.hid.max_rate_hz", _LINK_UNKNOWN),)
-        return away._replace(words=f"not there: {error}{handle}", notes=notes)
-    told = f"{found.name} at {found.path}{handle}"
+        notes = () if hid.max_rate_hz is not None else (Problem("device.hid.max_rate_hz", _LINK_UNKNOWN_TEXT),)
+        return away._replace(words=f"not connected: {error}{handle}", notes=notes)
+    name = f"{found.name} at {found.path}{handle}"
     try:
         _, plan = found.verdict.driver_and_plan()
     except HapticdError as error:
         problem = Problem("device.hid", f"{found}: {error}")
-        return away._replace(words=f"{told}: {error}", unknown=_UNPLUGGED, undrivable=(problem,))
+        return away._replace(words=f"{name}: {error}", unknown=_STEP_UNKNOWN_TEXT, undrivable=(problem,))
     link_hz = link_of(plan, found.out_interval_s).carried_hz(rate_hz)
     loop = loop_of(
         config,
@@ -238,7 +243,7 @@ def _device(config: Config) -> _Device:
         force_step_n=max(plan.force_steps_n),
         link_rate_hz=link_hz,
     )
-    return _Device(told, None if loop is not None else UNKNOWN_HANDLE, loop, link_hz)
+    return _Device(name, None if loop is not None else UNKNOWN_HANDLE, loop, link_hz)
 
 
 def _checked(name: str, material: Material, used: bool, output: Output) -> Checked:
@@ -257,7 +262,7 @@ def _sounds(material: Material, output: Output) -> Iterator[Sound]:
         pair = displayed_pair(texture, output)
         yield Sound("texture", texture.peak_hz, None if pair is None else pair[0], None)
     elif isinstance(texture, Autoregressive):
-        # Of the loudest model the peak; at a rate that does not reach it, the peak of what is shown instead.
+        # The peak of the loudest model; at a rate too low for it, that of the resampled model.
         loudest = max(texture.models, key=lambda model: model.level(reflection_of(model.coefficients)))
         reflection = reflection_of(loudest.coefficients)
         peak_hz = shown_hz = peak_of(reflection, texture.rate_hz)

@@ -1,6 +1,6 @@
-"""What every figure and page of results shares: matplotlib where it is installed, SVG that stands in a page, labels.
+"""Helpers of all figures and result pages: matplotlib, SVG elements, axis labels.
 
-matplotlib is imported when something is drawn.
+matplotlib is optional, and imported only when something is drawn.
 """
 
 from __future__ import annotations
@@ -17,13 +17,20 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-INK: Final = "#010203"
-"""Stands in a figure of `page_colors` for the color of the page's text, which a browser chooses: light or dark."""
-_INKED: Final = ("text.color", "axes.edgecolor", "axes.labelcolor", "axes.titlecolor", "xtick.color", "ytick.color")
+PAGE_TEXT_COLOR: Final = "#010203"
+"""Placeholder in a figure of `page_colors`; svg_element replaces it by currentColor, the text color of the page."""
+_TEXT_COLOR_SETTINGS: Final = (
+    "text.color",
+    "axes.edgecolor",
+    "axes.labelcolor",
+    "axes.titlecolor",
+    "xtick.color",
+    "ytick.color",
+)
 
 
 def require_matplotlib(what: str, extra: str) -> None:
-    """Raises HapticdError (one line) where matplotlib is missing. `what` needs it, as `the report`."""
+    """Raise HapticdError if matplotlib is missing; `what`, such as "the report", names what needs it."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -31,36 +38,39 @@ def require_matplotlib(what: str, extra: str) -> None:
 
 
 def literal(text: str) -> str:
-    """Text that matplotlib takes for no formula."""
+    """Escape text so that matplotlib does not read it as a formula."""
     return text.replace("$", r"\$")
 
 
 @contextmanager
 def drawing(settings: Mapping[str, Any], salt: str, page_colors: bool = False) -> Iterator[None]:
-    """Draws with these settings of matplotlib; the same figure has the same text of SVG, whenever it is drawn.
+    """Apply settings of matplotlib while drawing; with the same `salt`, the same figure yields the same SVG text.
 
-    With `page_colors`, text, frames and ticks have the color of the page's text, and nothing is behind them.
+    With `page_colors`, text, frames and ticks have the text color of the page, and the background is transparent.
     """
     import matplotlib
 
     known: dict[Any, Any] = {"svg.hashsalt": salt, **settings}
     if page_colors:
-        known |= dict.fromkeys(_INKED, INK) | {"figure.facecolor": "none", "axes.facecolor": "none"}
+        known |= dict.fromkeys(_TEXT_COLOR_SETTINGS, PAGE_TEXT_COLOR) | {
+            "figure.facecolor": "none",
+            "axes.facecolor": "none",
+        }
     with matplotlib.rc_context(known):
         yield
 
 
 def svg_element(figure: Figure, title: str) -> str:
-    """A figure as an element of a page; `title` is what it says to whoever does not see it."""
+    """Return a figure as an HTML element; `title` is its description for screen readers."""
     content = io.StringIO()
     figure.savefig(content, format="svg", metadata={"Date": None})
     text = content.getvalue()
-    drawn = text[text.index("<svg") :].replace(INK, "currentColor")
+    drawn = text[text.index("<svg") :].replace(PAGE_TEXT_COLOR, "currentColor")
     return f'<span role="img" aria-label="{html.escape(title)}">{drawn}</span>'
 
 
 def plain_decades(axis: Axis, steps: tuple[float, ...]) -> None:
-    """Labels a logarithmic axis by plain numbers at these steps of each decade: 200, 500, 1000."""
+    """Label a logarithmic axis with plain numbers, such as 200, 500, 1000, at these steps of each decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
     axis.set_major_locator(LogLocator(subs=steps))

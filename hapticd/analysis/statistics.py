@@ -1,12 +1,11 @@
-"""Least squares with intervals: lines through points that are known each within its own error, and scatter besides;
-and robust regression.
+"""Least squares with intervals, for points of unequal errors with additional scatter; and robust regression.
 
-A point's variance is its own plus a scatter that all share, as it is or in known ratios. The scatter is the one at
-which the weighted squares are as large as they should be (Paule and Mandel, "Consensus values and weighting factors",
-1982), 0 if they are smaller anyway. Intervals are Student's t with the weighted squares as the scale (Hartung and
-Knapp, 2001): where the points' own errors are all alike this is ordinary least squares.
+The variance of a point is its known measurement variance plus a scatter of all points, equal or in known ratios. The
+scatter is chosen so that the weighted sum of squares equals its degrees of freedom (Paule and Mandel, "Consensus values
+and weighting factors", 1982), and is 0 if the sum is smaller without scatter. Intervals are Student's t scaled by the
+weighted squares (Hartung and Knapp, 2001). With equal measurement variances this is ordinary least squares.
 
-Robust is Tukey's bisquare M-estimate, with intervals that need no right scales.
+The robust regression is Tukey's bisquare M-estimate; its intervals hold even if the scales of the errors are wrong.
 """
 
 from __future__ import annotations
@@ -24,22 +23,24 @@ from hapticd.base.yaml_source import Json
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
-LEVEL: Final = 0.95
+CONFIDENCE_LEVEL: Final = 0.95
+"""Level of all intervals, as is usual."""
 TUKEY_TUNING: Final = 4.685
-"""Standard deviations from which on a point has no weight: 95 % as good as least squares for normal errors."""
-MOST_ROUNDS: Final = 60
+"""Residual, in standard deviations, beyond which a point has no weight; the efficiency for normal errors is 95 %."""
+MAX_REWEIGHTING_ROUNDS: Final = 60
+"""Limit of the rounds of iteratively reweighted least squares."""
 
 
 class FitError(HapticdError):
-    """What the recordings do not support; one line, with the reason."""
+    """The data do not support a fit; the message is one line with the reason."""
 
 
 class UnitError(FitError):
-    """Recordings are in another unit or of another sign than they are taken to be: then all of a set are."""
+    """The unit or the sign of a recording is wrong, and so probably those of its complete set."""
 
 
 def require_scipy(what: str = "fitting recordings") -> None:
-    """Raises HapticdError (one line) where scipy is missing. `what` needs it."""
+    """Raise HapticdError if scipy is missing; `what` names in the message what needs it."""
     try:
         import scipy  # noqa: F401
     except ImportError:
@@ -48,7 +49,7 @@ def require_scipy(what: str = "fitting recordings") -> None:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure and the ends of its 95 % interval."""
+    """A value and the bounds of its 95 % confidence interval."""
 
     value: float
     low: float
@@ -56,12 +57,12 @@ class Estimate:
 
     @classmethod
     def from_error(cls, value: float, error: float, freedom: float) -> Estimate:
-        """A number with 95 % bounds from its standard error, of so many degrees of freedom."""
+        """Return an estimate with a 95 % interval from its standard error and degrees of freedom."""
         reach = student_t(freedom) * error
         return cls(float(value), float(value - reach), float(value + reach))
 
     def mapped(self, function: Callable[[float], float]) -> Estimate:
-        """Through a function that only rises or only falls between the ends."""
+        """Return the estimate of a function of the value, which must be monotonic within the interval."""
         low, high = sorted((function(self.low), function(self.high)))
         return Estimate(function(self.value), low, high)
 
@@ -71,30 +72,31 @@ class Estimate:
         return self.low > 0 or self.high < 0
 
     def to_dict(self) -> dict[str, Json]:
+        """Return the estimate as JSON."""
         return {"value": self.value, "low": self.low, "high": self.high}
 
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """y = sum of coefficients times columns."""
+    """A linear model: y = sum of coefficients times columns."""
 
     coefficients: tuple[Estimate, ...]
     r_squared: float
-    """1 - (sum of squares left over)/(sum of squares about the mean), both weighted; below 0 where a constant is
-    nearer to the points than the model."""
+    """1 - (residual sum of squares)/(sum of squares about the mean), both weighted; below 0 if a constant fits better
+    than the model."""
     correlation: float
-    """Of what was measured and what the model says, unweighted; nan where either does not vary."""
+    """Unweighted correlation of measured and modelled values; NaN if either is constant."""
     residual: Floats
-    """(n,) measured less modelled."""
+    """Measured minus modelled values (n,)."""
     freedom: int
     scatter: float
-    """Standard deviation of what the points' own errors do not explain, in the mean."""
+    """Mean standard deviation of the scatter that the measurement variances do not explain."""
     squares: float
-    """Weighted sum of the squares of the residual."""
+    """Weighted sum of squares of the residual."""
 
 
-def student_t(freedom: float, level: float = LEVEL) -> float:
-    """So many standard errors to each side hold this part, 95 % by default."""
+def student_t(freedom: float, level: float = CONFIDENCE_LEVEL) -> float:
+    """Return the half width, in standard errors, of a Student's t interval with `freedom` degrees of freedom."""
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, 0.5 + level / 2))
@@ -103,14 +105,15 @@ def student_t(freedom: float, level: float = LEVEL) -> float:
 def least_squares(
     columns: Floats, y: Floats, variances: Floats | None = None, scattered: Floats | None = None
 ) -> Regression:
-    """Fits y (n,) by columns (n, k); `variances` (n,) are the points' own, all alike and unknown without them. What
-    they scatter besides is alike, or has variances in the ratios of `scattered` (n,).
+    """Fit y (n,) by columns (n, k).
 
-    Raises FitError where there are not more points than columns, or where the columns cannot be separated.
+    `variances` (n,) are the measurement variances of the points; without them they are equal and unknown. The variances
+    of the additional scatter are equal, or in the ratios of `scattered` (n,). Raises FitError if there are not more
+    points than columns, or if the columns are linearly dependent.
     """
     count, unknowns = columns.shape
     if count <= unknowns:
-        raise FitError(f"{count} points cannot tell {unknowns} figures with their intervals: needs {unknowns + 1}")
+        raise FitError(f"{count} points cannot determine {unknowns} coefficients with intervals: needs {unknowns + 1}")
     own = np.ones(count) if variances is None else variances
     ratios = np.ones(count) if scattered is None else scattered / np.mean(scattered)
     scatter = 0.0 if variances is None else _scatter(columns, y, own, ratios)
@@ -119,10 +122,10 @@ def least_squares(
     weighted = columns * root[:, None]
     norms = np.sqrt(np.sum(weighted**2, axis=0))
     if not (norms > 0).all():
-        raise FitError("a column is all zero: nothing can be told of its coefficient")
+        raise FitError("a column is all zero: its coefficient cannot be determined")
     q, r = np.linalg.qr(weighted / norms)
     if np.abs(np.diag(r)).min() < 1e-9:
-        raise FitError("two columns say the same: their coefficients cannot be told apart")
+        raise FitError("two columns are linearly dependent: their coefficients cannot be separated")
     inverse = np.linalg.inv(r)
     values = inverse @ (q.T @ (root * y)) / norms
     residual = y - columns @ values
@@ -147,22 +150,25 @@ def least_squares(
 def through_origin(
     x: Floats, y: Floats, variances: Floats | None = None, scattered: Floats | None = None
 ) -> Regression:
-    """y = a x; coefficients (a,)."""
+    """Fit y = a x; the coefficients are (a,)."""
     return least_squares(x[:, None], y, variances, scattered)
 
 
 def with_offset(x: Floats, y: Floats, variances: Floats | None = None, scattered: Floats | None = None) -> Regression:
-    """y = a x + b; coefficients (a, b)."""
+    """Fit y = a x + b; the coefficients are (a, b)."""
     return least_squares(np.column_stack((x, np.ones_like(x))), y, variances, scattered)
 
 
 def common(values: Floats, variances: Floats | None = None) -> Estimate:
-    """What values (n,) with these variances have in common: their weighted mean. Raises FitError for fewer than two."""
+    """Return the weighted mean of values (n,) with these variances. Raises FitError for fewer than two values."""
     return least_squares(np.ones((len(values), 1)), values, variances).coefficients[0]
 
 
-def improbable(squares: float, freedom: int, fuller: float, fuller_freedom: int) -> float:
-    """The chance of the F test that a model with more columns explains so much more by luck."""
+def f_test_p(squares: float, freedom: int, fuller: float, fuller_freedom: int) -> float:
+    """Return the p value of the F test of a model against a fuller one, which has more columns.
+
+    `squares` and `fuller` are their weighted sums of squares, with `freedom` and `fuller_freedom` degrees of freedom.
+    """
     from scipy.special import fdtrc
 
     if fuller <= 0:
@@ -172,8 +178,11 @@ def improbable(squares: float, freedom: int, fuller: float, fuller_freedom: int)
 
 
 def aicc(squares: float, count: int, unknowns: int) -> float:
-    """Akaike's criterion, corrected for few points, of a model with so many `unknowns`, which leaves these weighted
-    squares of `count` points; infinite for too few points. The scale of the scatter is one unknown more."""
+    """Return Akaike's information criterion, corrected for few points (AICc).
+
+    `squares` is the weighted sum of squares of `count` points, `unknowns` the number of coefficients; the scale of the
+    scatter is one more unknown. The result is infinite for too few points.
+    """
     known = unknowns + 1
     freedom = count - known - 1
     if freedom < 1:
@@ -182,13 +191,13 @@ def aicc(squares: float, count: int, unknowns: int) -> float:
 
 
 def jackknife_error(without: Floats) -> Floats:
-    """Standard errors (...) of figures from what they are without each of n points, or groups of them, (n, ...)."""
+    """Return the jackknife standard errors (...) from the estimates (n, ...) without each of n points or groups."""
     count = len(without)
     return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
 
 
 def well_conditioned(columns: Floats, worst: float = 100.0) -> bool:
-    """Whether columns differ by enough for their coefficients: by the condition number of the columns, scaled."""
+    """Return whether the condition number of the columns, each scaled to norm 1, is below `worst`."""
     norms = np.linalg.norm(columns, axis=0)
     return bool((norms > 0).all()) and float(np.linalg.cond(columns / norms)) < worst
 
@@ -200,7 +209,7 @@ def _correlation(one: Floats, other: Floats) -> float:
 
 
 def _scatter(columns: Floats, y: Floats, own: Floats, ratios: Floats) -> float:
-    """The variance besides the points' own, in the mean."""
+    """Return the mean variance of the scatter in addition to the measurement variances `own`."""
     freedom = len(y) - columns.shape[1]
 
     def squares(scatter: float) -> float:
@@ -223,31 +232,31 @@ def _scatter(columns: Floats, y: Floats, own: Floats, ratios: Floats) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Robust:
-    """y = sum of coefficients times columns, whatever a few points say."""
+    """A linear model, y = sum of coefficients times columns, fitted without the influence of outliers."""
 
     coefficients: tuple[Estimate, ...]
     correlation: float
-    """Of what was measured and what the model says, without the outliers."""
+    """Correlation of measured and modelled values, without the outliers."""
     outliers: tuple[int, ...]
-    """Points without weight."""
+    """Indices of the points without weight."""
 
 
 def robust(columns: Floats, y: Floats, shifts: Floats | None = None, grows: bool = True) -> Robust:
-    """Tukey's bisquare M-estimate of y (n,) by columns (n, k), begun from Huber's.
+    """Fit y (n,) by columns (n, k) with Tukey's bisquare M-estimate, started from Huber's.
 
-    The scale of an error is one for all, or, if it `grows`, a + b |y as modelled|, with a and b from the absolute
-    residuals. Intervals are Huber's (1981) sandwich, with residuals enlarged for their leverage (MacKinnon and White,
-    1985), so that scales need not be right. `shifts` (m, n): errors of one standard deviation each that all points
-    have together. FitError where there are not more points than columns.
+    The scale of the errors is equal for all points, or, with `grows`, a + b |modelled y|, with a and b from the
+    absolute residuals. Intervals are Huber's (1981) sandwich with residuals enlarged for their leverage (MacKinnon and
+    White, 1985), so that wrong scales do not invalidate them. `shifts` (m, n) are m errors of one standard deviation
+    each that all points share. Raises FitError if there are not more points than columns.
     """
     count, unknowns = columns.shape
     if count <= unknowns:
-        raise FitError(f"{count} points cannot tell {unknowns} figures with their intervals: needs {unknowns + 1}")
+        raise FitError(f"{count} points cannot determine {unknowns} coefficients with intervals: needs {unknowns + 1}")
     scale = np.full(count, _spread(y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0], count, unknowns))
     weight = np.ones(count)
     values = np.zeros(unknowns)
     for bisquare in (False, True):
-        for _ in range(MOST_ROUNDS):
+        for _ in range(MAX_REWEIGHTING_ROUNDS):
             root = np.sqrt(weight) / scale
             before = values
             values = np.linalg.lstsq(columns * root[:, None], y * root, rcond=None)[0]
@@ -285,13 +294,16 @@ def robust(columns: Floats, y: Floats, shifts: Floats | None = None, grows: bool
 
 
 def _spread(off: Floats, count: int, unknowns: int) -> float:
-    """Standard deviation, from the median of the absolute values; they are fewer than they seem by the unknowns."""
+    """Return the standard deviation by the median of the absolute residuals, corrected for the number of unknowns."""
     usual = 1.4826 * float(np.median(np.abs(off))) * math.sqrt(count / (count - unknowns))
     return usual or float(np.sqrt(np.mean(off**2))) or 1.0
 
 
 def _scales(off: Floats, modelled: Floats, unknowns: int) -> Floats:
-    """a + b |modelled| of every point; both at least 0, and no scale far below the usual one."""
+    """Return the scale a + b |modelled| of every point's error (n,).
+
+    a and b are at least 0, and no scale is below 0.2 times the median.
+    """
     count = len(off)
     usual = _spread(off, count, unknowns)
     far = np.minimum(np.abs(off), 3 * usual)

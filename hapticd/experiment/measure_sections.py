@@ -18,7 +18,7 @@ from hapticd.experiment.analysis.motor import paired
 from hapticd.experiment.analysis.participants import mean_of_each, mean_ranks, quartiles
 from hapticd.experiment.analysis.proportions import proportion
 from hapticd.experiment.analysis.psychometric import PsychometricFit, bootstrap, fit, goodness_of_fit
-from hapticd.experiment.analysis.psychometric_shapes import SHAPES
+from hapticd.experiment.analysis.psychometric_shapes import PSYCHOMETRIC_SHAPES
 from hapticd.experiment.answer_sections import by_condition
 from hapticd.experiment.behaviour import MEASURE_COLUMNS, Row, StudyFacts, Varied
 from hapticd.experiment.procedures.procedure import ProcedureError
@@ -340,7 +340,7 @@ def _most_likely_fit(rows: Sequence[Row], varied: Varied) -> PsychometricFit:
     right = np.array([row.right for row in rows], dtype=float)
     places, at = np.unique(levels, return_inverse=True)
     on_log = varied.logarithmic and bool((places > 0).all())
-    shapes = [shape for shape in SHAPES if shape != "weibull" or on_log]
+    shapes = [shape for shape in PSYCHOMETRIC_SHAPES if shape != "weibull" or on_log]
     counts, trials = np.bincount(at, right), np.bincount(at)
     fits = [
         fit(places, counts, trials, shape, guess=varied.guess, logarithmic=on_log, rising=varied.rising)

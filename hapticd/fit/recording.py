@@ -20,9 +20,17 @@ from typing import Annotated, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, ValidationError
 
-from hapticd.analysis.recordings.clock import COLUMN_OF, HIGHEST_HZ, LOWEST_HZ, RATES_ALIKE, UNITS_OF, Quantity, uniform
+from hapticd.analysis.recordings.clock import (
+    COLUMN_OF,
+    MAX_RATE_MISMATCH,
+    MAX_RECORDING_RATE_HZ,
+    MIN_RECORDING_RATE_HZ,
+    UNITS_OF,
+    Quantity,
+    uniform,
+)
 from hapticd.analysis.recordings.files import (
-    MAX_BYTES,
+    MAX_RECORDING_BYTES,
     TABLE_READERS,
     Table,
     ending_of,
@@ -41,7 +49,7 @@ from hapticd.config.document_kinds import refuse_documents
 
 Kind: TypeAlias = Literal["tap", "grooves", "texture", "puncture"]
 """What a recording is of."""
-Rate: TypeAlias = Annotated[float, Field(ge=LOWEST_HZ, le=HIGHEST_HZ)]
+Rate: TypeAlias = Annotated[float, Field(ge=MIN_RECORDING_RATE_HZ, le=MAX_RECORDING_RATE_HZ)]
 
 
 class RecordingError(HapticdError):
@@ -116,14 +124,14 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
     shown = one_line(own_name)
     refuse_documents(name)
     try:
-        content = file_bytes(name, MAX_BYTES)
+        content = file_bytes(name, MAX_RECORDING_BYTES)
     except ValueError as error:
         raise NoRecordingError(shown, str(error)) from None
     try:
         beside = _beside(name, own_name)
         table = _table(own_name, content, bool(beside.columns))
         found, rounding_s, rate_hz = _quantities(table, beside, f"{shown}.yaml")
-        if rate_hz is not None and beside.rate_hz is not None and abs(rate_hz / beside.rate_hz - 1) > RATES_ALIKE:
+        if rate_hz is not None and beside.rate_hz is not None and abs(rate_hz / beside.rate_hz - 1) > MAX_RATE_MISMATCH:
             raise ValueError(f"the file says {rate_hz:g} Hz, the YAML says {beside.rate_hz:g} Hz: which is right?")
         even, rate_hz, gaps = uniform(found, rate_hz if beside.rate_hz is None else beside.rate_hz, rounding_s)
     except ValueError as error:

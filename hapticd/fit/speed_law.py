@@ -24,7 +24,7 @@ from hapticd.analysis.statistics import (
     Floats,
     Regression,
     aicc,
-    improbable,
+    f_test_p,
     least_squares,
     student_t,
     through_origin,
@@ -358,7 +358,7 @@ def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, nois
     index = int(np.argmax(added))
     others = np.delete(np.arange(count), index)
     # n ways to be the farthest by chance.
-    chance = count * improbable(line.squares, line.freedom, line.squares - float(added[index]), line.freedom - 1)
+    chance = count * f_test_p(line.squares, line.freedom, line.squares - float(added[index]), line.freedom - 1)
     off = float(amplitudes[index] / speeds[index] * (x[others] @ x[others]) / (x[others] @ y[others])) - 1
     if chance > SIGNIFICANCE_LEVEL or abs(off) < 0.25 or _bends(speeds[others], amplitudes[others], noise[others]):
         return ""
@@ -384,7 +384,7 @@ def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
     curve, curved = laid(speeds, speeds**2, ones)
     for less, more, apart in ((offset, curve, curved - shifted), (origin, offset, shifted - straight)):
         part = float(np.sqrt(np.mean(apart**2))) / size
-        if part > BENT_PART and improbable(less.squares, less.freedom, more.squares, more.freedom) < SIGNIFICANCE_LEVEL:
+        if part > BENT_PART and f_test_p(less.squares, less.freedom, more.squares, more.freedom) < SIGNIFICANCE_LEVEL:
             return True
     return False
 

@@ -557,7 +557,7 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
     freedom = len(head) - 6
     one, two = float(left @ left), float(pair.residual @ pair.residual)
     turns = float(pair.angular_frequency_rad_per_s.min()) * len(head) / rate_hz
-    chance = statistics.improbable(one, freedom, two, freedom - 3)
+    chance = statistics.f_test_p(one, freedom, two, freedom - 3)
     return pair if chance < SIGNIFICANCE_LEVEL and turns > math.pi else None
 
 
@@ -1109,7 +1109,7 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
         samples += len(residual) - 6
     taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
     share = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
-    chance = statistics.improbable(float(samples), samples, max(0.0, samples - taken), samples - size)
+    chance = statistics.f_test_p(float(samples), samples, max(0.0, samples - taken), samples - size)
     if share > REPORTED_SHAPE and (chance < SIGNIFICANCE_LEVEL or coloured > MOST_RESIDUAL_TO_NOISE):
         return f"what is left over has a shape, {100 * share:.0f} % of the ringing"
     if coloured > MOST_RESIDUAL_TO_NOISE and math.sqrt(left / heard) > REPORTED_SHAPE:

@@ -19,7 +19,7 @@ import pytest
 from scipy.io import wavfile
 
 from hapticd.analysis.recordings.clock import COLUMN_OF, UNITS_OF, Quantity
-from hapticd.analysis.recordings.files import MAX_BYTES
+from hapticd.analysis.recordings.files import MAX_RECORDING_BYTES
 from hapticd.analysis.statistics import Floats
 from hapticd.base.errors import HapticdError, InvalidError
 from hapticd.config.materials import shipped_materials
@@ -157,7 +157,7 @@ def test_a_gap_is_kept_as_one_and_what_is_beside_it_stays(late: float, tmp_path:
 def test_lost_and_doubled_samples_are_refused_by_their_place(tmp_path: Path) -> None:
     kept = np.delete(np.arange(500), [*range(200, 202), *range(203, 490)])
     path = write(tmp_path / "lost.csv", {"time_s": TIME_S[kept], "force_n": wave(TIME_S[kept])})
-    assert "samples are missing: between 0.0398 s and 0.0404 s" in refused(path)
+    assert "samples are missing: 289 in 2 gaps, the first between 0.0398 s and 0.0404 s" in refused(path)
     often = np.delete(np.arange(500), np.arange(3, 500, 20))
     path = write(tmp_path / "often.csv", {"time_s": TIME_S[often], "force_n": wave(TIME_S[often])})
     assert "were samples lost" in refused(path)
@@ -170,25 +170,25 @@ def test_nan_and_gaps_in_rows_are_refused_by_their_line(tmp_path: Path) -> None:
     numbers = wave(TIME_S)
     numbers[17] = np.nan
     path = write(tmp_path / "nan.csv", {"time_s": TIME_S, "force_n": numbers})
-    assert 'line 19 holds something else than numbers, "nan"' in refused(path)
+    assert 'line 19 must hold numbers, holds "nan"' in refused(path)
     np.savez(tmp_path / "nan.npz", rate_hz=RATE_HZ, force_n=numbers)
-    assert "force_n is NaN or infinite in 1 samples, first in number 18" in refused(tmp_path / "nan.npz")
+    assert "force_n is NaN or infinite in 1 samples, first in sample 18" in refused(tmp_path / "nan.npz")
     path.write_text("time_s,force_n\n0.0,1\n0.1,\n")
-    assert "line 3 holds something else than numbers" in refused(path)
+    assert "line 3 must hold numbers" in refused(path)
     path.write_text("time_s,force_n\n0.0,1\n0.1\n")
-    assert "line 3 has not 2 columns" in refused(path)
+    assert "line 3 must have 2 columns" in refused(path)
 
 
 @pytest.mark.parametrize(
     ("columns", "beside", "told"),
     [
         ({"a": TIME_S, "b": TIME_S}, "", "has none of time_s, acceleration_m_per_s2"),
-        ({"a": TIME_S}, "columns: {force: {column: b}}\nrate_hz: 5000", "has no column 'b', known: a"),
+        ({"a": TIME_S}, "columns: {force: {column: b}}\nrate_hz: 5000", "has no column 'b'; known: a"),
         ({"force_n": TIME_S}, "", "has neither a column time_s nor a rate"),
         ({"time_s": wave(TIME_S), "acceleration_m_per_s2": TIME_S}, "", "is it the right column?"),
-        ({"time_s": 1e3 * TIME_S, "force_n": TIME_S}, "", "which unit is the time in?"),
-        ({"time_s": TIME_S, "force_n": TIME_S}, "rate_hz: 2500", "the times say 5000 Hz, rate_hz says 2500 Hz"),
-        ({"time_s": TIME_S[:8], "force_n": TIME_S[:8]}, "", "8 samples are no recording"),
+        ({"time_s": 1e3 * TIME_S, "force_n": TIME_S}, "", "are they in another unit?"),
+        ({"time_s": TIME_S, "force_n": TIME_S}, "rate_hz: 2500", "the times give 5000 Hz, but rate_hz is 2500 Hz"),
+        ({"time_s": TIME_S[:8], "force_n": TIME_S[:8]}, "", "must have between 16 and 20000000 samples, has 8"),
     ],
 )
 def test_what_does_not_fit_is_refused(tmp_path: Path, columns: dict[str, Floats], beside: str, told: str) -> None:
@@ -278,14 +278,14 @@ def test_units_in_the_file_are_taken_where_the_yaml_says_none(tmp_path: Path) ->
         (b"", "is empty"),
         (b"time_s,force_n\n", "holds no line of numbers"),
         (b"Lab 3\nRate;25000 Hz\nNames\n1,2\n", "lines 1 to 3 hold no numbers"),
-        (b"time_s,force_n\n0,1\n0.1,\n", 'line 3 holds something else than numbers, ""'),
-        (b"time_s;force_n\n0,0;1\n0,1;1.234,5\n", 'line 3 holds something else than numbers, "1.234,5"'),
-        (b"time_s,force_n\n0,1\n0.1,2,3\n", "line 3 has not 2 columns, but 3"),
-        (b"time_s force_n\n0 1\n0.1 2 3\n", "line 3 has not 2 columns, but 3"),
-        (b"time_s,force_n,force_n\n0,1,2\n", 'has 2 columns "force_n": say its number'),
-        (b"time_s,force_n,note\n" + b"0,1,a\n" * 9 + b'0,1,"a\n' * 2, "a quotation mark that is not closed?"),
+        (b"time_s,force_n\n0,1\n0.1,\n", 'line 3 must hold numbers, holds ""'),
+        (b"time_s;force_n\n0,0;1\n0,1;1.234,5\n", 'line 3 must hold numbers, holds "1.234,5"'),
+        (b"time_s,force_n\n0,1\n0.1,2,3\n", "line 3 must have 2 columns, has 3"),
+        (b"time_s force_n\n0 1\n0.1 2 3\n", "line 3 must have 2 columns, has 3"),
+        (b"time_s,force_n,force_n\n0,1,2\n", 'has 2 columns "force_n": set the column\'s number'),
+        (b"time_s,force_n,note\n" + b"0,1,a\n" * 9 + b'0,1,"a\n' * 2, "is a quotation mark not closed?"),
         (b"1," * 60_000, "has none of time_s"),
-        (b"\0" * 100, "is no text"),
+        (b"\0" * 100, "is not a text file"),
         (b"\x1b[31m,\x07\n" * 40, "hold no numbers"),
     ],
 )
@@ -332,7 +332,7 @@ def test_archives_that_promise_more_than_they_hold_are_refused(tmp_path: Path, m
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("force_n.npy", bytes(10_001))
     monkeypatch.setattr("hapticd.analysis.recordings.files.MAX_UNPACKED_BYTES", 10_000)
-    assert "unpacks to 10001 bytes, 10000 are the most" in refused(tmp_path / "a.npz")
+    assert "unpacks to 10001 bytes, at most 10000 are allowed" in refused(tmp_path / "a.npz")
 
 
 def riff(kind: int, bits: int, frames: bytes, channels: int = 1, extensible: bool = False) -> bytes:
@@ -372,13 +372,13 @@ def test_every_kind_of_wav(tmp_path: Path, kind: int, bits: int, extensible: boo
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (b"RIFF", "is damaged, or no .wav with 8 to 32 bits or floats"),
+        (b"RIFF", "is damaged, or not a .wav of 8 to 32 bits or of floats"),
         (b"RIFF\0\0\0\0WAVE", "is damaged"),
         (riff(1, 16, bytes(200))[:-100], "is damaged"),
         (riff(1, 16, bytes(101)), "is damaged"),
         (riff(6, 8, bytes(100)), "Unknown wave file format: ALAW. Supported formats: PCM, IEEE_FLOAT"),
         (riff(1, 16, bytes(100), channels=0), "is damaged"),
-        (riff(1, 16, b""), "0 samples are no recording"),
+        (riff(1, 16, b""), "samples, has 0"),
         (riff(3, 32, struct.pack("<f", float("nan")) * 40), "is NaN or infinite in 40 samples"),
     ],
 )
@@ -423,7 +423,7 @@ def test_times_of_single_precision_are_a_uniform_clock(tmp_path: Path) -> None:
 
 def test_times_that_are_rounded_too_far_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", {"time_s": np.round(TIME_S, 3), "force_n": wave(TIME_S)})
-    assert "the times are rounded to 0.001 s, which is more than from one sample to the next" in refused(path)
+    assert "the times are rounded to 0.001 s, more than a sample period" in refused(path)
     Path(f"{path}.yaml").write_text("rate_hz: 5000\ncolumns: {force: {column: force_n}}")
     assert load(path).rate_hz == 5000
 
@@ -438,7 +438,7 @@ def test_a_clock_may_wander_and_a_position_is_none(tmp_path: Path) -> None:
     assert np.asarray(found.force_n)[20:-20] == pytest.approx(wave(even)[20:-20], abs=2e-3)
     place_m = 0.08 * time_s + 2e-3 * np.sin(2 * np.pi * 0.7 * time_s)
     path = write(tmp_path / "b.csv", {"time_s": place_m, "tangential_position_m": time_s})
-    assert "periods off a uniform one" in refused(path)
+    assert "periods from a uniform clock" in refused(path)
 
 
 def test_a_clipped_peak_stays_clipped_on_a_jittering_clock(tmp_path: Path) -> None:
@@ -452,13 +452,13 @@ def test_a_clipped_peak_stays_clipped_on_a_jittering_clock(tmp_path: Path) -> No
 def test_a_time_that_is_a_thousand_off_is_refused(tmp_path: Path) -> None:
     for factor in (1e-3, 1e3):
         path = write(tmp_path / "a.csv", {"time_s": factor * TIME_S, "force_n": TIME_S})
-        assert "a recording has 100 Hz to 1 MHz; which unit is the time in?" in refused(path)
+        assert "the rate must be between 100 Hz and 1 MHz" in refused(path)
 
 
 def test_numbers_that_cannot_be_are_refused(tmp_path: Path) -> None:
     for number in (1e308, -1e12):
         np.savez(tmp_path / "a.npz", rate_hz=RATE_HZ, force_n=np.full(100, number))
-        assert "nothing that a stylus records is over 1e+09" in refused(tmp_path / "a.npz")
+        assert "force_n must be at most 1e+09 in magnitude" in refused(tmp_path / "a.npz")
     Path(f"{tmp_path / 'a.npz'}.yaml").write_text("columns: {force: {column: force_n, scale: 1.0e+300}}")
     assert "force_n is NaN or infinite in 100 samples" in refused(tmp_path / "a.npz")
 
@@ -474,8 +474,8 @@ def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
     (tmp_path / "zero.csv").symlink_to("/dev/zero")
     assert "is a pipe or a device" in refused(tmp_path / "zero.csv")
     with (tmp_path / "sparse.npz").open("wb") as stream:
-        stream.truncate(MAX_BYTES + 1)
-    assert f"is larger than {MAX_BYTES} bytes" in refused(tmp_path / "sparse.npz")
+        stream.truncate(MAX_RECORDING_BYTES + 1)
+    assert f"is larger than {MAX_RECORDING_BYTES} bytes" in refused(tmp_path / "sparse.npz")
 
 
 def test_a_yaml_that_cannot_be_read_is_not_none(tmp_path: Path) -> None:
@@ -500,7 +500,7 @@ def test_a_yaml_that_cannot_be_read_is_not_none(tmp_path: Path) -> None:
         ("rate_hz: -5", "rate_hz: should be greater than or equal to 100"),
         ("rate: 5000", "rate: unknown key; did you mean rate_hz"),
         ("columns: {force: {column: force_n, scale: 0}}", "columns.force.scale: is 0, which leaves nothing"),
-        ("columns: {force: {column: 0}}", "has no column '0', known: time_s, force_n"),
+        ("columns: {force: {column: 0}}", "has no column '0'; known: time_s, force_n"),
         ("columns: {force: {column: 99999999999999999999}}", "has no column '99999999999999999999'"),
         ("columns: {time: {column: time_s}}", "names neither acceleration nor force nor position"),
         ("columns: {weight: {column: time_s}}", "should be 'time', 'acceleration', 'force', 'position'"),

@@ -38,7 +38,7 @@ def error_by_scipy(config: Config, strike: Strike) -> float:
     device, rate, finer = config.device.dynamics, config.servo.rate_hz, 16
     assert device is not None
     mass, damping = device.mass_kg, device.damping_n_s_per_m
-    count = round((5 / strike.mode.decay_rate_per_s + verify.SETTLED_S) * rate)
+    count = round((5 / strike.mode.decay_rate_per_s + verify.SIMULATION_TAIL_S) * rate)
     time_s = np.arange(count) / rate
     decay, omega = strike.mode.decay_rate_per_s, strike.mode.angular_frequency_rad_per_s
     force = mass * strike.coefficient_m_per_s2 * np.exp(-decay * time_s) * np.sin(omega * time_s)
@@ -95,7 +95,7 @@ def test_a_tap_on_a_wall(name: str, compensation: str) -> None:
     exact = {"coulomb_friction_n": 0, "force_step_n": 0, "encoder_step_m": 0}
     config = load_config({"device": {"kind": "sim", "compensation": compensation, "sim": exact}})
     verdict = next(each for each in verify.verdicts_on_walls(config) if each.strike.material == name)
-    count = round((5 / verdict.strike.mode.decay_rate_per_s + verify.SETTLED_S) * 10_000)
+    count = round((5 / verdict.strike.mode.decay_rate_per_s + verify.SIMULATION_TAIL_S) * 10_000)
     force = verify.tap_force(config, name, 0.1, count)[:, 1]
     expected = wall_error_by_scipy(config, force, 800.0, verdict.strike)
     # The error is largest at 30 Hz, where the lines of the two transforms begin at different places.
@@ -205,5 +205,5 @@ def test_a_recording_says_what_the_handle_did() -> None:
 def test_another_recording_is_refused() -> None:
     played, _ = displayed(config_of(), WOOD)
     hiss = np.random.default_rng(2).standard_normal(20_000)
-    with pytest.raises(HapticdError, match=r"felt\.csv: what was driven is not in it"):
+    with pytest.raises(HapticdError, match=r"felt\.csv: the drive was not found in the recording"):
         verify.from_recording(played, Recording("felt.csv", np.arange(20_000) / 1e4, hiss))

@@ -86,12 +86,12 @@ def test_calibrate_without_what_the_extra_brings(
     ("content", "problem"),
     [
         (None, "cannot be read: No such file or directory"),
-        ("time_s,acceleration_m_per_s2\n0,1\n1\n", "line 3 has not 2 columns, but 1"),
-        ("time_s,a\n" + "0,1\n" * 20, "has no column 'acceleration_m_per_s2', known: time_s, a"),
+        ("time_s,acceleration_m_per_s2\n0,1\n1\n", "line 3 must have 2 columns, has 1"),
+        ("time_s,a\n" + "0,1\n" * 20, "has no column 'acceleration_m_per_s2'; known: time_s, a"),
         ("time_s,acceleration_m_per_s2\n" + "0,1\n" * 20, "time_s must rise"),
         (
             "time_s,acceleration_m_per_s2\n0,1\n1,x\n",
-            'line 3 holds something else than numbers, "x" (a sample that is missing?)',
+            'line 3 must hold numbers, holds "x" (a missing sample?)',
         ),
     ],
 )
@@ -110,16 +110,16 @@ def _array_alone(path: Path) -> None:
 @pytest.mark.parametrize(
     ("write", "problem"),
     [
-        (lambda path: path.write_bytes(b""), "is not an archive as numpy.savez writes it"),
-        (lambda path: path.write_bytes(bytes(50)), "is not an archive as numpy.savez writes it"),
-        (_array_alone, "is not an archive as numpy.savez writes it"),
+        (lambda path: path.write_bytes(b""), "is not an archive written by numpy.savez"),
+        (lambda path: path.write_bytes(bytes(50)), "is not an archive written by numpy.savez"),
+        (_array_alone, "is not an archive written by numpy.savez"),
         (
             lambda path: np.savez(path, time_s=np.arange(20) * 1j, acceleration_m_per_s2=np.zeros(20)),
-            "'time_s' holds no numbers in rows or columns, but complex128",
+            "'time_s' must hold numbers, holds complex128",
         ),
         (
             lambda path: np.savez(path, time_s=np.array(["a"] * 20), acceleration_m_per_s2=np.zeros(20)),
-            "'time_s' holds no numbers in rows or columns, but str32",
+            "'time_s' must hold numbers, holds str32",
         ),
     ],
 )
@@ -197,7 +197,9 @@ def test_verify(capsys: pytest.CaptureFixture[str]) -> None:
     assert 0 < told["cellophane", "rupture"]["error"] < 1
     assert 0 < told["wood", "wall"]["error"] < 1
     np.savez("felt.npz", time_s=np.arange(100.0), acceleration_m_per_s2=np.random.default_rng(1).normal(size=100))
-    assert "what was driven is not in it" in said(capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.npz")
+    assert "the drive was not found in the recording" in said(
+        capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.npz"
+    )
 
 
 def test_a_real_device_needs_a_recording(capsys: pytest.CaptureFixture[str]) -> None:
@@ -212,7 +214,7 @@ def test_a_real_device_needs_a_recording(capsys: pytest.CaptureFixture[str]) -> 
 def stick(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakePid]:
     """A joystick whose handle is stuck in the middle."""
     fake = FakePid(bytes(Joystick()))
-    monkeypatch.setattr(rig, "STALLED_S", 60.0)
+    monkeypatch.setattr(rig, "SERVO_STALL_TIMEOUT_S", 60.0)
     monkeypatch.setattr(
         sources,
         "open_hid",

@@ -11,7 +11,14 @@ from scipy import optimize, special, stats
 
 from hapticd.analysis.statistics import FitError
 from hapticd.experiment.analysis.psychometric import bootstrap, fit, goodness_of_fit, percentiles
-from hapticd.experiment.analysis.psychometric_shapes import SHAPES, Shape, density, inverse, probability, rise
+from hapticd.experiment.analysis.psychometric_shapes import (
+    PSYCHOMETRIC_SHAPES,
+    Shape,
+    density,
+    inverse,
+    probability,
+    rise,
+)
 from hapticd.experiment.procedures.constant_stimuli import ConstantStimuli, ConstantStimuliParameters
 
 Floats = npt.NDArray[np.float64]
@@ -40,7 +47,7 @@ def test_a_weibull_function_is_one_of_the_level() -> None:
     assert probability("weibull", levels, 100.0, 3.0, 0.5, 0.02) == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", PSYCHOMETRIC_SHAPES)
 def test_a_fit_is_as_probable_as_scipys(shape: Shape) -> None:
     """The same likelihood, written out, maximised by Nelder and Mead."""
     generator = np.random.Generator(np.random.PCG64(1))
@@ -142,11 +149,11 @@ def test_goodness_of_fit() -> None:
 @pytest.mark.parametrize(
     "levels, positive, trials, text",
     [
-        ([1.0], [1], [2], "1 level: a psychometric function needs two"),
-        ([1.0, 2.0], [0, 0], [9, 9], "all answers are alike"),
+        ([1.0], [1], [2], "needs answers at two or more levels, has 1"),
+        ([1.0, 2.0], [0, 0], [9, 9], "all answers are equal"),
         ([1.0, 2.0], [3, 1], [2, 2], "between 0 and the number of trials"),
-        ([1.0, 2.0], [1], [2, 2], "must be as many"),
-        ([-1.0, 2.0], [1, 2], [2, 2], "is not positive"),
+        ([1.0, 2.0], [1], [2, 2], "must have equal lengths"),
+        ([-1.0, 2.0], [1, 2], [2, 2], "must be positive, one is -1"),
     ],
 )
 def test_what_cannot_be_fitted(levels: list[float], positive: list[int], trials: list[int], text: str) -> None:

@@ -217,7 +217,7 @@ def test_trials_that_begin_by_themselves_wait_for_a_page_that_is_away() -> None:
 def test_an_answer_that_is_none_is_refused(answer: object) -> None:
     front = PagesFront(planned(STUDY), lambda: None)
     front._show(screens.trial(SHOWN, interval=1, felt=True, asks=True), "felt", None, SHOWN)
-    with pytest.raises(ValueError, match="answer: must be a number from 0 to 1"):
+    with pytest.raises(ValueError, match="answer: must be an integer from 0 to 1"):
         front.answer(1, answer)
 
 
@@ -341,7 +341,7 @@ def test_a_participant_who_goes_on_while_the_experimenter_is_away_is_told_and_go
     front = Played(presses).front
     front.here("participant", True)
     assert front.phase("practice", "Read this.") is None
-    assert front.console()["lines"] == ["the experimenter's page must be open to go on"]
+    assert front.console()["lines"] == ["the experimenter's page must be open to continue"]
     away, back = notices
     assert "The experimenter is away" in away and back == ""
 
@@ -362,7 +362,7 @@ def test_who_left_after_going_on_is_asked_again(who: Any) -> None:
                 front.here("participant", False)
                 front.go_on(who, number)
             case [_, told]:
-                assert told == "the participant's page and the experimenter's page must be open to go on"
+                assert told == "the participant's page and the experimenter's page must be open to continue"
                 front.here("experimenter", True)
                 front.here("participant", True)
                 front.command(over)

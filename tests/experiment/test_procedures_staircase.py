@@ -156,21 +156,21 @@ def test_a_stored_staircase_goes_on_as_it_was() -> None:
 
 def test_an_answer_to_another_level_is_refused() -> None:
     staircase = Staircase(parameters("1-up-1-down", 0.0))
-    with pytest.raises(ProcedureError, match="level 99, but 130 was due"):
+    with pytest.raises(ProcedureError, match="level 99, but level 130 was shown"):
         staircase.answer(99.0, False)
 
 
 @pytest.mark.parametrize(
     "wrong, text",
     [
-        ({"rule": "weighted"}, "target is needed by the rule weighted"),
-        ({"target": 0.6}, "belongs to it alone"),
-        ({"guess": 0.8}, "converges at 70.7 % positive answers, which must be more than guess"),
-        ({"start": 300.0}, "start .300. must lie between"),
+        ({"rule": "weighted"}, "target is required with rule weighted"),
+        ({"target": 0.6}, "not allowed with other rules"),
+        ({"guess": 0.8}, "converges at 70.7 % positive answers; guess must be less, is 80 %"),
+        ({"start": 300.0}, "start .300. must be between"),
         ({"axis": "logarithmic", "steps": [0.5]}, "each must be more than 1"),
-        ({"reversals": 4}, "discard .4. must leave 2 of the 4 reversals"),
+        ({"reversals": 4}, "discard must be at most reversals - 2 = 2, is 4"),
         ({"steps": []}, "at least 1 item"),
-        ({"shape": "weibull"}, "needs axis: logarithmic"),
+        ({"shape": "weibull"}, "shape weibull needs axis: logarithmic"),
     ],
 )
 def test_bad_parameters(wrong: dict[str, object], text: str) -> None:

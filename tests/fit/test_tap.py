@@ -19,7 +19,7 @@ from hapticd.analysis.statistics import (
     FitError,
     Floats,
     common,
-    improbable,
+    f_test_p,
     least_squares,
     through_origin,
     with_offset,
@@ -118,13 +118,13 @@ def test_scatter_in_ratios_is_that_of_the_scaled_problem() -> None:
 
 
 def test_the_chance_of_a_fuller_model_is_of_the_f_distribution() -> None:
-    assert improbable(12.0, 9, 7.0, 7) == pytest.approx(stats.f.sf((5 / 2) / (7 / 7), 2, 7), rel=1e-9)
+    assert f_test_p(12.0, 9, 7.0, 7) == pytest.approx(stats.f.sf((5 / 2) / (7 / 7), 2, 7), rel=1e-9)
 
 
 def test_what_cannot_be_told_is_refused() -> None:
-    with pytest.raises(FitError, match="1 points cannot tell 1 figures"):
+    with pytest.raises(FitError, match="1 points cannot determine 1 coefficients"):
         common(np.array([1.0]))
-    with pytest.raises(FitError, match="two columns say the same"):
+    with pytest.raises(FitError, match="two columns are linearly dependent"):
         least_squares(np.ones((5, 2)), np.arange(5.0))
     with pytest.raises(FitError, match="all zero"):
         through_origin(np.zeros(5), np.arange(5.0))

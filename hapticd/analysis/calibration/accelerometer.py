@@ -1,9 +1,9 @@
-"""Recordings of an accelerometer: read, laid beside what was driven, compared.
+"""Recordings of an accelerometer on the handle: read, aligned with a drive, and compared with its fit.
 
 .npz  `time_s` and `acceleration_m_per_s2`, each (n,)
 .csv  the same as columns, named in the first line
 
-The recording's clock starts anywhere: where in it a drive lies is found by cross-correlation.
+The recording may begin at any time; the start of the drive in it is found by cross-correlation.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ import numpy.typing as npt
 from hapticd.analysis.calibration.fit import Fit, Point, model_motion, points_of, tapered
 from hapticd.analysis.calibration.sweep import Floats, Record
 from hapticd.analysis.recordings.clock import COLUMN_OF, check_columns
-from hapticd.analysis.recordings.files import MAX_BYTES, TABLE_READERS, ending_of, file_bytes
+from hapticd.analysis.recordings.files import MAX_RECORDING_BYTES, TABLE_READERS, ending_of, file_bytes
 from hapticd.analysis.statistics import require_scipy
 from hapticd.base.errors import HapticdError
 
-SCALE_HZ: Final = (10.0, 120.0)
-"""Where the encoder sees well: there the accelerometer's scale is found by it."""
+SCALE_BAND_HZ: Final = (10.0, 120.0)
+"""Frequencies at which the encoder measures accurately, used to find the accelerometer's scale."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Acceleration (n,) at rising times (n,) of a separate clock."""
+    """Acceleration (n,) at rising times (n,) of the accelerometer's clock."""
 
     name: str
     time_s: Floats
@@ -38,25 +38,26 @@ class Recording:
 
     @property
     def rate_hz(self) -> float:
+        """Sampling rate by the median of the intervals."""
         return 1.0 / float(np.median(np.diff(self.time_s)))
 
     def at(self, time_s: npt.NDArray[np.floating]) -> Floats:
-        """By straight lines; 0 beyond its ends."""
+        """Return the acceleration at these times, linearly interpolated, and 0 outside of the recording."""
         return np.asarray(np.interp(time_s, self.time_s, self.acceleration_m_per_s2, left=0.0, right=0.0))
 
 
 def check_name(name: str) -> None:
-    """Raises HapticdError (one line) for what is no recording by its name; it may be there only later."""
+    """Raise HapticdError if a file's name does not end in .npz or .csv. The file need not exist yet."""
     if ending_of(name) not in (".npz", ".csv"):
-        raise HapticdError(f"{name}: a recording ends in .npz or .csv")
+        raise HapticdError(f"{name}: the name of a recording must end in .npz or .csv")
 
 
 def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recording:
-    """A recording, its numbers times `scale`. Raises HapticdError (one line) for what cannot be read."""
+    """Read a recording and multiply its accelerations by `scale`. Raises HapticdError if it cannot be read."""
     name = os.fspath(path)
     check_name(name)
     try:
-        table = TABLE_READERS[ending_of(name)](file_bytes(name, MAX_BYTES))
+        table = TABLE_READERS[ending_of(name)](file_bytes(name, MAX_RECORDING_BYTES))
         time_s, acceleration = table.read([table.place(COLUMN_OF["time"]), table.place(COLUMN_OF["acceleration"])])
         check_columns({"time": time_s, "acceleration": acceleration})
     except ValueError as error:
@@ -67,10 +68,10 @@ def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recordin
 
 
 def offset_of(recording: Recording, expected: Floats, rate_hz: float) -> float:
-    """The recording's time at which `expected` (n,), an acceleration at this rate, begins.
+    """Return the time in the recording at which `expected` (n,), an acceleration at this rate, begins.
 
-    The maximum of the normalised cross-correlation, between samples by a parabola. Raises HapticdError where nothing
-    in the recording is like it.
+    It is the maximum of the normalised cross-correlation, interpolated between samples by a parabola. Raises
+    HapticdError if the correlation is below 0.3.
     """
     require_scipy("a recording of an accelerometer")
     from scipy.signal import correlate, correlation_lags
@@ -86,8 +87,8 @@ def offset_of(recording: Recording, expected: Floats, rate_hz: float) -> float:
     best = int(np.argmax(alike))
     if not alike[best] >= 0.3:
         raise HapticdError(
-            f"{recording.name}: what was driven is not in it (correlation {alike[best]:.2f}): was it recorded "
-            "meanwhile, along this axis, the right way round?"
+            f"{recording.name}: the drive was not found in the recording (correlation {alike[best]:.2f}): was it "
+            "recorded during the drive, along this axis, with the right sign?"
         )
     shift = 0.0
     if 0 < best < len(product) - 1:
@@ -98,23 +99,24 @@ def offset_of(recording: Recording, expected: Floats, rate_hz: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """What an accelerometer says of a drive."""
+class AccelerometerResponse:
+    """The response of a handle by an accelerometer, relative to the fit."""
 
     points: tuple[Point, ...]
-    """Over what the fit says, in the scale of the encoder."""
+    """Measured over fitted response by frequency, divided by `scale`."""
     scale: float
-    """Of the accelerometer's numbers to what the encoder says, where both see well."""
+    """Ratio of the accelerometer's numbers to the fitted accelerations, the median in SCALE_BAND_HZ."""
 
 
-def compare(record: Record, fit: Fit, recording: Recording) -> Heard:
-    """The accelerometer against the fit, burst by burst. Raises HapticdError where the drive is not in the recording.
+def compare(record: Record, fit: Fit, recording: Recording) -> AccelerometerResponse:
+    """Compare the accelerometer with the fit, burst by burst.
 
-    Accelerations are compared as spectra over the same time, so that each may have another rate.
+    The spectra of both accelerations over the same time are compared, so that the rates may differ. Raises HapticdError
+    if the drive is not found in the recording.
     """
     expected = np.diff(model_motion(record, fit)[:, 1]) * record.rate_hz
     period_s = 1.0 / record.rate_hz
-    # From the middle of the first period on.
+    # The first expected acceleration is the mean over the first period, and so belongs to its middle.
     since_s = recording.time_s - (offset_of(recording, expected, record.rate_hz) + 0.5 * period_s)
     own_s = np.gradient(recording.time_s)
 
@@ -126,15 +128,17 @@ def compare(record: Record, fit: Fit, recording: Recording) -> Heard:
             if len(inside) < 16 or burst.frequency_hz > 0.4 * recording.rate_hz:
                 continue
             modelled = np.sum(tapered(time_s, burst.frequency_hz) * expected[burst.begin : end]) * period_s
-            # Both pointers turn from the same moment on, the drive's.
+            # The phases of both spectra refer to the same time, the burst's begin.
             around_s = np.concatenate((time_s[:1], since_s[inside], time_s[-1:]))
             pointer = tapered(around_s, burst.frequency_hz)[1:-1]
             measured = np.sum(pointer * recording.acceleration_m_per_s2[inside] * own_s[inside])
             yield burst.frequency_hz, complex(measured), complex(modelled)
 
     points = points_of(lines())
-    low = [abs(point.ratio) for point in points if SCALE_HZ[0] <= point.frequency_hz <= SCALE_HZ[1]]
+    low = [abs(point.ratio) for point in points if SCALE_BAND_HZ[0] <= point.frequency_hz <= SCALE_BAND_HZ[1]]
     if not low:
-        raise HapticdError(f"{recording.name}: holds none of the drive between {SCALE_HZ[0]:g} and {SCALE_HZ[1]:g} Hz")
+        raise HapticdError(
+            f"{recording.name}: contains no burst between {SCALE_BAND_HZ[0]:g} and {SCALE_BAND_HZ[1]:g} Hz"
+        )
     scale = float(np.median(low))
-    return Heard(tuple(Point(point.frequency_hz, point.ratio / scale) for point in points), scale)
+    return AccelerometerResponse(tuple(Point(point.frequency_hz, point.ratio / scale) for point in points), scale)

@@ -1,23 +1,22 @@
-"""Mass, damping, dry friction and stiffness from a drive, with bounds.
+"""Fit mass, damping, dry friction and stiffness, with intervals, to the positions of a drive.
 
-The model is the simulated joystick itself (csrc/device/hd_sim_solver.c), driven by the recorded force, without steps of
+The model is the simulated joystick (csrc/device/hd_sim_solver.c), driven by the recorded force, without the steps of
 encoder and actuator:
 
-    m x'' + b x' + c sign(x') + k x = F(t) + g,    seen d later,
+    m x'' + b x' + c sign(x') + k x = F(t) + g,    observed with the delay d.
 
-exact between the periods, dry friction with its rests included. A force that is held for longer than a period of the
-servo, as by a link, is either the staircase that changes with each report, or its running mean over the hold, which is
-what a staircase does below its rate; the one that explains more. m, b, c, k and d are those of the whole drive; c and d
-are the device's own, so that a drive of a held handle takes them from the one before it (under a hand, damping times
-delay looks like mass). Where a burst begins, how fast, and the constant force g beside it (a hand's drift, a
-weight) are its own.
+It is exact between the periods and includes the rests of dry friction. A force that is held for longer than a period
+of the servo, as by a link, is modelled both as a staircase that changes with each report and as its running mean over
+the hold, which is equivalent below the staircase's rate; the better fit is kept. m, b, c, k and d hold for the entire
+drive. c and d belong to the device: the drive of a held handle takes them from the drive of the free one, because under
+a hand damping times delay looks like mass. Each burst has its own initial position, initial speed and constant force g
+(drift of the hand, weight).
 
-Least squares over positions, by scipy: over m, b, c, k and d outside, over what is a burst's own inside (variable
-projection: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). Its residuals are what the encoder rounds off, and
-what the model does not know; neither is white, so the bounds come from the bursts: the jackknife of the fit that leaves
-one of them out at a time (its variance is that of MacKinnon, Nielsen and Webb, "Fast and reliable jackknife and
-bootstrap methods for cluster-robust inference", 2023, CV3), and Student's t with as many degrees of freedom as there
-are bursts but one.
+The fit is least squares over the positions by variable projection (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973):
+an outer fit of m, b, c, k and d, and an inner fit of each burst's start. Its residuals are the encoder's rounding and
+errors of the model. Neither is white, so intervals come from the jackknife that leaves out one burst at a time
+(variance CV3 of MacKinnon, Nielsen and Webb, "Fast and reliable jackknife and bootstrap methods for cluster-robust
+inference", 2023), and from Student's t with one degree of freedom less than there are bursts.
 """
 
 from __future__ import annotations
@@ -30,25 +29,28 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.calibration.sweep import LEAD_S, Burst, Floats, Record
+from hapticd.analysis.calibration.sweep import BURST_LEAD_TIME_S, Burst, Floats, Record
 from hapticd.analysis.statistics import Estimate
 from hapticd.base.core import ffi, invalid_reason, lib, pointer
 from hapticd.base.errors import HapticdError
 
-SETTLED_S: Final = 0.005
-MAX_SAMPLES: Final = 2000
-"""Of a burst; more of them say the same."""
-LEAST_BURSTS: Final = 6
-LEAST_MOTION_M: Final = 1e-7
-"""What moves a handle by less than this says nothing."""
+SETTLING_TIME_S: Final = 0.005
+"""A burst is fitted until this time after the last change of the encoder's position."""
+MAX_BURST_SAMPLES: Final = 2000
+"""Most samples of a burst that are fitted; more add time but no accuracy."""
+MIN_MOVING_BURSTS: Final = 6
+"""Fewest bursts that must move the handle; the intervals have one degree of freedom less than there are bursts."""
+MIN_START_EFFECT_M: Final = 1e-7
+"""A parameter of a burst's start that moves the handle by less than this cannot be determined and is ignored."""
 _MASS, _DAMPING, _FRICTION, _STIFFNESS, _DELAY = range(5)
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """What was measured at one frequency, over what the fit says: spectra of a burst, tapered.
+    """The ratio of the measured to the modelled spectrum of the bursts at one frequency.
 
-    Times the fit's response this is the measured one, without what friction and the burst's begin add to its spectrum.
+    Multiplied by the fit's linear response it yields the measured response, free of the effects of friction and of the
+    bursts' starts.
     """
 
     frequency_hz: float
@@ -56,7 +58,7 @@ class Point:
 
 
 def points_of(lines: Iterable[tuple[float, complex, complex]]) -> tuple[Point, ...]:
-    """By frequency; `lines` are frequency (Hz), the spectrum there as measured and as modelled, for each burst."""
+    """Return a point per frequency; `lines` are frequency (Hz), measured and modelled spectrum of each burst."""
     sums: dict[float, tuple[complex, float]] = {}
     for frequency_hz, measured, modelled in lines:
         product, power = sums.get(frequency_hz, (0j, 0.0))
@@ -66,7 +68,7 @@ def points_of(lines: Iterable[tuple[float, complex, complex]]) -> tuple[Point, .
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What one drive says. `error` are standard errors, `freedom` their degrees of freedom."""
+    """The fit of one drive; `error` are the standard errors of `values`, `freedom` their degrees of freedom."""
 
     mass_kg: float
     damping_n_s_per_m: float
@@ -76,29 +78,33 @@ class Fit:
     error: tuple[float, ...]
     freedom: int
     residual_m: float
-    """RMS of what is left of the positions."""
+    """RMS of the residual of the positions."""
     motion_m: float
     """RMS of the positions."""
     points: tuple[Point, ...]
-    """Of the encoder, by frequency, one for each that moved it."""
+    """Points measured by the encoder, one for each frequency that moved it."""
 
     @property
     def values(self) -> tuple[float, float, float, float, float]:
+        """Mass, damping, friction, stiffness and delay, in SI units."""
         return (self.mass_kg, self.damping_n_s_per_m, self.friction_n, self.stiffness_n_per_m, self.delay_s)
 
     def response(self, frequency_hz: Floats) -> npt.NDArray[np.complex128]:
-        """Position over force, m/N, of the linear part."""
+        """Return the frequency response of the linear part, position over force, in m/N."""
         s = 2j * math.pi * frequency_hz
         return np.asarray(1.0 / (self.mass_kg * s**2 + self.damping_n_s_per_m * s + self.stiffness_n_per_m))
 
     def estimate(self, which: int, least: float = 0.0) -> Estimate:
-        """Of `values`, with bounds; the lower one is not below `least`."""
+        """Return an element of `values` with its interval, whose lower bound is at least `least`."""
         found = Estimate.from_error(self.values[which], self.error[which], self.freedom)
         return Estimate(found.value, max(least, found.low), found.high)
 
 
 def difference(held: Fit, free: Fit, which: int) -> Estimate:
-    """Held minus free, with the bounds of two independent fits (Welch and Satterthwaite); no bound is below 0."""
+    """Return the difference of an element of `values`, held minus free.
+
+    The interval is that of two independent fits (Welch and Satterthwaite); its lower bound is at least 0.
+    """
     variances = (held.error[which] ** 2, free.error[which] ** 2)
     total = sum(variances)
     parts = variances[0] ** 2 / held.freedom + variances[1] ** 2 / free.freedom
@@ -108,16 +114,16 @@ def difference(held: Fit, free: Fit, which: int) -> Estimate:
 
 
 def fit(record: Record, free: Fit | None = None) -> Fit:
-    """What a drive says of a handle alone, or, where it is `held`, of handle and hand; `free` is then what it is alone.
+    """Fit the drive of a free handle, or of a held one, for which `free` is the fit of the free one.
 
-    Raises HapticdError where it says too little.
+    Raises HapticdError if the handle moved in too few bursts.
     """
     forces = held_forces(record)
     return min((_Fitting(record, force, free).run() for force in forces), key=lambda found: found.residual_m)
 
 
 def held_forces(record: Record) -> list[Floats]:
-    """What the force may have been at the actuator, each (n,), but for a delay."""
+    """Return the possible forces at the actuator, each (n,), without the delay: running mean and staircase."""
     periods = max(1, round(record.hold_s * record.rate_hz))
     if periods == 1:
         return [record.force_n]
@@ -131,23 +137,23 @@ def held_forces(record: Record) -> list[Floats]:
 
 
 def model_motion(record: Record, found: Fit) -> Floats:
-    """(n, 2) position and velocity at the periods of a whole drive, as the fit says, from rest."""
+    """Return the fit's position and velocity (n, 2) at the periods of a complete drive, from rest."""
     return _motion(np.array(found.values), np.zeros(3), held_forces(record)[-1], record.rate_hz)
 
 
 def _motion(values: Floats, start: Floats, force_n: Floats, rate_hz: float) -> Floats:
-    """(n, 2) position and velocity at the periods of `force_n`; `values` m, b, c, k, and `start` x, v, g."""
+    """Return position and velocity (n, 2) at the periods of `force_n`, for `values` m, b, c, k and `start` x, v, g."""
     config = ffi.new("struct hd_sim_config *")
     config.handle_mass_kg, config.handle_damping_n_s_per_m, config.coulomb_friction_n = values[:3]
     config.hand_stiffness_n_per_m = values[_STIFFNESS]
-    # Nothing limits the force, and no stop is near.
+    # Limits so wide that neither the force nor the travel is limited.
     config.max_force_n, config.workspace_m, config.force_timeout_s = 1e6, 100.0, 1e6
     made = lib.hd_sim_new(config, 1.0 / rate_hz)
     if made == ffi.NULL:
-        raise HapticdError(f"the fit does not hold: {invalid_reason()}")
+        raise HapticdError(f"the fit failed: {invalid_reason()}")
     sim = ffi.gc(made, lib.hd_sim_free)
     if lib.hd_sim_place(sim, ffi.new("double[2]", [start[0], 0.0]), ffi.new("double[2]", [start[1], 0.0])):
-        raise HapticdError(f"the fit does not hold: {invalid_reason()}")
+        raise HapticdError(f"the fit failed: {invalid_reason()}")
     force = np.zeros((len(force_n), 2))
     force[:, 0] = force_n + start[2]
     moved = np.empty((len(force_n), 4))
@@ -156,67 +162,69 @@ def _motion(values: Floats, start: Floats, force_n: Floats, rate_hz: float) -> F
 
 
 def tapered(time_s: npt.NDArray[np.floating], frequency_hz: float) -> npt.NDArray[np.complex128]:
-    """A turning pointer at a frequency, which begins and ends at nothing (Hann's window)."""
+    """Return the complex exponential at a frequency, times a Hann window over the times (n,)."""
     taper = np.sin(math.pi * (time_s - time_s[0]) / (time_s[-1] - time_s[0])) ** 2
     return np.asarray(taper * np.exp(-2j * math.pi * frequency_hz * time_s))
 
 
 @dataclass(slots=True)
 class _Window:
-    """One burst: the force at each period, the periods whose positions count, and what the fit says of it."""
+    """One burst: the force at each period, the periods `at` whose positions are fitted, and its fitted start."""
 
     frequency_hz: float
     force_n: Floats
     at: npt.NDArray[np.int64]
     seen_m: Floats
     start: Floats
-    """Position (m), velocity (m/s) at its begin, and the constant force (N) beside."""
+    """Initial position (m), initial velocity (m/s) and constant force (N)."""
 
     @property
     def start_scale(self) -> Floats:
-        """By so much `start` is changed for derivatives."""
+        """Step of each element of `start` for derivatives."""
         return np.array([2e-5, 1e-2, 1e-2 * float(np.abs(self.force_n).max())])
 
 
 class _Fitting:
+    """The fit of one drive for one model of the held force."""
+
     def __init__(self, record: Record, force: Floats, known: Fit | None) -> None:
         self._record = record
         self._known = known
-        # A handle that nobody holds has no stiffness.
+        # A free handle has no stiffness.
         self._fitted = np.array([True, True, known is None, record.held, known is None])
         self._period_s = 1.0 / record.rate_hz
         seen = record.position_m[~np.isnan(record.position_m)]
         self._middle = float(np.median(seen)) if record.held else 0.0
         self._windows = [window for burst in record.bursts if (window := self._window(force, burst)) is not None]
-        if len(self._windows) < LEAST_BURSTS:
+        if len(self._windows) < MIN_MOVING_BURSTS:
             raise HapticdError(
-                f"the handle moved in {len(self._windows)} bursts only, {LEAST_BURSTS} are needed: use more force "
-                "(--force-n)"
+                f"the handle moved in {len(self._windows)} bursts, at least {MIN_MOVING_BURSTS} are needed: use more "
+                "force (--force-n)"
             )
         self._values = self._guess()
 
     def _window(self, force: Floats, burst: Burst) -> _Window | None:
-        """None where the handle stood."""
+        """Return the fitted part of a burst, None if the handle did not move."""
         record, begin, end = self._record, burst.begin, burst.end
-        lead = round(LEAD_S * record.rate_hz)
+        lead = round(BURST_LEAD_TIME_S * record.rate_hz)
         first = max(0, begin - lead)
         seen = record.position_m[first:end] - self._middle
         at = np.flatnonzero(~np.isnan(seen))
-        # A delay looks back; and what stands says the same over and over again.
+        # With a delay, a position depends on earlier periods. Samples after the handle has come to rest add nothing.
         at = at[(at >= min(lead, begin - first)) & (at < len(seen) - 2)]
         moves = np.flatnonzero(np.diff(seen[at]))
         if len(moves) < 4:
             return None
-        last = at[moves[-1] + 1] + round(SETTLED_S * record.rate_hz)
+        last = at[moves[-1] + 1] + round(SETTLING_TIME_S * record.rate_hz)
         at = at[at <= last]
-        at = at[:: 1 + len(at) // MAX_SAMPLES]
+        at = at[:: 1 + len(at) // MAX_BURST_SAMPLES]
         force = force[first : min(end, first + int(last) + 3)]
         found = _Window(burst.frequency_hz, force, at, seen[at], np.zeros(3))
         found.start[:2] = found.seen_m[0], self._speed(found)
         return found
 
     def _speed(self, window: _Window) -> float:
-        """At a burst's begin (m/s), of a straight line through what was seen in its first 10 ms."""
+        """Return the initial speed of a burst in m/s, by a straight line through its first 10 ms."""
         time_s = (window.at - window.at[0]) * self._period_s
         first = time_s <= 0.01
         if np.count_nonzero(first) < 2:
@@ -224,7 +232,7 @@ class _Fitting:
         return float(np.polyfit(time_s[first], window.seen_m[first], 1)[0])
 
     def _guess(self) -> Floats:
-        """From the spectra of the bursts at their frequencies, friction aside: (-w^2 m + i w b + k) X = F."""
+        """Return initial values from the spectra of the bursts, without friction: (-w^2 m + i w b + k) X = F."""
         rows, sides = [], []
         for window in self._windows:
             omega = 2 * math.pi * window.frequency_hz
@@ -242,43 +250,43 @@ class _Fitting:
         friction, delay = (0.02 * force, 0.0) if self._known is None else (self._known.friction_n, self._known.delay_s)
         return np.array([mass, max(mass, float(found[1])), friction, stiffness, delay])
 
-    # ---- The model against what was seen --------------------------------------------------------------------------
+    # ---- Model and residuals --------------------------------------------------------------------------------------
 
     def _model(self, values: Floats, start: Floats, window: _Window) -> tuple[Floats, Floats]:
-        """Position and velocity where they were seen, the delay before."""
+        """Return the modelled position and velocity for each fitted sample, which shows them one delay later."""
         moved = _motion(values, start, window.force_n, self._record.rate_hz)
         place = np.clip(window.at - values[_DELAY] / self._period_s, 0.0, len(moved) - 1.001)
         index = place.astype(np.int64)
         part = place - index
         x0, x1 = moved[index, 0], moved[index + 1, 0]
         v0, v1 = self._period_s * moved[index, 1], self._period_s * moved[index + 1, 1]
-        # Hermite's cubic.
+        # Cubic Hermite interpolation.
         a, b = v0 - (x1 - x0), (x1 - x0) - v1
         position = x0 + part * (x1 - x0) + part * (1 - part) * ((1 - part) * a + part * b)
         return position, moved[index, 1] + part * (moved[index + 1, 1] - moved[index, 1])
 
-    def _by_start(self, values: Floats, start: Floats, window: _Window) -> Floats:
-        """(n, 3) derivatives of the position by what is a burst's own."""
+    def _start_slopes(self, values: Floats, start: Floats, window: _Window) -> Floats:
+        """Return the derivatives (n, 3) of the position by the burst's start."""
         model, _ = self._model(values, start, window)
         scale = window.start_scale
         slopes = np.empty((len(model), 3))
         for which in range(3):
             nudged = start.copy()
-            # Away from a rest, by as much as may be: what friction holds still has no derivative.
+            # The step is large and away from rest, because the derivative vanishes while friction holds the handle.
             step = scale[which] if start[which] >= 0 else -scale[which]
             nudged[which] += step
             slopes[:, which] = (self._model(values, nudged, window)[0] - model) / step
         return slopes
 
-    def _begun(self, values: Floats, start: Floats, window: _Window) -> tuple[Floats, Floats]:
-        """What is a burst's own, fitted alone from `start` on, and the residual (n,) that it leaves."""
+    def _fit_start(self, values: Floats, start: Floats, window: _Window) -> tuple[Floats, Floats]:
+        """Fit the start of one burst, beginning from `start`; return it and the residual (n,)."""
         from scipy.optimize import least_squares
 
         found = least_squares(
             lambda own: self._model(values, own, window)[0] - window.seen_m,
             start,
-            lambda own: self._by_start(values, own, window),
-            # A burst that the fit does not know well may not be begun anywhere.
+            lambda own: self._start_slopes(values, own, window),
+            # Bounds keep a burst with little information near its initial start.
             bounds=(start - 100 * window.start_scale, start + 100 * window.start_scale),
             x_scale=window.start_scale,
             ftol=1e-3,
@@ -287,15 +295,18 @@ class _Fitting:
         return found.x, found.fun
 
     def _residual(self, values: Floats) -> Floats:
-        """Of all bursts, each begun at its best."""
+        """Return the residual of all bursts, each with its best start."""
         lefts = []
         for window in self._windows:
-            window.start, left = self._begun(values, window.start, window)
+            window.start, left = self._fit_start(values, window.start, window)
             lefts.append(left)
         return np.concatenate(lefts)
 
     def _slopes(self, values: Floats) -> list[Floats]:
-        """Of each burst (n, 5) derivatives by m, b, c, k and d, in their scales, beside what its own begin explains."""
+        """Return for each burst the derivatives (n, 5) by m, b, c, k and d, times their scales.
+
+        They are projected onto the complement of the derivatives by the burst's start.
+        """
         scale = self._scale(values)
         found = []
         for window in self._windows:
@@ -306,14 +317,14 @@ class _Fitting:
                 moved[which] += 1e-4 * scale[which]
                 slopes[:, which] = (self._model(moved, window.start, window)[0] - model) / 1e-4
             slopes[:, _DELAY] = -speed * scale[_DELAY]
-            own = self._by_start(values, window.start, window) * window.start_scale
-            own = own[:, np.abs(own).max(axis=0) > LEAST_MOTION_M]
+            own = self._start_slopes(values, window.start, window) * window.start_scale
+            own = own[:, np.abs(own).max(axis=0) > MIN_START_EFFECT_M]
             left, _, _ = np.linalg.svd(own / np.linalg.norm(own, axis=0), full_matrices=False)
             found.append(slopes - left @ (left.T @ slopes))
         return found
 
     def _scale(self, values: Floats) -> Floats:
-        """What a change is measured by, of m, b, c, k, d."""
+        """Return the scale of a change of m, b, c, k and d."""
         force = float(np.abs(self._record.force_n).max())
         mass = values[_MASS]
         return np.array([mass, max(values[1], mass), max(values[2], 0.02 * force), max(values[3], 10 * mass), 1e-3])
@@ -321,18 +332,19 @@ class _Fitting:
     # ---- The fit --------------------------------------------------------------------------------------------------
 
     def run(self) -> Fit:
+        """Run the fit."""
         self._descend()
-        # A burst that begins while friction stops the handle may have found another way to rest.
-        self._begin_anew()
+        # The start of a burst that begins while friction stops the handle may be a wrong local minimum.
+        self._retry_starts()
         return self._result(self._descend())
 
     def _descend(self) -> Floats:
-        """To the least sum of squares near here; the residual that is left."""
+        """Move to the next local minimum of the sum of squares; return the residual."""
         from scipy.optimize import least_squares
 
         fitted = self._fitted
         lowest = np.array([1e-4, 0.0, 0.0, 0.0, -2 * self._period_s])
-        highest = np.array([np.inf, np.inf, np.inf, np.inf, LEAD_S - 2 * self._period_s])
+        highest = np.array([np.inf, np.inf, np.inf, np.inf, BURST_LEAD_TIME_S - 2 * self._period_s])
 
         def values_of(some: Floats) -> Floats:
             values = self._values.copy()
@@ -354,14 +366,14 @@ class _Fitting:
             max_nfev=15,
         )
         values = values_of(found.x)
-        # The solver stays just inside its bounds.
+        # The solver stays strictly inside its bounds: values next to 0 are 0.
         values[:_DELAY][values[:_DELAY] < 1e-9 * self._scale(values)[:_DELAY]] = 0.0
         self._values = values
         return self._residual(values)
 
-    def _begin_anew(self) -> None:
-        """Where a burst is explained worse than most are, other speeds at its begin are tried."""
-        found = [self._begun(self._values, window.start, window) for window in self._windows]
+    def _retry_starts(self) -> None:
+        """Fit each burst whose residual is above the usual one again from other initial speeds."""
+        found = [self._fit_start(self._values, window.start, window) for window in self._windows]
         usual = float(np.median([np.mean(left**2) for _, left in found]))
         for window, (start, left) in zip(self._windows, found, strict=True):
             starts = [(start, left)]
@@ -369,7 +381,7 @@ class _Fitting:
                 speed = self._speed(window)
                 for part in (0.0, 0.5, 1.0, 1.5, 2.0):
                     tried = np.array([window.seen_m[0], part * speed, 0.0])
-                    starts.append(self._begun(self._values, tried, window))
+                    starts.append(self._fit_start(self._values, tried, window))
             window.start, _ = min(starts, key=lambda each: float(np.sum(each[1] ** 2)))
 
     def _result(self, residual: Floats) -> Fit:
@@ -379,20 +391,20 @@ class _Fitting:
         matrices = [block.T @ block for block in blocks]
         sides = [-(block.T @ left) for block, left in zip(blocks, lefts, strict=True)]
         full, side = np.sum(matrices, axis=0), np.sum(sides, axis=0)
-        whole = full[np.ix_(kept, kept)]
-        centre = np.linalg.lstsq(whole, side[kept], rcond=1e-12)[0]
+        fitted = full[np.ix_(kept, kept)]
+        centre = np.linalg.lstsq(fitted, side[kept], rcond=1e-12)[0]
         spread = np.zeros((len(kept), len(kept)))
         for matrix, side_of in zip(matrices, sides, strict=True):
-            without = np.linalg.lstsq(whole - matrix[np.ix_(kept, kept)], (side - side_of)[kept], rcond=1e-12)[0]
+            without = np.linalg.lstsq(fitted - matrix[np.ix_(kept, kept)], (side - side_of)[kept], rcond=1e-12)[0]
             spread += np.outer(without - centre, without - centre)
         count = len(blocks)
         spread *= (count - 1) / count
         error = np.zeros(5)
         if self._known is not None:
-            # What is taken as known is known within its own error.
+            # The values taken from the free drive contribute their own errors.
             taken = np.array([_FRICTION, _DELAY])
             error[taken] = np.array(self._known.error)[taken]
-            moves = np.linalg.lstsq(whole, full[np.ix_(kept, taken)], rcond=1e-12)[0] * (error[taken] / scale[taken])
+            moves = np.linalg.lstsq(fitted, full[np.ix_(kept, taken)], rcond=1e-12)[0] * (error[taken] / scale[taken])
             spread += moves @ moves.T
         error[kept] = np.sqrt(np.diag(spread)) * scale[kept]
         motion = np.concatenate([window.seen_m - window.seen_m.mean() for window in self._windows])
@@ -407,11 +419,11 @@ class _Fitting:
             freedom=count - 1,
             residual_m=float(np.sqrt(np.mean(residual**2))),
             motion_m=float(np.sqrt(np.mean(motion**2))),
-            points=points_of(self._lines()),
+            points=points_of(self._spectral_lines()),
         )
 
-    def _lines(self) -> Iterable[tuple[float, complex, complex]]:
-        """Of each burst that moves the handle by a step or more: its frequency, measured and modelled spectrum."""
+    def _spectral_lines(self) -> Iterable[tuple[float, complex, complex]]:
+        """Yield frequency, measured and modelled spectrum of each burst that moves the handle by at least a step."""
         mass, damping, _, stiffness, _ = self._values
         for window in self._windows:
             s = 2j * math.pi * window.frequency_hz
@@ -419,6 +431,6 @@ class _Fitting:
             if moved_m < self._record.step_m:
                 continue
             turn = tapered(window.at * self._period_s, window.frequency_hz)
-            turn -= np.abs(turn) * turn.sum() / np.abs(turn).sum()  # blind to a constant
+            turn -= np.abs(turn) * turn.sum() / np.abs(turn).sum()  # insensitive to a constant
             model, _ = self._model(self._values, window.start, window)
             yield window.frequency_hz, complex(np.sum(turn * window.seen_m)), complex(np.sum(turn * model))

@@ -1,4 +1,4 @@
-"""What `hapticd calibrate` does: drives free and held, fits both, and says what handle and hand are."""
+"""`hapticd calibrate`: drive the handle free and held, fit both drives, and report handle and hand."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.calibration.accelerometer import Heard, compare, load_recording
+from hapticd.analysis.calibration.accelerometer import AccelerometerResponse, compare, load_recording
 from hapticd.analysis.calibration.fit import Fit, Point, difference, fit
 from hapticd.analysis.calibration.rig import rig_of
-from hapticd.analysis.calibration.sweep import HIGHEST_HZ, Axis, Record, Sweep, sweep_config, travel_m
+from hapticd.analysis.calibration.sweep import MAX_BURST_HZ, Axis, Record, Sweep, sweep_config, travel_m
 from hapticd.analysis.drawing import require_matplotlib
 from hapticd.analysis.statistics import Estimate, require_scipy
 from hapticd.base.errors import HapticdError
@@ -22,56 +22,58 @@ from hapticd.config.actuator import MAX_BANDWIDTH_HZ
 from hapticd.config.configuration import Config
 from hapticd.rendering.rearm import Resting, at_rest
 
-LAGGING: Final = 0.9
-"""A lag bends the response as well as it delays it: the delay that is fitted is up to 7 % less than the lag's."""
-LEAST_RATIO: Final = 0.36
-"""A lag of second order with this damping ratio or more has at least the bandwidth of one of first order that delays as
-much: with r = bandwidth over natural frequency, 2 zeta r >= 1."""
+MIN_DELAY_PER_LAG: Final = 0.9
+"""Lower bound of the fitted delay over the time constant of a first-order lag, as a fraction.
+
+A lag also changes the shape of the response, so that the fitted delay is up to 7 % less than its time constant.
+"""
+MIN_LAG_DAMPING_RATIO: Final = 0.36
+"""Damping ratio zeta from which on a second-order lag has at least the bandwidth of a first-order lag of equal delay:
+2 zeta r >= 1, where r is the bandwidth over the natural frequency."""
 
 _MASS, _DAMPING, _FRICTION, _STIFFNESS, _DELAY = range(5)
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """The two drives and what they say."""
+    """The result of a calibration: both drives and their fits."""
 
     kind: str
     axis: Axis
     records: tuple[Record, Record]
     free: Fit
     held: Fit
-    heard: tuple[Heard, Heard] | None = None
+    heard: tuple[AccelerometerResponse, AccelerometerResponse] | None = None
 
     @property
     def handle(self) -> tuple[Estimate, Estimate, Estimate]:
-        """Mass (kg), damping (N s/m), dry friction (N)."""
+        """Mass (kg), damping (N s/m) and dry friction (N) of the handle."""
         return (self.free.estimate(_MASS), self.free.estimate(_DAMPING), self.free.estimate(_FRICTION))
 
     @property
     def grip(self) -> tuple[Estimate, Estimate, Estimate]:
-        """Mass (kg), damping (N s/m), stiffness (N/m): held minus free."""
+        """Mass (kg), damping (N s/m) and stiffness (N/m) of the hand: the held drive minus the free one."""
         mass, damping = (difference(self.held, self.free, which) for which in (_MASS, _DAMPING))
         return (mass, damping, self.held.estimate(_STIFFNESS))
 
     @property
     def resting(self) -> Resting:
-        """The positions before the first burst, where nobody holds the handle."""
+        """Noise and step of the positions of the free handle before its first burst."""
         free = self.records[0]
         begin = min((burst.begin for burst in free.bursts), default=0)
         return at_rest(free.position_m[:begin], free.step_m, free.rate_hz)
 
     @property
     def bandwidth_at_least_hz(self) -> float:
-        """What the actuator's bandwidth is not below: that of a lag of first order which is all of the delay. Infinite
-        without a delay.
+        """Lower bound of the actuator's bandwidth in Hz: that of a first-order lag that causes all of the delay.
 
-        A lag and a delay move the handle alike as far as the encoder sees, so the fit does not tell them apart.
+        The encoder cannot distinguish a lag from a delay. The bound is infinite without a delay.
         """
         longest_s = self.free.estimate(_DELAY).high
-        return LAGGING / (2 * math.pi * longest_s) if longest_s > 0 else math.inf
+        return MIN_DELAY_PER_LAG / (2 * math.pi * longest_s) if longest_s > 0 else math.inf
 
     def section(self) -> dict[str, object]:
-        """What a configuration file takes, four figures of each."""
+        """Return the device section of a configuration file, with four digits of each value."""
         shown = [float(f"{max(0.0, each.value):.4g}") for each in (*self.handle, *self.grip)]
         return {
             "device": {
@@ -82,57 +84,56 @@ class Calibration:
         }
 
     def rows(self) -> list[tuple[str, Estimate, str]]:
-        """For a table."""
+        """Return name, estimate and unit of each result, for a table."""
         names = ("handle mass", "handle damping", "handle friction", "grip mass", "grip damping", "grip stiffness")
         units = ("kg", "N s/m", "N", "kg", "N s/m", "N/m")
         in_ms = self.free.estimate(_DELAY, -math.inf).mapped(lambda seconds: 1e3 * seconds)
         return [*zip(names, (*self.handle, *self.grip), units, strict=True), ("delay", in_ms, "ms")]
 
-    def curves(self) -> Iterator[tuple[str, Record, Fit, Heard | None]]:
-        """Both drives: name, what was recorded, its fit, and what an accelerometer says of it."""
+    def curves(self) -> Iterator[tuple[str, Record, Fit, AccelerometerResponse | None]]:
+        """Yield name, record, fit and accelerometer response of both drives."""
         yield "free", self.records[0], self.free, None if self.heard is None else self.heard[0]
         yield "held", self.records[1], self.held, None if self.heard is None else self.heard[1]
 
     def notes(self) -> list[str]:
-        """What else there is to say, a line each."""
+        """Return notes on the quality of the calibration, one line each."""
         lines = []
         for name, record, found, heard in self.curves():
             highest = max(point.frequency_hz for point in found.points)
             lines.append(
-                f"{name}: seen by the encoder up to {highest:.0f} Hz; {1e6 * found.residual_m:.2g} um of "
-                f"{1e6 * found.motion_m:.3g} um are left over (step {1e6 * record.step_m:.3g} um)"
+                f"{name}: measured by the encoder up to {highest:.0f} Hz; RMS of the residual "
+                f"{1e6 * found.residual_m:.2g} um, of the motion {1e6 * found.motion_m:.3g} um (step "
+                f"{1e6 * record.step_m:.3g} um)"
             )
             if record.left_out:
-                lines.append(f"{name}: {record.left_out} bursts are left out, the servo stalled during them")
+                lines.append(f"{name}: {record.left_out} bursts are excluded, the servo stalled during them")
             if found.residual_m > max(0.05 * found.motion_m, record.step_m):
                 lines.append(
-                    f"{name}: that is much: this handle is not only a mass with damping and dry friction, or the hand "
-                    "did not keep still; the bounds hold for the model only"
+                    f"{name}: the residual is large: this handle is not only a mass with damping and dry friction, or "
+                    "the hand moved; the bounds hold for the model only"
                 )
             if heard is not None:
                 beyond = [point for point in heard.points if point.frequency_hz > highest]
-                text = f"{name}: accelerometer's scale {heard.scale:.3g}"
+                text = f"{name}: accelerometer scale {heard.scale:.3g}"
                 if beyond:
                     off = float(np.sqrt(np.mean([(abs(point.ratio) - 1) ** 2 for point in beyond])))
                     last = beyond[-1].frequency_hz
-                    text += f"; beyond the encoder, up to {last:.0f} Hz, {100 * off:.2g} % RMS from the fit"
+                    text += f"; above the encoder's range, up to {last:.0f} Hz, {100 * off:.2g} % RMS from the fit"
                 lines.append(text)
         return [*lines, self._of_actuator(), str(self.resting)]
 
     def _of_actuator(self) -> str:
         least_hz = self.bandwidth_at_least_hz
         if least_hz >= MAX_BANDWIDTH_HZ:
-            return (
-                f"actuator: its bandwidth is above {MAX_BANDWIDTH_HZ:g} Hz, so that it needs none in the configuration"
-            )
+            return f"actuator: its bandwidth is above {MAX_BANDWIDTH_HZ:g} Hz, so the configuration needs no device.actuator"
         return (
-            f"actuator: its bandwidth is {least_hz:.0f} Hz or more (of second order: with a damping ratio from "
-            f"{LEAST_RATIO:g} on), even if all of the delay is its lag; the fit does not tell a lag from a delay, so "
-            "none is written"
+            f"actuator: its bandwidth is {least_hz:.0f} Hz or more (of second order: with a damping ratio of at least "
+            f"{MIN_LAG_DAMPING_RATIO:g}), even if all of the delay is its lag; a lag cannot be distinguished from a "
+            "delay, so device.actuator is not written"
         )
 
     def to_dict(self) -> dict[str, object]:
-        """For programs."""
+        """Return the result as JSON."""
         return {
             "axis": self.axis,
             "estimates": {name.replace(" ", "_"): {**each.to_dict(), "unit": unit} for name, each, unit in self.rows()},
@@ -144,12 +145,12 @@ class Calibration:
         }
 
 
-def _measured(fit: Fit, heard: Heard | None) -> list[tuple[str, Sequence[Point]]]:
-    """What was measured, over the fit, and by what."""
+def _measured(fit: Fit, heard: AccelerometerResponse | None) -> list[tuple[str, Sequence[Point]]]:
+    """Return the measured points relative to the fit, by sensor."""
     return [("encoder", fit.points), ("accelerometer", () if heard is None else heard.points)]
 
 
-def _response(fit: Fit, heard: Heard | None) -> Iterator[dict[str, object]]:
+def _response(fit: Fit, heard: AccelerometerResponse | None) -> Iterator[dict[str, object]]:
     for by, points in _measured(fit, heard):
         for point in points:
             fitted = complex(fit.response(np.array([point.frequency_hz]))[0])
@@ -171,10 +172,11 @@ def calibrate(
     *,
     wide: bool = False,
 ) -> Calibration:
-    """Drives and fits. `ask` is called before each drive, with whether the handle is to be held; an empty `progress`
-    makes room for it. `wide`: up to where an accelerometer sees.
+    """Drive the handle free and held, and fit both drives.
 
-    Raises HapticdError, one line, where that cannot be; the force is zero then, as with every other exception.
+    `ask` is called before each drive, with True if the handle must be held; `progress` is called with an empty text
+    before it, to clear its line. `wide` drives up to the highest frequency of an accelerometer. Raises HapticdError if
+    the device cannot be driven. After an exception the force is zero.
     """
     require_scipy("calibrating")
     device = config.device
@@ -187,7 +189,7 @@ def calibrate(
         progress("")
         ask(held)
         progress("held" if held else "free")
-        highest_hz = HIGHEST_HZ if wide else None
+        highest_hz = MAX_BURST_HZ if wide else None
         with rig_of(sweep_config(config, held=held, force_n=limit_n)) as rig:
             records.append(Sweep(rig, progress, axis, held, limit_n, travel_m(config), highest_hz).run())
         progress("fitting")
@@ -196,7 +198,7 @@ def calibrate(
 
 
 def with_accelerometer(found: Calibration, path: str) -> Calibration:
-    """The calibration beside a recording of both drives. Raises HapticdError for one that does not hold them."""
+    """Add an accelerometer's recording of both drives to a calibration. Raises HapticdError if it lacks a drive."""
     recording = load_recording(path)
     free, held = (
         compare(record, each, recording) for record, each in zip(found.records, (found.free, found.held), strict=True)
@@ -208,18 +210,20 @@ def with_accelerometer(found: Calibration, path: str) -> Calibration:
 
 
 def check_picture(path: str) -> None:
-    """Raises HapticdError (one line) where a picture cannot be drawn, or not one with that ending."""
+    """Raise HapticdError if matplotlib is missing or cannot write the format of a file's extension."""
     require_matplotlib("a plot", "fit")
     from matplotlib.backend_bases import FigureCanvasBase
 
     known = sorted(FigureCanvasBase.get_supported_filetypes())
     ending = _picture_ending(path)
     if ending not in known:
-        raise HapticdError(f"{path}: cannot be drawn: must end in .png or another of {', '.join(known)}")
+        raise HapticdError(
+            f"{path}: unknown picture format: the name must end in .png or another of {', '.join(known)}"
+        )
 
 
 def picture(found: Calibration, path: str) -> bytes:
-    """The response as measured and as fitted, magnitude above phase; of the kind that the ending of `path` says."""
+    """Draw the measured and the fitted response, magnitude above phase, in the format of the extension of `path`."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 7), layout="constrained")

@@ -1,14 +1,14 @@
-"""A rig: a device that strikes a mode and tells what happened. The simulated joystick without clock (SimRig), or a
-device at its servo (ServoRig); both run the servo's own tick over a configuration's scene.
+"""Rigs: devices that strike modes and return the rendered samples.
 
-strike(mode, amplitude, direction)  strikes a mode, amplitude its coefficient; the tick that renders it first
-run(duration_s)                     lets so much time pass; what was rendered in it, (n,) records of SAMPLE_DTYPE
-with rig:                           at its end the force is zero
-rate_hz, output                     of the servo, and how it renders for the device
+SimRig is the simulated joystick without clock, ServoRig a device at its servo. Both run the servo's tick over the scene
+of a configuration, have the same members, and raise HapticdError for what they cannot do:
+
+strike(mode, amplitude, direction)  strike a mode with a coefficient; return the first tick that renders it
+run(duration_s)                     run for a time; return the samples rendered in it, (n,) records of SAMPLE_DTYPE
+with rig:                           at the end of the block the force is zero
+rate_hz, output                     rate of the servo, and how it renders for the device
 hold_s                              how long the actuator holds a force: a period of the servo or of its link
-force_steps_n                       steps of the actuator's force along x and y; 0: none are known
-
-What they cannot do they raise as HapticdError.
+force_steps_n                       steps of the actuator's force along x and y, 0 if unknown
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine
 from hapticd.protocol.events import fault_names
 from hapticd.rendering.offline import CompiledScene, Samples, Simulation
 
-POLL_S: Final = 0.005
-STALLED_S: Final = 1.0
-"""A servo that gives no sample for so long does not run."""
-SIGNS_S: Final = 30.0
-"""So long the check of a device's signs may wait for the handle to be let go."""
+SERVO_POLL_INTERVAL_S: Final = 0.005
+"""Time between two reads of the servo's samples, far below the time in which their buffer fills."""
+SERVO_STALL_TIMEOUT_S: Final = 1.0
+"""A servo that yields no sample for this time has stopped."""
+SIGNS_CHECK_TIMEOUT_S: Final = 30.0
+"""Time that the user has to release the handle for the check of a device's signs."""
 
 
 class SimRig:
-    """The simulated joystick; the same on every run."""
+    """The simulated joystick; every run is the same."""
 
     def __init__(self, config: Config) -> None:
         scene = CompiledScene(config)
@@ -49,23 +50,25 @@ class SimRig:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Nothing moves without `run`."""
+        """Do nothing: the handle moves only during `run`."""
 
     def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
+        """Strike a mode with a coefficient; return the first tick that renders it."""
         self._simulation.strike(mode, amplitude_m_per_s2, direction)
         return self._ticks
 
     def run(self, duration_s: float) -> Samples:
+        """Run for a time; return the samples rendered in it."""
         samples, _, _ = self._simulation.run(duration_s)
         self._ticks += len(samples)
         return samples
 
 
 class ServoRig:
-    """A device at a separate servo, as the daemon makes it. Forces are on from the start."""
+    """A device at a servo of this process, started as by the daemon. Forces are on from the start."""
 
     def __init__(self, config: Config) -> None:
-        """Raises HapticdError where the device or the servo is not there."""
+        """Start the servo. Raises HapticdError if the device or the servo cannot be started."""
         self._engine = Engine(config)
         self.rate_hz = config.servo.rate_hz
         self.output = self._engine.output
@@ -73,10 +76,10 @@ class ServoRig:
         self.force_steps_n = self._engine.force_steps_n
         self._room = np.empty(SAMPLE_CAPACITY, SAMPLE_DTYPE)
         self._events = np.empty(1024, EVENT_DTYPE)
-        self._begun = False
+        self._started = False
         try:
             self._engine.start()
-            self._begun = True
+            self._started = True
             self._engine.set_forces(True)
             self._check_signs()
             self.run(2 * config.scene.ramp_s)
@@ -91,18 +94,20 @@ class ServoRig:
         self.close()
 
     def _check_signs(self) -> None:
-        """Waits while the signs of a device are checked. Raises HapticdError where nobody lets it go on."""
-        deadline = time.monotonic() + SIGNS_S
+        """Wait until the signs of a device are checked. Raises HapticdError after SIGNS_CHECK_TIMEOUT_S."""
+        deadline = time.monotonic() + SIGNS_CHECK_TIMEOUT_S
         while (signs := self._engine.counters().signs).holds_back:
-            self.run(POLL_S)
+            self.run(SERVO_POLL_INTERVAL_S)
             if time.monotonic() > deadline:
-                raise HapticdError(f"stopped, the signs of the device are not known: {signs.line() or signs.advice}")
+                raise HapticdError(f"stopped, the signs of the device are unknown: {signs.line() or signs.advice}")
 
     def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
+        """Strike a mode with a coefficient; return the first tick that renders it."""
         tick, _ = self._engine.play(mode, "coefficient", direction, amplitude_m_per_s2)
         return tick
 
     def run(self, duration_s: float) -> Samples:
+        """Run for a time; return the samples rendered in it. Raises HapticdError on a fault or lost samples."""
         taken: list[Samples] = []
         wanted_ns = round(duration_s * 1e9)
         heard = time.monotonic()
@@ -123,14 +128,14 @@ class ServoRig:
                 begun_ns, now_ns = int(taken[0]["time_ns"][0]), int(taken[-1]["time_ns"][-1])
                 if now_ns - begun_ns >= wanted_ns:
                     return np.concatenate(taken)
-            elif time.monotonic() - heard > STALLED_S:
+            elif time.monotonic() - heard > SERVO_STALL_TIMEOUT_S:
                 raise HapticdError("stopped: the servo gives no samples")
-            time.sleep(POLL_S)
+            time.sleep(SERVO_POLL_INTERVAL_S)
 
     def close(self) -> None:
-        """Fades the force out, puts zero, and lets the device go."""
-        if self._begun:
-            self._begun = False
+        """Fade the force out, set it to zero, and close the device."""
+        if self._started:
+            self._started = False
             self._engine.stop()
 
 
@@ -138,13 +143,16 @@ Rig: TypeAlias = SimRig | ServoRig
 
 
 def rig_of(config: Config) -> Rig:
-    """What strikes the device of a configuration. Raises HapticdError where the device or the servo is not there."""
+    """Return the rig of a configuration's device. Raises HapticdError if the device or the servo cannot be started."""
     return SimRig(config) if config.device.kind == "sim" else ServoRig(config)
 
 
 def on_grid(samples: Samples, rate_hz: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """The period of each sample since the first, (n,), and the sample whose force each period has, (periods,): one that
-    the servo missed has that of the period before."""
+    """Map samples to servo periods.
+
+    Returns the period of each sample, counted from the first one, (n,), and the sample whose force each period has,
+    (periods,). A period that the servo missed has the force of the one before.
+    """
     since_ns = samples["time_ns"] - samples["time_ns"][0]
     place = np.rint(since_ns * 1e-9 * rate_hz).astype(np.int64)
     latest = np.zeros(int(place[-1]) + 1, np.int64)

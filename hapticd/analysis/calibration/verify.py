@@ -1,18 +1,18 @@
-"""What `hapticd verify` does: strikes each mode of the library, and lays the handle's acceleration beside it.
+"""`hapticd verify`: strike each mode of the library, and compare the handle's acceleration with the library's waveform.
 
-Of the simulated joystick the acceleration is that of the handle itself: it is driven once more by the forces that were
-commanded, at sixteen times the rate, and the differences of its exact velocities are means of its acceleration. The
-library's waveform is taken as means over the same times. A link delays the force and changes none of its shape: the
-onset is when the force begins at the actuator.
+With the simulated joystick, the acceleration is that of the handle: it is driven again by the commanded forces at PARTS_PER_PERIOD
+times the rate, and the differences of its exact velocities are means of its acceleration. The library's waveform is
+averaged over the same times. A link delays the force without changing its shape: the onset is the time at which the
+force begins at the actuator.
 
-Of a recording the acceleration is what it holds; the whole sequence is found in it by cross-correlation, and each onset
-where the error is least, within 3 ms of that.
+With a recording, the complete sequence is found in it by cross-correlation. Each onset is then the time of the least
+error within 3 ms of its expected time.
 
-Taps on a wall: the surface that is tapped acts on the handle while its tap rings. The forces of the tap are those that
-`hapticd.render` gives for a probe that comes onto a wall of the material at the speed, and is at rest there. Under them
-the simulated joystick moves; at each tick the wall adds -K times the way that the handle has gone, held until the next.
-Its acceleration is compared as of every strike: nothing of how the forces were chosen is used
-(hapticd.rendering.compensation knows the wall, too).
+Taps on a wall: the tapped surface acts on the handle while the tap rings. The forces of the tap are those that
+`hapticd.render` returns for a probe that meets a wall of the material at the given speed and then rests there. They
+drive the simulated joystick; at each tick the wall adds -K times the displacement of the handle, held until the next
+tick. The comparison is the same as for other strikes, and independent of how the forces were chosen
+(hapticd.rendering.compensation also accounts for the wall).
 """
 
 from __future__ import annotations
@@ -41,22 +41,25 @@ from hapticd.rendering.displayed_error import PARTS_PER_PERIOD, band_error, band
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import Samples, render
 
-SPEED_M_PER_S: Final = 0.1
-PRESS_N: Final = 1.0
-REST_S: Final = 0.3
-"""Between two strikes, once five decay times are over."""
-AFTER_S: Final = 0.06
-"""Looked at in a recording beyond five decay times: what compensation may still do there, and what the hand makes of
-it. Longer would be more of the sensor's noise."""
-SETTLED_S: Final = 0.25
-"""The same of the simulated handle, until hand and handle are at rest; less than from one strike to the next."""
-AT_TICK: Final = 2.0**-20
-"""So much of a period an onset at a tick lies before it: an onset is a crossing."""
+DEFAULT_TAP_SPEED_M_PER_S: Final = 0.1
+"""Speed of taps and grooves without --speed."""
+GROOVE_NORMAL_FORCE_N: Final = 1.0
+"""Normal force of the grooves."""
+STRIKE_GAP_S: Final = 0.3
+"""Pause between two strikes, after five decay times and RECORDING_TAIL_S."""
+RECORDING_TAIL_S: Final = 0.06
+"""Time beyond five decay times that is compared in a recording. It includes the end of the compensation and the hand's
+response; a longer one would add the sensor's noise."""
+SIMULATION_TAIL_S: Final = 0.25
+"""Time beyond five decay times that is compared for the simulated handle, until hand and handle are at rest. It is
+shorter than the pause between two strikes."""
+ONSET_LEAD_PERIODS: Final = 2.0**-20
+"""Time of an onset before the tick that renders it, in periods: just above 0, because an onset is a crossing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Strike:
-    """What is struck: a use of a material, and the coefficient that the library gives it."""
+    """A mode to strike: a use of a material, with the coefficient of the library."""
 
     material: str
     use: str
@@ -66,19 +69,20 @@ class Strike:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How a strike was displayed."""
+    """The comparison of a displayed strike with the library."""
 
     strike: Strike
     displayed_hz: float | None
-    """None: silent, the rate cannot carry it."""
+    """Displayed frequency; None if the mode is silent because the rate cannot carry it."""
     force_n: float
-    """The largest that was commanded."""
+    """Largest commanded force."""
     error: float
-    """RMS of the difference over RMS of the library's waveform, in the band; 1 where nothing is displayed."""
+    """RMS of the difference over RMS of the library's waveform, in the band; 1 if nothing is displayed."""
     strength: float
-    """The part of the library's waveform in what was displayed: 1 where all is well, less where it was held back."""
+    """Projection of the displayed acceleration on the library's waveform: 1 is ideal, less is too weak."""
 
     def to_dict(self) -> dict[str, object]:
+        """Return the comparison as JSON."""
         return {
             "material": self.strike.material,
             "use": self.strike.use,
@@ -91,23 +95,28 @@ class Verdict:
         }
 
 
-def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = SPEED_M_PER_S) -> list[Strike]:
-    """What the materials ring with: taps and grooves at this speed, grooves pressed with 1 N, ruptures."""
+def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = DEFAULT_TAP_SPEED_M_PER_S) -> list[Strike]:
+    """Return the strikes of materials: taps and grooves at this speed, grooves under 1 N, and ruptures."""
     found = []
     for name, material in materials.items():
-        for strike in _of_tap(name, material, speed_m_per_s):
+        for strike in _tap_strikes(name, material, speed_m_per_s):
             found.append(replace(strike, coefficient_m_per_s2=abs(strike.coefficient_m_per_s2)))
         rupture, texture = material.rupture, material.texture
-        if isinstance(texture, Grooves) and (groove := material.groove_mode_at(speed_m_per_s, PRESS_N)) is not None:
-            amplitude = texture.velocity_gain_per_s * speed_m_per_s + texture.force_gain_m_per_s2_per_n * PRESS_N
+        if (
+            isinstance(texture, Grooves)
+            and (groove := material.groove_mode_at(speed_m_per_s, GROOVE_NORMAL_FORCE_N)) is not None
+        ):
+            amplitude = (
+                texture.velocity_gain_per_s * speed_m_per_s + texture.force_gain_m_per_s2_per_n * GROOVE_NORMAL_FORCE_N
+            )
             found.append(Strike(name, "groove", groove, amplitude))
         if rupture is not None and rupture.amplitude_m_per_s2 > 0:
             found.append(Strike(name, "rupture", rupture.mode, rupture.amplitude_m_per_s2))
     return found
 
 
-def _of_tap(name: str, material: Material, speed_m_per_s: float) -> list[Strike]:
-    """A tap's mode, and the second one that it strikes, of either sign; none of a tap that does not ring."""
+def _tap_strikes(name: str, material: Material, speed_m_per_s: float) -> list[Strike]:
+    """Return the strikes of a tap: its mode and the second one, which may be negative; empty if it does not ring."""
     tap = material.tap
     if tap is None or tap.ringing is None or not (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
         return []
@@ -121,33 +130,34 @@ def _of_tap(name: str, material: Material, speed_m_per_s: float) -> list[Strike]
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """A sequence of strikes: what the servo rendered."""
+    """A rendered sequence of strikes."""
 
     rate_hz: float
     output: Output
     strikes: tuple[Strike, ...]
     begins: tuple[int, ...]
-    """Of each strike, the period of its first tick since the first sample; -1 where it is silent."""
+    """Period of each strike's first tick, counted from the first sample; -1 if the strike is silent."""
     force_n: Floats
-    """(n, 2) the command at each period."""
+    """Commanded force (n, 2) at each period."""
     along: int
+    """Index of the axis of the strikes."""
 
 
 def play(config: Config, strikes: list[Strike], axis: Axis) -> Played:
-    """Strikes them one after the other, alone in an empty scene. Raises HapticdError."""
+    """Play strikes one after the other in an empty scene. Raises HapticdError if the device cannot be driven."""
     alone = config.model_copy(update={"scene": Scene()})
     along = 0 if axis == "x" else 1
     taken: list[Samples] = []
     ticks: list[int | None] = []
     with rig_of(alone) as rig:
         output = rig.output
-        taken.append(rig.run(REST_S))
+        taken.append(rig.run(STRIKE_GAP_S))
         for strike in strikes:
             ticks.append(None)
             if displayed_mode(strike.mode, output)[0] is not None:
                 direction = (1.0, 0.0) if along == 0 else (0.0, 1.0)
                 ticks[-1] = rig.strike(strike.mode, strike.coefficient_m_per_s2, direction)
-                taken.append(rig.run(5.0 / strike.mode.decay_rate_per_s + AFTER_S + REST_S))
+                taken.append(rig.run(5.0 / strike.mode.decay_rate_per_s + RECORDING_TAIL_S + STRIKE_GAP_S))
     samples = np.concatenate(taken)
     place, holding = on_grid(samples, rig.rate_hz)
     force = np.ascontiguousarray(samples["force_n"][holding], dtype=np.float64)
@@ -157,7 +167,7 @@ def play(config: Config, strikes: list[Strike], axis: Axis) -> Played:
 
 
 def from_simulation(config: Config, played: Played) -> list[Verdict]:
-    """Of the simulated handle."""
+    """Compare the acceleration of the simulated handle with the library."""
     rate_hz = played.rate_hz * PARTS_PER_PERIOD
     sim = new_sim(config.device.sim, rate_hz)
     force = np.repeat(played.force_n, PARTS_PER_PERIOD, axis=0)
@@ -167,14 +177,14 @@ def from_simulation(config: Config, played: Played) -> list[Verdict]:
 
     def measured(strike: Strike, begin: int) -> tuple[float, float]:
         onset = arrival(config.device.sim.link, begin, played.rate_hz)
-        count = round((5.0 / strike.mode.decay_rate_per_s + SETTLED_S) * rate_hz)
+        count = round((5.0 / strike.mode.decay_rate_per_s + SIMULATION_TAIL_S) * rate_hz)
         return _compared(acceleration[onset : onset + count], strike, rate_hz, played)
 
     return _verdicts(played, measured)
 
 
 def from_recording(played: Played, recording: Recording) -> list[Verdict]:
-    """Of what an accelerometer heard. Raises HapticdError where the sequence is not in it."""
+    """Compare the acceleration in a recording with the library. Raises HapticdError if the sequence is not in it."""
     rate_hz = recording.rate_hz
     expected = np.zeros(len(played.force_n))
     for strike, begin in zip(played.strikes, played.begins, strict=True):
@@ -185,12 +195,12 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
             ringing = waveform(shown, count, played.rate_hz)
             expected[begin : begin + count] += strike.coefficient_m_per_s2 * factor * ringing
     if not expected.any():
-        raise HapticdError("nothing of the library is displayed at this rate, so there is nothing to verify")
+        raise HapticdError("no mode of the library can be displayed at this rate: use a higher servo.rate_hz")
     begin_s = offset_of(recording, expected, played.rate_hz)
     from scipy.optimize import minimize_scalar
 
     def measured(strike: Strike, begin: int) -> tuple[float, float]:
-        count = round((5.0 / strike.mode.decay_rate_per_s + AFTER_S) * rate_hz)
+        count = round((5.0 / strike.mode.decay_rate_per_s + RECORDING_TAIL_S) * rate_hz)
         times = begin_s + begin / played.rate_hz + (np.arange(count) + 0.5) / rate_hz
 
         def error_at(shift_s: float) -> float:
@@ -207,8 +217,10 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
 
 
 def arrival(link: Link | None, begin: int, rate_hz: float) -> int:
-    """When the force of a tick begins at the actuator, in 1/PARTS_PER_PERIOD of a period: it waits for
-    its frame."""
+    """Return the time at which the force of a tick begins at the actuator, in units of 1/PARTS_PER_PERIOD of a period.
+
+    Over a link the force waits for its frame.
+    """
     onset = begin * PARTS_PER_PERIOD
     if link is None:
         return onset
@@ -222,7 +234,7 @@ def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) 
 
 
 def compared(measured: Floats, reference: Floats, rate_hz: float, output: Output) -> tuple[float, float]:
-    """Error and strength of an acceleration, (n,) at rate_hz from the onset, against the library's."""
+    """Return error and strength of an acceleration, (n,) at `rate_hz` from the onset, relative to the library's."""
     high_hz = ERROR_BAND_RATE_FRACTION * min(output.rate_hz, rate_hz)
     error = band_error(measured, reference, rate_hz, ERROR_BAND_LOW_HZ, high_hz)
     one, other = (band_lines(each, rate_hz, ERROR_BAND_LOW_HZ, high_hz) for each in (measured, reference))
@@ -237,7 +249,7 @@ def _verdicts(played: Played, measured: Callable[[Strike, int], tuple[float, flo
             continue
         shown, _ = displayed_mode(strike.mode, played.output)
         assert shown is not None
-        last = begin + round((5.0 / strike.mode.decay_rate_per_s + AFTER_S) * played.rate_hz)
+        last = begin + round((5.0 / strike.mode.decay_rate_per_s + RECORDING_TAIL_S) * played.rate_hz)
         force = float(np.abs(played.force_n[begin:last, played.along]).max())
         error, strength = measured(strike, begin)
         found.append(Verdict(strike, shown.frequency_hz, force, error, strength))
@@ -247,22 +259,30 @@ def _verdicts(played: Played, measured: Callable[[Strike, int], tuple[float, flo
 # ---- Taps on walls --------------------------------------------------------------------------------------------------
 
 
-def verdicts_on_walls(config: Config, speed_m_per_s: float = SPEED_M_PER_S, axis: Axis = "y") -> list[Verdict]:
-    """How the simulated joystick displays the taps of the materials, each on a separate wall."""
+def verdicts_on_walls(
+    config: Config, speed_m_per_s: float = DEFAULT_TAP_SPEED_M_PER_S, axis: Axis = "y"
+) -> list[Verdict]:
+    """Compare the materials' taps with the library, each on a wall of its material with the simulated joystick."""
     output = output_of(config, config.servo.rate_hz)
     return [
         _on_wall(config, output, strikes, speed_m_per_s, axis)
         for name, material in config.materials.items()
-        if material.stiffness_n_per_m > 0 and (strikes := _of_tap(name, material, speed_m_per_s))
+        if material.stiffness_n_per_m > 0 and (strikes := _tap_strikes(name, material, speed_m_per_s))
     ]
 
 
 def tap_force(
-    config: Config, material: str, speed_m_per_s: float, count: int, *, axis: Axis = "y", part: float = AT_TICK
+    config: Config,
+    material: str,
+    speed_m_per_s: float,
+    count: int,
+    *,
+    axis: Axis = "y",
+    part: float = ONSET_LEAD_PERIODS,
 ) -> Floats:
-    """What a tap on a wall of a material adds to the force, (count, 2) in N, at ticks of the configuration's rate.
+    """Return the vibration force of a tap on a wall of a material, (count, 2) in N, at the configuration's ticks.
 
-    The wall's normal is `axis`, and the onset `part` of a period before the first of the ticks.
+    The wall's normal is `axis`; the onset is `part` of a period before the first tick.
     """
     along = (1.0, 0.0) if axis == "x" else (0.0, 1.0)
     wall = Wall(kind="wall", point_m=(0.0, 0.0), normal=along, material=material)
@@ -278,10 +298,10 @@ def tap_force(
 
 
 def acceleration_on(sim: Sim, force_n: Floats, rate_hz: float, stiffness_n_per_m: float, axis: Axis = "y") -> Floats:
-    """Acceleration of the simulated handle, (n * PARTS_PER_PERIOD, 2) in m/s^2, as means over equal parts of a period.
+    """Return the acceleration of the simulated handle on a wall, (n * PARTS_PER_PERIOD, 2) in m/s^2, as means over 1/PARTS_PER_PERIOD period.
 
-    Forces (n, 2) are held for 1/rate_hz each; the wall's normal is `axis`, and its stiffness acts to both sides of
-    where the handle was at rest. What the servo would read of the handle (steps, age) does not matter.
+    Forces (n, 2) are held for 1/rate_hz each; the wall's normal is `axis`, and its stiffness acts in both directions
+    from the rest position. Encoder steps and the age of positions have no effect.
     """
     joystick = new_sim(sim, rate_hz * PARTS_PER_PERIOD)
     along = 0 if axis == "x" else 1
@@ -300,13 +320,13 @@ def acceleration_on(sim: Sim, force_n: Floats, rate_hz: float, stiffness_n_per_m
 
 
 def _on_wall(config: Config, output: Output, strikes: list[Strike], speed_m_per_s: float, axis: Axis) -> Verdict:
-    """`strikes`: the tap's mode, and the second one that it strikes."""
+    """Compare a tap on a wall with the library; `strikes` are the tap's mode and its second one, if any."""
     first = replace(strikes[0], use="wall")
     shown, _ = displayed_mode(first.mode, output)
     if shown is None:
         return Verdict(first, None, 0.0, 1.0, 0.0)
     rate_hz, material = config.servo.rate_hz, config.materials[first.material]
-    lasting_s = max(5.0 / strike.mode.decay_rate_per_s for strike in strikes) + SETTLED_S
+    lasting_s = max(5.0 / strike.mode.decay_rate_per_s for strike in strikes) + SIMULATION_TAIL_S
     force = tap_force(config, first.material, speed_m_per_s, round(lasting_s * rate_hz), axis=axis)
     moved = acceleration_on(config.device.sim, force, rate_hz, material.stiffness_n_per_m, axis)
     onset = arrival(config.device.sim.link, 0, rate_hz)

@@ -1,8 +1,8 @@
-"""Recordings of surfaces: files of three kinds, in SI units, on one clock, with what is wrong in them.
+"""Recordings of surfaces from .csv, .npz and .wav files: SI units, one uniform clock, and their faults.
 
-files     a recording's file: its bytes, and its columns as numbers, from .csv, .npz or .wav
-clock     the quantities and their units; columns on a uniform clock, and what of their times can be put right
+files     the bytes of a recording's file, and its columns as numbers
+clock     quantities and their units; columns on a uniform clock, with jitter and gaps of their times corrected
 clipping  clipped samples
-spans     where a mask of samples is true
-sensor    what a sensor's mounting and filter make of a decaying sinusoid
+spans     the spans in which a mask of samples is true
+sensor    response of a sensor's mounting and filter to a decaying sinusoid
 """

@@ -1,4 +1,4 @@
-"""Clipped samples: those that stand still at an end of the sensor's range."""
+"""Clipped samples: runs of equal samples at an end of the sensor's range."""
 
 from __future__ import annotations
 
@@ -9,33 +9,36 @@ import numpy as np
 from hapticd.analysis.recordings.spans import Bools, spans_of
 from hapticd.analysis.statistics import Floats
 
-LEAST_RUN: Final = 3
-"""So many equal samples at the largest or the smallest value are a clipped peak,"""
-LEAST_LEAP_IN_STEPS: Final = 3.0
-"""where they are reached or left by more than so many steps of the numbers: a slow peak of coarse numbers stays at its
-highest step, too, but comes to it step by step."""
-SHORT_RUN: Final = 4
-"""Samples: so short a run of equal ones is what noise makes of the peak of a pulse in coarse numbers,"""
-LEAST_LEAP_TO_NOISE: Final = 4.0
-"""where it is reached by steps of less than so many standard deviations of the noise. Clipping would take away little
-more than the noise there."""
+MIN_CLIPPED_RUN_SAMPLES: Final = 3
+"""Fewest equal samples at the largest or the smallest value that count as a clipped peak."""
+MIN_CLIPPED_EDGE_STEPS: Final = 3.0
+"""A clipped peak is entered or left by a change of more than this many quantization steps. The peak of a slow signal
+with coarse steps also rests at its highest step, but reaches it one step at a time."""
+MAX_SHORT_RUN_SAMPLES: Final = 4
+"""Longest run of equal samples that noise and coarse steps can cause at the peak of a pulse without clipping."""
+MIN_SHORT_RUN_EDGE_SIGMAS: Final = 4.0
+"""A short run counts as clipped only if it is entered or left by a change of more than this many standard deviations of
+the noise. Clipping after a smaller change would remove little more than noise."""
 
 
 def clipped(values: Floats, noise: float = 0.0) -> Bools:
-    """(n,) which of the samples are; `noise` is the standard deviation of the samples at rest, where it is known."""
+    """Return a mask (n,) of the clipped samples.
+
+    `noise` is the standard deviation of the samples at rest, 0 if it is unknown.
+    """
     found = np.zeros(len(values), dtype=np.bool_)
     steps = np.abs(np.diff(values))
     if not steps.any():
         return found
     quantum = float(steps[steps > 0].min())
-    # Without noise, rest may be an end of the range, too.
+    # Without noise, the value at rest may be the largest or smallest of the recording without being clipped.
     rest = np.median(values)
     for extreme in {values.max(), values.min()} - {rest}:
         for begin, end in spans_of(values == extreme):
             around = np.concatenate((steps[max(0, begin - 1) : begin], steps[end - 1 : end]))
-            leap = LEAST_LEAP_IN_STEPS * quantum
-            if end - begin <= SHORT_RUN:
-                leap = max(leap, LEAST_LEAP_TO_NOISE * noise)
-            if end - begin >= LEAST_RUN and around.size and around.max() > leap:
+            leap = MIN_CLIPPED_EDGE_STEPS * quantum
+            if end - begin <= MAX_SHORT_RUN_SAMPLES:
+                leap = max(leap, MIN_SHORT_RUN_EDGE_SIGMAS * noise)
+            if end - begin >= MIN_CLIPPED_RUN_SAMPLES and around.size and around.max() > leap:
                 found[begin:end] = True
     return found

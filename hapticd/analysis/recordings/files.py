@@ -1,6 +1,6 @@
-"""A recording's file as columns of numbers: .csv by pandas, .npz by numpy, .wav by scipy.
+"""Read a recording's file as columns of numbers: .csv by pandas, .npz by numpy, .wav by scipy.
 
-Nothing of what is in a file is ever executed. Faults are ValueErrors of one line, without the file's name.
+No content of a file is ever executed. Faults raise ValueError with one line, to which the caller adds the file's name.
 """
 
 from __future__ import annotations
@@ -23,58 +23,67 @@ from hapticd.analysis.statistics import Floats, require_scipy
 from hapticd.base.errors import HapticdError, known_names, quoted
 from hapticd.base.yaml_source import one_line, read_file
 
-MAX_BYTES: Final = 2**29
+MAX_RECORDING_BYTES: Final = 2**29
+"""Largest file of a recording; it is read into memory."""
 MAX_UNPACKED_BYTES: Final = 2**31
+"""Largest sum of the arrays of an .npz, by its directory; a small archive may unpack to more than the memory."""
 MAX_CHANNELS: Final = 64
-"""Of a .wav, or of an array of two dimensions."""
-_UNCLOSED: Final = "is no table of numbers: a quotation mark that is not closed?"
+"""Most channels of a .wav, or columns of an array of two dimensions."""
+_UNCLOSED_QUOTE_TEXT: Final = "is not a table of numbers: is a quotation mark not closed?"
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """What a file holds, before it is read."""
+    """The columns of a file, whose numbers are read later."""
 
     names: Sequence[str]
-    """Of the columns, in their order."""
+    """Names of the columns, in their order."""
     read: Callable[[Sequence[int]], list[Floats]]
-    """These columns as numbers."""
+    """Function that reads the columns with these indices as numbers."""
     units: Mapping[int, str]
-    """What the file itself says of the units of its columns; nothing for most."""
+    """Units that the file itself gives, by the index of the column."""
     rate_hz: float | None = None
     others: Mapping[str, str] = field(default_factory=dict)
-    """What else is in it, and why that is no column."""
+    """Other content by its name, with the reason why it is not a column, as the end of a sentence."""
     rounded: Callable[[int, Floats], float] = lambda which, values: 0.0
-    """To how much a column's numbers are rounded, beyond what they show by themselves."""
+    """Function that returns the rounding of a column's numbers by their data type, 0 if only the numbers show it."""
 
     def place(self, column: str | int) -> int:
-        """Of the column with this name, or this number from 1. Raises ValueError."""
+        """Return the index of the column with this name, or this number from 1. Raises ValueError for others."""
         if isinstance(column, str) and column in self.names:
             if self.names.count(column) > 1:
-                raise ValueError(f"has {self.names.count(column)} columns {quoted(column)}: say its number in the YAML")
+                raise ValueError(
+                    f"has {self.names.count(column)} columns {quoted(column)}: set the column's number in the YAML"
+                )
             return self.names.index(column)
         number = str(column)
         if number in self.others:
             raise ValueError(f"{shown_name(number)} {self.others[number]}")
         if number.isascii() and number.isdigit() and len(number) < 6 and 1 <= int(number) <= len(self.names):
             return int(number) - 1
-        raise ValueError(f"has no column {shown_name(number)}, {known_names(number, map(short_name, self.names))}")
+        raise ValueError(f"has no column {shown_name(number)}; {known_names(number, map(short_name, self.names))}")
 
 
 def shown_name(text: str) -> str:
+    """Return a name in quotation marks, on one line and shortened."""
     return f"'{text}'" if short_name(text) == text else quoted(text)
 
 
 def short_name(name: str) -> str:
+    """Return a name, shortened and quoted if it is long or not printable."""
     return name if name.isprintable() and len(name) <= 60 else quoted(name)
 
 
 def ending_of(name: str) -> str:
-    """Of a file's name, in small letters."""
+    """Return the extension of a file's name in lower case, such as ".csv"."""
     return os.path.splitext(name)[1].lower()
 
 
-def file_bytes(name: str, most: int) -> bytes:
-    """The bytes of a regular file; a pipe would be waited for, a device has no end. Raises ValueError."""
+def file_bytes(name: str, max_bytes: int) -> bytes:
+    """Return the bytes of a regular file.
+
+    Raises ValueError for other files: a pipe may block, a device may be endless.
+    """
     try:
         found = os.stat(name)
     except OSError as error:
@@ -83,9 +92,9 @@ def file_bytes(name: str, most: int) -> bytes:
         raise ValueError("cannot be read: is a folder")
     if not stat.S_ISREG(found.st_mode):
         raise ValueError("cannot be read: is a pipe or a device, not a file")
-    # Before it is read: what a sparse file says of its size costs nothing.
-    if found.st_size > most or len(content := read_file(name, most)) > most:
-        raise ValueError(f"is larger than {most} bytes: cut it into several files")
+    # The size is checked first: reading a sparse file would fill the memory.
+    if found.st_size > max_bytes or len(content := read_file(name, max_bytes)) > max_bytes:
+        raise ValueError(f"is larger than {max_bytes} bytes: split it into several files")
     return content
 
 
@@ -93,8 +102,11 @@ def file_bytes(name: str, most: int) -> bytes:
 
 
 def csv_table(content: bytes) -> Table:
-    """Columns, named in the first line; separated by commas, semicolons, tabs or blanks. Units may stand in the second
-    line, and names in a comment, as numpy.savetxt writes them."""
+    """Return the columns of a .csv, separated by commas, semicolons, tabs or blanks.
+
+    The first line holds the names, the second may hold units. Names may also be in a comment, as numpy.savetxt writes
+    them, or missing: columns are then numbered from 1.
+    """
     text = _text(content)
     heads: list[tuple[int, str]] = []
     comment = ""
@@ -110,8 +122,8 @@ def csv_table(content: bytes) -> Table:
         heads.append((first, line))
         if len(heads) > 2:
             raise ValueError(
-                f"lines {heads[0][0]} to {first} hold no numbers: names in one line, perhaps units in the next, and # "
-                "before everything else"
+                f"lines {heads[0][0]} to {first} hold no numbers: only names in one line and units in the next may "
+                "precede them; begin other lines with #"
             )
     else:
         raise ValueError("is empty" if not heads else "holds no line of numbers")
@@ -122,7 +134,7 @@ def csv_table(content: bytes) -> Table:
     elif len(above := _cells(comment, delimiter)) == len(cells):
         names = above
     if any(cells[len(names) :]):
-        raise ValueError(f"line {first} has not {len(names)} columns, but {len(cells)}")
+        raise ValueError(f"line {first} must have {len(names)} columns, has {len(cells)}")
     width = max(len(names), len(cells))
     while names and not names[-1] and heads:
         names.pop()
@@ -134,7 +146,7 @@ def csv_table(content: bytes) -> Table:
 
 
 def _csv_columns(text: str, first: int, delimiter: str, width: int, places: Sequence[int]) -> list[Floats]:
-    """The columns at these places of the lines from `first` on."""
+    """Return the columns with these indices as numbers, from the lines beginning with number `first`."""
     try:
         import pandas
     except ImportError:
@@ -153,11 +165,11 @@ def _csv_columns(text: str, first: int, delimiter: str, width: int, places: Sequ
             low_memory=False,
         )
     except ValueError:
-        raise ValueError(_csv_fault(text, first, delimiter, width, places) or _UNCLOSED) from None
+        raise ValueError(_csv_fault(text, first, delimiter, width, places) or _UNCLOSED_QUOTE_TEXT) from None
     columns: list[Floats] = [frame[place].to_numpy(np.float64) for place in places]
     if len(frame) != body.strip("\n").count("\n") + 1:
-        raise ValueError(_csv_fault(text, first, delimiter, width, places) or _UNCLOSED)
-    # A line that lost a cell has its other values in the wrong columns, and none in the last.
+        raise ValueError(_csv_fault(text, first, delimiter, width, places) or _UNCLOSED_QUOTE_TEXT)
+    # In a line with a cell too few the values are in the wrong columns, and the last cell is missing.
     if frame[width - 1].isna().any() or not all(np.isfinite(column).all() for column in columns):
         fault = _csv_fault(text, first, delimiter, width, places)
         if fault is not None:
@@ -166,23 +178,22 @@ def _csv_columns(text: str, first: int, delimiter: str, width: int, places: Sequ
 
 
 def _csv_fault(text: str, first: int, delimiter: str, width: int, places: Sequence[int]) -> str | None:
-    """What is wrong with the first line from which these columns cannot be read; None if nothing is."""
+    """Return the fault of the first line from which these columns cannot be read, or None."""
     for number, line in _lines(text):
         if number < first or line.lstrip().startswith("#"):
             continue
         cells = _cells(line, delimiter)
         if len(cells) != width:
-            return f"line {number} has not {width} columns, but {len(cells)}"
+            return f"line {number} must have {width} columns, has {len(cells)}"
         for place in places:
             value = _number(cells[place], delimiter)
             if value is None or not np.isfinite(value):
-                told = f"line {number} holds something else than numbers, {quoted(cells[place])}"
-                return f"{told} (a sample that is missing?)"
+                return f"line {number} must hold numbers, holds {quoted(cells[place])} (a missing sample?)"
     return None
 
 
 def _text(content: bytes) -> str:
-    """As a spreadsheet or a logger writes it: UTF-8, UTF-16 with a mark, or Latin-1; lines end in a line feed."""
+    """Decode UTF-8, UTF-16 with a byte order mark, or Latin-1, and normalize line ends to line feeds."""
     encodings = ["utf-16"] if content.startswith((b"\xff\xfe", b"\xfe\xff")) else ["utf-8-sig", "latin-1"]
     for encoding in encodings:
         try:
@@ -191,11 +202,11 @@ def _text(content: bytes) -> str:
             continue
         if "\0" not in text:
             return text.replace("\r\n", "\n").replace("\r", "\n")
-    raise ValueError("is no text")
+    raise ValueError("is not a text file")
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """Lines that are not empty, with their numbers from 1."""
+    """Yield the lines that are not empty, with their numbers from 1."""
     found = re.finditer(r".+|\n", text)
     number = 1
     for match in found:
@@ -207,8 +218,10 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _delimiter(line: str) -> str:
-    """What separates the cells of this line, nothing for blanks; a comma between semicolons or tabs is a decimal
-    one."""
+    """Return the delimiter of a line's cells, "" for blanks.
+
+    With semicolons or tabs, a comma is a decimal comma.
+    """
     bare = re.sub(r'"[^"]*"', '""', line)
     for delimiter in ";\t,":
         if delimiter in bare:
@@ -222,11 +235,11 @@ def _cells(line: str, delimiter: str) -> list[str]:
     try:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
     except csv.Error as error:
-        raise ValueError(f"is no table: {error}") from None
+        raise ValueError(f"is not a table: {error}") from None
 
 
 def _number(cell: str, delimiter: str) -> float | None:
-    """None where it is none."""
+    """Return the number in a cell, None if it holds something else."""
     try:
         return float(cell if delimiter == "," else cell.replace(",", "."))
     except ValueError:
@@ -237,23 +250,26 @@ def _number(cell: str, delimiter: str) -> float | None:
 
 
 def npz_table(content: bytes) -> Table:
-    """Columns are arrays of one dimension, and `name[1]`, `name[2]` of those with two. Objects are left alone."""
+    """Return the columns of an .npz: arrays of one dimension, and `name[1]`, `name[2]` ... of those with two.
+
+    Arrays of Python objects are not loaded.
+    """
     if not zipfile.is_zipfile(io.BytesIO(content)):
-        raise ValueError("is not an archive as numpy.savez writes it")
+        raise ValueError("is not an archive written by numpy.savez")
     columns: dict[str, npt.NDArray[Any]] = {}
     others: dict[str, str] = {}
     for name, array in _arrays(content).items():
         if isinstance(array, str):
             others[name] = array
         elif array.dtype.kind not in "iuf":
-            others[name] = f"holds no numbers in rows or columns, but {array.dtype.name}"
+            others[name] = f"must hold numbers, holds {array.dtype.name}"
         elif array.ndim > 2:
-            others[name] = f"holds no rows or columns, but {array.ndim} dimensions"
+            others[name] = f"must have 1 or 2 dimensions, has {array.ndim}"
         elif array.ndim == 2 and 1 not in array.shape:
             rows = array.T if array.shape[0] >= array.shape[1] else array
             others[name] = f"holds {len(rows)} columns, {short_name(name)}[1] and so on"
             if len(rows) > MAX_CHANNELS:
-                others[name] = f"holds {len(rows)} columns, and {MAX_CHANNELS} are the most"
+                others[name] = f"must have at most {MAX_CHANNELS} columns, has {len(rows)}"
                 continue
             columns |= {f"{name}[{index + 1}]": row for index, row in enumerate(rows)}
         else:
@@ -278,19 +294,21 @@ def npz_table(content: bytes) -> Table:
 
 
 def _arrays(content: bytes) -> dict[str, npt.NDArray[Any] | str]:
-    """The arrays, and why others are none."""
+    """Return the arrays of an archive by name, or the reason why one cannot be read."""
     found: dict[str, npt.NDArray[Any] | str] = {}
-    # zipfile, its decompressors and numpy raise a dozen kinds for damaged bytes.
+    # zipfile, its decompressors and numpy raise a dozen kinds of exceptions for damaged bytes.
     try:
         archive = np.load(io.BytesIO(content), allow_pickle=False)
         unpacked = sum(entry.file_size for entry in archive.zip.infolist())
     except Exception as error:
         raise ValueError(f"is damaged: {_reason(error)}") from None
     if unpacked > MAX_UNPACKED_BYTES:
-        raise ValueError(f"unpacks to {unpacked} bytes, {MAX_UNPACKED_BYTES} are the most: cut it into several files")
+        raise ValueError(
+            f"unpacks to {unpacked} bytes, at most {MAX_UNPACKED_BYTES} are allowed: split it into several files"
+        )
     for name in archive.files:
         try:
-            found[name] = archive[name] if f"{name}.npy" in archive.zip.namelist() else "is no array"
+            found[name] = archive[name] if f"{name}.npy" in archive.zip.namelist() else "is not an array"
         except Exception as error:
             found[name] = f"cannot be read: {_reason(error)}"
     return found
@@ -304,27 +322,27 @@ def _reason(error: BaseException) -> str:
 
 
 def wav_table(content: bytes) -> Table:
-    """Channels, named 1, 2 and so on, in parts of full scale."""
+    """Return the channels of a .wav, named "1", "2" ..., as fractions of full scale."""
     require_scipy()
     from scipy.io import wavfile
 
     try:
         with warnings.catch_warnings():
-            # Chunks that are not samples are skipped; samples that are missing are not.
+            # Unknown chunks are skipped, missing samples are an error.
             warnings.simplefilter("ignore", wavfile.WavFileWarning)
             warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
             rate_hz, samples = wavfile.read(io.BytesIO(content))
     except Exception as error:
-        raise ValueError(f"is damaged, or no .wav with 8 to 32 bits or floats: {_reason(error)}") from None
+        raise ValueError(f"is damaged, or not a .wav of 8 to 32 bits or of floats: {_reason(error)}") from None
     channels = np.atleast_2d(samples.T)
     if len(channels) > MAX_CHANNELS:
-        raise ValueError(f"holds {len(channels)} channels, and {MAX_CHANNELS} are the most")
+        raise ValueError(f"must have at most {MAX_CHANNELS} channels, has {len(channels)}")
 
     def read(places: Sequence[int]) -> list[Floats]:
         parts = [channels[place].astype(np.float64) for place in places]
         if samples.dtype.kind == "f":
             return parts
-        # 8 bits are unsigned, with 128 for silence; 24 bits come as the upper ones of 32.
+        # Samples of 8 bits are unsigned, with 128 for silence; scipy shifts 24 bits to the upper ones of 32.
         silent = 128.0 if samples.dtype.kind == "u" else 0.0
         return [(part - silent) / 2.0 ** (8 * samples.itemsize - 1) for part in parts]
 

@@ -1,12 +1,13 @@
-"""A linear sensor: what its mounting and its filter make of a decaying sinusoid, in closed form.
+"""A linear sensor: the response of its mounting and its filter to a decaying sinusoid, in closed form.
 
     H(s) = prod_j -q_j / (s - q_j)
 
-with poles q_j, all apart, and a gain of 1 at rest. A ringing Im exp(p t), p = -B + i w, from t = 0 on, comes out as
+with distinct poles q_j and a gain of 1 at 0 Hz. A decaying sinusoid Im exp(p t), p = -B + i w, that begins at t = 0
+becomes
 
     Im y(t),  y(t) = H(p) exp(p t) + sum_j r_j / (q_j - p) exp(q_j t)
 
-where r_j is the residue of H at q_j: the inverse Laplace transform of H(s)/(s - p). There is no error of a step.
+where r_j is the residue of H at q_j: the inverse Laplace transform of H(s)/(s - p), without discretization error.
 """
 
 from __future__ import annotations
@@ -25,22 +26,20 @@ Complexes: TypeAlias = npt.NDArray[np.complex128]
 
 
 class Sensor(Model):
-    """What an accelerometer's data sheet says of it."""
+    """An accelerometer's mounting and filter, from its data sheet."""
 
     filter_hz: Annotated[float, Field(ge=10, le=1e6)] | None = Field(
-        default=None, description="Corner (-3 dB) of its low-pass filter, Butterworth's; without it there is none."
+        default=None, description="Corner (-3 dB) of its Butterworth low-pass filter; unset: no filter."
     )
-    filter_order: int = Field(default=2, ge=1, le=8, description="Of the filter.")
+    filter_order: int = Field(default=2, ge=1, le=8, description="Order of the filter.")
     mounting_hz: Annotated[float, Field(ge=10, le=1e6)] | None = Field(
-        default=None, description="Resonance of the sensor on its mounting; without it that is rigid."
+        default=None, description="Resonance of the sensor on its mounting; unset: rigid."
     )
-    mounting_damping: float = Field(
-        default=0.05, ge=0.001, le=0.999, description="Of the resonance, as a part of critical damping."
-    )
+    mounting_damping: float = Field(default=0.05, ge=0.001, le=0.999, description="Damping ratio of the resonance.")
 
     @property
     def poles(self) -> tuple[complex, ...]:
-        """rad/s; none where nothing is given."""
+        """Poles of the sensor's transfer function in rad/s; empty for an ideal sensor."""
         found: list[complex] = []
         if self.mounting_hz is not None:
             damping = self.mounting_damping
@@ -52,7 +51,7 @@ class Sensor(Model):
         return tuple(found)
 
     def answer(self, pole: complex, since_s: npt.NDArray[np.float64]) -> tuple[Complexes, Complexes, Complexes]:
-        """y, dy/dp and dy/dt of p = `pole` at times (n,) from 0 on, each (n,)."""
+        """Return y, dy/dp and dy/dt, each (n,), for p = `pole` in rad/s at the times `since_s` (n,) from 0 s."""
         poles = np.array(self.poles, dtype=np.complex128)
         gain = complex(np.prod(-poles / (pole - poles)))
         turned = np.exp(pole * since_s)

@@ -1,4 +1,4 @@
-"""Statistics of experiments: functions of numbers, which know no study and no file.
+"""Statistics of experiments, as functions of numbers, independent of studies and files.
 
 proportions          percent correct, Wilson intervals, exact tests against chance
 psychometric_shapes  logistic, Weibull and cumulative normal functions

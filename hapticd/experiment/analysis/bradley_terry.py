@@ -1,11 +1,10 @@
-"""A scale from paired comparisons: the model of Bradley and Terry with the ties of Davidson (J. American Statistical
-Association 65, 1970).
+"""A scale from paired comparisons: the model of Bradley and Terry with ties by Davidson.
 
     P(i over j) : P(j over i) : P(tie) = s_i : s_j : v sqrt(s_i s_j)
 
-The scale is log s with mean 0; a difference of 1 is odds of e between the two. v is 0 where no tie is allowed for. The
-logarithms are found by Newton's method: the likelihood of this exponential family is concave. Intervals are Wald's,
-from the information matrix.
+(Davidson, J. American Statistical Association 65, 1970.) The scale is log s with mean 0; a difference of 1 means odds
+of e. v is 0 without ties. The logarithms are found by Newton's method, since the likelihood of this exponential family
+is concave. Intervals are Wald's, from the information matrix.
 """
 
 from __future__ import annotations
@@ -19,41 +18,42 @@ import numpy.typing as npt
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats
 
-_ROUNDS: Final = 100
-_Z: Final = 1.959963984540054
-"""Of 95 %."""
+_MAX_NEWTON_ROUNDS: Final = 100
+"""Limit of the rounds of Newton's method; at the limit it is taken not to converge."""
+_NORMAL_QUANTILE: Final = 1.959963984540054
+"""Half width of a 95 % interval in standard errors, the normal quantile of 0.975."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Items by their logarithmic strength."""
+    """A scale: the logarithmic strength of each item."""
 
     items: tuple[str, ...]
     strengths: tuple[Estimate, ...]
-    """log s, mean 0."""
+    """log s of each item, with mean 0."""
     tie: Estimate | None
-    """v; None where nothing was tied."""
+    """The parameter v, None without ties."""
     covariance: Floats
-    """(k, k) of log s; its rows sum to 0."""
+    """Covariance (k, k) of log s; its rows sum to 0."""
     log_likelihood: float
     comparisons: int
 
 
 def bradley_terry(wins: npt.ArrayLike, ties: npt.ArrayLike | None = None, items: Sequence[str] | None = None) -> Scale:
-    """The scale of k items from `wins` (k, k), how often the item of the row was chosen over that of the column, and
-    `ties` (k, k), of which (i, j) and (j, i) are added.
+    """Fit the scale of k items.
 
-    Comparisons of an item with itself are not used: they say nothing of the scale. Raises FitError where the scale has
-    no finite estimate: where some items were never beaten by, nor tied with, any of the others (Ford, 1957).
+    `wins` (k, k) counts how often the item of the row was chosen over that of the column. `ties` (k, k) counts ties;
+    (i, j) and (j, i) are added. Comparisons of an item with itself are ignored. Raises FitError if the scale has no
+    finite estimate: if some items never lost to, nor tied with, any of the others (Ford, 1957).
     """
     won = np.array(wins, dtype=float)
     tied = np.zeros_like(won) if ties is None else np.array(ties, dtype=float)
     count = len(won)
     names = tuple(str(place) for place in range(count)) if items is None else tuple(items)
     if won.shape != (count, count) or tied.shape != won.shape or len(names) != count or count < 2:
-        raise FitError("a scale needs square tables of wins and ties, of as many items as names, two at least")
+        raise FitError("wins and ties must be square tables with a row for each name, of at least two items")
     if not ((won >= 0).all() and (tied >= 0).all()):
-        raise FitError("wins and ties are counts: none may be negative")
+        raise FitError("wins and ties must not be negative")
     np.fill_diagonal(won, 0.0)
     np.fill_diagonal(tied, 0.0)
     tied = tied + tied.T
@@ -67,9 +67,10 @@ def bradley_terry(wins: npt.ArrayLike, ties: npt.ArrayLike | None = None, items:
 
 
 def _design(one: npt.NDArray[np.intp], other: npt.NDArray[np.intp], count: int, with_ties: bool) -> Floats:
-    """(3, pairs, parameters): the logarithm of each outcome's weight, but for one that all outcomes of a pair share.
+    """Return the design (outcomes, pairs, parameters) of the logarithm of each outcome's weight.
 
-    Parameters are log s of all items but the last, which is 0, and log v.
+    A term that all outcomes of a pair share is omitted. The parameters are log s of all items except the last, which is
+    0, and with ties log v. There are 3 outcomes, without ties 2.
     """
     pairs = np.arange(len(one))
     design = np.zeros((3 if with_ties else 2, len(one), count + 1))
@@ -88,11 +89,11 @@ def _newton(design: Floats, tables: Floats) -> tuple[Floats, Floats, float]:
     parameters = np.zeros(design.shape[2])
     value = -np.inf
     step = np.zeros_like(parameters)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_NEWTON_ROUNDS):
         logits = design @ parameters
         logs = logits - np.logaddexp.reduce(logits, axis=0)
         reached = float(np.sum(counts * logs))
-        if reached < value - 1e-12 * abs(value):  # too far: half way back
+        if reached < value - 1e-12 * abs(value):  # the step was too long: halve it
             step = 0.5 * step
             parameters = parameters - step
             continue
@@ -106,7 +107,7 @@ def _newton(design: Floats, tables: Floats) -> tuple[Floats, Floats, float]:
         parameters = parameters + step
         if np.abs(step).max() < 1e-10:
             return parameters, information, value
-    raise FitError("the scale does not settle: too few comparisons determine it")
+    raise FitError("the scale does not converge: more comparisons are needed")
 
 
 def _scale(
@@ -122,10 +123,10 @@ def _scale(
     centring = (np.eye(count) - 1.0 / count)[:, : count - 1]
     strengths = centring @ parameters[: count - 1]
     own = centring @ covariance[: count - 1, : count - 1] @ centring.T
-    reach = _Z * np.sqrt(np.diag(own))
+    reach = _NORMAL_QUANTILE * np.sqrt(np.diag(own))
     tie = None
     if with_ties:
-        around = np.exp(parameters[-1] + _Z * np.sqrt(covariance[-1, -1]) * np.array((0.0, -1.0, 1.0)))
+        around = np.exp(parameters[-1] + _NORMAL_QUANTILE * np.sqrt(covariance[-1, -1]) * np.array((0.0, -1.0, 1.0)))
         tie = Estimate(float(around[0]), float(around[1]), float(around[2]))
     return Scale(
         names,
@@ -148,6 +149,6 @@ def _check_connected(beaten: Floats, names: tuple[str, ...]) -> None:
         return
     groups = [", ".join(name for name, own in zip(names, part_of, strict=True) if own == part) for part in range(parts)]
     raise FitError(
-        f"no finite scale: between {' | '.join(groups)} all comparisons have one outcome, or there are none; "
+        f"no finite scale: between {' | '.join(groups)} all comparisons have one outcome, or are missing; "
         "more comparisons are needed"
     )

@@ -1,13 +1,13 @@
 """Confusion matrices of identification, and the information that answers transfer about stimuli.
 
 Information is in bits: T = sum of p(s, r) log2(p(s, r) / (p(s) p(r))) (Miller and Nicely, J. Acoust. Soc. Am. 27,
-1955). Estimated from counts it is too large; the bias to first order is
+1955). The estimate from counts is too large; its first-order bias is
 
     (sum over stimuli of (R_s - 1) - (R - 1)) / (2 n ln 2)
 
-with R answers that were given at all, R_s to one stimulus, n trials (Panzeri and Treves, Network 7, 1996; with all
-answers given to all stimuli it is Miller's (S - 1)(R - 1) / (2 n ln 2)). What remains is kept between 0 and the
-information in the stimuli.
+where R is the number of different answers that were given, R_s that of answers to stimulus s, and n the number of
+trials (Panzeri and Treves, Network 7, 1996; if all answers are given to all stimuli it is Miller's
+(S - 1)(R - 1) / (2 n ln 2)). The corrected estimate is limited to between 0 and the entropy of the stimuli.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from hapticd.analysis.statistics import FitError, Floats, Ints
 
 @dataclass(frozen=True, slots=True)
 class Confusion:
-    """How often each stimulus got each answer."""
+    """A confusion matrix: how often each stimulus received each answer."""
 
     stimuli: tuple[str, ...]
     answers: tuple[str, ...]
     counts: Ints
-    """(stimuli, answers)"""
+    """Trials (stimuli, answers)."""
 
     @property
     def percent(self) -> Floats:
-        """(stimuli, answers) of each stimulus' trials; nan for a stimulus without any."""
+        """Percent of each stimulus's trials (stimuli, answers); NaN for a stimulus without trials."""
         total = self.counts.sum(axis=1, keepdims=True)
         return np.asarray(
             np.divide(100.0 * self.counts, total, out=np.full(self.counts.shape, np.nan), where=total > 0)
@@ -41,28 +41,29 @@ class Confusion:
 
 @dataclass(frozen=True, slots=True)
 class Information:
-    """Bits per trial."""
+    """Information transfer in bits per trial."""
 
     transfer: float
-    """As the counts have it."""
+    """Estimate from the counts."""
     corrected: float
-    """Less the bias."""
+    """Estimate minus its bias."""
     stimuli: float
-    """Entropy of the stimuli: the most that can be transferred."""
+    """Entropy of the stimuli, the largest possible transfer."""
 
     @property
     def relative(self) -> float:
-        """Corrected transfer over the stimuli's entropy; nan with one stimulus."""
+        """Corrected transfer over the entropy of the stimuli; NaN with one stimulus."""
         return self.corrected / self.stimuli if self.stimuli > 0 else float("nan")
 
 
 def confusion(shown: Sequence[str], answered: Sequence[str], order: Sequence[str] = ()) -> Confusion:
-    """The matrix of trials. Stimuli and answers stand in `order`; those that it lacks follow as they come.
+    """Return the confusion matrix of trials.
 
-    Raises FitError without trials, and for lists of two lengths.
+    Stimuli and answers are sorted by `order`; others follow in the order of the trials. Raises FitError without trials,
+    and for lists of different lengths.
     """
     if len(shown) != len(answered) or not shown:
-        raise FitError(f"a confusion matrix needs an answer a trial, has {len(answered)} to {len(shown)} trials")
+        raise FitError(f"a confusion matrix needs one answer per trial, has {len(answered)} for {len(shown)} trials")
     stimuli, answers = _in_order(shown, order), _in_order([*_in_order(shown, order), *answered], order)
     counts = np.zeros((len(stimuli), len(answers)), dtype=np.int64)
     for one, other in zip(shown, answered, strict=True):
@@ -71,11 +72,13 @@ def confusion(shown: Sequence[str], answered: Sequence[str], order: Sequence[str
 
 
 def information(counts: npt.ArrayLike) -> Information:
-    """Of counts (stimuli, answers). Raises FitError for counts that are none."""
+    """Return the information transfer of counts (stimuli, answers). Raises FitError for negative or no counts."""
     table = np.asarray(counts, dtype=float)
     total = table.sum()
     if table.ndim != 2 or not (table >= 0).all() or not total > 0:
-        raise FitError("information needs counts of stimuli by answers, none negative and one at least")
+        raise FitError(
+            "counts must be a table of stimuli by answers, without negative counts and with at least one trial"
+        )
     joint = table / total
     transfer = _entropy(joint.sum(axis=1)) + _entropy(joint.sum(axis=0)) - _entropy(joint.ravel())
     given = table.sum(axis=1) > 0
@@ -87,7 +90,7 @@ def information(counts: npt.ArrayLike) -> Information:
 
 
 def _entropy(probabilities: Floats) -> float:
-    """Bits."""
+    """Return the entropy in bits."""
     some = probabilities[probabilities > 0]
     return float(-np.sum(some * np.log2(some))) + 0.0
 

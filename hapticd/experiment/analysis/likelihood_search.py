@@ -1,10 +1,9 @@
-"""Many psychometric functions at once: the parameters of most probability for each of b sets of answers to the same
-levels.
+"""Fit many psychometric functions at once: the most probable parameters of b sets of answers to the same levels.
 
-Parameters of a set are (threshold on the axis, log of the slope, guess, lapse). The first two are bounded by the levels
-(see `Box`); a guess or a lapse that is estimated has the prior Beta(1, 10) of psignifit (Schuett, Harmeling, Macke and
-Wichmann, Vision Research 122, 2016), one that is given is fixed. The search is Fisher's scoring with Levenberg's
-damping, on those parameters that are not held at a bound, from the best point of a coarse grid.
+The parameters of a set are (threshold on the axis, log of the slope, guess, lapse). The first two are bounded by the
+levels (see `Box`). An estimated guess or lapse has the prior Beta(1, 10) of psignifit (Schuett, Harmeling, Macke and
+Wichmann, Vision Research 122, 2016); a given one is fixed. The search is Fisher scoring with Levenberg's damping on the
+parameters that are not at a bound, from the best point of a coarse grid.
 """
 
 from __future__ import annotations
@@ -17,20 +16,25 @@ import numpy as np
 from hapticd.experiment.analysis.psychometric_shapes import Floats, Shape, density, rise
 
 THRESHOLD, SLOPE, GUESS, LAPSE = range(4)
-MOST_LAPSE: Final = 0.3
-"""Of a guess and a lapse that are estimated."""
-_PRIOR: Final = 9.0
-"""Log of the prior: this times log(1 - rate), as Beta(1, 10) has it."""
-ROUNDS: Final = 60
-ROUNDS_OF_RESAMPLES: Final = 12
-"""Resamples begin at the fit, near to where they end."""
-NEAR: Final = 1e-11
-NEAR_OF_RESAMPLES: Final = 1e-6
-"""1.4 thousandths of a standard error."""
-_NO_WAY: Final = 1e-7
-_TINY: Final = 1e-12
-_GRID: Final = (25, 11)
-_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
+MAX_ESTIMATED_RATE: Final = 0.3
+"""Upper bound of an estimated guess or lapse."""
+_PRIOR_EXPONENT: Final = 9.0
+"""Exponent of the prior Beta(1, 10): its logarithm is this times log(1 - rate)."""
+MAX_SEARCH_ROUNDS: Final = 60
+"""Most rounds of the search from a grid point."""
+MAX_RESAMPLE_ROUNDS: Final = 12
+"""Most rounds of the search for a resample, which begins at the fit and so near its end."""
+SEARCH_TOLERANCE: Final = 1e-11
+"""The search ends if a step gains less log probability than this."""
+RESAMPLE_TOLERANCE: Final = 1e-6
+"""The tolerance for a resample; it is equivalent to 0.0014 standard errors."""
+_MIN_SEARCH_STEP: Final = 1e-7
+"""The search ends if a step that gains nothing changes every parameter by less than this."""
+_MIN_POSITIVE: Final = 1e-12
+"""Lower bound of probabilities, and addition to the diagonal of the information; avoids log(0) and division by 0."""
+_GRID_POINTS: Final = (25, 11)
+"""Number of thresholds and of slopes of the initial grid."""
+_MIN_DAMPING, _MAX_DAMPING = 1e-9, 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,30 +46,32 @@ class Box:
 
     @classmethod
     def around(cls, places: Floats, guess: float | None, lapse: float | None) -> Box:
-        """By places of levels (k,) on the axis: a threshold at most the whole range beyond either end; a slope between
-        a twentieth of 1 over the range and 6 over the least distance of two levels (a logistic function that goes from
-        5 to 95 % between them)."""
+        """Return the bounds for places of levels (k,) on the axis.
+
+        The threshold is at most one range beyond the lowest or highest level. The slope is between 0.05 over the range
+        and 6 over the smallest distance of two levels, between which a logistic function then rises from 5 to 95 %.
+        """
         ordered = np.unique(places)
         span, least = float(ordered[-1] - ordered[0]), float(np.diff(ordered).min())
         low = [ordered[0] - span, np.log(0.05 / span), *(0.0 if rate is None else rate for rate in (guess, lapse))]
         high = [
             ordered[-1] + span,
             np.log(6.0 / least),
-            *(MOST_LAPSE if rate is None else rate for rate in (guess, lapse)),
+            *(MAX_ESTIMATED_RATE if rate is None else rate for rate in (guess, lapse)),
         ]
         return cls(np.array(low), np.array(high))
 
 
 def modelled(shape: Shape, places: Floats, parameters: Floats, sign: float) -> Floats:
-    """(b, k) probabilities of positive answers, for parameters (b, 4); sign -1 makes functions that fall."""
+    """Return the probabilities (b, k) of positive answers for parameters (b, 4); sign -1 is a falling function."""
     z = sign * (places - parameters[:, THRESHOLD, None]) * np.exp(parameters[:, SLOPE, None])
     guess, lapse = parameters[:, GUESS, None], parameters[:, LAPSE, None]
     return np.asarray(guess + (1.0 - guess - lapse) * rise(shape, z))
 
 
 def log_likelihood(positive: Floats, trials: Floats, probability: Floats) -> Floats:
-    """(b,) of answers (b, k), without the binomial coefficients."""
-    bounded = np.clip(probability, _TINY, 1.0 - _TINY)
+    """Return the log likelihoods (b,) of answers (b, k), without the binomial coefficients."""
+    bounded = np.clip(probability, _MIN_POSITIVE, 1.0 - _MIN_POSITIVE)
     return np.asarray((positive * np.log(bounded) + (trials - positive) * np.log1p(-bounded)).sum(axis=1))
 
 
@@ -77,13 +83,13 @@ def most_probable(
     box: Box,
     sign: float = 1.0,
     starts: Floats | None = None,
-    near: float = NEAR,
-    rounds: int = ROUNDS,
+    tolerance: float = SEARCH_TOLERANCE,
+    rounds: int = MAX_SEARCH_ROUNDS,
 ) -> Floats:
-    """(b, 4) parameters for answers (b, k) at places (k,) on the axis; `trials` (b, k).
+    """Return the most probable parameters (b, 4) for answers (b, k) at places (k,) on the axis.
 
-    `starts` (b, 4) are where the search begins, by default the best points of a grid. It ends where a step gains less
-    than `near` of the logarithm of the probability.
+    `positive` and `trials` (b, k) count positive and all answers. The search begins at `starts` (b, 4), by default at
+    the best points of a grid. It ends if a step gains less than `tolerance` of log probability.
     """
     found = _starts(shape, places, positive, trials, box, sign) if starts is None else starts.copy()
     damping = np.full(len(found), 1e-3)
@@ -97,10 +103,8 @@ def most_probable(
         better = value >= best[left]
         gain, way = value - best[left], np.abs(moved - own).max(axis=1)
         found[left[better]], best[left[better]] = moved[better], value[better]
-        damping[left] = np.clip(
-            np.where(better, damping[left] * 0.2, damping[left] * 10), _LEAST_DAMPING, _MOST_DAMPING
-        )
-        ended = (better & (gain < near)) | (~better & (way < _NO_WAY))
+        damping[left] = np.clip(np.where(better, damping[left] * 0.2, damping[left] * 10), _MIN_DAMPING, _MAX_DAMPING)
+        ended = (better & (gain < tolerance)) | (~better & (way < _MIN_SEARCH_STEP))
         left = left[~ended]
         if not len(left):
             break
@@ -109,11 +113,11 @@ def most_probable(
 
 def _starts(shape: Shape, places: Floats, positive: Floats, trials: Floats, box: Box, sign: float) -> Floats:
     inner = 0.25 * (box.high[THRESHOLD] - box.low[THRESHOLD])
-    thresholds = np.linspace(box.low[THRESHOLD] + inner, box.high[THRESHOLD] - inner, _GRID[0])
-    slopes = np.linspace(box.low[SLOPE], box.high[SLOPE], _GRID[1] + 2)[1:-1]
+    thresholds = np.linspace(box.low[THRESHOLD] + inner, box.high[THRESHOLD] - inner, _GRID_POINTS[0])
+    slopes = np.linspace(box.low[SLOPE], box.high[SLOPE], _GRID_POINTS[1] + 2)[1:-1]
     rates = np.where(box.high[GUESS:] > box.low[GUESS:], 0.02, box.low[GUESS:])
     grid = np.array([(threshold, slope, *rates) for threshold in thresholds for slope in slopes])
-    bounded = np.clip(modelled(shape, places, grid, sign), _TINY, 1.0 - _TINY)
+    bounded = np.clip(modelled(shape, places, grid, sign), _MIN_POSITIVE, 1.0 - _MIN_POSITIVE)
     scores = positive @ np.log(bounded).T + (trials - positive) @ np.log1p(-bounded).T
     return np.asarray(grid[np.argmax(scores, axis=1)])
 
@@ -122,7 +126,7 @@ def _objective(
     shape: Shape, places: Floats, positive: Floats, trials: Floats, parameters: Floats, box: Box, sign: float
 ) -> Floats:
     free = box.high[GUESS:] > box.low[GUESS:]
-    prior = (_PRIOR * np.log1p(-parameters[:, GUESS:]) * free).sum(axis=1)
+    prior = (_PRIOR_EXPONENT * np.log1p(-parameters[:, GUESS:]) * free).sum(axis=1)
     return np.asarray(log_likelihood(positive, trials, modelled(shape, places, parameters, sign)) + prior)
 
 
@@ -136,12 +140,12 @@ def _step(
     sign: float,
     damping: Floats,
 ) -> Floats:
-    """(b, 4) of damped scoring; 0 for parameters that stay at a bound."""
+    """Return the step (b, 4) of damped scoring, 0 for parameters that stay at a bound."""
     slope = np.exp(parameters[:, SLOPE, None])
     guess, lapse = parameters[:, GUESS, None], parameters[:, LAPSE, None]
     z = sign * (places - parameters[:, THRESHOLD, None]) * slope
     share = rise(shape, z)
-    probability = np.clip(guess + (1.0 - guess - lapse) * share, _TINY, 1.0 - _TINY)
+    probability = np.clip(guess + (1.0 - guess - lapse) * share, _MIN_POSITIVE, 1.0 - _MIN_POSITIVE)
     steep = (1.0 - guess - lapse) * density(shape, z)
     free = [int(place) for place in np.flatnonzero(box.high > box.low)]
     columns = {THRESHOLD: -sign * steep * slope, SLOPE: steep * z, GUESS: 1.0 - share, LAPSE: -share}
@@ -152,13 +156,13 @@ def _step(
     own = parameters[:, free]
     for place, rate in enumerate(free):
         if rate in (GUESS, LAPSE):
-            gradient[:, place] -= _PRIOR / (1.0 - own[:, place])
-            information[:, place, place] += _PRIOR / (1.0 - own[:, place]) ** 2
+            gradient[:, place] -= _PRIOR_EXPONENT / (1.0 - own[:, place])
+            information[:, place, place] += _PRIOR_EXPONENT / (1.0 - own[:, place]) ** 2
     held = ((own <= box.low[free]) & (gradient < 0)) | ((own >= box.high[free]) & (gradient > 0))
     gradient[held] = 0.0
     information[held[:, :, None] | held[:, None, :]] = 0.0
     diagonal = np.arange(len(free))
-    damped = information[:, diagonal, diagonal] * (1.0 + damping[:, None]) + _TINY
+    damped = information[:, diagonal, diagonal] * (1.0 + damping[:, None]) + _MIN_POSITIVE
     information[:, diagonal, diagonal] = np.where(held, 1.0, damped)
     step = np.zeros_like(parameters)
     step[:, free] = np.linalg.solve(information, gradient[:, :, None])[:, :, 0]

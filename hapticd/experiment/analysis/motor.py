@@ -1,4 +1,4 @@
-"""Two conditions compared by a measure of the motion, each participant in both: difference, test, and effect size."""
+"""Paired comparison of two conditions by a measure of the motion: difference, tests and effect size."""
 
 from __future__ import annotations
 
@@ -8,43 +8,46 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.statistics import LEVEL, Estimate, FitError, student_t
+from hapticd.analysis.statistics import CONFIDENCE_LEVEL, Estimate, FitError, student_t
 
 
 @dataclass(frozen=True, slots=True)
 class PairedComparison:
-    """One less other; in the measure's unit, but for the effect size and the tests."""
+    """A paired comparison: one condition minus the other; differences have the unit of the measure."""
 
     participants: int
     difference: Estimate
-    """Mean, with Student's interval."""
+    """Mean difference, with Student's interval."""
     standard_deviation: float
-    """Of the differences."""
+    """Standard deviation of the differences."""
     effect_size: Estimate
     """Cohen's d_z, mean over standard deviation of the differences, with the interval of the noncentral t
     distribution."""
     t: float
+    """Statistic of the paired t test."""
     p_value: float
-    """Of the paired t test, two-sided."""
+    """p value of the paired t test, two-sided."""
     wilcoxon_p: float
-    """Of Wilcoxon's signed ranks, two-sided; 1 where no difference is other than 0."""
+    """p value of Wilcoxon's signed-rank test, two-sided; 1 if all differences are 0."""
 
 
-def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = LEVEL) -> PairedComparison:
-    """Compares values (n,), a participant's in the same place of both. Raises FitError for fewer than two participants,
-    and where all differences are alike."""
+def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = CONFIDENCE_LEVEL) -> PairedComparison:
+    """Compare values (n,) of the same participants in the same order.
+
+    Raises FitError for fewer than two participants, and if all differences are equal.
+    """
     first, second = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     if first.ndim != 1 or first.shape != second.shape:
-        raise FitError("a paired comparison needs as many values of one condition as of the other")
+        raise FitError("a paired comparison needs equal numbers of values of both conditions")
     if len(first) < 2:
-        raise FitError(f"a comparison needs two participants or more who did both, has {len(first)}")
+        raise FitError(f"a comparison needs at least two participants with both conditions, has {len(first)}")
     differences = first - second
     if not np.isfinite(differences).all():
         raise FitError("a paired comparison needs finite values")
     count, mean = len(differences), float(differences.mean())
     deviation = float(differences.std(ddof=1))
     if not deviation > 1e-12 * float(np.abs(first).max() + np.abs(second).max()):
-        raise FitError("all differences are alike: they have neither an interval nor an effect size")
+        raise FitError("all differences are equal: they have neither an interval nor an effect size")
     from scipy.stats import ttest_rel, wilcoxon
 
     test = ttest_rel(first, second)
@@ -61,12 +64,12 @@ def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = LEVEL) -> Pa
     )
 
 
-def noncentrality(t: float, freedom: int, level: float = LEVEL) -> tuple[float, float]:
-    """The interval of the noncentrality parameter of a t statistic (Steiger and Fouladi, 1997)."""
+def noncentrality(t: float, freedom: int, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
+    """Return the interval of the noncentrality parameter of a t statistic (Steiger and Fouladi, 1997)."""
     from scipy.optimize import brentq
     from scipy.special import nctdtr
 
-    if t < 0:  # by symmetry; nctdtr has no value for some of these
+    if t < 0:  # by symmetry; nctdtr fails for some negative t
         low, high = noncentrality(-t, freedom, level)
         return -high, -low
     rest = 0.5 * (1.0 - level)

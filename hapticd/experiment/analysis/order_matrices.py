@@ -1,6 +1,6 @@
-"""Percent correct of each pair of items, as Tables 2 and 3 of Okamura, Dennerlein and Howe (1998) show it.
+"""Percent correct of each pair of items, as in Tables 2 and 3 of Okamura, Dennerlein and Howe (1998).
 
-A pair counts in either order. The diagonal is of items that were compared with themselves.
+Both orders of a pair are counted together. The diagonal holds comparisons of an item with itself.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ class OrderMatrix:
 
     items: tuple[str, ...]
     correct: Ints
-    """(k, k); above the diagonal 0."""
+    """Correct answers (k, k), 0 above the diagonal."""
     trials: Ints
+    """Answers (k, k), 0 above the diagonal."""
 
     @property
     def percent(self) -> Floats:
-        """(k, k) percent correct; nan where nothing was asked, and above the diagonal."""
+        """Percent correct (k, k), NaN without trials and above the diagonal."""
         return np.asarray(
             np.divide(100.0 * self.correct, self.trials, out=np.full(self.trials.shape, np.nan), where=self.trials > 0)
         )
 
 
 def order_matrix(pairs: Iterable[tuple[str, str]], correct: Iterable[bool], items: Sequence[str]) -> OrderMatrix:
-    """The matrix of trials, rows and columns in the order of `items`. Raises FitError for an item that is none of
-    them."""
+    """Return the matrix of trials, with rows and columns in the order of `items`. Raises FitError for other items."""
     places = {name: place for place, name in enumerate(items)}
     trials = np.zeros((len(places), len(places)), dtype=np.int64)
     right = np.zeros_like(trials)
     for (one, other), own in zip(pairs, correct, strict=True):
         if one not in places or other not in places:
-            raise FitError(f"{one if one not in places else other} is none of the items: {', '.join(items)}")
+            raise FitError(f"unknown item {one if one not in places else other}; known: {', '.join(items)}")
         row, column = sorted((places[one], places[other]), reverse=True)
         trials[row, column] += 1
         right[row, column] += own
@@ -47,13 +47,14 @@ def order_matrix(pairs: Iterable[tuple[str, str]], correct: Iterable[bool], item
 
 
 def rank_correlation(ours: npt.ArrayLike, published: npt.ArrayLike) -> tuple[float, int]:
-    """Spearman's rank correlation of two tables of one shape, over the cells that are finite in both, and their number.
+    """Return Spearman's rank correlation of two tables over the cells that are finite in both, and their number.
 
-    nan where there are fewer than three cells, or where one table is the same in all of them.
+    The correlation is NaN for fewer than three cells, or if either table is constant in them. Raises FitError for
+    tables of different size.
     """
     one, other = np.asarray(ours, dtype=float).ravel(), np.asarray(published, dtype=float).ravel()
     if one.shape != other.shape:
-        raise FitError(f"tables of {one.size} and {other.size} cells cannot be compared")
+        raise FitError(f"tables must have equal numbers of cells, have {one.size} and {other.size}")
     both = np.isfinite(one) & np.isfinite(other)
     one, other = one[both], other[both]
     if len(one) < 3 or np.ptp(one) == 0 or np.ptp(other) == 0:

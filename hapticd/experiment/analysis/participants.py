@@ -1,4 +1,4 @@
-"""Figures over participants: each participant is one value, whatever the number of trials."""
+"""Statistics over participants: each participant contributes one value, regardless of the number of trials."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hapticd.analysis.statistics import FitError
 
 @dataclass(frozen=True, slots=True)
 class Quartiles:
-    """Median and quartiles, in the unit of the values."""
+    """Median and quartiles of one value per participant, in the unit of the values."""
 
     participants: int
     median: float
@@ -23,30 +23,30 @@ class Quartiles:
 
 
 def quartiles(values: Sequence[float]) -> Quartiles:
-    """Of one value a participant. Raises FitError without any."""
+    """Return the quartiles of one value per participant. Raises FitError without values."""
     if not len(values):
-        raise FitError("no participant has a value: nothing can be summarised")
+        raise FitError("no participant has a value: quartiles need at least one")
     low, median, high = np.quantile(np.asarray(values, dtype=float), (0.25, 0.5, 0.75))
     return Quartiles(len(values), float(median), float(low), float(high))
 
 
 def mean_of_each(values: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    """The mean of each participant's values; those without any are left out."""
+    """Return the mean of each participant's values; participants without values are omitted."""
     return {name: float(np.mean(own)) for name, own in values.items() if len(own)}
 
 
 def mean_ranks(rankings: Sequence[Sequence[str]]) -> tuple[dict[str, float], float]:
-    """The mean rank of each item, 1 first, and Kendall's coefficient of concordance W: 0 no agreement, 1 the same order
-    always.
+    """Return the mean rank of each item, 1 being first, and Kendall's coefficient of concordance W.
 
-    Raises FitError without rankings, and where they are not of the same items, each once.
+    W is 0 without agreement and 1 if all rankings are equal. Raises FitError without rankings, and unless all hold the
+    same items, each once.
     """
     if not rankings or len(rankings[0]) < 2:
-        raise FitError("ranks need a ranking of two items at least")
+        raise FitError("mean ranks need at least one ranking of at least two items")
     items = sorted(rankings[0])
     for place, ranking in enumerate(rankings):
         if sorted(ranking) != items or len(set(ranking)) < len(ranking):
-            raise FitError(f"ranking {place + 1} is not of the items of the first one, each once: {', '.join(items)}")
+            raise FitError(f"ranking {place + 1} must hold each item of the first one once: {', '.join(items)}")
     ranks = np.array([[list(ranking).index(item) + 1 for item in items] for ranking in rankings], dtype=float)
     sums = ranks.sum(axis=0)
     count, raters = len(items), len(rankings)

@@ -4,32 +4,33 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hapticd.analysis.statistics import LEVEL, FitError
+from hapticd.analysis.statistics import CONFIDENCE_LEVEL, FitError
 
 
 @dataclass(frozen=True, slots=True)
 class Proportion:
-    """Successes among trials. Proportions are between 0 and 1."""
+    """The proportion of successes among trials, between 0 and 1, with its interval and test."""
 
     successes: int
     trials: int
     value: float
     low: float
-    """Ends of Wilson's 95 % interval ("Probable inference", J. American Statistical Association 22, 1927)."""
+    """Lower end of Wilson's 95 % interval ("Probable inference", J. American Statistical Association 22, 1927)."""
     high: float
+    """Upper end of Wilson's interval."""
     chance: float | None
     p_value: float | None
-    """Of the exact binomial test against chance, two-sided; None where no chance level is given."""
+    """p value of the exact binomial test against chance, two-sided; None without a chance level."""
 
 
-def proportion(successes: int, trials: int, chance: float | None = None, level: float = LEVEL) -> Proportion:
-    """Raises FitError without trials, for counts that are none, and for a chance level outside 0 to 1."""
+def proportion(successes: int, trials: int, chance: float | None = None, level: float = CONFIDENCE_LEVEL) -> Proportion:
+    """Return the proportion of successes. Raises FitError for impossible counts, or a chance level outside 0 to 1."""
     if trials < 1 or not 0 <= successes <= trials:
         raise FitError(
-            f"{successes} successes of {trials} trials are no proportion: needs 0 to n of n trials, n at least 1"
+            f"successes must be between 0 and the number of trials (at least 1), are {successes} of {trials}"
         )
     if chance is not None and not 0 <= chance <= 1:
-        raise FitError(f"chance level {chance:g} must be a proportion, 0 to 1")
+        raise FitError(f"the chance level must be between 0 and 1, is {chance:g}")
     from scipy.stats import binomtest
 
     test = binomtest(successes, trials, 0.5 if chance is None else chance)

@@ -1,16 +1,16 @@
-"""Psychometric functions fitted to answers: threshold, PSE, JND and Weber fraction with bootstrap intervals.
+"""Fit psychometric functions to answers: threshold, PSE, JND and Weber fraction with bootstrap intervals.
 
-Fits are of greatest likelihood, with a weak prior on a lapse or guess that is estimated (`likelihood_search`).
-Intervals are of a parametric bootstrap (Wichmann and Hill, "The psychometric function: II", Perception & Psychophysics
-63, 2001): answers are drawn from the fitted function and fitted again, and the interval's ends are percentiles.
+Fits maximize the likelihood, with a weak prior on an estimated lapse or guess (`likelihood_search`). Intervals come
+from a parametric bootstrap (Wichmann and Hill, "The psychometric function: II", Perception & Psychophysics 63, 2001):
+answers are drawn from the fitted function and fitted again, and the ends of an interval are percentiles.
 
-Figures, in the unit of the level where nothing else is said:
+Figures, in the unit of the level unless stated otherwise:
 
-    threshold         where F(0) is reached: 1/2 of the way from guess to 1 - lapse, of a Weibull function 1 - 1/e
+    threshold         level at z = 0: halfway from guess to 1 - lapse, for a Weibull function 1 - 1/e of the way
     pse               point of subjective equality: F = 1/2
     jnd               just noticeable difference: half the distance between F = 1/4 and F = 3/4
-    weber_fraction    jnd over the standard, or over the PSE where no standard is given; a ratio
-    slope             as in psychometric_shapes, 1 over the unit of the axis
+    weber_fraction    jnd over the standard, or over the PSE without a standard; a ratio
+    slope             as in psychometric_shapes, in the inverse unit of the axis
     guess, lapse      probabilities
 """
 
@@ -22,12 +22,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.statistics import LEVEL, Estimate, FitError
+from hapticd.analysis.statistics import CONFIDENCE_LEVEL, Estimate, FitError
 from hapticd.experiment.analysis.likelihood_search import (
     GUESS,
     LAPSE,
-    NEAR_OF_RESAMPLES,
-    ROUNDS_OF_RESAMPLES,
+    MAX_RESAMPLE_ROUNDS,
+    RESAMPLE_TOLERANCE,
     SLOPE,
     THRESHOLD,
     Box,
@@ -36,7 +36,7 @@ from hapticd.experiment.analysis.likelihood_search import (
     most_probable,
 )
 from hapticd.experiment.analysis.psychometric_shapes import (
-    SHAPES,
+    PSYCHOMETRIC_SHAPES,
     Floats,
     Shape,
     axis,
@@ -47,44 +47,47 @@ from hapticd.experiment.analysis.psychometric_shapes import (
     rise,
 )
 
-FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slope", "guess", "lapse")
-RESAMPLES: Final = 2000
-_AT_AN_END: Final = 0.05
-"""A function that is nearer than this to one of its ends at every level is a step: resampled answers are all like the
-answers that it was fitted to, and its threshold would have an interval without width."""
+PSYCHOMETRIC_FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slope", "guess", "lapse")
+BOOTSTRAP_RESAMPLES: Final = 2000
+"""Number of resamples for an interval."""
+_STEP_MARGIN: Final = 0.05
+"""A fitted F that is within this of 0 or 1 at every level is a step between two levels. Resampled answers would equal
+the original ones, and the interval of its threshold would have no width."""
 
 
 @dataclass(frozen=True, slots=True)
 class PsychometricFit:
-    """A fitted function and the answers that it was fitted to."""
+    """A fitted psychometric function and its answers."""
 
     shape: Shape
     logarithmic: bool
     rising: bool
     levels: Floats
-    """(k,)"""
+    """Levels (k,)."""
     positive: Floats
-    """(k,) positive answers."""
+    """Number of positive answers (k,)."""
     trials: Floats
-    """(k,) answers."""
+    """Number of answers (k,)."""
     parameters: Floats
-    """(4,) of likelihood_search."""
+    """Parameters (4,) of likelihood_search."""
     box: Box
     standard: float | None
 
     @property
     def figures(self) -> dict[str, float]:
-        """Values of FIGURES."""
+        """Values of PSYCHOMETRIC_FIGURES by name."""
         return {name: float(value[0]) for name, value in figures_of(self, self.parameters[None]).items()}
 
     @property
     def deviance(self) -> float:
-        """Twice the log likelihood by which the answers' own proportions exceed the function."""
+        """Twice the difference in log likelihood between the observed proportions and the function."""
         return float(_deviance(self, self.positive[None], self.parameters[None])[0])
 
     def undetermined(self, unit: str) -> str | None:
-        """Why the answers do not determine where the function is half of its way up; what would. None: they do.
-        `unit`: that of the levels."""
+        """Return why the answers do not determine the PSE and what would, or None if they do.
+
+        `unit` is the unit of the levels, for the text.
+        """
         half_way, slope = self.figures["pse"], self.parameters[SLOPE]
         low, high = float(self.levels.min()), float(self.levels.max())
         shares = self.positive / self.trials
@@ -93,7 +96,7 @@ class PsychometricFit:
             way, keys = ("more", "`rising: false`, or `harder: higher`") if self.rising else ("fewer", "`rising: true`")
             return (
                 f"correct answers do not become {way} from {low:g} to {high:g} {unit}: if they should become "
-                f"{'fewer' if self.rising else 'more'}, the procedure needs {keys}; else other levels are needed"
+                f"{'fewer' if self.rising else 'more'}, set {keys} in the procedure; else use other levels"
             )
         if not low <= half_way <= high:
             beyond = f"above the highest level, {high:g}" if half_way > high else f"below the lowest level, {low:g}"
@@ -101,7 +104,7 @@ class PsychometricFit:
         if slope <= self.box.low[SLOPE]:
             return f"from {low:g} to {high:g} {unit} the answers hardly depend on the level: a wider range is needed"
         rises = rise(self.shape, _sign(self) * (_places(self) - self.parameters[THRESHOLD]) * np.exp(slope))
-        if not ((rises > _AT_AN_END) & (rises < 1 - _AT_AN_END)).any():
+        if not ((rises > _STEP_MARGIN) & (rises < 1 - _STEP_MARGIN)).any():
             below, above = self.levels[self.levels <= half_way].max(), self.levels[self.levels >= half_way].min()
             return (
                 f"the answers fit a step from chance to certainty between {below:g} and {above:g} {unit}: more answers "
@@ -111,11 +114,11 @@ class PsychometricFit:
 
     @property
     def as_steep_as_levels_show(self) -> bool:
-        """Whether the slope is held by its bound, which the least distance of two levels gives."""
+        """Whether the slope is at its upper bound, which the smallest distance of two levels sets."""
         return bool(self.parameters[SLOPE] >= self.box.high[SLOPE])
 
     def probability(self, levels: Floats) -> Floats:
-        """Of a positive answer, at levels of any shape."""
+        """Return the probability of a positive answer at levels of any shape."""
         threshold = level(self.parameters[THRESHOLD], self.logarithmic)
         slope = np.exp(self.parameters[SLOPE]) * (1.0 if self.rising else -1.0)
         guess, lapse = self.parameters[GUESS], self.parameters[LAPSE]
@@ -134,30 +137,30 @@ def fit(
     rising: bool = True,
     standard: float | None = None,
 ) -> PsychometricFit:
-    """Fits `positive` (k,) of `trials` (k,) answers at levels (k,), in any order.
+    """Fit a psychometric function to `positive` of `trials` answers, both (k,), at levels (k,) in any order.
 
-    `guess` and `lapse` are fixed, or estimated where they are None. Raises FitError for answers of fewer than two
-    levels, for counts that are none, and where all answers are alike.
+    `guess` and `lapse` are fixed; None estimates them. Raises FitError for answers at fewer than two levels, for
+    impossible counts, and if all answers are equal.
     """
-    if shape not in SHAPES:
-        raise FitError(f"unknown psychometric function {shape!r}; known: {', '.join(SHAPES)}")
+    if shape not in PSYCHOMETRIC_SHAPES:
+        raise FitError(f"unknown psychometric function {shape!r}; known: {', '.join(PSYCHOMETRIC_SHAPES)}")
     x, right, of = (np.asarray(each, dtype=float) for each in (levels, positive, trials))
     if not (x.ndim == 1 and x.shape == right.shape == of.shape):
-        raise FitError(f"levels, positive answers and trials must be as many: are {x.size}, {right.size} and {of.size}")
+        raise FitError(
+            f"levels, positive and trials must have equal lengths, have {x.size}, {right.size} and {of.size}"
+        )
     if not (np.isfinite(x).all() and (right >= 0).all() and (right <= of).all()):
         raise FitError("levels must be finite, and positive answers between 0 and the number of trials")
     x, right, of = x[of > 0], right[of > 0], of[of > 0]
     if len(np.unique(x)) < 2:
-        raise FitError(f"answers at {len(np.unique(x))} level: a psychometric function needs two levels or more")
+        raise FitError(f"a psychometric function needs answers at two or more levels, has {len(np.unique(x))}")
     if right.sum() in (0.0, of.sum()):
-        raise FitError("all answers are alike: levels must be easier or harder for a threshold between them")
+        raise FitError("all answers are equal: easier or harder levels are needed to determine a threshold")
     if (guess or 0.0) + (lapse or 0.0) >= 1:
-        raise FitError("guess and lapse must together be less than 1")
+        raise FitError("the sum of guess and lapse must be less than 1")
     on_log = is_logarithmic(shape, logarithmic)
     if on_log and not (x > 0).all():
-        raise FitError(
-            f"level {x.min():g} is not positive: a {shape} function on a logarithmic axis needs positive ones"
-        )
+        raise FitError(f"levels of a {shape} function on a logarithmic axis must be positive, one is {x.min():g}")
     places = axis(x, on_log)
     box = Box.around(places, guess, lapse)
     found = most_probable(shape, places, right[None], of[None], box, 1.0 if rising else -1.0)[0]
@@ -165,37 +168,39 @@ def fit(
 
 
 def bootstrap(
-    found: PsychometricFit, resamples: int = RESAMPLES, seed: int = 0, level: float = LEVEL
+    found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0, level: float = CONFIDENCE_LEVEL
 ) -> dict[str, Estimate]:
-    """FIGURES with their intervals. The same seed gives the same intervals."""
+    """Return PSYCHOMETRIC_FIGURES with intervals; the same seed yields the same intervals."""
     generator = np.random.Generator(np.random.PCG64(seed))
     _, refitted = _resampled(found, generator, resamples)
     values, spread = figures_of(found, found.parameters[None]), figures_of(found, refitted)
     estimates = {}
-    for name in FIGURES:
+    for name in PSYCHOMETRIC_FIGURES:
         low, high = percentiles(spread[name], level)
         estimates[name] = Estimate(float(values[name][0]), low, high)
     return estimates
 
 
-def goodness_of_fit(found: PsychometricFit, resamples: int = RESAMPLES, seed: int = 0) -> float:
-    """The chance of a deviance as large as the fit's, if the function is true (parametric bootstrap)."""
+def goodness_of_fit(found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0) -> float:
+    """Return the p value of the fit's deviance by a parametric bootstrap."""
     generator = np.random.Generator(np.random.PCG64(seed))
     drawn, refitted = _resampled(found, generator, resamples)
     as_large = np.count_nonzero(_deviance(found, drawn, refitted) >= found.deviance)
     return (1.0 + float(as_large)) / (1.0 + resamples)
 
 
-def percentiles(spread: Floats, level: float = LEVEL) -> tuple[float, float]:
-    """Ends of the interval that holds `level` of resampled values (n,): their order statistics at (n + 1) times
-    shares."""
+def percentiles(spread: Floats, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
+    """Return the ends of the interval that holds the fraction `level` of resampled values (n,).
+
+    They are interpolated order statistics at (n + 1) times the tail probabilities.
+    """
     rest = 0.5 * (1.0 - level)
     low, high = np.quantile(spread, (rest, 1.0 - rest), method="weibull")
     return float(low), float(high)
 
 
 def figures_of(found: PsychometricFit, parameters: Floats) -> dict[str, Floats]:
-    """FIGURES (b,) of parameters (b, 4), for functions of the shape and axis of `found`."""
+    """Return PSYCHOMETRIC_FIGURES, each (b,), of parameters (b, 4) with the shape and axis of `found`."""
     sign, slope = _sign(found), np.exp(parameters[:, SLOPE])
 
     def at(share: float) -> Floats:
@@ -225,7 +230,7 @@ def _sign(found: PsychometricFit) -> float:
 
 
 def _resampled(found: PsychometricFit, generator: np.random.Generator, count: int) -> tuple[Floats, Floats]:
-    """Positive answers (count, k) as the function gives them, and their parameters (count, 4)."""
+    """Draw positive answers (count, k) from the function; return them and their fitted parameters (count, 4)."""
     chances = np.clip(modelled(found.shape, _places(found), found.parameters[None], _sign(found)), 0.0, 1.0)[0]
     drawn = generator.binomial(found.trials.astype(np.int64), chances, (count, len(chances))).astype(float)
     starts = np.repeat(found.parameters[None], count, axis=0)
@@ -238,13 +243,13 @@ def _resampled(found: PsychometricFit, generator: np.random.Generator, count: in
         found.box,
         _sign(found),
         starts,
-        NEAR_OF_RESAMPLES,
-        ROUNDS_OF_RESAMPLES,
+        RESAMPLE_TOLERANCE,
+        MAX_RESAMPLE_ROUNDS,
     )
 
 
 def _deviance(found: PsychometricFit, positive: Floats, parameters: Floats) -> Floats:
-    """(b,) of answers (b, k)."""
+    """Return the deviances (b,) of answers (b, k)."""
     of = np.broadcast_to(found.trials, positive.shape)
     own = log_likelihood(positive, of, positive / of)
     return 2.0 * (own - log_likelihood(positive, of, modelled(found.shape, _places(found), parameters, _sign(found))))

@@ -1,11 +1,11 @@
-"""Psychometric functions: the probability of an answer over the level of a stimulus.
+"""Psychometric functions: the probability of a positive answer as a function of the level of a stimulus.
 
     P(x) = guess + (1 - guess - lapse) F((u(x) - u(threshold)) slope)
 
-`F` is one of SHAPES; `u` is the level itself, or its natural logarithm on a logarithmic axis. The threshold has the
-unit of the level. The slope is 1 over the unit of u: 1/s of a logistic function, 1/standard deviation of a cumulative
-normal, the exponent (beta) of a Weibull function. F(0) is 1/2, of a Weibull function 1 - 1/e. (Wichmann and Hill, "The
-psychometric function: I", Perception & Psychophysics 63, 2001.)
+`F` is one of PSYCHOMETRIC_SHAPES; `u` is the level itself, or its natural logarithm on a logarithmic axis. The
+threshold has the unit of the level. The slope has the inverse unit of u: 1/s of a logistic function, 1/standard
+deviation of a cumulative normal, the exponent (beta) of a Weibull function. F(0) is 1/2, for a Weibull function
+1 - 1/e. (Wichmann and Hill, "The psychometric function: I", Perception & Psychophysics 63, 2001.)
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy.typing as npt
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Shape: TypeAlias = Literal["logistic", "weibull", "cumulative_normal"]
-SHAPES: Final[tuple[Shape, ...]] = ("logistic", "weibull", "cumulative_normal")
-_LARGEST: Final = 700.0
-"""exp of it is finite."""
+PSYCHOMETRIC_SHAPES: Final[tuple[Shape, ...]] = ("logistic", "weibull", "cumulative_normal")
+_MAX_EXPONENT: Final = 700.0
+"""Largest argument of exp; the result is still finite."""
 
 
 def axis(levels: Floats, logarithmic: bool) -> Floats:
-    """Levels on the axis on which a function is a shift and a scale: themselves, or their natural logarithm.
+    """Return levels on the axis u: unchanged, or their natural logarithms.
 
     Raises ValueError for levels that are not positive on a logarithmic axis.
     """
@@ -37,29 +37,29 @@ def axis(levels: Floats, logarithmic: bool) -> Floats:
 
 
 def level(place: Floats, logarithmic: bool) -> Floats:
-    """The inverse of `axis`."""
+    """Return the levels of places on the axis u; the inverse of `axis`."""
     given = np.asarray(place, dtype=float)
-    return np.exp(np.minimum(given, _LARGEST)) if logarithmic else given
+    return np.exp(np.minimum(given, _MAX_EXPONENT)) if logarithmic else given
 
 
 def is_logarithmic(shape: Shape, logarithmic: bool) -> bool:
-    """A Weibull function has a logarithmic axis always."""
+    """Return whether the axis of a function is logarithmic, which that of a Weibull function always is."""
     return logarithmic or shape == "weibull"
 
 
 def rise(shape: Shape, z: Floats) -> Floats:
-    """F(z), between 0 and 1."""
+    """Return F(z), between 0 and 1."""
     if shape == "logistic":
         return np.asarray(0.5 * (1.0 + np.tanh(0.5 * z)))
     if shape == "weibull":
-        return np.asarray(-np.expm1(-np.exp(np.minimum(z, _LARGEST))))
+        return np.asarray(-np.expm1(-np.exp(np.minimum(z, _MAX_EXPONENT))))
     from scipy.special import ndtr
 
     return np.asarray(ndtr(z))
 
 
 def density(shape: Shape, z: Floats) -> Floats:
-    """dF/dz."""
+    """Return the derivative dF/dz."""
     if shape == "logistic":
         return np.asarray(0.25 / np.cosh(np.clip(0.5 * z, -350, 350)) ** 2)
     if shape == "weibull":
@@ -69,7 +69,7 @@ def density(shape: Shape, z: Floats) -> Floats:
 
 
 def inverse(shape: Shape, proportion: Floats | float) -> Floats:
-    """z with F(z) = proportion; infinite for 0 and 1, nan beyond."""
+    """Return the z at which F(z) is `proportion`; infinite for 0 and 1, NaN outside of them."""
     p = np.asarray(proportion, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         if shape == "logistic":
@@ -90,7 +90,7 @@ def probability(
     lapse: Floats | float = 0.0,
     logarithmic: bool = False,
 ) -> Floats:
-    """P at levels; all arguments are broadcast against one another. A negative slope makes a function that falls."""
+    """Return P at levels; all arguments are broadcast together. A negative slope is a falling function."""
     on_axis = is_logarithmic(shape, logarithmic)
     z = (axis(levels, on_axis) - axis(np.asarray(threshold, dtype=float), on_axis)) * slope
     return np.asarray(guess + (1.0 - np.asarray(guess) - lapse) * rise(shape, z))

@@ -1,15 +1,15 @@
-"""A session in the browser: the participant's page and the experimenter's, each at a port of its own.
+"""A session in the browser: the participant's page and the experimenter's page, each at a separate port.
 
-The session runs in a thread, as at a terminal; the pages in the event loop of the main thread.
+The session runs in a thread, as at a terminal; the pages run in the event loop of the main thread.
 
-    process             starts both, waits for the session's end, and lets go of everything
-    pages_front         between them: what the pages show, what they say; the front of the session
-    screens             what the participant's page shows, made of what a participant may know
-    console             what the experimenter's page shows
-    presence            whether somebody looks at a page
-    participant_page    what the participant's page may call, and the stylus that it draws
+    process             starts both, waits for the end of the session, and closes everything
+    pages_front         front of the session: content of the pages, and messages from them
+    screens             content of the participant's page, without what a participant must not know
+    console             content of the experimenter's page
+    presence            whether a page is open and responds
+    participant_page    methods of the participant's page, and the stylus that it draws
     stylus              where the stylus is drawn: never below a surface
-    experimenter_page   what the experimenter's page may call
+    experimenter_page   methods of the experimenter's page
 
-`static/` is what the browsers get, besides modules of hapticd/web/static.
+`static/` holds the files of both pages; they also use modules of hapticd/web/static.
 """

@@ -1,4 +1,4 @@
-"""What the experimenter's page shows of a session."""
+"""The content of the experimenter's page."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from hapticd.experiment.plan import PlannedTrial
 from hapticd.experiment.session_log import Record
 
 Doing: TypeAlias = Literal["begins", "reads", "armed", "withdraws", "felt", "rests", "paused", "over"]
-MOST_LINES: Final = 200
+MAX_CONSOLE_LINES: Final = 200
+"""Number of the newest lines that the page shows."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """An answer that is on disk."""
+    """An answer that is saved on disk."""
 
     trial: int
     """Index of the trial in the plan, from 0."""
@@ -29,12 +30,13 @@ class Row:
     response_s: float
 
     def to_dict(self) -> dict[str, Any]:
+        """Return the answer as JSON."""
         return asdict(self)
 
 
 @dataclass(slots=True)
 class Console:
-    """The state of a session, as its experimenter sees it."""
+    """The state of a session for the experimenter."""
 
     title: str
     participant: str
@@ -47,25 +49,28 @@ class Console:
     screen: int = 0
     """Number of the participant's screen."""
     goes_on: str | None = None
-    """What the button says that goes on; none: there is nothing to go on to."""
+    """Label of the button to continue; None disables it."""
     trial: Watched | None = None
     phase: str = ""
     asked: str = ""
-    """The question, as the participant reads it."""
+    """The question in the participant's words."""
     here: dict[str, bool] = field(default_factory=lambda: {"participant": False, "experimenter": False})
     auto: bool = False
-    """Whether trials begin by themselves."""
+    """Whether trials begin automatically."""
     lines: list[str] = field(default_factory=list)
+    """The newest lines of the log."""
 
     def to_dict(self) -> dict[str, Any]:
+        """Return the state as JSON."""
         return asdict(self)
 
     def say(self, line: str) -> None:
-        self.lines = [*self.lines, line][-MOST_LINES:]
+        """Append a line to the log."""
+        self.lines = [*self.lines, line][-MAX_CONSOLE_LINES:]
 
 
 def rows_of(records: Sequence[Record], trials: Sequence[PlannedTrial]) -> list[Row]:
-    """The answers in a session's log."""
+    """Return the answers in a session's log."""
     started: dict[object, Mapping[str, Json]] = {}
     rows = []
     for record in records:

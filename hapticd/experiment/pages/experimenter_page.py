@@ -1,12 +1,12 @@
-"""What the experimenter's page may call beside what every page of `hapticd web` may.
+"""The methods of the experimenter's page, in addition to those of every page of `hapticd web`.
 
-    experiment.watch    {since} -> the console (console.py), with the answers from `since` on; now the page is here
-    experiment.beat     {}: its script runs
-    experiment.go_on    {screen}
+    experiment.watch    {since} -> the console (console.py) with the answers from index `since` on; the page is present
+    experiment.beat     {}: heartbeat
+    experiment.go_on    {screen}: the button to continue was pressed on a screen
     experiment.command  {kind: pause | repeat | abort | note, text}
-    experiment.auto     {on}: whether trials begin by themselves
+    experiment.auto     {on}: whether trials begin automatically
 
-News {"experiment": {...}} is the console without its answers, whenever it changed; `answers` says how many there are.
+News {"experiment": {...}} is the console without its answers, after every change; `answers` is their number.
 """
 
 from __future__ import annotations
@@ -21,17 +21,19 @@ from hapticd.experiment.pages.participant_page import screen_number
 from hapticd.experiment.pages.presence import Presence
 from hapticd.web.page import Method, Page
 
-KINDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
-MOST_TEXT: Final = 10_000
+COMMAND_KINDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
+"""Kinds of commands that the page may send."""
+MAX_COMMAND_CHARACTERS: Final = 10_000
+"""Longest text of a command, such as a note."""
 
 
 def methods(front: PagesFront, presence: Presence) -> dict[str, Method]:
-    """By name."""
+    """Return the methods by name."""
 
     async def watch(page: Page, params: Mapping[str, object]) -> object:
         since = params.get("since", 0)
         if not isinstance(since, int) or isinstance(since, bool) or since < 0:
-            raise HapticdError("since: must be a number of answers")
+            raise HapticdError("since: must be the index of an answer, an integer of at least 0")
         presence.follow(page)
         presence.beat(page)
         return {**front.console(), "since": since, "rows": front.rows(since)}
@@ -46,10 +48,10 @@ def methods(front: PagesFront, presence: Presence) -> dict[str, Method]:
 
     async def command(_: Page, params: Mapping[str, object]) -> object:
         kind, text = params.get("kind"), params.get("text", "")
-        if kind not in KINDS:
-            raise HapticdError(f"kind: must be one of {', '.join(KINDS)}")
-        if not isinstance(text, str) or len(text) > MOST_TEXT:
-            raise HapticdError(f"text: must be a text of at most {MOST_TEXT} characters")
+        if kind not in COMMAND_KINDS:
+            raise HapticdError(f"kind: must be one of {', '.join(COMMAND_KINDS)}")
+        if not isinstance(text, str) or len(text) > MAX_COMMAND_CHARACTERS:
+            raise HapticdError(f"text: must be a text of at most {MAX_COMMAND_CHARACTERS} characters")
         front.command(Command(kind, text.strip()))
         return {}
 
@@ -70,5 +72,5 @@ def methods(front: PagesFront, presence: Presence) -> dict[str, Method]:
 
 
 def news(front: PagesFront) -> dict[str, object]:
-    """What the pages are told when something changed: all but the answers."""
+    """Return the news for the page after a change: the console without its answers."""
     return {"experiment": front.console()}

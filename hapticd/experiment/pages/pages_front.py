@@ -1,7 +1,7 @@
 """The front of a session in the browser: the screens of both pages, and the messages from them.
 
 The session's thread calls the methods of `Front`, which block. The event loop calls `go_on`, `answer`, `command`,
-`here` and `set_auto`, which do not block. A screen is never edited: a new one replaces it under one lock, and then
+`here` and `set_auto`, which do not block. A screen is never modified: a new one replaces it under a lock, and then
 `changed` is called.
 """
 
@@ -26,19 +26,19 @@ from hapticd.experiment.session_log import Record
 from hapticd.experiment.stage import Stage
 
 Who: TypeAlias = Literal["participant", "experimenter"]
-LOOKED_AFTER_S: Final = 0.5
-"""Interval at which the stage is checked while a page is waited for, in seconds."""
-STUCK_S: Final = 3.0
-"""The pages' server counts as stuck if it did not report for this time, in seconds."""
-_WAIT: Final = "Please wait for the experimenter."
-_EXPERIMENTER_AWAY: Final = (
+STAGE_CHECK_INTERVAL_S: Final = 0.5
+"""Time between two checks of the stage while a page is waited for."""
+PAGES_SERVER_TIMEOUT_S: Final = 3.0
+"""The server of the pages counts as stuck if it does not report for this time."""
+_WAIT_TEXT: Final = "Please wait for the experimenter."
+_EXPERIMENTER_AWAY_TEXT: Final = (
     "The experimenter is away. The session waits, without forces, until the experimenter is back and continues it."
 )
-_NAMES: Final = {"participant": "the participant's page", "experimenter": "the experimenter's page"}
+_PAGE_NAMES: Final = {"participant": "the participant's page", "experimenter": "the experimenter's page"}
 
 
 @dataclass(frozen=True, slots=True)
-class _GoOn:
+class _Continue:
     who: Who
     screen: int
 
@@ -49,28 +49,28 @@ class _Answer:
     reply: Reply
 
 
-class _Look:
-    """A page was opened or closed, or automatic trials were switched on or off."""
+class _StateChanged:
+    """A message that a page was opened or closed, or that automatic trials were switched on or off."""
 
 
-_Said: TypeAlias = "_GoOn | _Answer | _Look | Command"
+_PageMessage: TypeAlias = "_Continue | _Answer | _StateChanged | Command"
 
 
 class PagesFront:
     """The front of a session whose participant and experimenter each have a page."""
 
     def __init__(self, plan: Plan, changed: Callable[[], None]) -> None:
-        """`changed` is called from any thread when the content of a page has changed."""
+        """Create the front of a plan; `changed` is called from any thread when the content of a page has changed."""
         self._plan, self._changed = plan, changed
         self._lock = threading.Lock()
-        self._inbox: queue.SimpleQueue[_Said] = queue.SimpleQueue()
-        self._screen: Screen = {**screens.wait(_WAIT), "screen": 0}
+        self._inbox: queue.SimpleQueue[_PageMessage] = queue.SimpleQueue()
+        self._screen: Screen = {**screens.wait(_WAIT_TEXT), "screen": 0}
         self._shown: Shown | None = None
         self._console = Console(
             plan.study.title, plan.participant, plan.session, len(plan.trials), plan.study.may_end_early
         )
         self._rows: list[Row] = []
-        self._told = ""
+        self._feedback = ""
         self._stopped = threading.Event()
         self._server_s: float | None = None
         """Time of the last report of the pages' server, on time.monotonic; None: there is no server."""
@@ -79,20 +79,20 @@ class PagesFront:
         self._least_s = 0.0
         """Shortest duration of the current break, in seconds."""
 
-    # ---- Content of the pages; for any thread -------------------------------------------------------------------
+    # ---- Content of the pages; for any thread ---------------------------------------------------------------------
 
     @property
     def screen(self) -> Screen:
-        """The screen of the participant's page. Of a break, `least_s` is what is left of its shortest duration."""
+        """The screen of the participant's page; `least_s` of a break is the rest of its shortest duration."""
         with self._lock:
             return {**self._screen, "least_s": self._left_s()} if self._console.doing == "rests" else self._screen
 
     @property
     def notice(self) -> str:
-        """What the participant's page says beside its screen: that the experimenter is away; else nothing."""
+        """Notice on the participant's page that the experimenter is away, else empty."""
         with self._lock:
             present = self._console.here["experimenter"] or self._console.doing == "over"
-        return "" if present else _EXPERIMENTER_AWAY
+        return "" if present else _EXPERIMENTER_AWAY_TEXT
 
     @property
     def surfaces(self) -> Sequence[Seen]:
@@ -102,9 +102,9 @@ class PagesFront:
         return () if shown is None else shown.surfaces_of(int(str(screen["interval"])))
 
     def console(self) -> dict[str, Any]:
-        """The content of the experimenter's page without the answers; `answers` is their number.
+        """Return the content of the experimenter's page without the answers; `answers` is their number.
 
-        `least_s` is the shortest duration of a break, `left_s` what is left of it; both are 0 where nothing rests.
+        `least_s` is the shortest duration of a break, `left_s` the rest of it; outside of a break both are 0.
         """
         with self._lock:
             rests = self._console.doing == "rests"
@@ -112,38 +112,38 @@ class PagesFront:
             return {**self._console.to_dict(), "answers": len(self._rows), "least_s": least_s, "left_s": left_s}
 
     def rows(self, since: int = 0) -> list[dict[str, Any]]:
-        """The answers from index `since` on."""
+        """Return the answers from index `since` on."""
         with self._lock:
             return [row.to_dict() for row in self._rows[since:]]
 
-    # ---- What the pages say; for the event loop ---------------------------------------------------------------
+    # ---- Messages of the pages; for the event loop --------------------------------------------------------------
 
     def here(self, who: Who, is_here: bool) -> None:
-        """Stores whether the page of `who` is open and responds."""
+        """Store whether the page of `who` is open and responds."""
         with self._lock:
             self._console.here = {**self._console.here, who: is_here}
-        self._inbox.put(_Look())
+        self._inbox.put(_StateChanged())
         self._changed()
 
     def set_auto(self, auto: bool) -> None:
-        """Switches automatic trials on or off."""
+        """Switch automatic trials on or off."""
         with self._lock:
             self._console.auto = auto
-        self._inbox.put(_Look())
+        self._inbox.put(_StateChanged())
         self._changed()
 
     def go_on(self, who: Who, screen: int) -> None:
-        """A button to continue was pressed on a screen. A press on an earlier screen has no effect."""
-        self._inbox.put(_GoOn(who, screen))
+        """Continue after the button of a screen was pressed; a press on an earlier screen has no effect."""
+        self._inbox.put(_Continue(who, screen))
 
     def command(self, command: Command) -> None:
-        """The experimenter gave a command, or either person pressed the stop (`abort`)."""
+        """Take a command of the experimenter, or the stop of either page (`abort`)."""
         if command.kind == "abort":
             self._stopped.set()
         self._inbox.put(command)
 
     def answer(self, screen: int, value: object) -> None:
-        """Takes the answer to a screen. One to an earlier screen has no effect. Raises ValueError: it is invalid."""
+        """Take the answer to a screen; one to an earlier screen has no effect. Raises ValueError for an invalid one."""
         with self._lock:
             shown, current = self._shown, self._screen
         if shown is None or current["screen"] != screen or current.get("question") is None:
@@ -153,61 +153,74 @@ class PagesFront:
     # ---- The session's thread ---------------------------------------------------------------------------------
 
     def opened(self, records: Sequence[Record]) -> None:
-        """Shows the answers that the session's log already has."""
+        """Show the answers that the session's log already contains."""
         with self._lock:
             self._rows = rows_of(records, self._plan.trials)
         self._changed()
 
     def over(self, told: str, participant: str, complete: bool) -> None:
-        """Shows that the session has ended, or will be continued later. Only the last trial of a session that is
-        complete has its feedback here."""
-        self._show(screens.over(f"{participant}\n\n{self._told if complete else ''}"), "over")
+        """Show that the session has ended, or will be continued later.
+
+        `told` is the line for the experimenter, `participant` the text for the participant. The feedback on the last
+        trial is added only if the session is complete.
+        """
+        self._show(screens.over(f"{participant}\n\n{self._feedback if complete else ''}"), "over")
         self.tell(told)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
+        """Show the instructions and wait for the experimenter."""
         self._set(done=done, total=total, at_most=at_most)
-        self._show(screens.read(f"# {title}\n\n{instructions}\n\n---\n\n{_WAIT}", None), "begins", "Begin")
-        return self._until_gone_on("experimenter")
+        self._show(screens.read(f"# {title}\n\n{instructions}\n\n---\n\n{_WAIT_TEXT}", None), "begins", "Begin")
+        return self._wait_to_continue("experimenter")
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
+        """Show the instructions of a phase, if any, and wait until one of the two continues."""
         self._set(phase=phase)
         if instructions is None and phase == "test":
             return None
-        self._show(screens.read(f"## {phase.capitalize()}\n\n{instructions or ''}", "Go on"), "reads", "Go on")
-        return self._until_gone_on("participant", "experimenter")
+        self._show(screens.read(f"## {phase.capitalize()}\n\n{instructions or ''}", "Continue"), "reads", "Continue")
+        return self._wait_to_continue("participant", "experimenter")
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
+        """Show that a trial is ready, and wait until the experimenter enables the forces."""
         self._set(trial=watched, phase=shown.phase, asked=shown.text, done=shown.number - 1)
-        # What is told of the trial before stays on the next screen: where trials begin by themselves this one is short.
-        screen = screens.trial(shown, interval=1, felt=False, asks=False, told=self._told)
-        self._show(screen, "armed", "Let the forces on", shown)
-        return self._until_gone_on("experimenter", by_itself=True)
+        # The feedback on the trial before is kept for the next screen: with automatic trials this screen is short.
+        screen = screens.trial(shown, interval=1, felt=False, asks=False, told=self._feedback)
+        self._show(screen, "armed", "Enable the forces", shown)
+        return self._wait_to_continue("experimenter", automatic=True)
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        screen = screens.trial(shown, interval=interval, felt=False, asks=False, withdraws=True, told=self._told)
+        """Ask the participant to move the stylus out, and wait until the stage is clear."""
+        screen = screens.trial(shown, interval=interval, felt=False, asks=False, withdraws=True, told=self._feedback)
         self._show(screen, "withdraws", None, shown)
         while not stage.is_clear():
-            said = self._wait(lambda each: None, deadline=time.monotonic() + CLEARANCE_POLL_S) or self._away()
-            if isinstance(said, Command):
-                return said
+            message = (
+                self._wait(lambda each: None, deadline=time.monotonic() + CLEARANCE_POLL_S) or self._pause_if_away()
+            )
+            if isinstance(message, Command):
+                return message
         return None
 
     def may_enable(self) -> Command | None:
+        """Return a command that keeps the forces off: an abort after a stop, a pause if a page is away."""
         if self._stopped.is_set():
             return Command("abort", "the stop was pressed")
-        return self._away()
+        return self._pause_if_away()
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
+        """Let the participant feel an interval, and wait until the participant continues."""
         self._show_felt(shown, interval, asks=False)
-        said = self._wait(lambda each: _gone_on(each, ("participant",)), stage=stage)
-        return said if isinstance(said, Command) else None
+        message = self._wait(lambda each: _continued(each, ("participant",)), stage=stage)
+        return message if isinstance(message, Command) else None
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
+        """Show the question and wait for the answer."""
         self._show_felt(shown, shown.stimuli, asks=True)
-        said = self._wait(lambda each: each.reply if isinstance(each, _Answer) else None, stage, self._until_s)
-        return Reply(None, timed_out=True) if said is None else said
+        message = self._wait(lambda each: each.reply if isinstance(each, _Answer) else None, stage, self._until_s)
+        return Reply(None, timed_out=True) if message is None else message
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
+        """Show an answer that was saved on disk to the experimenter."""
         row = Row(watched.index, watched.condition, watched.cell, watched.stimuli, answer, correct, response_s)
         with self._lock:
             self._rows.append(row)
@@ -215,39 +228,44 @@ class PagesFront:
         self._changed()
 
     def feedback(self, told: str, right: str | None) -> None:
-        self._told = told
+        """Keep the feedback on a trial for the next screen."""
+        self._feedback = told
 
     def not_done(self, trial: int, why: str) -> None:
-        self._told = f"{why} The trial begins again."
+        """Keep the reason why the trial begins again for the next screen, and show it to the experimenter."""
+        self._feedback = f"{why} The trial begins again."
         self.tell(f"trial {trial} begins again: {why}")
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
+        """Show a break, and wait until one of the two continues after its shortest duration."""
         if self._console.doing != "rests":
             self._least_s, self._until_s = least_s, time.monotonic() + least_s
-            self._show(screens.read(text or "A break.", "Go on", least_s), "rests", "Go on")
-        said = self._wait(self._too_early, deadline=self._until_s)
-        return said if isinstance(said, Command) else self._until_gone_on("participant", "experimenter")
+            self._show(screens.read(text or "A break.", "Continue", least_s), "rests", "Continue")
+        message = self._wait(self._too_early, deadline=self._until_s)
+        return message if isinstance(message, Command) else self._wait_to_continue("participant", "experimenter")
 
-    def _too_early(self, said: _Said | None) -> None:
-        """Shows the remaining time to an experimenter who continues before the shortest break is over."""
-        if said is not None and _gone_on(said, ("experimenter",)) is not None:
+    def _too_early(self, message: _PageMessage | None) -> None:
+        """Show the remaining time to an experimenter who continues before the shortest break is over."""
+        if message is not None and _continued(message, ("experimenter",)) is not None:
             self.tell(f"The break lasts at least {self._least_s:g} s: {math.ceil(self._left_s())} s left")
 
     def _left_s(self) -> float:
         return max(0.0, self._until_s - time.monotonic())
 
     def paused(self) -> Command | None:
-        self._show(screens.wait(f"A pause.\n\n{_WAIT}"), "paused", "Go on")
-        while (said := self._until_gone_on("experimenter")) is not None and said.kind == "pause":
-            pass  # it is one already
-        return said
+        """Show a pause, and wait until the experimenter continues."""
+        self._show(screens.wait(f"A pause.\n\n{_WAIT_TEXT}"), "paused", "Continue")
+        while (message := self._wait_to_continue("experimenter")) is not None and message.kind == "pause":
+            pass  # the session is already paused
+        return message
 
     def tell(self, line: str) -> None:
+        """Show the experimenter a line."""
         with self._lock:
             self._console.say(line)
         self._changed()
 
-    # ---- How it is shown and waited for -----------------------------------------------------------------------
+    # ---- Showing screens and waiting for messages ---------------------------------------------------------------
 
     def _set(self, **members: Any) -> None:
         with self._lock:
@@ -255,19 +273,19 @@ class PagesFront:
                 setattr(self._console, name, value)
 
     def _show_felt(self, shown: Shown, interval: int, asks: bool) -> None:
-        """Shows a trial while the forces are on. After a note the screen and its time limit stay as they are."""
+        """Show a trial while the forces are on; after a note the screen and its time limit remain."""
         screen = self._screen
         same = screen.get("felt") and (screen["interval"], screen["question"] is not None) == (interval, asks)
         if self._shown is shown and same:
             return
         limit_s = shown.time_limit_s if asks else None
         self._until_s = math.inf if limit_s is None else time.monotonic() + limit_s
-        told, self._told = self._told, ""
-        felt = screens.trial(shown, interval=interval, felt=True, asks=asks, left_s=limit_s, told=told)
+        feedback, self._feedback = self._feedback, ""
+        felt = screens.trial(shown, interval=interval, felt=True, asks=asks, left_s=limit_s, told=feedback)
         self._show(felt, "felt", None, shown)
 
     def _show(self, screen: Screen, doing: Doing, goes_on: str | None = None, shown: Shown | None = None) -> None:
-        """Replaces the screen; the new one has the next number."""
+        """Replace the screen; the new one has the next number."""
         with self._lock:
             self._console.screen += 1
             self._console.doing, self._console.goes_on = doing, goes_on
@@ -276,17 +294,20 @@ class PagesFront:
         self._changed()
 
     def server_runs(self) -> None:
-        """The pages' server calls this a few times a second. While it is stuck, a stop would not be received."""
+        """Take the report of the pages' server that it runs, a few times per second.
+
+        While the server is stuck, a stop would not be received.
+        """
         self._server_s = time.monotonic()
 
     def _missing(self) -> list[str]:
         with self._lock:
-            missing = [name for who, name in _NAMES.items() if not self._console.here[who]]
-        stuck = self._server_s is not None and time.monotonic() - self._server_s > STUCK_S
+            missing = [name for who, name in _PAGE_NAMES.items() if not self._console.here[who]]
+        stuck = self._server_s is not None and time.monotonic() - self._server_s > PAGES_SERVER_TIMEOUT_S
         return [*missing, "the pages' server"] if stuck else missing
 
-    def _away(self) -> Command | None:
-        """A pause if a page is closed or does not respond, else None."""
+    def _pause_if_away(self) -> Command | None:
+        """Return a pause if a page is closed or does not respond, else None."""
         missing = self._missing()
         if not missing:
             return None
@@ -294,80 +315,83 @@ class PagesFront:
         self.tell(line)
         return Command("pause", line)
 
-    def _until_gone_on(self, *who: Who, by_itself: bool = False) -> Command | None:
-        """Waits until one of them continues while both pages are open. `by_itself`: not if trials are automatic.
+    def _wait_to_continue(self, *who: Who, automatic: bool = False) -> Command | None:
+        """Wait until one of `who` continues while both pages are open, or return a command.
 
-        A participant who continues while the experimenter is away does so when the experimenter is back.
+        With `automatic`, it does not wait if trials begin automatically. The press of a participant while the
+        experimenter is away takes effect when the experimenter is back.
         """
         willing = False
 
-        def taken(said: _Said | None) -> bool | None:
+        def accept(message: _PageMessage | None) -> bool | None:
             nonlocal willing
             with self._lock:
-                auto = by_itself and self._console.auto
+                auto = automatic and self._console.auto
                 here = self._console.here["participant"]
-            pressed = isinstance(said, _GoOn) and said.who in who
-            willing = here and (willing or (isinstance(said, _GoOn) and pressed and said.who == "participant"))
+            pressed = isinstance(message, _Continue) and message.who in who
+            willing = here and (
+                willing or (isinstance(message, _Continue) and pressed and message.who == "participant")
+            )
             missing = self._missing()
             if missing and pressed and not auto:
-                self.tell(f"{' and '.join(missing)} must be open to go on")
+                self.tell(f"{' and '.join(missing)} must be open to continue")
             return True if (auto or pressed or willing) and not missing else None
 
-        if taken(None):
-            # What was said before this screen is heard first.
-            return self._commanded()
-        said = self._wait(taken)
-        return said if isinstance(said, Command) else None
+        if accept(None):
+            # Commands that were given before this screen take effect first.
+            return self._pending_command()
+        message = self._wait(accept)
+        return message if isinstance(message, Command) else None
 
-    def _commanded(self) -> Command | None:
+    def _pending_command(self) -> Command | None:
         while True:
             try:
-                said = self._inbox.get_nowait()
+                message = self._inbox.get_nowait()
             except queue.Empty:
                 return None
-            if isinstance(said, Command):
-                return said
+            if isinstance(message, Command):
+                return message
 
     def _wait(
-        self, taken: Callable[[_Said], Any], stage: Stage | None = None, deadline: float = math.inf
+        self, accept: Callable[[_PageMessage], Any], stage: Stage | None = None, deadline: float = math.inf
     ) -> Any | Command | None:
-        """Waits for a message to this screen. Returns the result of `taken`, or a command; None at the deadline.
+        """Wait for a message to this screen; return the result of `accept`, a command, or at the deadline None.
 
-        With a `stage` the forces are on. Then the stage is checked, and a page that is closed causes a pause.
+        With a `stage` the forces are on: the stage is checked, and a closed page causes a pause.
         """
-        number, look_s = self.screen["screen"], 0.0
+        number, next_check_s = self.screen["screen"], 0.0
         while (left_s := deadline - time.monotonic()) > 0:
             if stage is not None:
-                if (away := self._away()) is not None:
+                if (away := self._pause_if_away()) is not None:
                     return away
-                if time.monotonic() >= look_s:
+                if time.monotonic() >= next_check_s:
                     stage.check()
-                    look_s = time.monotonic() + LOOKED_AFTER_S
+                    next_check_s = time.monotonic() + STAGE_CHECK_INTERVAL_S
             try:
-                said = self._inbox.get(timeout=min(LOOKED_AFTER_S, left_s))
+                message = self._inbox.get(timeout=min(STAGE_CHECK_INTERVAL_S, left_s))
             except queue.Empty:
                 continue
-            if isinstance(said, Command):
-                return said
-            if isinstance(said, _GoOn | _Answer) and said.screen != number:
+            if isinstance(message, Command):
+                return message
+            if isinstance(message, _Continue | _Answer) and message.screen != number:
                 continue
-            found = taken(said)
+            found = accept(message)
             if found is not None:
                 return found
         return None
 
 
-def _gone_on(said: _Said, who: Sequence[Who]) -> bool | None:
-    return True if isinstance(said, _GoOn) and said.who in who else None
+def _continued(message: _PageMessage, who: Sequence[Who]) -> bool | None:
+    return True if isinstance(message, _Continue) and message.who in who else None
 
 
 def _value_of(shown: Shown, value: object) -> str | float | None:
-    """The answer of a page in the form of the data. Raises ValueError if it is invalid."""
+    """Convert the answer of a page to the form of the data. Raises ValueError if it is invalid."""
     if shown.kind == "measure":
         return None
     if shown.kind == "choice":
         if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < len(shown.answers):
-            raise ValueError(f"answer: must be a number from 0 to {len(shown.answers) - 1}")
+            raise ValueError(f"answer: must be an integer from 0 to {len(shown.answers) - 1}")
         return shown.answers[value].name
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise ValueError("answer: must be a text or a number")

@@ -1,13 +1,14 @@
-"""What the participant's page may call, and what it gets: screens, and where the stylus is drawn. Nothing else.
+"""The methods of the participant's page, which receives only screens and where the stylus is drawn.
 
-    participant.screen    {} -> {screen, notice, hand}: the screen now; what is said beside it (a text, or "");
-                          whether this page moves the simulated joystick's hand
-    participant.beat      {}: its script runs
-    participant.go_on     {screen}: the button of a screen
-    participant.answer    {screen, answer}: of a choice its place from 0, of a measure nothing, else a text or a number
-    participant.stop      {}: the session ends here
+    participant.screen    {} -> {screen, notice, hand}: the current screen; a notice (a text, or ""); whether this page
+                          moves the hand of the simulated joystick
+    participant.beat      {}: heartbeat
+    participant.go_on     {screen}: the button to continue was pressed on a screen
+    participant.answer    {screen, answer}: of a choice its index from 0, of a measure null, else a text or a number
+    participant.stop      {}: end the session
 
-Of the daemon it may call `set_forces` (off, as it never has a lease) and, with the simulated joystick, `stream_target`.
+Of the daemon's methods it may call `set_forces` (to switch off, since it never has a lease) and, with the simulated
+joystick, `stream_target`.
 """
 
 from __future__ import annotations
@@ -25,14 +26,16 @@ from hapticd.experiment.pages.stylus import drawn_at
 from hapticd.protocol import messages
 from hapticd.web.page import Method, Page
 
-STOPS: Final = frozenset(("set_forces",))
-MOVES: Final = frozenset(("stream_target",))
-STYLUS: Final = "stylus"
-"""Topic of where the stylus is drawn: [x, y], m."""
+STOP_METHODS: Final = frozenset(("set_forces",))
+"""Methods of the daemon that the page may always call."""
+HAND_METHODS: Final = frozenset(("stream_target",))
+"""Methods of the daemon that the page may also call with the simulated joystick."""
+STYLUS_TOPIC: Final = "stylus"
+"""Topic of the messages [x, y], the place in m at which the stylus is drawn."""
 
 
 def screen_number(params: Mapping[str, object]) -> int:
-    """Raises HapticdError."""
+    """Return the screen of a call's parameters. Raises HapticdError if it is missing or not an integer."""
     number = params.get("screen")
     if not isinstance(number, int) or isinstance(number, bool):
         raise HapticdError("screen: must be the number of the screen")
@@ -40,7 +43,7 @@ def screen_number(params: Mapping[str, object]) -> int:
 
 
 def methods(front: PagesFront, presence: Presence, hand: bool) -> dict[str, Method]:
-    """By name. `hand`: the device is the simulated joystick."""
+    """Return the methods by name; `hand` is whether the page moves the hand of the simulated joystick."""
     newest: list[Page] = []
 
     async def hello(page: Page, _: Mapping[str, object]) -> object:
@@ -49,8 +52,8 @@ def methods(front: PagesFront, presence: Presence, hand: bool) -> dict[str, Meth
     async def screen(page: Page, _: Mapping[str, object]) -> object:
         if presence.follow(page):
             for older in newest:
-                # Only one may answer, and be away.
-                older.end("This page was opened somewhere else, and goes on there.")
+                # Only one page may answer, and decide whether the participant is away.
+                older.end("The session continues in another window, where this page was opened again.")
             newest[:] = [page]
         return {"screen": front.screen, "notice": front.notice, "hand": hand}
 
@@ -83,16 +86,17 @@ def methods(front: PagesFront, presence: Presence, hand: bool) -> dict[str, Meth
     }
 
 
-class StylusTaker:
-    """Gets the daemon's states, and passes on where the stylus is drawn."""
+class StylusRelay:
+    """A receiver of the daemon's states that sends the pages where to draw the stylus."""
 
     def __init__(self, front: PagesFront, pages: Callable[[], Iterable[Page]]) -> None:
         self._front, self._pages = front, pages
 
     def telemetry(self, topic: str, message: bytes) -> None:
+        """Send the place of the stylus for a state of the daemon."""
         state = cast("dict[str, Any]", cast("list[Any]", messages.decode_trusted(message))[1])
         x, y = state["position_m"]
         at = drawn_at((x, y), bool(state["flags"] & Flag.CONTACT), self._front.surfaces)
-        told = encode([STYLUS, list(at)])
+        sent = encode([STYLUS_TOPIC, list(at)])
         for page in self._pages():
-            page.outbox.telemetry(topic, told)
+            page.outbox.telemetry(topic, sent)

@@ -1,4 +1,4 @@
-"""Whether somebody looks at a page: it is open, and its script ran not long ago."""
+"""Detection of whether a page is open and its script runs."""
 
 from __future__ import annotations
 
@@ -9,22 +9,26 @@ from typing import Final
 
 from hapticd.web.page import Page
 
-AWAY_S: Final = 3.0
-"""A page that was not heard for so long is away: its browser is frozen, or its network gone. Pages beat 4 times a s."""
-_SWEEP_S: Final = 0.25
+PRESENCE_TIMEOUT_S: Final = 3.0
+"""A page without a heartbeat for this time is away: its browser is frozen, or its network is lost.
+
+Pages send 4 heartbeats per second.
+"""
+_SWEEP_INTERVAL_S: Final = 0.25
+"""Time between two checks of the heartbeats."""
 
 
 class Presence:
-    """Of the pages of one kind. Belongs to the event loop."""
+    """The presence of the pages of one kind. It belongs to the event loop."""
 
     def __init__(
         self,
         changed: Callable[[bool], None],
-        away_s: float = AWAY_S,
+        away_s: float = PRESENCE_TIMEOUT_S,
         now: Callable[[], float] = time.monotonic,
         swept: Callable[[], None] = lambda: None,
     ) -> None:
-        """`changed` is called when the first one comes and when the last one goes, `swept` a few times a second."""
+        """Call `changed` when the first page comes and when the last one leaves, and `swept` after each check."""
         self._swept = swept
         self._changed, self._away_s, self._now = changed, away_s, now
         self._heard: dict[Hashable, float] = {}
@@ -32,10 +36,11 @@ class Presence:
 
     @property
     def here(self) -> bool:
+        """Whether a page of this kind is present."""
         return bool(self._heard)
 
     def follow(self, page: Page) -> bool:
-        """Has it leave when it is closed; False where it is followed already."""
+        """Make a page leave when it is closed. Returns False if that was already done."""
         if page in self._followed:
             return False
         self._followed.add(page)
@@ -44,26 +49,26 @@ class Presence:
         return True
 
     def beat(self, page: Hashable) -> None:
-        """It is here."""
+        """Store a heartbeat of a page."""
         was = self.here
         self._heard[page] = self._now()
         if not was:
             self._changed(True)
 
     def leave(self, page: Hashable) -> None:
-        """It was closed."""
+        """Remove a page that was closed or is away."""
         if self._heard.pop(page, None) is not None and not self.here:
             self._changed(False)
 
     def sweep(self) -> None:
-        """Lets go of those that were not heard for too long."""
+        """Remove the pages whose last heartbeat is too old."""
         now = self._now()
         for page in [page for page, heard in self._heard.items() if now - heard > self._away_s]:
             self.leave(page)
 
     async def run(self) -> None:
-        """Sweeps, until cancelled."""
+        """Check the heartbeats repeatedly, until cancelled."""
         while True:
-            await asyncio.sleep(_SWEEP_S)
+            await asyncio.sleep(_SWEEP_INTERVAL_S)
             self.sweep()
             self._swept()

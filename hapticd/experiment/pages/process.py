@@ -1,4 +1,4 @@
-"""The life of a session in the browser: two ports, the session in a thread, and the end of both."""
+"""A session in the browser from start to end: two ports, and the session in a thread."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hapticd.client.asynchronous import Client
 from hapticd.experiment.front import Command
 from hapticd.experiment.pages import experimenter_page, participant_page
 from hapticd.experiment.pages.pages_front import PagesFront, Who
-from hapticd.experiment.pages.participant_page import MOVES, STOPS, StylusTaker
+from hapticd.experiment.pages.participant_page import HAND_METHODS, STOP_METHODS, StylusRelay
 from hapticd.experiment.pages.presence import Presence
 from hapticd.system.paths import RuntimePaths
 from hapticd.web import application, opening
@@ -30,19 +30,20 @@ from hapticd.web.sessions import Sessions
 from hapticd.web.tasks import ended
 from hapticd.web.telemetry_hub import TelemetryHub
 
-STATIC: Final = Path(__file__).parent / "static"
+STATIC_FOLDER: Final = Path(__file__).parent / "static"
+"""Folder of the pages' files."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Those of the command."""
+    """The options of the command."""
 
     place: RuntimePaths
     simulated: bool
     """Whether the daemon has the simulated joystick."""
     host: str
     port: int
-    """The participant's; the experimenter's is the next one. 0: any free ports."""
+    """Port of the participant's page; the experimenter's is the next one. 0 chooses free ports."""
     open_browser: bool
     tls_cert: str | None = None
     tls_key: str | None = None
@@ -50,10 +51,10 @@ class Options:
 
 
 def run(options: Options, front: PagesFront, news: News, session: Callable[[], int]) -> int:
-    """Shows the pages while `session` runs in a thread; returns what it returns.
+    """Serve the pages while `session` runs in a thread, and return its result.
 
-    SIGINT and SIGTERM end the session, as the experimenter would; SIGUSR1 prints new addresses. Raises HapticdError
-    where a port cannot be had, and what the session raised.
+    SIGINT and SIGTERM end the session like the experimenter's button; SIGUSR1 prints new addresses. Raises HapticdError
+    if a port is not available, and exceptions of the session.
     """
     with ExitStack() as stack:
         at = []
@@ -62,33 +63,36 @@ def run(options: Options, front: PagesFront, news: News, session: Callable[[], i
             found = listen(options.host, port, options.tls_cert, options.tls_key, options.password_file)
             stack.callback(found.socket.close)
             at.append(found)
-        return asyncio.run(_Life(options, front, news, at[0], at[1]).run(session))
+        return asyncio.run(_SessionPages(options, front, news, at[0], at[1]).run(session))
 
 
 class News:
-    """Tells the event loop, from any thread, that pages show something else. The front's `changed`."""
+    """A notifier from any thread to the event loop that the content of a page has changed; the front's `changed`."""
 
     def __init__(self) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._event: asyncio.Event | None = None
 
     def __call__(self) -> None:
+        """Notify the event loop of a change."""
         if self._loop is not None and self._event is not None:
             self._loop.call_soon_threadsafe(self._event.set)
 
-    async def listened(self, tell: Callable[[], None]) -> None:
-        """Calls `tell` after each change, or once after several. Until cancelled."""
+    async def listened(self, send: Callable[[], None]) -> None:
+        """Call `send` once, and after each change or several changes, until cancelled."""
         self._loop, self._event = asyncio.get_running_loop(), asyncio.Event()
         try:
             while True:
-                tell()
+                send()
                 await self._event.wait()
                 self._event.clear()
         finally:
             self._loop = None
 
 
-class _Life:
+class _SessionPages:
+    """The pages and their servers during one session."""
+
     def __init__(
         self, options: Options, front: PagesFront, news: News, participant: Listening, experimenter: Listening
     ) -> None:
@@ -98,6 +102,7 @@ class _Life:
         self._screen, self._notice = -1, ""
 
     async def run(self, session: Callable[[], int]) -> int:
+        """Serve the pages until the session ends, and return its result."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._front.command, Command("abort", signal.Signals(number).name))
@@ -108,41 +113,41 @@ class _Life:
             hub = TelemetryHub(self._options.place)
             running = [asyncio.create_task(hub.run(), name="telemetry")]
             pages = await self._serve(stack, running, hub, control)
-            hub.subscribe(StylusTaker(self._front, lambda: tuple(pages["participant"].open)), frozenset(("state",)))
-            running.append(asyncio.create_task(self._changes.listened(partial(self._tell, pages)), name="news"))
+            hub.subscribe(StylusRelay(self._front, lambda: tuple(pages["participant"].open)), frozenset(("state",)))
+            running.append(asyncio.create_task(self._changes.listened(partial(self._send_changes, pages)), name="news"))
             for task in running:
                 stack.push_async_callback(ended, task)
             for each in pages.values():
-                stack.push_async_callback(each.close)  # before the telemetry that they have ends
+                stack.push_async_callback(each.close)  # before their telemetry ends
             done = _in_thread(loop, session)
             waiting: list[asyncio.Future[Any]] = [done, *running]
             first, _ = await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
             if done not in first:
-                # One of ours failed: the forces do not stay on.
-                self._front.command(Command("abort", "a part of the pages failed"))
+                # A task of the pages failed: the session ends, so that the forces do not stay on.
+                self._front.command(Command("abort", "the server of the pages failed"))
                 await asyncio.wait((done,))
                 for part in first:
                     part.result()
-            self._tell(pages)  # the last screen; close() sends it before it lets go
+            self._send_changes(pages)  # the last screen, which close() sends before it disconnects
             return done.result()
 
     async def _serve(
         self, stack: AsyncExitStack, running: list[asyncio.Task[Any]], hub: TelemetryHub, control: Client
     ) -> dict[Who, Pages]:
-        """Both sites; prints their addresses once both are served."""
+        """Serve both pages, print their addresses, and return the pages."""
         made: dict[Who, Pages] = {}
         for who, at in self._at.items():
             presence = Presence(partial(self._front.here, who), swept=self._front.server_runs)
             connections = Connections()
             pages = Pages(self._options.place, hub, control, False, partial(self._address, who))
             if who == "participant":
-                passes = STOPS | MOVES if self._options.simulated else STOPS
+                passes = STOP_METHODS | HAND_METHODS if self._options.simulated else STOP_METHODS
                 own = participant_page.methods(self._front, presence, self._options.simulated)
                 pages = replace(pages, methods=own, passes=passes)
             else:
                 own = experimenter_page.methods(self._front, presence)
                 pages = replace(pages, methods={**application.METHODS, **own})
-            site = Site(STATIC / f"{who}.html", partial(_add_routes, pages))
+            site = Site(STATIC_FOLDER / f"{who}.html", partial(_add_routes, pages))
             await stack.enter_async_context(serving(at, self._sessions[who], site, connections))
             running += [asyncio.create_task(each.run(), name=f"{who}-{each}") for each in (presence, connections)]
             made[who] = pages
@@ -153,7 +158,7 @@ class _Life:
         return made
 
     def _address(self, who: Who) -> str:
-        """A new one, which opens the page once."""
+        """Return a new address, which opens the page once."""
         return f"{self._at[who].url}/?token={self._sessions[who].new_token()}"
 
     def _print_addresses(self) -> list[str]:
@@ -162,7 +167,7 @@ class _Life:
             click.echo(f"{who}: {address}")
         return list(addresses.values())
 
-    def _tell(self, pages: dict[Who, Pages]) -> None:
+    def _send_changes(self, pages: dict[Who, Pages]) -> None:
         screen = self._front.screen
         if screen["screen"] != self._screen:
             self._screen = int(str(screen["screen"]))
@@ -175,11 +180,11 @@ class _Life:
 
 def _add_routes(pages: Pages, app: Any) -> None:
     pages.add_routes(app)
-    app.router.add_static("/experiment/", STATIC, follow_symlinks=False)
+    app.router.add_static("/experiment/", STATIC_FOLDER, follow_symlinks=False)
 
 
 def _in_thread(loop: asyncio.AbstractEventLoop, session: Callable[[], int]) -> asyncio.Future[int]:
-    """A thread of its own, not of a pool: it lives as long as the session."""
+    """Run the session in a separate thread, since it would block a thread of a pool; return its future result."""
     done: asyncio.Future[int] = loop.create_future()
 
     def settle(code: int | None, error: BaseException | None) -> None:

@@ -1,16 +1,16 @@
-"""What the participant's page shows: screens, made of what a participant may know.
+"""The screens of the participant's page, without what a participant must not know.
 
-A screen is a map with `kind` and `screen`, its number, which what the page says of it carries:
+A screen is a map with `kind` and `screen`. `screen` is its number; messages from the page that refer to it repeat it.
 
-    read    html, go_on (label of the button, or none), least_s: a text; it may be left after so long
-    wait    html: the experimenter is waited for
+    read    html; go_on: label of the button, or null; least_s: time in s until the button works
+    wait    html: a text while the experimenter is waited for
     trial   number, total, at_most, phase, surfaces, stimuli, in_places, interval; felt: whether the forces are on;
-            withdraws: whether the handle is to be moved out before they come on;
-            question, where it is asked: kind, html, answers, low, high, step, ends, most_characters, left_s
-    over    html: the session is over
+            withdraws: whether the handle must be moved out before the forces are enabled; `told`: feedback;
+            question, null before it is asked: kind, html, answers, low, high, step, ends, most_characters, left_s
+    over    html: a text after the session
 
-Answers are numbered, and have a label and a key. No screen has a name of a stimulus, a factor, a level, a condition, a
-cell, or an answer.
+Answers are numbered, and have a label and a key. No screen contains the name of a stimulus, a factor, a level, a
+condition, a cell, or an answer.
 """
 
 from __future__ import annotations
@@ -23,30 +23,33 @@ from markdown_it import MarkdownIt
 from hapticd.experiment.front import Shown
 
 Screen: TypeAlias = "dict[str, object]"
-MEASURED: Final = "Done"
-"""The button where the motion itself is the answer."""
+MEASURE_BUTTON_TEXT: Final = "Done"
+"""Label of the button if the motion itself is the answer."""
 
 
 @cache
 def _markdown() -> MarkdownIt:
-    # HTML in a text is shown as text, and links lead nowhere that runs a script.
+    # HTML in a text is shown as text, and links that run a script are not made.
     return MarkdownIt("commonmark", {"html": False, "typographer": False}).enable("table")
 
 
 def html(markdown: str) -> str:
-    """Markdown as HTML without scripts."""
+    """Convert Markdown to HTML without scripts."""
     return str(_markdown().render(markdown.strip()))
 
 
 def read(markdown: str, go_on: str | None, least_s: float = 0.0) -> Screen:
+    """Return a screen with a text; its button is labelled `go_on` and works after `least_s`."""
     return {"kind": "read", "html": html(markdown), "go_on": go_on, "least_s": least_s}
 
 
 def wait(markdown: str) -> Screen:
+    """Return a screen with a text while the experimenter is waited for."""
     return {"kind": "wait", "html": html(markdown)}
 
 
 def over(markdown: str) -> Screen:
+    """Return the screen after the session."""
     return {"kind": "over", "html": html(markdown)}
 
 
@@ -60,8 +63,11 @@ def trial(
     left_s: float | None = None,
     told: str = "",
 ) -> Screen:
-    """A trial. `interval`: counted from 1; `withdraws`: the handle is behind a surface; `left_s`: of the time limit;
-    `told`: of the trial before."""
+    """Return the screen of a trial.
+
+    `interval` counts from 1. `felt` is whether the forces are on, `asks` whether the question is shown, `withdraws`
+    whether the handle is behind a surface. `left_s` is the remaining time, `told` the feedback of the trial before.
+    """
     return {
         "kind": "trial",
         "number": shown.number,
@@ -96,5 +102,5 @@ def _question(shown: Shown, left_s: float | None) -> dict[str, object]:
         "ends": list(shown.ends),
         "most_characters": shown.most_characters,
         "left_s": left_s,
-        "done": MEASURED,
+        "done": MEASURE_BUTTON_TEXT,
     }

@@ -1,6 +1,6 @@
-"""Where the stylus is drawn: a participant sees objects and stylus, and nothing that tells materials apart.
+"""The place at which the stylus is drawn, which must not reveal the material.
 
-How deep a hand presses into a surface tells how stiff that is. So a stylus that touches something is drawn on it.
+The depth of the handle in a surface depends on its stiffness. So a stylus that touches a surface is drawn on it.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from hapticd.experiment.front import Seen
 
 
 def drawn_at(position_m: tuple[float, float], touches: bool, surfaces: Sequence[Seen]) -> tuple[float, float]:
-    """Where a handle at `position_m` is drawn: at the height of the surface that it is below, along its normal.
+    """Return the place in m at which to draw a handle at `position_m`: on the surface that it is below.
 
-    Of several that is the one that it is nearest to along the surface. Beyond the end of one, and at the side of a box,
-    it is drawn at the same height: no depth is seen anywhere. A handle that touches nothing is drawn where it is, also
-    behind a membrane that was punctured.
+    Of several surfaces it is the one nearest along the surface. Beyond the end of a surface and at the side of a box
+    the stylus is drawn at the same height, so that no depth is ever visible. A handle that touches nothing is drawn at
+    its position, also behind a punctured membrane.
     """
     x, y = position_m
     found = [(*each.from_surface(position_m), each.normal) for each in surfaces] if touches else []

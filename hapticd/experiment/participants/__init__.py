@@ -1,6 +1,6 @@
-"""Simulated participants: a hand that explores, and a rule that judges from what that hand felt.
+"""Simulated participants: a hand that explores surfaces, and an observer that answers from the samples that it felt.
 
-hand       where the hand goes: taps, strokes and presses as varied as a person's
-observer   what is felt, and what is answered
-simulated  the front that both make together
+hand       waypoints of taps, strokes and presses, as varied as a person's
+observer   features of the felt force, and answers
+simulated  front of a session made of both
 """

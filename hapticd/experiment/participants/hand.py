@@ -1,7 +1,7 @@
-"""Where a simulated hand goes: taps, strokes and presses of varied speed and depth, with tremor.
+"""The motions of a simulated hand: taps, strokes and presses of varied speed and depth, with tremor.
 
-A hand sees surfaces and nothing of their materials. Its waypoints are where it wants to be; grip and handle of the
-simulated joystick are between that and where the handle is, so the force moves the handle in a closed loop.
+A hand knows the surfaces but not their materials. Its waypoints are the reference of the simulated joystick's grip; the
+handle follows through grip and force in a closed loop.
 """
 
 from __future__ import annotations
@@ -16,60 +16,60 @@ import numpy as np
 from hapticd.experiment.front import Seen
 from hapticd.experiment.stage import Waypoints
 
-STEP_S: Final = 0.005
-"""Between two waypoints."""
-WAY_OUT_S: Final = 0.5
-"""Duration of the way out of a surface."""
-HEIGHT_M: Final = 0.008
-"""Above a surface, before it is touched."""
-TREMOR_HZ: Final = (8.0, 12.0)
-"""Physiological tremor of the hand: Elble and Koller, Tremor, 1990."""
+WAYPOINT_INTERVAL_S: Final = 0.005
+"""Time between two waypoints."""
+WAY_OUT_DURATION_S: Final = 0.5
+"""Duration of the motion out of a surface."""
+HOVER_HEIGHT_M: Final = 0.008
+"""Height of the hand above a surface before it touches it."""
+TREMOR_BAND_HZ: Final = (8.0, 12.0)
+"""Frequencies of the physiological tremor of the hand: Elble and Koller, Tremor, 1990."""
 
 
 @dataclass(frozen=True, slots=True)
 class HandParameters:
-    """How a hand moves. Medians of a lognormal spread; the values are choices of this library."""
+    """Parameters of a hand's motions. Speeds and depths are medians of lognormal distributions, chosen for hapticd."""
 
     tap_speed_m_per_s: float = 0.12
     stroke_speed_m_per_s: float = 0.06
     press_speed_m_per_s: float = 0.03
     depth_m: float = 0.006
-    """How far below a surface it aims."""
+    """Depth below the surface at which the hand aims."""
     spread: float = 0.2
     """Standard deviation of the logarithm of speeds and depths."""
     tremor_m: float = 40e-6
-    """Root mean square of the tremor, per axis."""
+    """RMS of the tremor on each axis."""
     reaction_s: float = 0.16
-    """Median time from something felt to the begin of a movement."""
+    """Median time from a felt event to the begin of a movement."""
 
 
 class Hand:
-    """One hand with its own chance."""
+    """A hand with its random generator."""
 
     def __init__(self, chance: np.random.Generator, parameters: HandParameters | None = None) -> None:
         self._chance = chance
         self.parameters = parameters or HandParameters()
 
     def taps(self, surface: Seen, count: int = 3) -> Waypoints:
-        """Taps near the middle of a surface, (n, 3)."""
+        """Return waypoints (n, 3) of taps near the middle of a surface."""
         given = self.parameters
-        points: list[tuple[float, float, float]] = [(0.2, 0.0, HEIGHT_M)]
+        points: list[tuple[float, float, float]] = [(0.2, 0.0, HOVER_HEIGHT_M)]
         for _ in range(count):
             at = self._near(surface)
             speed, depth = self._varied(given.tap_speed_m_per_s), self._varied(given.depth_m)
             points += [
-                (0.15, at, HEIGHT_M),
-                ((HEIGHT_M + depth) / speed, at, -depth),
+                (0.15, at, HOVER_HEIGHT_M),
+                ((HOVER_HEIGHT_M + depth) / speed, at, -depth),
                 (0.08, at, -depth),
-                (0.15, at, HEIGHT_M),
+                (0.15, at, HOVER_HEIGHT_M),
             ]
         return self._way(surface, points)
 
     def strokes(self, surface: Seen, count: int = 2) -> Waypoints:
-        """Strokes to and fro over a surface, (n, 3)."""
+        """Return waypoints (n, 3) of strokes to and fro over a surface."""
         given = self.parameters
         reach = 0.8 * min(surface.half_m, 0.03)
-        points: list[tuple[float, float, float]] = [(0.2, -reach, HEIGHT_M)]
+        points: list[tuple[float, float, float]] = [(0.2, -reach, HOVER_HEIGHT_M)]
         side = -1.0
         depth = self._varied(given.depth_m)
         points.append((0.2, -reach, -depth))
@@ -77,31 +77,33 @@ class Hand:
             side = -side
             speed, depth = self._varied(given.stroke_speed_m_per_s), self._varied(given.depth_m)
             points.append((2.0 * reach / speed, side * reach, -depth))
-        points.append((0.15, side * reach, HEIGHT_M))
+        points.append((0.15, side * reach, HOVER_HEIGHT_M))
         return self._way(surface, points)
 
     def press(self, surface: Seen) -> Waypoints:
-        """Slowly into a surface, far beyond it, (n, 3)."""
+        """Return waypoints (n, 3) of a slow press far into a surface."""
         speed = self._varied(self.parameters.press_speed_m_per_s)
         deep = 0.05
-        return self._way(surface, [(0.2, 0.0, HEIGHT_M), ((HEIGHT_M + deep) / speed, 0.0, -deep)], smooth=False)
+        return self._way(
+            surface, [(0.2, 0.0, HOVER_HEIGHT_M), ((HOVER_HEIGHT_M + deep) / speed, 0.0, -deep)], smooth=False
+        )
 
     def way_out(self, surface: Seen) -> Waypoints:
-        """From wherever the hand is to above the middle of a surface, (1, 3)."""
+        """Return the waypoint (1, 3) above the middle of a surface, to which the hand moves from anywhere."""
         (x, y), (n_x, n_y) = surface.point_m, surface.normal
-        return np.array([[WAY_OUT_S, x + HEIGHT_M * n_x, y + HEIGHT_M * n_y]])
+        return np.array([[WAY_OUT_DURATION_S, x + HOVER_HEIGHT_M * n_x, y + HOVER_HEIGHT_M * n_y]])
 
     def withdrawal(self, surface: Seen, pressed: Waypoints, at_s: float) -> Waypoints:
-        """From where the reference of a press is at `at_s`: stop, and back out."""
+        """Return waypoints (n, 3) that stop a press at the time `at_s` and move out of the surface."""
         here = np.array([np.interp(at_s, pressed[:, 0], pressed[:, axis]) for axis in (1, 2)])
         (x, y), (n_x, n_y) = surface.point_m, surface.normal
-        out = np.array([x + HEIGHT_M * n_x, y + HEIGHT_M * n_y])
-        times = np.arange(STEP_S, 0.4, STEP_S)
+        out = np.array([x + HOVER_HEIGHT_M * n_x, y + HOVER_HEIGHT_M * n_y])
+        times = np.arange(WAYPOINT_INTERVAL_S, 0.4, WAYPOINT_INTERVAL_S)
         share = _smooth(times / times[-1])[:, None]
         return np.column_stack((at_s + times, here + share * (out - here)))
 
     def reaction_s(self) -> float:
-        """Time from something felt to the movement that answers it."""
+        """Draw the time in s from a felt event to the movement that responds to it."""
         return self._varied(self.parameters.reaction_s)
 
     def _varied(self, median: float) -> float:
@@ -111,14 +113,16 @@ class Hand:
         return float(self._chance.uniform(-1.0, 1.0)) * 0.3 * min(surface.half_m, 0.02)
 
     def _way(self, surface: Seen, points: Sequence[tuple[float, float, float]], smooth: bool = True) -> Waypoints:
-        """Waypoints through points [duration, along, height], each reached after its duration; it begins above the
-        middle. Between two points the speed rises and falls smoothly, or is constant."""
-        at = (0.0, HEIGHT_M)
+        """Return waypoints (n, 3) through points [duration, along, height], beginning above the middle.
+
+        Each point is reached after its duration. Between two points the speed is smooth, or constant.
+        """
+        at = (0.0, HOVER_HEIGHT_M)
         parts, begun = [], 0.0
         for duration, along, height in points:
-            steps = max(1, round(duration / STEP_S))
+            steps = max(1, round(duration / WAYPOINT_INTERVAL_S))
             times = np.arange(1, steps + 1) / steps
-            # A fall onto a surface keeps its speed until there: a hand does not brake before a tap.
+            # A motion down onto a surface has constant speed: a hand does not brake before a tap.
             share = _smooth(times) if smooth and height >= at[1] else times
             parts.append(
                 np.column_stack(
@@ -126,7 +130,7 @@ class Hand:
                 )
             )
             at, begun = (along, height), begun + duration
-        way = np.vstack(([[0.0, 0.0, HEIGHT_M]], *parts))
+        way = np.vstack(([[0.0, 0.0, HOVER_HEIGHT_M]], *parts))
         way[:, 1:] += self._tremor(way[:, 0])
         (x, y), (n_x, n_y) = surface.point_m, surface.normal
         return np.column_stack(
@@ -134,13 +138,13 @@ class Hand:
         )
 
     def _tremor(self, times_s: Waypoints) -> Waypoints:
-        """Eight sinusoids of random frequency and phase, an axis each, (n, 2)."""
-        frequency = self._chance.uniform(*TREMOR_HZ, (8, 2))
+        """Return a tremor (n, 2): eight sinusoids of random frequency and phase on each axis."""
+        frequency = self._chance.uniform(*TREMOR_BAND_HZ, (8, 2))
         phase = self._chance.uniform(0.0, 2.0 * math.pi, (8, 2))
         angle = 2.0 * math.pi * frequency * times_s[:, None, None] + phase
         return np.asarray(self.parameters.tremor_m * 0.5 * np.sin(angle).sum(axis=1))
 
 
 def _smooth(share: Waypoints) -> Waypoints:
-    """Minimum jerk: Flash and Hogan, J. Neurosci. 5, 1985."""
+    """Return the course of a minimum-jerk motion (Flash and Hogan, J. Neurosci. 5, 1985)."""
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)

@@ -1,16 +1,15 @@
-"""What a simulated participant feels, and what it answers: from samples alone, never from names.
+"""The perception and answers of a simulated participant, from samples alone, never from names.
 
-Felt is the command in the band of touch: force_n between BAND_HZ, divided by the mass that moves, is the acceleration
-that the vibration gives to the handle. Three features follow from it, each a logarithm, so that internal noise is a
-Weber fraction:
+The felt force is the commanded force_n within TOUCH_BAND_HZ; divided by the moving mass it is the handle's vibration.
+Three features are computed from it. Each is a logarithm, so that internal noise is a Weber fraction:
 
     hardness   rate of change of the force after an onset over the speed of the approach: the rate-hardness of Lawrence,
                Pao, Dougherty, Salada and Pavlou, IEEE Trans. Robotics and Automation 16, 2000
-    fineness   repetitions of the felt force per metre of the way along the surface
+    fineness   periods of the felt force per metre along the surface
     loudness   root mean square of the felt force
 
-Noise of standard deviation `noise` is added to each feature once a place. Two places are the same where they differ by
-less than `criterion`.
+Noise of standard deviation `noise` is added to each feature of each place. Two places are judged the same if their
+features differ by less than `criterion`.
 """
 
 from __future__ import annotations
@@ -29,35 +28,41 @@ from hapticd.experiment.stage import Samples
 Floats: TypeAlias = npt.NDArray[np.float64]
 Feature: TypeAlias = Literal["hardness", "fineness", "loudness"]
 
-BAND_HZ: Final = (20.0, 1000.0)
-"""Vibration is felt between them: Bolanowski, Gescheider, Verrillo and Checkosky, J. Acoust. Soc. Am. 84, 1988."""
-ONSET_N: Final = 0.05
-"""A force that is felt: a contact begins."""
-WINDOW_S: Final = 0.02
-"""After an onset, that a tap is judged by."""
-DROP_N: Final = 0.4
-"""A force that falls by so much within WINDOW_S is felt as a rupture."""
-_LEAST: Final = 1e-6
+TOUCH_BAND_HZ: Final = (20.0, 1000.0)
+"""Frequencies of felt vibration: Bolanowski, Gescheider, Verrillo and Checkosky, J. Acoust. Soc. Am. 84, 1988."""
+MIN_FELT_FORCE_N: Final = 0.05
+"""Smallest felt force, at which a contact begins."""
+TAP_WINDOW_S: Final = 0.02
+"""Time after an onset in which a tap is judged."""
+RUPTURE_FORCE_DROP_N: Final = 0.4
+"""A fall of the force by this within TAP_WINDOW_S is felt as a rupture."""
+_MIN_LOG_ARGUMENT: Final = 1e-6
+"""Lower bound of values before their logarithm or reciprocal, against infinities."""
 _CELLS_PER_M: Final = 20_000.0
-_LEAST_CELLS: Final = 64
-_FINENESS_PER_M: Final = (60.0, 1500.0)
+"""Resolution of the force profile along a surface."""
+_MIN_PROFILE_CELLS: Final = 64
+"""A shorter stroke yields no profile."""
+_FINENESS_RANGE_PER_M: Final = (60.0, 1500.0)
+"""Spatial frequencies among which the fineness is searched; the lowest also stands for a surface without texture."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObserverParameters:
-    """How well an observer tells features apart.
+    """The discrimination ability of an observer.
 
-    Noise and criterion maximise the likelihood of Table 2's six cells of soft materials (wood, acrylic and delrin,
-    force and vibration) of Okamura, Dennerlein and Howe, ICRA 1998, given the hardness that this observer's hand
-    feels in them. No other figure of the paper was used.
+    Noise and criterion maximize the likelihood of the six cells of soft materials (wood, acrylic and delrin, force and
+    vibration) in Table 2 of Okamura, Dennerlein and Howe, ICRA 1998, given the hardness that this observer's hand feels
+    in them. No other value of the paper was used.
     """
 
     noise: float = 0.41
+    """Standard deviation of the noise of a feature, in natural logarithms."""
     criterion: float = 0.625
+    """Smallest difference of two features that is judged as different, in natural logarithms."""
 
 
 class Observer:
-    """Judges places by a feature."""
+    """An observer that answers by a feature of each place."""
 
     def __init__(self, chance: np.random.Generator, parameters: ObserverParameters | None = None) -> None:
         self._chance = chance
@@ -65,54 +70,55 @@ class Observer:
         self._learned: dict[str, list[float]] = {}
 
     def percept(self, feature: Feature, felt: Samples, surface: Seen) -> float:
-        """A feature of what was felt at one place, with the noise of this judgement."""
-        found = FEATURES[feature](felt, surface)
+        """Return a feature of the samples felt at one place, with the noise of one judgement."""
+        found = FEATURE_FUNCTIONS[feature](felt, surface)
         return found + self._parameters.noise * float(self._chance.standard_normal())
 
     def compare(self, percepts: list[float], answers: tuple[Choice, ...]) -> str:
-        """The answer of the place with the largest percept, or that they are the same where there is such an answer."""
+        """Return the answer for the place with the largest percept, or the answer that the places are the same."""
         by_meaning = {answer.means: answer.name for answer in answers}
         order = np.argsort(percepts)
         if "same" in by_meaning and percepts[order[-1]] - percepts[order[-2]] < self._parameters.criterion:
             return by_meaning["same"]
-        meant = POSITIONS[int(order[-1])]
+        meant = POSITION_NAMES[int(order[-1])]
         return by_meaning[meant] if meant in by_meaning else self.guess(answers)
 
     def rank(self, percepts: list[float]) -> str:
-        """Positions from the largest percept down: second>first>third."""
-        return ">".join(POSITIONS[int(at)] for at in np.argsort(percepts)[::-1])
+        """Return the positions from the largest percept to the smallest, such as second>first>third."""
+        return ">".join(POSITION_NAMES[int(at)] for at in np.argsort(percepts)[::-1])
 
     def identify(self, percept: float, answers: tuple[Choice, ...]) -> str:
-        """The answer whose remembered percepts are nearest; a guess before anything was learned."""
+        """Return the answer whose learned percepts are nearest, or a guess if none was learned."""
         known = {answer.name: self._learned[answer.name] for answer in answers if answer.name in self._learned}
         if not known:
             return self.guess(answers)
         return min(known, key=lambda name: abs(float(np.mean(known[name])) - percept))
 
     def learn(self, percept: float, right: str) -> None:
-        """Remembers what belonged to an answer, from feedback."""
+        """Store the percept of a correct answer, from feedback."""
         self._learned.setdefault(right, []).append(percept)
 
     def rate(self, percept: float, low: float, high: float) -> float:
-        """A number between two ends: where the percept lies among all so far."""
+        """Return a number from `low` to `high` by the rank of the percept among all earlier ones."""
         heard = self._learned.setdefault("", [])
         heard.append(percept)
         share = (sum(each < percept for each in heard) + 0.5) / len(heard)
         return low + share * (high - low)
 
     def guess(self, answers: tuple[Choice, ...]) -> str:
+        """Return a random answer."""
         return answers[int(self._chance.integers(len(answers)))].name
 
 
-POSITIONS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
+POSITION_NAMES: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
 
 
 def banded(signal: Floats, period_s: float) -> Floats:
-    """(n,) or (n, k) in the band of touch: second order at either end, without a shift in time."""
+    """Return a signal (n,) or (n, k) in TOUCH_BAND_HZ, filtered by second order at both ends without delay."""
     frequency = np.fft.rfftfreq(len(signal), period_s)
-    low, high = BAND_HZ
+    low, high = TOUCH_BAND_HZ
     with np.errstate(divide="ignore"):
-        gain = 1.0 / (1.0 + (low / np.maximum(frequency, _LEAST)) ** 2) / (1.0 + (frequency / high) ** 2)
+        gain = 1.0 / (1.0 + (low / np.maximum(frequency, _MIN_LOG_ARGUMENT)) ** 2) / (1.0 + (frequency / high) ** 2)
     gain = gain.reshape(-1, *(1,) * (signal.ndim - 1))
     return np.asarray(np.fft.irfft(np.fft.rfft(signal, axis=0) * gain, len(signal), axis=0))
 
@@ -122,27 +128,27 @@ def _period_s(felt: Samples) -> float:
 
 
 def hardness(felt: Samples, surface: Seen) -> float:
-    """Mean over the onsets of log(rate of change of the felt force / speed of the approach), in log(N/s / (m/s))."""
+    """Return the mean over onsets of log(rate of change of the felt force / approach speed), in log(N/s / (m/s))."""
     if len(felt) < 3:
-        return math.log(_LEAST)
+        return math.log(_MIN_LOG_ARGUMENT)
     period_s = _period_s(felt)
     normal = np.array(surface.normal)
     force = np.asarray(felt["force_n"] @ normal)
     rate = np.abs(np.gradient(banded(force, period_s), period_s))
     speed = -np.asarray(felt["velocity_m_per_s"] @ normal)
-    window = max(2, round(WINDOW_S / period_s))
+    window = max(2, round(TAP_WINDOW_S / period_s))
     found = []
     for at in onsets(force, window):
         before = max(0, at - window // 4)
         approach = float(speed[before : at + 1].max())
         if approach > 0.01:
-            found.append(math.log(max(_LEAST, float(rate[at : at + window].max()) / approach)))
-    return float(np.mean(found)) if found else math.log(_LEAST)
+            found.append(math.log(max(_MIN_LOG_ARGUMENT, float(rate[at : at + window].max()) / approach)))
+    return float(np.mean(found)) if found else math.log(_MIN_LOG_ARGUMENT)
 
 
 def onsets(force: Floats, window: int) -> list[int]:
-    """Indices at which a force becomes felt, after it was not for a window."""
-    over = np.abs(force) > ONSET_N
+    """Return the indices at which a force (n,) becomes felt after a window of samples in which it was not."""
+    over = np.abs(force) > MIN_FELT_FORCE_N
     found, quiet = [], window
     for at in np.flatnonzero(np.diff(over.astype(np.int8)) == 1) + 1:
         if not over[max(0, at - quiet) : at].any():
@@ -151,14 +157,14 @@ def onsets(force: Floats, window: int) -> list[int]:
 
 
 def fineness(felt: Samples, surface: Seen) -> float:
-    """Log of the repetitions of the felt force per metre along the surface while touched, in log(1/m).
+    """Return the log of the felt force's periods per metre along the touched surface, in log(1/m).
 
-    The repetition is the strongest maximum of the autocorrelation, as of the pitch of a voice (Boersma, Proc. Institute
-    of Phonetic Sciences Amsterdam 17, 1993): a pattern's own period, whichever of its harmonics is the strongest. Ways
-    to and fro are added as autocorrelations, since a force along the surface turns with the way.
+    The period is at the largest maximum of the autocorrelation, as for the pitch of a voice (Boersma, Proc. Institute
+    of Phonetic Sciences Amsterdam 17, 1993). It is the fundamental period, whichever harmonic is the strongest. The
+    autocorrelations of both directions are added, since a force along the surface changes sign with the direction.
     """
     if len(felt) < 3:
-        return math.log(_FINENESS_PER_M[0])
+        return math.log(_FINENESS_RANGE_PER_M[0])
     touched = (felt["flags"] & Flag.CONTACT) != 0
     n_x, n_y = surface.normal
     along = np.asarray(felt["position_m"] @ np.array([n_y, -n_x]))
@@ -169,23 +175,25 @@ def fineness(felt: Samples, surface: Seen) -> float:
     for way in (speed > 0, speed < 0):
         power += _power_along(cell[touched & way], force[touched & way], len(power))
     alike = np.fft.irfft(power)
-    first, last = (round(_CELLS_PER_M / each) for each in reversed(_FINENESS_PER_M))
+    first, last = (round(_CELLS_PER_M / each) for each in reversed(_FINENESS_RANGE_PER_M))
     lags = np.arange(first, min(last, len(power) - 2) + 1)
     peaks = lags[(alike[lags] > alike[lags - 1]) & (alike[lags] >= alike[lags + 1]) & (alike[lags] > 0.0)]
     if len(peaks) == 0:
-        return math.log(_FINENESS_PER_M[0])
+        return math.log(_FINENESS_RANGE_PER_M[0])
     best = int(peaks[np.argmax(alike[peaks])])
     before, here, after = alike[best - 1 : best + 2]
     return math.log(_CELLS_PER_M / (best + 0.5 * (before - after) / (before - 2.0 * here + after)))
 
 
 def _power_along(cell: npt.NDArray[np.int64], force: Floats, count: int) -> Floats:
-    """Power spectrum (count,) of a force (n, 2) along the cells that it was felt in, both axes added; padded, so that
-    it is that of a linear autocorrelation. Zeros for a way that is too short."""
+    """Return the power spectrum (count,) of a force (n, 2) over the cells (n,) along a surface, summed over both axes.
+
+    It is padded for a linear autocorrelation, and zero for fewer cells than _MIN_PROFILE_CELLS.
+    """
     size = 2 * (count - 1)
     times = np.bincount(cell, minlength=1)
     kept = np.flatnonzero(times)
-    if len(kept) < _LEAST_CELLS:
+    if len(kept) < _MIN_PROFILE_CELLS:
         return np.zeros(count)
     every = np.arange(kept[0], kept[-1] + 1)
     found: Floats = np.zeros(count)
@@ -196,24 +204,24 @@ def _power_along(cell: npt.NDArray[np.int64], force: Floats, count: int) -> Floa
 
 
 def loudness(felt: Samples, surface: Seen) -> float:
-    """Log of the root mean square of the felt force, in log(N)."""
+    """Return the log of the root mean square of the felt force, in log(N)."""
     if len(felt) < 3:
-        return math.log(_LEAST)
+        return math.log(_MIN_LOG_ARGUMENT)
     force = banded(np.asarray(felt["force_n"]), _period_s(felt))
-    return math.log(max(_LEAST, float(np.sqrt((force**2).sum(axis=1).mean()))))
+    return math.log(max(_MIN_LOG_ARGUMENT, float(np.sqrt((force**2).sum(axis=1).mean()))))
 
 
-FEATURES: Final = {"hardness": hardness, "fineness": fineness, "loudness": loudness}
+FEATURE_FUNCTIONS: Final = {"hardness": hardness, "fineness": fineness, "loudness": loudness}
 
 
 def rupture_felt_s(felt: Samples, surface: Seen) -> float | None:
-    """When a fall of the force was felt, in s since the first sample; None: none was."""
+    """Return the time of the first felt fall of the force, in s since the first sample, or None."""
     if len(felt) < 3:
         return None
     period_s = _period_s(felt)
     force = np.asarray(felt["force_n"] @ np.array(surface.normal))
-    window = max(1, round(WINDOW_S / period_s))
+    window = max(1, round(TAP_WINDOW_S / period_s))
     if len(force) <= window:
         return None
-    fell = np.flatnonzero(force[:-window] - force[window:] > DROP_N)
+    fell = np.flatnonzero(force[:-window] - force[window:] > RUPTURE_FORCE_DROP_N)
     return None if len(fell) == 0 else float(fell[0] + window) * period_s

@@ -1,7 +1,7 @@
-"""A simulated participant as the front of a session: its hand explores, its observer answers.
+"""A simulated participant as the front of a session: a hand explores, and an observer answers.
 
-It gets `Shown`, which holds no name of a stimulus, and the samples that its hand felt. From the instructions it knows
-what a person knows: whether to tap, to stroke or to press.
+It receives `Shown`, which contains no names of stimuli, and the samples that its hand felt. Like a person it knows from
+the instructions whether to tap, to stroke or to press.
 """
 
 from __future__ import annotations
@@ -20,14 +20,17 @@ from hapticd.experiment.stage import Motion, Reaction, Samples, Stage
 from hapticd.experiment.trial_scenes import configurations
 
 Task: TypeAlias = Literal["tap", "stroke", "press"]
-TASKS: Final[dict[Task, Feature]] = {"tap": "hardness", "stroke": "fineness", "press": "loudness"}
-_CAUTION_S: Final = 0.03
-"""So long the nerves take until something felt can be acted on; a part of the reaction time."""
+FEATURE_OF_TASK: Final[dict[Task, Feature]] = {"tap": "hardness", "stroke": "fineness", "press": "loudness"}
+"""The feature by which the observer answers in each task."""
+_MIN_REACTION_TIME_S: Final = 0.03
+"""Lower bound of the drawn reaction time, for the nerves to conduct."""
 
 
 def task_of(plan: Plan) -> Task:
-    """What the instructions of a study ask for, once for all trials: to press where the motion is measured, to stroke
-    where the first trial has a texture, to tap otherwise."""
+    """Return the task of a study, the same for all trials.
+
+    It is to press if the motion is measured, to stroke if the first trial has a texture, and otherwise to tap.
+    """
     if isinstance(plan.study.asked, MeasureQuestion):
         return "press"
     if not plan.trials:
@@ -42,10 +45,10 @@ def task_of(plan: Plan) -> Task:
 
 
 class SimulatedFront:
-    """Hand and observer; nobody else is asked, and the forces come on at once."""
+    """A simulated participant without an experimenter; the forces are enabled immediately."""
 
     def __init__(self, seed: int, name: str, task: Task) -> None:
-        """The same seed, name and task answer alike."""
+        """Create a participant; the same seed, name and task yield the same answers."""
         chance = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *name.encode()])))
         self._hand = Hand(chance)
         self._observer = Observer(chance)
@@ -53,28 +56,35 @@ class SimulatedFront:
         self._percepts: list[float] = []
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
+        """Begin immediately."""
         return None
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
+        """Begin the phase immediately."""
         return None
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
+        """Enable the forces immediately."""
         self._percepts = []
         return None
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
+        """Move the hand out of the surfaces."""
         for surface in shown.surfaces_of(interval):
             stage.move(Motion(self._hand.way_out(surface)))
         return None
 
     def may_enable(self) -> Command | None:
+        """Allow the forces."""
         return None
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
+        """Feel the surface of an interval."""
         self._feel(shown.surfaces[interval - 1], stage)
         return None
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
+        """Feel the surfaces of the last interval, or press, and answer."""
         if shown.kind == "measure":
             self._press(shown.surfaces[0], stage)
             return Reply(None)
@@ -83,23 +93,26 @@ class SimulatedFront:
         return Reply(self._answer(shown))
 
     def not_done(self, trial: int, why: str) -> None:
-        pass
+        """Ignore that a motor task was not done."""
 
     def feedback(self, told: str, right: str | None) -> None:
+        """Learn the correct answer."""
         if right is not None and len(self._percepts) == 1:
             self._observer.learn(self._percepts[0], right)
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
-        pass
+        """Ignore that an answer was saved."""
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
+        """End a break immediately."""
         return None
 
     def paused(self) -> Command | None:
+        """End a pause immediately."""
         return None
 
     def tell(self, line: str) -> None:
-        pass
+        """Ignore a line for the experimenter."""
 
     def _answer(self, shown: Shown) -> str | float | None:
         match shown.kind:
@@ -118,13 +131,13 @@ class SimulatedFront:
     def _feel(self, surface: Seen, stage: Stage) -> None:
         moved = self._hand.strokes(surface) if self._task == "stroke" else self._hand.taps(surface)
         felt = stage.move(Motion(moved))
-        self._percepts.append(self._observer.percept(TASKS[self._task], felt, surface))
+        self._percepts.append(self._observer.percept(FEATURE_OF_TASK[self._task], felt, surface))
 
     def _press(self, surface: Seen, stage: Stage) -> None:
         pressed, delay_s = self._hand.press(surface), self._hand.reaction_s()
 
         def noticed_s(felt: Samples) -> float | None:
             found = rupture_felt_s(felt, surface)
-            return None if found is None else found + max(_CAUTION_S, delay_s)
+            return None if found is None else found + max(_MIN_REACTION_TIME_S, delay_s)
 
         stage.move(Motion(pressed, Reaction(noticed_s, lambda at_s: self._hand.withdrawal(surface, pressed, at_s))))

@@ -1,8 +1,8 @@
-"""Adaptive procedures: which level a trial shows, and what threshold the answers give.
+"""Procedures: choose the level of each trial, and estimate the threshold from the answers.
 
-procedure         what every procedure is; answers, states and estimates
-posterior         posteriors on a grid, for the next two
+procedure         interface and base class of all procedures; answers, states and estimates
+posterior         posteriors on a grid, for staircase and quest_plus
 staircase         transformed and weighted up-down staircases
-quest_plus        the level that is expected to tell most
+quest_plus        QUEST+: the level with the largest expected information
 constant_stimuli  each level equally often, in random order
 """

@@ -1,7 +1,7 @@
 """The method of constant stimuli: each of some levels equally often, in random order.
 
-The order is one of blocks: each level once, shuffled, as often as asked, so that practice and fatigue meet all levels
-alike.
+The order consists of blocks that contain each level once, shuffled, so that practice and fatigue affect all levels
+equally.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from hapticd.experiment.analysis.psychometric import bootstrap, fit
 from hapticd.experiment.analysis.psychometric_shapes import Shape, is_logarithmic
 from hapticd.experiment.procedures.procedure import (
     Answer,
+    BaseProcedure,
     Estimate,
-    Kept,
     Level,
     ProcedureError,
     Proportion,
@@ -25,7 +25,7 @@ from hapticd.experiment.procedures.procedure import (
 
 
 class ConstantStimuliParameters(CheckedTogether):
-    """Constant stimuli, as a study's YAML has them."""
+    """Parameters of the method of constant stimuli, as in a study's YAML."""
 
     kind: Literal["constant_stimuli"] = "constant_stimuli"
     levels: Annotated[tuple[Level, ...], Field(min_length=2, max_length=1000, strict=False)]
@@ -33,29 +33,31 @@ class ConstantStimuliParameters(CheckedTogether):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     guess: Proportion = 0.0
     lapse: Annotated[float, Field(ge=0, lt=0.5)] | None = None
-    """Estimated where it is not given."""
+    """Lapse rate; None estimates it."""
     rising: bool = True
-    """Whether positive answers become more with the level."""
+    """Whether positive answers become more frequent with a higher level."""
     shape: Shape = "logistic"
     axis: Literal["linear", "logarithmic"] = "linear"
 
     def cross_faults(self) -> list[str]:
+        """Return the faults that concern several keys."""
         faults = []
         if len(set(self.levels)) < len(self.levels):
-            faults.append("levels must differ from one another")
+            faults.append("levels must be different from each other")
         if self.logarithmic and min(self.levels) <= 0:
             faults.append("levels must be more than 0 on a logarithmic axis")
         if self.guess + (self.lapse or 0.0) >= 1:
-            faults.append("guess and lapse must together be less than 1")
+            faults.append("the sum of guess and lapse must be less than 1")
         return faults
 
     @property
     def logarithmic(self) -> bool:
+        """Whether the axis of the psychometric function is logarithmic."""
         return is_logarithmic(self.shape, self.axis == "logarithmic")
 
 
-class ConstantStimuli(Kept[ConstantStimuliParameters]):
-    """One run; see `procedure.Procedure`."""
+class ConstantStimuli(BaseProcedure[ConstantStimuliParameters]):
+    """One run of constant stimuli; see `procedure.Procedure`."""
 
     PARAMETERS = ConstantStimuliParameters
 
@@ -66,14 +68,16 @@ class ConstantStimuli(Kept[ConstantStimuliParameters]):
         self.order: list[float] = [float(each) for block in blocks for each in block]
 
     def level(self) -> float | None:
-        """The next level of the order; None at its end."""
+        """Return the next level of the order, None at its end."""
         return self.order[len(self.answers)] if len(self.answers) < len(self.order) else None
 
     def estimate(self) -> Estimate:
-        """Threshold of the fitted function with its bootstrap interval. Raises ProcedureError, or FitError where the
-        answers support none."""
+        """Return the threshold of the fitted function with its bootstrap interval.
+
+        Raises ProcedureError without answers, and FitError if the answers do not determine a threshold.
+        """
         if not self.answers:
-            raise ProcedureError("constant stimuli have no answers: nothing can be estimated")
+            raise ProcedureError("no threshold: constant stimuli have no answers yet")
         given = self.parameters
         levels, at = np.unique([each.level for each in self.answers], return_inverse=True)
         positive = np.bincount(at, [each.positive for each in self.answers])

@@ -1,7 +1,7 @@
-"""Posteriors on a grid: probabilities of parameters after answers, what a next answer would tell, and intervals.
+"""Posteriors on a grid: probabilities of parameters given answers, expected entropies, and intervals.
 
-Arrays of posteriors are (..., g): g grid points, and any number of observers before them. A table is (l, g): the
-probability of a positive answer at each of l levels, by the parameters of each grid point.
+Posteriors are arrays (..., g) of g grid points; the leading axes are observers. A table (l, g) holds the probability of
+a positive answer at each of l levels for the parameters of each grid point.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ import numpy as np
 
 from hapticd.experiment.analysis.psychometric_shapes import Floats
 
-LEVEL_OF_INTERVALS: Final = 0.95
+POSTERIOR_INTERVAL_LEVEL: Final = 0.95
+"""Probability of the intervals, as is usual."""
 
 
 def updated(posterior: Floats, likelihood: Floats) -> Floats:
-    """Bayes' rule: posterior times likelihood, both (..., g), normalised to 1."""
+    """Return the posterior by Bayes' rule: posterior times likelihood, both (..., g), normalized to 1."""
     product = posterior * likelihood
     return np.asarray(product / product.sum(axis=-1, keepdims=True))
 
 
 def expected_entropies(posterior: Floats, table: Floats) -> Floats:
-    """(..., l) expected entropy, nats, of posteriors (..., g) after one answer at each level (Watson, "QUEST+", J.
-    Vision 17, 2017, eq. 7).
+    """Return the expected entropy (..., l) in nats of posteriors (..., g) after one answer at each level.
 
-    Of a posterior w and a likelihood L the entropy is log Z - (sum of w L log(w L)) / Z with Z = sum of w L, so that
-    the sums over the grid are matrix products.
+    See Watson, "QUEST+", J. Vision 17, 2017, eq. 7. For a posterior w and a likelihood L the entropy is log Z - (sum of
+    w L log(w L)) / Z, where Z is the sum of w L, so that the sums over the grid are matrix products.
     """
     own = np.asarray(_times_log(posterior))
     expected = np.zeros((*posterior.shape[:-1], len(table)))
@@ -39,21 +39,21 @@ def expected_entropies(posterior: Floats, table: Floats) -> Floats:
 
 
 def _times_log(values: Floats) -> Floats:
-    """x log x, 0 at 0."""
+    """Return x log x, which is 0 at 0."""
     return np.asarray(values * np.log(np.where(values > 0, values, 1.0)))
 
 
 def marginal(posterior: Floats, shape: tuple[int, ...], along: int) -> Floats:
-    """(n,) of a posterior (g,) over a grid of `shape`, the probability of each value of one of its axes."""
+    """Return the marginal (n,) of a posterior (g,) on a grid of `shape` along one of its axes."""
     others = tuple(place for place in range(len(shape)) if place != along)
     return np.asarray(posterior.reshape(shape).sum(axis=others))
 
 
-def interval(values: Floats, weights: Floats, level: float = LEVEL_OF_INTERVALS) -> tuple[float, float]:
-    """The ends between which `level` of the probability lies, as much of the rest on either side.
+def interval(values: Floats, weights: Floats, level: float = POSTERIOR_INTERVAL_LEVEL) -> tuple[float, float]:
+    """Return the ends of the central interval that contains the probability `level`.
 
-    `values` (n,) rise; each stands for the cell that ends midway to its neighbours, in which `weights` (n,) are spread
-    evenly.
+    `values` (n,) rise; each represents a cell that ends midway to its neighbours, over which its weight (n,) is
+    distributed uniformly.
     """
     if len(values) == 1:
         return float(values[0]), float(values[0])
@@ -66,7 +66,7 @@ def interval(values: Floats, weights: Floats, level: float = LEVEL_OF_INTERVALS)
 
 
 def summary(values: Floats, weights: Floats, back: Callable[[Floats], Floats]) -> tuple[float, float, float]:
-    """Mean and 95 % interval of values (n,) with weights (n,), each as `back` maps it to the level."""
+    """Return mean and 95 % interval of values (n,) with weights (n,), mapped to levels by `back`."""
     mean = float(np.sum(values * weights) / np.sum(weights))
     ends = interval(values, weights)
     found = back(np.array((mean, *ends)))

@@ -1,8 +1,7 @@
-"""What every adaptive procedure is: it gives levels, takes answers, can be stored and restored, and estimates a
-threshold.
+"""The interface of procedures: they return levels, take answers, can be stored and restored, and estimate a threshold.
 
-A procedure keeps its parameters and its answers, and nothing else: `state` is plain data of both, and `restored` gives
-the answers anew. So the level that follows a restart is the one that would have followed without it.
+The state of a procedure is its parameters and its answers. `state` returns both as plain data, and `restored` replays
+the answers, so that the next level after a restart is the same as without it.
 """
 
 from __future__ import annotations
@@ -19,16 +18,16 @@ from hapticd.base.yaml_source import Json
 Level: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 Proportion: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 LEVEL_TOLERANCE: Final = 1e-9
-"""Relative: a level that went through a file, a scene or a unit is the same within it."""
+"""Relative tolerance within which a level that was written to a file or converted to another unit is the same."""
 
 
 class ProcedureError(HapticdError):
-    """An answer or a state that a procedure cannot take; one line."""
+    """An answer or a state is invalid for the procedure; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A threshold and the ends of its 95 % interval, in the unit of the level."""
+    """A threshold and its 95 % interval, in the unit of the level."""
 
     threshold: float
     low: float
@@ -37,35 +36,37 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The level that was shown, and whether the answer was a positive one."""
+    """The level of a trial, and whether the answer to it was positive."""
 
     level: float
     positive: bool
 
 
 class Procedure(Protocol):
-    """Staircase, QuestPlus and ConstantStimuli."""
+    """The interface of Staircase, QuestPlus and ConstantStimuli."""
 
     def level(self) -> float | None:
-        """The next level; None when the procedure has ended."""
+        """Return the next level, None if the procedure has ended."""
 
     def answer(self, level: float, positive: bool) -> None:
-        """Takes whether the answer to a level was positive (correct). Raises ProcedureError for another level than was
-        due, and at the end."""
+        """Take the answer to a level, positive if it was correct.
+
+        Raises ProcedureError if the level is not the next one, or if the procedure has ended.
+        """
 
     def state(self) -> Json:
-        """Parameters and answers as plain data."""
+        """Return parameters and answers as plain data."""
 
     @classmethod
     def restored(cls, state: Json) -> Self:
-        """Raises ProcedureError (or InvalidError) for what `state` did not give."""
+        """Return the procedure of a state. Raises ProcedureError or InvalidError for an invalid one."""
 
     def estimate(self) -> Estimate:
-        """Raises ProcedureError without answers."""
+        """Return the estimated threshold. Raises ProcedureError without answers."""
 
 
 def answers_of(state: Json) -> tuple[Json, list[Answer]]:
-    """Parameters as plain data, and the answers. Raises ProcedureError."""
+    """Return parameters as plain data, and the answers of a state. Raises ProcedureError for an invalid one."""
     if not isinstance(state, dict) or set(state) != {"parameters", "answers"} or not isinstance(state["answers"], list):
         raise ProcedureError("state of a procedure: must be a mapping of parameters and answers")
     answers = []
@@ -79,28 +80,29 @@ def answers_of(state: Json) -> tuple[Json, list[Answer]]:
 
 
 def check_level(given: float, expected: float | None) -> float:
-    """The level that was due. Raises ProcedureError for another one, and where none was due."""
+    """Return the expected level. Raises ProcedureError if the given one differs, or if none is expected."""
     if expected is None:
-        raise ProcedureError("the procedure has ended: it takes no more answers")
+        raise ProcedureError("the procedure has ended: no more answers are accepted")
     if abs(given - expected) > LEVEL_TOLERANCE * max(abs(expected), abs(given)):
-        raise ProcedureError(f"the answer is to level {given:g}, but {expected:g} was due")
+        raise ProcedureError(f"the answer is to level {given:g}, but level {expected:g} was shown")
     return expected
 
 
 class Parameters(Protocol):
-    """What the parameters of every procedure have."""
+    """The interface of the parameters of a procedure."""
 
-    def to_dict(self) -> dict[str, Json]: ...
+    def to_dict(self) -> dict[str, Json]:
+        """Return the parameters as JSON."""
 
 
 P = TypeVar("P", bound=Parameters)
 
 
-class Kept(ABC, Generic[P]):
-    """A procedure as it is kept: its parameters and its answers are all of its state."""
+class BaseProcedure(ABC, Generic[P]):
+    """The base of all procedures, whose state is their parameters and answers."""
 
     PARAMETERS: ClassVar[type[Any]]
-    """The model of its parameters."""
+    """Model of the parameters."""
 
     def __init__(self, parameters: P) -> None:
         self.parameters = parameters
@@ -108,14 +110,14 @@ class Kept(ABC, Generic[P]):
 
     @abstractmethod
     def level(self) -> float | None:
-        """The next level; None when the procedure has ended."""
+        """Return the next level, None if the procedure has ended."""
 
     def answer(self, level: float, positive: bool) -> None:
-        """Raises ProcedureError for another level than was due, and at the end."""
+        """Take the answer to a level. Raises ProcedureError if the level is not the next one, or at the end."""
         self._take(self._due(level), positive)
 
     def state(self) -> Json:
-        """Parameters and answers."""
+        """Return parameters and answers as plain data."""
         return {
             "parameters": self.parameters.to_dict(),
             "answers": [[each.level, each.positive] for each in self.answers],
@@ -123,7 +125,7 @@ class Kept(ABC, Generic[P]):
 
     @classmethod
     def restored(cls, state: Json) -> Self:
-        """Raises ProcedureError or InvalidError."""
+        """Return the procedure of a state. Raises ProcedureError or InvalidError for an invalid one."""
         parameters, answers = answers_of(state)
         made = cls(cls.PARAMETERS.model_validate(parameters))
         for each in answers:
@@ -131,9 +133,9 @@ class Kept(ABC, Generic[P]):
         return made
 
     def _due(self, given: float) -> float:
-        """The level that an answer is to. Raises ProcedureError for one that was not due."""
+        """Return the expected level. Raises ProcedureError if the given one is another."""
         return check_level(given, self.level())
 
     @abstractmethod
     def _take(self, shown: float, positive: bool) -> None:
-        """Keeps an answer, and goes on from it."""
+        """Store an answer and update the next level."""

@@ -1,8 +1,8 @@
-"""QUEST+: the level whose answer is expected to tell most of a psychometric function (Watson, "QUEST+: A general
-multidimensional Bayesian adaptive psychometric method", Journal of Vision 17(3):10, 2017).
+"""QUEST+: show the level with the least expected entropy of the parameters of a psychometric function.
 
-The posterior stands on a grid of thresholds, slopes, guesses and lapses, all equally probable at first. The next level
-is the one with the least expected entropy; of several alike the first in the list.
+Watson, "QUEST+: A general multidimensional Bayesian adaptive psychometric method", Journal of Vision 17(3):10, 2017.
+The prior is uniform on a grid of thresholds, slopes, guesses and lapses. Of several levels with the least expected
+entropy, the first in the list is shown.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from hapticd.experiment.procedures.posterior import expected_entropies, marginal
 from hapticd.experiment.procedures.procedure import (
     LEVEL_TOLERANCE,
     Answer,
+    BaseProcedure,
     Estimate,
-    Kept,
     Level,
     ProcedureError,
     Proportion,
 )
 
-MOST_CELLS = 2_000_000
-"""Levels times grid points: 16 MB a table."""
+MAX_TABLE_CELLS = 2_000_000
+"""Largest number of levels times grid points; a table of probabilities then has 16 MB."""
 
 
 class LevelGrid(CheckedTogether):
-    """Values that are equally far from one another, on a linear or a logarithmic axis."""
+    """Equidistant values on a linear or logarithmic axis."""
 
     least: Level
     most: Level
@@ -40,6 +40,7 @@ class LevelGrid(CheckedTogether):
     axis: Literal["linear", "logarithmic"] = "linear"
 
     def cross_faults(self) -> list[str]:
+        """Return the faults that concern several keys."""
         faults = []
         if not self.least < self.most:
             faults.append(f"least ({self.least:g}) must be less than most ({self.most:g})")
@@ -49,12 +50,13 @@ class LevelGrid(CheckedTogether):
 
     @property
     def values(self) -> Floats:
+        """The values, in rising order."""
         space = np.geomspace if self.axis == "logarithmic" else np.linspace
         return np.asarray(space(self.least, self.most, self.count), dtype=float)
 
 
-def _spread(given: object) -> object:
-    """A LevelGrid as the list of its values; lists as they are."""
+def _listed_values(given: object) -> object:
+    """Convert a LevelGrid to the list of its values; leave other input unchanged."""
     if not isinstance(given, dict):
         return given
     try:
@@ -64,31 +66,32 @@ def _spread(given: object) -> object:
 
 
 Values: TypeAlias = Annotated[
-    tuple[Level, ...], BeforeValidator(_spread), Field(min_length=1, max_length=1000, strict=False)
+    tuple[Level, ...], BeforeValidator(_listed_values), Field(min_length=1, max_length=1000, strict=False)
 ]
-"""A list of values, or a LevelGrid, which becomes one."""
+"""A list of values; a LevelGrid is converted to one."""
 
 
 class QuestPlusParameters(CheckedTogether):
-    """QUEST+, as a study's YAML has it."""
+    """Parameters of QUEST+, as in a study's YAML."""
 
     kind: Literal["quest_plus"] = "quest_plus"
     levels: Values
-    """That may be shown."""
+    """Levels that may be shown."""
     thresholds: Values | None = None
-    """As the levels without them."""
+    """Thresholds of the grid; None uses the levels."""
     slopes: Values
-    """See psychometric_shapes: of a Weibull function its exponent, else 1 over the spread on the axis."""
+    """Slopes as in psychometric_shapes: the exponent of a Weibull function, else 1 over the spread on the axis."""
     guesses: Annotated[tuple[Proportion, ...], Field(min_length=1, max_length=100, strict=False)] = (0.0,)
     lapses: Annotated[tuple[Proportion, ...], Field(min_length=1, max_length=100, strict=False)] = (0.02,)
     shape: Shape = "weibull"
     axis: Literal["linear", "logarithmic"] = "logarithmic"
     trials: Annotated[int, Field(ge=1, le=10000)] = 60
-    """It ends after so many answers,"""
+    """Number of answers after which the procedure ends."""
     precision: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """or when half the 95 % interval of the threshold is at most this part of it."""
+    """The procedure also ends if half the 95 % interval of the threshold is at most this fraction of the threshold."""
 
     def cross_faults(self) -> list[str]:
+        """Return the faults that concern several keys."""
         faults = []
         axes = [np.array(self.levels), self.threshold_values, np.array(self.slopes)]
         for name, values in zip(("levels", "thresholds", "slopes"), axes, strict=True):
@@ -97,24 +100,28 @@ class QuestPlusParameters(CheckedTogether):
             elif name != "slopes" and self.logarithmic and values[0] <= 0:
                 faults.append(f"{name} must be more than 0 on a logarithmic axis")
         if max(self.guesses) + max(self.lapses) >= 1:
-            faults.append("the largest guess and the largest lapse must together be less than 1")
+            faults.append("the sum of the largest guess and the largest lapse must be less than 1")
         cells = int(np.prod([len(each) for each in axes])) * len(self.guesses) * len(self.lapses)
-        if cells > MOST_CELLS:
-            faults.append(f"levels times thresholds, slopes, guesses and lapses are {cells}; {MOST_CELLS} are the most")
+        if cells > MAX_TABLE_CELLS:
+            faults.append(
+                f"levels x thresholds x slopes x guesses x lapses must be at most {MAX_TABLE_CELLS}, are {cells}"
+            )
         if 0 in self.slopes:
-            faults.append("slopes must not hold 0: such a function says nothing of a threshold")
+            faults.append("slopes must not contain 0: a function with slope 0 has no threshold")
         return faults
 
     @property
     def logarithmic(self) -> bool:
+        """Whether the axis of the psychometric function is logarithmic."""
         return is_logarithmic(self.shape, self.axis == "logarithmic")
 
     @property
     def threshold_values(self) -> Floats:
+        """Thresholds of the grid."""
         return np.array(self.levels if self.thresholds is None else self.thresholds, dtype=float)
 
 
-class QuestPlus(Kept[QuestPlusParameters]):
+class QuestPlus(BaseProcedure[QuestPlusParameters]):
     """One run of QUEST+; see `procedure.Procedure`."""
 
     PARAMETERS = QuestPlusParameters
@@ -131,11 +138,11 @@ class QuestPlus(Kept[QuestPlusParameters]):
         )
         points = int(np.prod(self.grid_shape))
         self.posterior: Floats = np.full(points, 1.0 / points)
-        """(g,) over thresholds, slopes, guesses and lapses, the last fastest."""
+        """Posterior (g,) over thresholds, slopes, guesses and lapses; lapses change fastest."""
 
     @cached_property
     def table(self) -> Floats:
-        """(l, g) probability of a positive answer."""
+        """Probability of a positive answer by level and grid point, (l, g)."""
         given = self.parameters
         thresholds, slopes, guesses, lapses = np.meshgrid(
             given.threshold_values, given.slopes, given.guesses, given.lapses, indexing="ij", sparse=True
@@ -145,16 +152,16 @@ class QuestPlus(Kept[QuestPlusParameters]):
         return found.reshape(len(self.levels), -1)
 
     def level(self) -> float | None:
-        """The level that is expected to tell most; None at the end."""
+        """Return the level with the least expected entropy, None at the end."""
         given = self.parameters
         if len(self.answers) >= given.trials or (given.precision is not None and self._precise(given.precision)):
             return None
         return float(self.levels[int(np.argmin(expected_entropies(self.posterior, self.table)))])
 
     def estimate(self) -> Estimate:
-        """Posterior mean (on the axis) and 95 % interval of the threshold. Raises ProcedureError without answers."""
+        """Return posterior mean (on the axis) and interval of the threshold. Raises ProcedureError without answers."""
         if not self.answers:
-            raise ProcedureError("QUEST+ has no answers: nothing can be estimated")
+            raise ProcedureError("no threshold: QUEST+ has no answers yet")
         on_log = self.parameters.logarithmic
         places = axis(self.parameters.threshold_values, on_log)
         weights = marginal(self.posterior, self.grid_shape, 0)
@@ -167,7 +174,7 @@ class QuestPlus(Kept[QuestPlusParameters]):
         return found.high - found.low <= 2 * precision * abs(found.threshold)
 
     def _due(self, given: float) -> float:
-        """Any of the levels, at the end, too: `_take` refuses another one."""
+        """Accept any level, also at the end; `_take` refuses those that are not in the list."""
         return given
 
     def _take(self, shown: float, positive: bool) -> None:
@@ -175,10 +182,10 @@ class QuestPlus(Kept[QuestPlusParameters]):
         near = float(self.levels[place])
         if abs(near - shown) > LEVEL_TOLERANCE * abs(near):
             raise ProcedureError(
-                f"the answer is to level {shown:g}, which is none of QUEST+'s; {near:g} is the nearest"
+                f"the answer is to level {shown:g}, which is not a level of QUEST+; the nearest is {near:g}"
             )
         likelihood = self.table[place] if positive else 1.0 - self.table[place]
         if not float(np.sum(self.posterior * likelihood)) > 0:
-            raise ProcedureError(f"this answer to level {near:g} is impossible with any parameters: allow for lapses")
+            raise ProcedureError(f"this answer to level {near:g} has probability 0 on the grid: add a lapse above 0")
         self.posterior = updated(self.posterior, likelihood)
         self.answers.append(Answer(near, positive))

@@ -1,5 +1,6 @@
-"""Transformed up-down staircases (Levitt, "Transformed up-down methods in psychoacoustics", J. Acoust. Soc. Am. 49,
-1971).
+"""Transformed and weighted up-down staircases.
+
+Levitt, "Transformed up-down methods in psychoacoustics", J. Acoust. Soc. Am. 49, 1971:
 
     rule           harder after            easier after          converges at
     1-up-1-down    1 positive answer       1 negative answer     50 % positive answers
@@ -8,10 +9,10 @@
     weighted       1, by the step          1, by step p/(1 - p)  p (Kaernbach, Perception & Psychophysics 49, 1991)
 
 On a linear axis a step is in the unit of the level and is added; on a logarithmic axis it is a factor. The threshold is
-the level at which the target proportion of answers is positive. It is estimated from all answers: the posterior mean
-and the interval of a psychometric function whose threshold is uniform over the levels near those visited, whose slope
-is uniform in its logarithm, and whose lapses are any of LAPSES (after Hall, "Hybrid adaptive procedure", J. Acoust.
-Soc. Am. 69, 1981). The mean of the reversals is reported beside it.
+the level at which the target proportion of answers is positive. It is estimated from all answers as the posterior mean
+and interval of a psychometric function. The prior is uniform over thresholds near the visited levels, over the
+logarithm of the slope, and over FITTED_LAPSES (after Hall, "Hybrid adaptive procedure", J. Acoust. Soc. Am. 69, 1981).
+The mean of the reversals is reported in addition.
 """
 
 from __future__ import annotations
@@ -26,86 +27,94 @@ from hapticd.experiment.analysis.psychometric_shapes import Floats, Shape, axis,
 from hapticd.experiment.procedures.posterior import summary
 from hapticd.experiment.procedures.procedure import (
     Answer,
+    BaseProcedure,
     Estimate,
-    Kept,
     Level,
     ProcedureError,
     Proportion,
 )
 
 Rule = Literal["1-up-1-down", "1-up-2-down", "1-up-3-down", "weighted"]
-IN_A_ROW: Final[dict[Rule, int]] = {"1-up-1-down": 1, "1-up-2-down": 2, "1-up-3-down": 3, "weighted": 1}
-LAPSES: Final = (0.0, 0.02, 0.05)
-_THRESHOLDS: Final = 121
-_SLOPES: Final = 15
-_WIDEST: Final = 0.4
-"""Of the range visited: the largest spread of a function, a step more; the least is a quarter of a step. A staircase
-visits a wider range than that where the function is wider. With it 95 % intervals cover 93 to 97 % in simulations."""
-_BEYOND: Final = 0.5
-"""Of the range visited: so far beyond either end the threshold may be."""
+POSITIVES_IN_A_ROW: Final[dict[Rule, int]] = {"1-up-1-down": 1, "1-up-2-down": 2, "1-up-3-down": 3, "weighted": 1}
+"""Number of consecutive positive answers after which the level becomes harder."""
+FITTED_LAPSES: Final = (0.0, 0.02, 0.05)
+"""Lapse rates of the grid."""
+_THRESHOLD_COUNT: Final = 121
+"""Number of thresholds of the grid."""
+_SLOPE_COUNT: Final = 15
+"""Number of slopes of the grid."""
+_MAX_SPREAD_FRACTION: Final = 0.4
+"""Largest spread of a function as a fraction of the visited range, plus one step; the smallest is a quarter of a step.
+
+A staircase on a wider function visits a wider range. In simulations 95 % intervals then cover 93 to 97 %.
+"""
+_THRESHOLD_MARGIN_FRACTION: Final = 0.5
+"""Largest distance of the threshold from the visited range, as a fraction of that range."""
 
 
 class StaircaseParameters(CheckedTogether):
-    """A staircase, as a study's YAML has it."""
+    """Parameters of a staircase, as in a study's YAML."""
 
     kind: Literal["staircase"] = "staircase"
     rule: Rule
     target: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """Proportion of positive answers; of the rule weighted alone."""
+    """Target proportion of positive answers, only for the rule weighted."""
     start: Level
     least: Level
     most: Level
     steps: Annotated[
         tuple[Annotated[float, Field(gt=0, le=1e9)], ...], Field(min_length=1, max_length=64, strict=False)
     ]
-    """The first until the first reversal, the next until the second, the last one to the end."""
+    """Steps by the number of reversals until then; the last one is used to the end."""
     axis: Literal["linear", "logarithmic"] = "linear"
     harder: Literal["lower", "higher"] = "lower"
-    """Levels that are harder."""
+    """Whether lower or higher levels are harder."""
     reversals: Annotated[int, Field(ge=2, le=1000)] = 12
-    """It ends after so many,"""
+    """Number of reversals after which the staircase ends."""
     trials: Annotated[int, Field(ge=1, le=10000)] = 100
-    """or after so many answers."""
+    """Number of answers after which the staircase ends."""
     discard: Annotated[int, Field(ge=0, le=999)] = 4
-    """Reversals that the mean of reversals leaves out, from the first."""
+    """Number of first reversals that the mean of the reversals excludes."""
     guess: Proportion = 0.0
     """Probability of a positive answer far below threshold."""
     shape: Shape = "logistic"
 
     def cross_faults(self) -> list[str]:
+        """Return the faults that concern several keys."""
         faults = []
         if not self.least < self.most:
             faults.append(f"least ({self.least:g}) must be less than most ({self.most:g})")
         elif not self.least <= self.start <= self.most:
-            faults.append(f"start ({self.start:g}) must lie between least ({self.least:g}) and most ({self.most:g})")
+            faults.append(f"start ({self.start:g}) must be between least ({self.least:g}) and most ({self.most:g})")
         if (self.rule == "weighted") != (self.target is not None):
-            faults.append("target is needed by the rule weighted, and belongs to it alone")
+            faults.append("target is required with rule weighted, and not allowed with other rules")
         elif not self.guess < self.proportion < 1:
             faults.append(
-                f"the rule converges at {100 * self.proportion:.3g} % positive answers, which must be more than guess "
-                f"({100 * self.guess:.3g} %)"
+                f"the rule converges at {100 * self.proportion:.3g} % positive answers; guess must be less, is "
+                f"{100 * self.guess:.3g} %"
             )
         if self.logarithmic and self.least <= 0:
             faults.append("least must be more than 0 on a logarithmic axis")
         if self.logarithmic and self.axis == "linear":
-            faults.append("a weibull function needs axis: logarithmic")
+            faults.append("shape weibull needs axis: logarithmic")
         elif self.logarithmic and min(self.steps) <= 1:
             faults.append("steps are factors on a logarithmic axis: each must be more than 1")
         if self.discard > self.reversals - 2:
-            faults.append(f"discard ({self.discard}) must leave 2 of the {self.reversals} reversals")
+            faults.append(f"discard must be at most reversals - 2 = {self.reversals - 2}, is {self.discard}")
         return faults
 
     @property
     def logarithmic(self) -> bool:
+        """Whether the axis of the psychometric function is logarithmic."""
         return is_logarithmic(self.shape, self.axis == "logarithmic")
 
     @property
     def proportion(self) -> float:
-        """Of positive answers at which it converges."""
-        return self.target if self.target is not None else 0.5 ** (1.0 / IN_A_ROW[self.rule])
+        """Proportion of positive answers at which the staircase converges."""
+        return self.target if self.target is not None else 0.5 ** (1.0 / POSITIVES_IN_A_ROW[self.rule])
 
 
-class Staircase(Kept[StaircaseParameters]):
+class Staircase(BaseProcedure[StaircaseParameters]):
     """One run of a staircase; see `procedure.Procedure`."""
 
     PARAMETERS = StaircaseParameters
@@ -119,12 +128,12 @@ class Staircase(Kept[StaircaseParameters]):
         self._towards_harder: bool | None = None
 
     def level(self) -> float | None:
-        """The next level; None after all reversals or trials."""
+        """Return the next level, None after all reversals or trials."""
         ended = len(self.reversals) >= self.parameters.reversals or len(self.answers) >= self.parameters.trials
         return None if ended else self._level
 
     def reversal_mean(self) -> float | None:
-        """Mean of the reversals (on a logarithmic axis the geometric one) without those discarded; None without any."""
+        """Return the mean of the reversals except the discarded ones, geometric on a logarithmic axis, or None."""
         kept = self.reversals[self.parameters.discard :]
         if not kept:
             return None
@@ -132,9 +141,9 @@ class Staircase(Kept[StaircaseParameters]):
         return float(level(axis(np.array(kept), on_log).mean(keepdims=True), on_log)[0])
 
     def estimate(self) -> Estimate:
-        """The level of the target proportion. Raises ProcedureError without answers."""
+        """Return the level of the target proportion. Raises ProcedureError without answers."""
         if not self.answers:
-            raise ProcedureError("the staircase has no answers: nothing can be estimated")
+            raise ProcedureError("no threshold: the staircase has no answers yet")
         given = self.parameters
         visited, at = np.unique(
             axis(np.array([each.level for each in self.answers]), given.logarithmic), return_inverse=True
@@ -150,7 +159,7 @@ class Staircase(Kept[StaircaseParameters]):
         given = self.parameters
         if positive:
             self._in_a_row += 1
-            if self._in_a_row < IN_A_ROW[given.rule]:
+            if self._in_a_row < POSITIVES_IN_A_ROW[given.rule]:
                 return
         self._in_a_row = 0
         if self._towards_harder is not None and self._towards_harder != positive:
@@ -173,13 +182,15 @@ class Staircase(Kept[StaircaseParameters]):
 
 
 def _marginal(given: StaircaseParameters, visited: Floats, right: Floats, wrong: Floats) -> tuple[Floats, Floats]:
-    """Places on the axis of the level with the target proportion, (t,), and their probabilities (t,)."""
+    """Return thresholds (t,) on the axis, at which the target proportion is positive, and their probabilities (t,)."""
     last = float(np.log(given.steps[-1])) if given.logarithmic else given.steps[-1]
     least, most = axis(np.array((given.least, given.most)), given.logarithmic)
-    reach = max(_BEYOND * float(visited[-1] - visited[0]), 4 * last)
-    thresholds = np.linspace(max(least, visited[0] - reach), min(most, visited[-1] + reach), _THRESHOLDS)
-    slopes = np.geomspace(1.0 / (_WIDEST * float(visited[-1] - visited[0]) + last), 4.0 / last, _SLOPES)
-    lapses = np.array(LAPSES)[np.array(LAPSES) < 1.0 - given.proportion]
+    reach = max(_THRESHOLD_MARGIN_FRACTION * float(visited[-1] - visited[0]), 4 * last)
+    thresholds = np.linspace(max(least, visited[0] - reach), min(most, visited[-1] + reach), _THRESHOLD_COUNT)
+    slopes = np.geomspace(
+        1.0 / (_MAX_SPREAD_FRACTION * float(visited[-1] - visited[0]) + last), 4.0 / last, _SLOPE_COUNT
+    )
+    lapses = np.array(FITTED_LAPSES)[np.array(FITTED_LAPSES) < 1.0 - given.proportion]
     sign = 1.0 if given.harder == "lower" else -1.0
     above = inverse(given.shape, (given.proportion - given.guess) / (1.0 - given.guess - lapses))
     z = sign * (visited[:, None, None, None] - thresholds[:, None, None]) * slopes[:, None] + above

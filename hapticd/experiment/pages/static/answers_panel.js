@@ -1,4 +1,4 @@
-// The answers so far, the newest first. It takes `app.session` (experimenter.js).
+// The panel of the answers, the newest first. It reads `app.session` (experimenter.js).
 import { make } from "/static/dom.js";
 
 const VERDICTS = new Map([[true, ["right", "right"]], [false, ["wrong", "wrong"]], [null, ["", ""]]]);

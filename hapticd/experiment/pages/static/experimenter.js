@@ -1,9 +1,9 @@
-// The experimenter's page: the state of the daemon, the session, the oscilloscope, the answers. It is put together as
-// /static/main.js is, of the same parts where there are such, and of `app.session`:
+// The experimenter's page: the state of the daemon, the session, the oscilloscope and the answers. Like /static/main.js
+// it is built of panels, which share `app.session`:
 //
-//   app.session.state, .rows     what the session does (hapticd/experiment/pages/console.py), and its answers
-//   app.session.goOn()           what the button says that goes on
-//   app.session.command(kind)    pause, repeat, abort, note
+//   app.session.state, .rows     state of the session (hapticd/experiment/pages/console.py), and its answers
+//   app.session.goOn()           press the button to continue
+//   app.session.command(kind)    send a command: pause, repeat, abort, note
 //
 // Events of app.session: `change`.
 import { begin, newApp } from "/static/app.js";
@@ -25,12 +25,12 @@ class Session extends EventTarget {
     app.link.addEventListener("web", (event) => event.detail.experiment && this.#got(event.detail.experiment));
   }
 
-  // All that is new. Where the connection is lost meanwhile, that is asked for again with the next one.
+  // Requests the state and the new answers. If the connection is lost meanwhile, the next one requests them again.
   async watch() {
     try {
-      const told = await this.#app.link.call("experiment.watch", { since: this.rows.length });
-      this.rows.push(...told.rows.slice(this.rows.length - told.since));
-      this.#changed(told);
+      const state = await this.#app.link.call("experiment.watch", { since: this.rows.length });
+      this.rows.push(...state.rows.slice(this.rows.length - state.since));
+      this.#changed(state);
     } catch (error) {
       if (error.code !== CONNECTION_LOST) {
         throw error;
@@ -57,24 +57,24 @@ class Session extends EventTarget {
     }
   }
 
-  async #got(told) {
-    this.#changed(told);
-    if (told.answers > this.rows.length && !this.#asking) {
+  async #got(state) {
+    this.#changed(state);
+    if (state.answers > this.rows.length && !this.#asking) {
       this.#asking = true;
       await this.watch().finally(() => (this.#asking = false));
     }
   }
 
-  #changed(told) {
-    this.state = told;
-    if (told.doing === "over") {
+  #changed(state) {
+    this.state = state;
+    if (state.doing === "over") {
       this.#app.link.end();
     }
     this.dispatchEvent(new Event("change"));
   }
 }
 
-// The stop ends the session, too, not only the forces.
+// The stop button, which also ends the session.
 class SessionSafety extends Safety {
   #session;
 

@@ -1,8 +1,8 @@
-// White noise through the headphones, which masks the sound of the motors. It begins with a press: browsers want one.
+// White noise for headphones, which masks the sound of the motors. Browsers play it only after a press of a button.
 import { button, make } from "/static/dom.js";
 
-const SECONDS = 4; // of noise, repeated
-const LOUDEST = 0.3;
+const NOISE_DURATION_S = 4; // repeated
+const MAX_GAIN = 0.3;
 
 export class Noise {
   running = false;
@@ -21,7 +21,7 @@ export class Noise {
   async toggle() {
     this.running = !this.running;
     this.#button.setAttribute("aria-pressed", String(this.running));
-    this.#button.blur(); // Enter is for the screen
+    this.#button.blur(); // so that Enter presses the button of the screen
     if (!this.running) {
       await this.#context.suspend();
       return;
@@ -35,13 +35,13 @@ export class Noise {
   #begin() {
     this.#context = new AudioContext();
     const { sampleRate } = this.#context;
-    const buffer = this.#context.createBuffer(1, SECONDS * sampleRate, sampleRate);
+    const buffer = this.#context.createBuffer(1, NOISE_DURATION_S * sampleRate, sampleRate);
     const samples = buffer.getChannelData(0);
     for (let i = 0; i < samples.length; i++) {
       samples[i] = 2 * Math.random() - 1;
     }
     const source = new AudioBufferSourceNode(this.#context, { buffer, loop: true });
-    this.#gain = new GainNode(this.#context, { gain: LOUDEST * this.#level });
+    this.#gain = new GainNode(this.#context, { gain: MAX_GAIN * this.#level });
     source.connect(this.#gain).connect(this.#context.destination);
     source.start();
   }
@@ -49,7 +49,7 @@ export class Noise {
   #set(level) {
     this.#level = level;
     if (this.#gain !== null) {
-      this.#gain.gain.value = LOUDEST * level;
+      this.#gain.gain.value = MAX_GAIN * level;
     }
   }
 }

@@ -1,5 +1,5 @@
-// The participant's page: shows the newest screen, says what is pressed, and moves the hand of a simulated joystick.
-// hapticd/experiment/pages/screens.py has the screens, participant_page.py what this page may call.
+// The participant's page: shows the newest screen, sends the answers, and moves the hand of a simulated joystick.
+// The screens are in hapticd/experiment/pages/screens.py, the methods of this page in participant_page.py.
 import { CallError, CONNECTION_LOST, Link } from "/static/connection.js";
 import { button, make } from "/static/dom.js";
 import { Hand } from "/static/scene_view/hand.js";
@@ -14,18 +14,18 @@ const hand = new Hand((message) => link.notify("stream_target", message));
 new Noise(part("noise"));
 
 let screen = { screen: -1, kind: "wait" };
-let moves = false; // whether the hand is ours
+let moves = false; // whether this page moves the hand
 let keys = new Map();
 let enter = null;
 let leftTimer = null;
-let unsentStop = false; // it is sent again as soon as there is a connection
-let pressedAt = null; // the newest event of a pointer that is down on the picture
+let unsentStop = false; // whether to send the stop again with the next connection
+let pressedAt = null; // the newest event of a pointer that is pressed on the picture
 
 globalThis.participant = { get screen() { return screen; }, picture, hand, link }; // for tests
 
-// ---- What is said ----------------------------------------------------------------------------------------------------
+// ---- Messages to the server --------------------------------------------------------------------------------------------
 
-let lasting = ""; // what the server says beside the screen, until it takes it back
+let lasting = ""; // notice of the server, which it also removes
 const notice = (text) => (part("notice").textContent = text || lasting);
 
 async function say(method, params = {}) {
@@ -48,7 +48,7 @@ const once = (number, action) => () => {
 
 function stop() {
   hand.allow(false);
-  // Both at once: the forces go without waiting for the session.
+  // Both at once, so that the forces are switched off without waiting for the session.
   const off = link.call("set_forces", { enabled: false }, { urgent: true, timeout_s: 1 });
   const over = link.call("participant.stop", {}, { urgent: true, timeout_s: 1 });
   unsentStop = true;
@@ -57,11 +57,11 @@ function stop() {
       unsentStop = false;
       notice("Stopped. The forces are off.");
     },
-    () => notice("The stop was not answered. Let go of the handle. It is sent again."),
+    () => notice("The stop was not confirmed. Let go of the handle. The stop is sent again."),
   );
 }
 
-// ---- What is shown ---------------------------------------------------------------------------------------------------
+// ---- Screens -----------------------------------------------------------------------------------------------------------
 
 function show(next) {
   if (next.screen === screen.screen) {
@@ -81,7 +81,7 @@ function show(next) {
   const free = moves && trial && (next.felt || next.withdraws);
   hand.allow(free);
   if (pressedAt !== null && free) {
-    grasp(); // the pointer went down before the forces came on
+    grasp(); // the pointer was pressed before the forces were enabled
   }
   if (next.kind === "over") {
     link.end();
@@ -90,7 +90,7 @@ function show(next) {
   document.body.dataset.kind = next.kind;
 }
 
-// Markdown that the server made HTML of, without scripts.
+// Returns an element of HTML that the server made of Markdown, without scripts.
 function textOf(html) {
   const text = make("div", { class: "text" });
   text.innerHTML = html;
@@ -124,7 +124,7 @@ function showTrial(element, trial) {
   }
   if (!trial.felt) {
     const text = trial.withdraws
-      ? "Please move the stylus out, to where it touches nothing. Then the trial begins."
+      ? "Please move the stylus to where it touches nothing. Then the trial begins."
       : "The next trial is ready. Please wait for the experimenter.";
     element.append(make("p", { class: "left", text }));
     return;
@@ -186,7 +186,7 @@ function pressed(event) {
     event.preventDefault();
     enter();
   } else if (event.key === " " && !typing) {
-    event.preventDefault(); // as on the other pages: the space bar stops
+    event.preventDefault(); // the space bar stops, as on the other pages
     stop();
   }
 }
@@ -215,7 +215,7 @@ function followPointer(canvas) {
       return;
     }
     if ((event.buttons & 1) === 0) {
-      letGo(); // it came up where nobody told the page
+      letGo(); // the button was released outside of the page
       return;
     }
     pressedAt = event;
@@ -230,20 +230,20 @@ async function opened() {
   if (unsentStop) {
     stop();
   }
-  let told;
+  let answer;
   try {
-    told = await link.call("participant.screen");
+    answer = await link.call("participant.screen");
   } catch (error) {
     if (error.code === CONNECTION_LOST) {
-      return; // it is asked for again with the next connection
+      return; // the next connection requests the screen again
     }
     throw error;
   }
-  moves = told.hand;
-  lasting = told.notice;
+  moves = answer.hand;
+  lasting = answer.notice;
   part("picture").classList.toggle("hand", moves);
   screen = { screen: -1 };
-  show(told.screen);
+  show(answer.screen);
   link.notify("participant.beat");
 }
 
@@ -251,7 +251,7 @@ async function begin() {
   addEventListener("keydown", pressed, { capture: true });
   addEventListener("keyup", (event) => {
     if (event.key === " " && !event.target.matches?.(TYPED)) {
-      event.preventDefault(); // else it would press the button that has the focus
+      event.preventDefault(); // otherwise the space bar would press the focused button
     }
   }, { capture: true });
   part("stop").addEventListener("click", stop);
@@ -269,7 +269,7 @@ async function begin() {
     }
   });
   link.addEventListener("stylus", (event) => picture.moved(event.detail));
-  link.addEventListener("close", () => screen.kind === "over" || notice("No connection. Let go of the handle: the forces fade within a few seconds. The page goes on by itself."));
+  link.addEventListener("close", () => screen.kind === "over" || notice("No connection. Let go of the handle: the forces fade within a few seconds. The page reconnects automatically."));
   const heart = new Worker("/static/heartbeat_worker.js");
   heart.onmessage = () => link.connected && link.notify("participant.beat");
   await link.open();

@@ -1,25 +1,25 @@
-// The picture that the participant sees: the surfaces, to scale, all alike, and the stylus. Nothing of what they are made of.
+// The picture for the participant: surfaces, to scale, and stylus. All surfaces look alike, so that none shows its material.
 import { color, onTheme } from "/static/theme.js";
 import { Transform } from "/static/scene_view/transform.js";
 
-const LEAST_M = 0.12; // what is seen at least, either way
-const AROUND = 1.5; // of the surfaces' extent
-const LONGEST_M = 0.06; // half of what is drawn of a surface without end
-const DEPTH_PX = 34; // of a surface's body
-const [WIDTH_PX, TIP_PX, LENGTH_PX] = [12, 16, 110]; // of the stylus
-const TILT = 0.42; // rad
+const MIN_EXTENT_M = 0.12; // smallest extent of the surfaces
+const MARGIN_FACTOR = 1.5; // visible range over the extent of the surfaces
+const MAX_HALF_LENGTH_M = 0.06; // half length for which an unlimited surface counts
+const BODY_DEPTH_PX = 34; // drawn depth of a surface's body
+const [STYLUS_WIDTH_PX, STYLUS_TIP_PX, STYLUS_LENGTH_PX] = [12, 16, 110];
+const STYLUS_TILT_RAD = 0.42;
 
-// [left, bottom, right, top] in m of what holds all surfaces, with room for the hand.
+// Returns the visible range [left, bottom, right, top] in m, which contains all surfaces and space for the hand.
 export function extent(surfaces) {
   const ends = surfaces.flatMap(({ point_m: [x, y], normal: [nx, ny], half_m }) => {
-    const half = Math.min(half_m, LONGEST_M);
+    const half = Math.min(half_m, MAX_HALF_LENGTH_M);
     return [[x + half * ny, y - half * nx], [x - half * ny, y + half * nx]];
   });
   const xs = ends.map(([x]) => x);
   const ys = ends.map(([, y]) => y);
   const [left, right] = [Math.min(...xs), Math.max(...xs)];
   const [bottom, top] = [Math.min(...ys), Math.max(...ys)];
-  const half = (AROUND * Math.max(LEAST_M, right - left, top - bottom)) / 2;
+  const half = (MARGIN_FACTOR * Math.max(MIN_EXTENT_M, right - left, top - bottom)) / 2;
   const [cx, cy] = [(left + right) / 2, (bottom + top) / 2];
   return [cx - half, cy - half / 2, cx + half, cy + half / 2];
 }
@@ -85,7 +85,7 @@ export class Picture {
     const half = Math.min(half_m, 10);
     const [ax, ay] = this.transform.toPx([x + half * ny, y - half * nx]);
     const [bx, by] = this.transform.toPx([x - half * ny, y + half * nx]);
-    const [dx, dy] = [-nx * DEPTH_PX, ny * DEPTH_PX]; // into the body, in pixels
+    const [dx, dy] = [-nx * BODY_DEPTH_PX, ny * BODY_DEPTH_PX]; // into the body, in pixels
     context.fillStyle = color("sunken");
     context.beginPath();
     context.moveTo(ax, ay);
@@ -101,19 +101,19 @@ export class Picture {
     context.stroke();
   }
 
-  // A pen whose tip is where the hand is.
+  // Draws a pen whose tip is at the position of the stylus.
   #drawStylus(context) {
     const [x, y] = this.transform.toPx(this.stylus);
     context.save();
     context.translate(x, y);
-    context.rotate(TILT);
+    context.rotate(STYLUS_TILT_RAD);
     context.fillStyle = color("accent");
     context.beginPath();
     context.moveTo(0, 0);
-    context.lineTo(-WIDTH_PX / 2, -TIP_PX);
-    context.lineTo(-WIDTH_PX / 2, -LENGTH_PX);
-    context.lineTo(WIDTH_PX / 2, -LENGTH_PX);
-    context.lineTo(WIDTH_PX / 2, -TIP_PX);
+    context.lineTo(-STYLUS_WIDTH_PX / 2, -STYLUS_TIP_PX);
+    context.lineTo(-STYLUS_WIDTH_PX / 2, -STYLUS_LENGTH_PX);
+    context.lineTo(STYLUS_WIDTH_PX / 2, -STYLUS_LENGTH_PX);
+    context.lineTo(STYLUS_WIDTH_PX / 2, -STYLUS_TIP_PX);
     context.fill();
     context.restore();
   }

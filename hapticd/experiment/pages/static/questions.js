@@ -1,12 +1,12 @@
-// The question of a trial and its answer: buttons and keys, a scale, a number, an order, a text.
+// The question of a trial: buttons and keys, a slider, a number, an order, a text.
 //
-//   ask(element, question, stimuli, answer)   draws it; `answer(value)` is called once it is answered. Returns {keys, enter}:
-//                                             `keys`: by the name of a key what it does; `enter`: what Enter does, or null.
+//   ask(element, question, stimuli, answer)   shows a question; `answer(value)` is called with its answer. Returns
+//                                             {keys, enter}: actions by the name of a key; action of Enter, or null
 import { button, make } from "/static/dom.js";
 
 const NAMED = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown: "down", " ": "space", Enter: "enter" };
 
-// The name of a key as a study has it.
+// Returns the name of a key as in a study's YAML.
 export const keyName = (event) => NAMED[event.key] ?? event.key;
 
 const withKey = (label, key, action) => {
@@ -34,7 +34,7 @@ function slider(element, { low, high, step, ends }, _, answer) {
   const input = make("input", { type: "range", min: low, max: high, step: step ?? "any", value: (low + high) / 2, "aria-label": "Your answer" });
   const value = make("output", { text: "Move the slider." });
   const go = withKey("Answer", "Enter", () => send());
-  go.disabled = true; // a slider that nobody moved is no answer
+  go.disabled = true; // until the slider was moved
   const send = () => go.disabled || answer(Number(input.value));
   input.addEventListener("input", () => {
     go.disabled = false;
@@ -61,7 +61,7 @@ function text(element, { most_characters }, _, answer) {
 
 function ranking(element, _, stimuli, answer) {
   const order = [];
-  const told = make("p", { class: "left", text: "Press them in their order, the one that comes first first." });
+  const told = make("p", { class: "left", text: "Press the surfaces in their order." });
   const keys = new Map();
   const buttons = Array.from({ length: stimuli }, (__, index) => {
     const pick = () => {
@@ -77,7 +77,7 @@ function ranking(element, _, stimuli, answer) {
     keys.set(String(index + 1), pick);
     return withKey(`Surface ${index + 1}`, String(index + 1), pick);
   });
-  const again = button("Begin again", "", () => {
+  const again = button("Start over", "", () => {
     order.length = 0;
     told.textContent = "";
     again.disabled = go.disabled = true;

@@ -1,32 +1,32 @@
-// What goes on in the session, and the experimenter's buttons. It takes `app.session` (experimenter.js).
+// The panel of the session's state, with the experimenter's buttons. It reads `app.session` (experimenter.js).
 import { button, make } from "/static/dom.js";
 
 const DOING = {
   begins: "The participant reads the instructions.",
   reads: "The participant reads.",
   armed: "The next trial is ready. The forces are off.",
-  withdraws: "The stylus is behind a surface. The forces come on once it is out.",
+  withdraws: "The stylus is behind a surface. The forces are enabled once it is out.",
   felt: "The participant feels and answers.",
   rests: "A break.",
   paused: "Paused. The forces are off.",
   over: "The session is over.",
 };
 
-const PAUSE_MS = 700; // so long after another screen the button that goes on does nothing: a press was for the one before
-const percent = (part, whole) => (whole === 0 ? "–" : `${Math.round((100 * part) / whole)} %`);
+const BUTTON_LOCK_MS = 700; // the button to continue is disabled after a new screen: a press was meant for the one before
+const percent = (part, total) => (total === 0 ? "–" : `${Math.round((100 * part) / total)} %`);
 
 export function mount(app, element) {
   const { session } = app;
   const doing = make("p", { class: "doing", role: "status" });
   const here = make("p", {});
-  const progress = make("progress", { "aria-label": "Trials that are done" });
+  const progress = make("progress", { "aria-label": "Completed trials" });
   const facts = make("dl", { class: "facts" });
   const told = make("div", { class: "told", role: "log" });
   const go = button("Begin", "primary go", () => session.goOn(), { id: "session-go-on" });
   go.addEventListener("keydown", (event) => event.repeat && event.preventDefault());
   const wait = make("p", { class: "wait", id: "session-wait" });
   let [screen, timer, worksAt] = [null, null, 0];
-  // The button works from `worksAt` on; until then a line says why it does not, where that is a break.
+  // Enables the button at `worksAt`. During a break a line shows the remaining time.
   const unlock = () => {
     clearTimeout(timer);
     const { state } = session;
@@ -42,7 +42,7 @@ export function mount(app, element) {
   const commands = ["pause", "repeat", "abort"].map((kind) =>
     button({ pause: "Pause", repeat: "Repeat the trial", abort: "End the session" }[kind], kind === "abort" ? "danger" : "", () => session.command(kind), { id: `session-${kind}` }),
   );
-  const note = make("input", { type: "text", id: "session-note", maxlength: 10000, placeholder: "A note, kept with the trial", "aria-label": "Note" });
+  const note = make("input", { type: "text", id: "session-note", maxlength: 10000, placeholder: "A note, saved with the trial", "aria-label": "Note" });
   const form = make("form", { class: "note-form" }, note, make("button", { class: "button", type: "submit", text: "Note" }));
   form.addEventListener("submit", (event) => {
     event.preventDefault();
@@ -51,7 +51,7 @@ export function mount(app, element) {
       note.value = "";
     }
   });
-  const label = make("label", { class: "check", for: "session-auto" }, auto, "Trials begin by themselves");
+  const label = make("label", { class: "check", for: "session-auto" }, auto, "Trials begin automatically");
   const left = make("div", {}, doing, here, make("div", { class: "row" }, go, label), wait, make("div", { class: "row" }, ...commands), form, told);
   element.replaceChildren(make("div", { class: "session" }, left, make("div", { class: "stack" }, progress, facts)));
 
@@ -63,10 +63,10 @@ export function mount(app, element) {
       class: `pill ${missing.length > 0 ? "warn" : "ok"}`,
       text: missing.includes("participant") ? "The participant's page is not open" : "The participant's page is open",
     }));
-    go.textContent = state.goes_on ?? "Go on";
+    go.textContent = state.goes_on ?? "Continue";
     if (state.screen !== screen) {
       screen = state.screen;
-      worksAt = performance.now() + PAUSE_MS;
+      worksAt = performance.now() + BUTTON_LOCK_MS;
     }
     worksAt = Math.max(worksAt, performance.now() + 1e3 * state.left_s);
     unlock();
