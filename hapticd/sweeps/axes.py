@@ -14,7 +14,7 @@ import numpy.typing as npt
 from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.yaml_source import Json
 from hapticd.sweeps.columns import Kind, Value
-from hapticd.sweeps.keys import DRAWN, MOST_POINTS, SweepAxis, SweepStudy
+from hapticd.sweeps.keys import DRAWING_COMBINES, MAX_SWEEP_POINTS, SweepAxis, SweepStudy
 
 Indices: TypeAlias = npt.NDArray[np.int32]
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ def axes_of(study: SweepStudy) -> tuple[Axis, ...]:
     Draws depend on the seed and on the axis' name alone, not on other axes. Raises InvalidError where there would be
     too many points, or where axes that are zipped are not of one length.
     """
-    if study.combine in DRAWN:
+    if study.combine in DRAWING_COMBINES:
         assert study.count is not None
         return tuple(_drawn(study, name, axis, study.count) for name, axis in study.vary.items())
     values = {name: _listed(study, name, axis) for name, axis in study.vary.items()}
@@ -56,9 +56,9 @@ def axes_of(study: SweepStudy) -> tuple[Axis, ...]:
         index = np.arange(counts[0] if counts else 1, dtype=np.int32)
         return tuple(Axis(name, each, index, _kind(each)) for name, each in values.items())
     total = math.prod(counts)
-    if total > MOST_POINTS:
+    if total > MAX_SWEEP_POINTS:
         product = " x ".join(map(str, counts))
-        raise InvalidError([Problem("vary", f"would be {product} = {total} points; the most are {MOST_POINTS}")])
+        raise InvalidError([Problem("vary", f"would be {product} = {total} points; the most are {MAX_SWEEP_POINTS}")])
     found = []
     inner = total
     for name, each in values.items():

@@ -22,13 +22,13 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Spacing: TypeAlias = Literal["linear", "logarithmic", "categories"]
 Which: TypeAlias = Literal["x", "y"]
 
-WIDE: Final = 30.0
+LOGARITHMIC_FROM_RATIO: Final = 30.0
 """Measured values, all above 0, whose largest is so many times the least are on a logarithmic axis."""
-_PLAIN, _MOST_PLAIN = 1e4, 1e7
+_PLAIN_FROM, _PLAIN_BELOW = 1e4, 1e7
 """A number from one to the other has no exponent: 10000."""
-_MOST_TICKS: Final = 8
+_MAX_TICKS: Final = 8
 """So many values that a study lists have a tick each."""
-_UNITS: Final[dict[str, tuple[tuple[float, float, str], ...]]] = {
+_READABLE_UNITS: Final[dict[str, tuple[tuple[float, float, str], ...]]] = {
     "m": ((1e-3, 1e6, "µm"), (1.0, 1e3, "mm")),
     "s": ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms")),
     "kg": ((1.0, 1e3, "g"),),
@@ -108,7 +108,7 @@ def shown(value: Value) -> str:
         return "yes" if value else "no"
     if not isinstance(value, float):
         return str(value)
-    return f"{value:.0f}" if _PLAIN <= abs(value) < _MOST_PLAIN else f"{value:.4g}"
+    return f"{value:.0f}" if _PLAIN_FROM <= abs(value) < _PLAIN_BELOW else f"{value:.4g}"
 
 
 def key_scale(results: Results, name: str) -> Scale:
@@ -121,7 +121,7 @@ def key_scale(results: Results, name: str) -> Scale:
     ranged = axis.is_range and numbers.min() > 0
     logarithmic = axis.spacing == "logarithmic" if ranged else _geometric(numbers)
     found = _scale(results.words(name), column, numbers, logarithmic, bare=name not in results.study.labels)
-    listed = axis.values is not None and len(numbers) <= _MOST_TICKS
+    listed = axis.values is not None and len(numbers) <= _MAX_TICKS
     return replace(found, ticks=tuple((found.factor * numbers).tolist())) if listed else found
 
 
@@ -138,13 +138,15 @@ def measured_scale(results: Results, names: Sequence[str], words: str | None, va
     if refine is not None and names[0] == "boundary":
         logarithmic = refine.spacing == "logarithmic"
     else:
-        logarithmic = len(numbers) > 0 and bool(numbers.min() > 0 and numbers.max() >= WIDE * numbers.min())
+        logarithmic = len(numbers) > 0 and bool(
+            numbers.min() > 0 and numbers.max() >= LOGARITHMIC_FROM_RATIO * numbers.min()
+        )
     return _scale(words, column, numbers, logarithmic, bare)
 
 
 def unit_scale(unit: str, largest: float) -> tuple[float, str]:
     """The factor of a unit that suits values up to this magnitude, and the unit's sign."""
-    for below, factor, text in _UNITS.get(unit, ()):
+    for below, factor, text in _READABLE_UNITS.get(unit, ()):
         if largest < below:
             return factor, text
     return 1.0, unit

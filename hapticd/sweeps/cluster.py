@@ -12,17 +12,17 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 from hapticd.base.errors import HapticdError, on_one_line
-from hapticd.sweeps.forked_workers import METHOD, start_fork_server
+from hapticd.sweeps.forked_workers import START_METHOD, start_fork_server
 from hapticd.sweeps.interrupts import deferred_interrupts
 
-CONNECT_S: Final = 10.0
-START_S: Final = 120.0
+SCHEDULER_TIMEOUT_S: Final = 10.0
+WORKERS_START_TIMEOUT_S: Final = 120.0
 """For the processes of all workers to start, on a machine that is busy."""
-END_S: Final = 1.0
+WORKER_END_TIMEOUT_S: Final = 1.0
 """For a worker to end, before it is killed."""
-_HERE: Final = "127.0.0.1:0"
+_LOCAL_ADDRESS: Final = "127.0.0.1:0"
 """A free port that this machine alone can reach."""
-_SEEN_LESS: Final = {
+_MONITORING_SETTINGS: Final = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.system-monitor.interval": "5s",
@@ -80,10 +80,10 @@ def _reached(scheduler: str) -> Iterator[Any]:
         found = asyncio.run(_kind_of(scheduler))
         if found != "Scheduler":
             raise HapticdError(f"{scheduler}: is no scheduler, but a {found.lower()}")
-        client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)
     except OSError as error:
         why = f": {on_one_line(str(error))}" if str(error) else ""
-        raise HapticdError(f"{scheduler}: no scheduler answers there within {CONNECT_S:g} s{why}") from None
+        raise HapticdError(f"{scheduler}: no scheduler answers there within {SCHEDULER_TIMEOUT_S:g} s{why}") from None
     except (ValueError, TypeError, RuntimeError) as error:
         raise HapticdError(f"{scheduler}: cannot be used: {on_one_line(str(error))}") from None
     try:
@@ -94,13 +94,13 @@ def _reached(scheduler: str) -> Iterator[Any]:
 
 
 async def _kind_of(address: str) -> str:
-    """What answers at an address: Scheduler, Worker, Nanny. Raises OSError where nothing does within CONNECT_S."""
+    """What answers at an address: Scheduler, Worker, Nanny. Raises OSError where nothing does within SCHEDULER_TIMEOUT_S."""
     from distributed import Security
     from distributed.comm.core import connect
 
-    comm = await connect(address, timeout=CONNECT_S, **Security().get_connection_args("client"))
+    comm = await connect(address, timeout=SCHEDULER_TIMEOUT_S, **Security().get_connection_args("client"))
     try:
-        async with asyncio.timeout(CONNECT_S):
+        async with asyncio.timeout(SCHEDULER_TIMEOUT_S):
             await comm.write({"op": "identity"})
             answer = await comm.read()
     finally:
@@ -115,15 +115,15 @@ def _threads(count: int) -> Iterator[Any]:
 
     cluster = client = None
     try:
-        with deferred_interrupts(), dask.config.set(_SEEN_LESS), warnings.catch_warnings():
+        with deferred_interrupts(), dask.config.set(_MONITORING_SETTINGS), warnings.catch_warnings():
             # Dask asks for an address even for threads of one process. A machine without a network has none.
             warnings.filterwarnings("ignore", "Couldn't detect a suitable IP address", RuntimeWarning)
             cluster = LocalCluster(
                 n_workers=1,
                 threads_per_worker=count,
                 processes=False,
-                dashboard_address=_HERE,
-                worker_dashboard_address=_HERE,
+                dashboard_address=_LOCAL_ADDRESS,
+                worker_dashboard_address=_LOCAL_ADDRESS,
                 silence_logs=logging.CRITICAL,
             )
             client = Client(cluster, set_as_default=False)
@@ -151,7 +151,7 @@ def _processes(count: int) -> Iterator[Any]:
     # Dask would import pandas here, for a fork server of its own.
     distributed.utils._forkserver_preload_set = True
     cluster = client = adaptive = None
-    with dask.config.set({"distributed.worker.multiprocessing-method": METHOD, **_SEEN_LESS}):
+    with dask.config.set({"distributed.worker.multiprocessing-method": START_METHOD, **_MONITORING_SETTINGS}):
         try:
             with deferred_interrupts():
                 cluster = LocalCluster(
@@ -159,7 +159,7 @@ def _processes(count: int) -> Iterator[Any]:
                     threads_per_worker=1,
                     memory_limit=1.0 / count,  # of what there is
                     host="127.0.0.1",
-                    dashboard_address=_HERE,
+                    dashboard_address=_LOCAL_ADDRESS,
                     silence_logs=logging.CRITICAL,
                 )
                 client = Client(cluster, set_as_default=False)
@@ -167,9 +167,11 @@ def _processes(count: int) -> Iterator[Any]:
                 # A process that ends while it starts is given up for good otherwise.
                 adaptive = cluster.adapt(minimum=count, maximum=count)
             try:
-                client.wait_for_workers(count, timeout=START_S)
+                client.wait_for_workers(count, timeout=WORKERS_START_TIMEOUT_S)
             except TimeoutError:
-                raise HapticdError(f"{count} processes of workers did not start within {START_S:g} s") from None
+                raise HapticdError(
+                    f"{count} processes of workers did not start within {WORKERS_START_TIMEOUT_S:g} s"
+                ) from None
             yield client
         finally:
             with deferred_interrupts():
@@ -183,5 +185,5 @@ def _processes(count: int) -> Iterator[Any]:
 
 
 async def _end_workers(cluster: Any) -> None:
-    """They hold nothing that is needed: after END_S they are killed, where dask gives them four seconds."""
-    await asyncio.gather(*(each.close(timeout=END_S / 0.8) for each in cluster.workers.values()))
+    """They hold nothing that is needed: after WORKER_END_TIMEOUT_S they are killed, where dask gives them four seconds."""
+    await asyncio.gather(*(each.close(timeout=WORKER_END_TIMEOUT_S / 0.8) for each in cluster.workers.values()))

@@ -24,5 +24,5 @@ class Column:
     description: str = ""
 
 
-POINT: Final = Column("point", "text", "point", description="Identity of the point: 32 hexadecimal digits.")
-ERROR: Final = Column("error", "text", "error", description="Why the point has no result; absent: it has one.")
+POINT_COLUMN: Final = Column("point", "text", "point", description="Identity of the point: 32 hexadecimal digits.")
+ERROR_COLUMN: Final = Column("error", "text", "error", description="Why the point has no result; absent: it has one.")

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Final
 
-from hapticd.sweeps.figure_faults import MOST_LINES
+from hapticd.sweeps.figure_faults import MAX_FIGURE_LINES
 from hapticd.sweeps.figure_keys import SweepFigure
-from hapticd.sweeps.map_figure import MOST_TEXTS
+from hapticd.sweeps.map_figure import MAX_MAP_TEXTS
 from hapticd.sweeps.results import Results
 
-MOST_FIGURES: Final = 6
-_LEAST_OF_A_MAP: Final = 5
+MAX_DEFAULT_FIGURES: Final = 6
+_MIN_MAP_VALUES: Final = 5
 """Two keys with so many values each are the axes of a map; with fewer, a line for each value is read more easily."""
 
 
 def default_figures(results: Results) -> list[SweepFigure]:
-    """One for each measured column, up to MOST_FIGURES; of a refined study the boundary alone.
+    """One for each measured column, up to MAX_DEFAULT_FIGURES; of a refined study the boundary alone.
 
     Over the key with the most values, by the one with the next most: as a map if both are numbers with five values or
     more, otherwise as lines. Other keys of a crossed study stay at their first value. Without a number that is varied
@@ -30,9 +30,9 @@ def default_figures(results: Results) -> list[SweepFigure]:
     ordered = sorted(numeric, key=lambda name: -counts[name])
     x, others = ordered[0], ordered[1:] + [name for name in counts if counts[name] > 1 and name not in numeric]
     second = others[0] if others else None
-    is_map = second in numeric and counts[second] >= _LEAST_OF_A_MAP
+    is_map = second in numeric and counts[second] >= _MIN_MAP_VALUES
     if not is_map and second is not None:
-        second = next((name for name in others if counts[name] <= MOST_LINES), None)
+        second = next((name for name in others if counts[name] <= MAX_FIGURE_LINES), None)
     named = [name for name in (x, second) if name is not None]
     fixed = {name: results.values(name)[0] for name in counts if name not in named and counts[name] > 1}
     where = fixed if study.combine == "crossed" else {}
@@ -51,6 +51,6 @@ def _drawn(results: Results, is_map: bool) -> list[str]:
     for name in results.named("measured"):
         values = {row[name] for row in results.rows} - {None}
         is_text = results.column(name).kind == "text"
-        if values and (not is_text or (is_map and len(values) <= MOST_TEXTS)):
+        if values and (not is_text or (is_map and len(values) <= MAX_MAP_TEXTS)):
             found.append(name)
-    return found[:MOST_FIGURES]
+    return found[:MAX_DEFAULT_FIGURES]

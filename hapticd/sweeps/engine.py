@@ -19,25 +19,25 @@ import numpy.typing as npt
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, on_one_line
-from hapticd.sweeps.columns import ERROR, POINT, Column, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
 from hapticd.sweeps.interrupts import noted_interrupts, raise_interrupt
 from hapticd.sweeps.store import Store
 from hapticd.sweeps.task import Refusal, packed, task
 from hapticd.sweeps.work import Work
 from hapticd.sweeps.worker_check import code_version
 
-SHORTEST_S: Final = 1.0
-LONGEST_S: Final = 10.0
-ROUNDS: Final = 20
+MIN_PIECE_S: Final = 1.0
+MAX_PIECE_S: Final = 10.0
+MIN_PIECES_PER_THREAD: Final = 20
 """A study is cut into at least so many pieces for each worker, if they are not too short then."""
-AHEAD: Final = 2
+QUEUED_PIECES_PER_THREAD: Final = 2
 """Pieces that wait at a worker, besides the one that it computes."""
-RESTART_S: Final = 30.0
+WORKER_WAIT_S: Final = 30.0
 """A scheduler without workers is given so long to get one."""
-LOOK_S: Final = 1.0
+WORKER_POLL_S: Final = 1.0
 """How often workers are looked for where nothing comes."""
-ENDED: Final = "every worker that computed it ended: too little memory, or a crash"
-LAST_S: Final = 0.1
+WORKERS_ENDED_REASON: Final = "every worker that computed it ended: too little memory, or a crash"
+MIN_LAST_PIECE_S: Final = 0.1
 """No piece is made shorter than this for the sake of an even end."""
 
 Indices = npt.NDArray[np.int64]
@@ -144,10 +144,10 @@ class _Engine:
     def workers(self) -> list[str]:
         """Those that may be used; `threads` is how many threads these have. Raises HapticdError where there is none."""
         known = self._known()
-        deadline = monotonic() + RESTART_S
+        deadline = monotonic() + WORKER_WAIT_S
         while not known and monotonic() < deadline:
             with suppress(OSError):  # among them TimeoutError: where all have ended, new ones take their place
-                self.client.wait_for_workers(1, timeout=LOOK_S)
+                self.client.wait_for_workers(1, timeout=WORKER_POLL_S)
             self.end_if_interrupted()
             known = self._known()
         usable = {each: threads for each, threads in known.items() if each not in self.refused}
@@ -192,8 +192,8 @@ class _Engine:
             return 1
         each_s = max(self.spent_s / self.done, 1e-7)
         left_s = (len(self.missing) - self.begun) * each_s
-        wanted_s = min(max(len(self.missing) * each_s / (ROUNDS * threads), SHORTEST_S), LONGEST_S)
-        return max(1, round(min(wanted_s, max(left_s / (2 * threads), LAST_S)) / each_s))
+        wanted_s = min(max(len(self.missing) * each_s / (MIN_PIECES_PER_THREAD * threads), MIN_PIECE_S), MAX_PIECE_S)
+        return max(1, round(min(wanted_s, max(left_s / (2 * threads), MIN_LAST_PIECE_S)) / each_s))
 
     def next_piece(self, threads: int) -> Indices | None:
         """Which points come next; None: all have begun."""
@@ -211,7 +211,7 @@ class _Engine:
         workers = frozenset(self.workers())
         self.recall(workers)
         # Until it is known how long a point takes, nothing waits.
-        most = self.threads * (1 + (AHEAD if self.done else 0))
+        most = self.threads * (1 + (QUEUED_PIECES_PER_THREAD if self.done else 0))
         while len(self.flying) < most and not self.alone:
             part = self.next_piece(self.threads)
             if part is None and self.suspects and not self.flying:
@@ -235,7 +235,7 @@ class _Engine:
             if flying.workers is not None and not flying.workers & workers:
                 self.client.cancel([future], force=True)
                 del self.flying[future]
-                self.lost(flying.part, ENDED)
+                self.lost(flying.part, WORKERS_ENDED_REASON)
 
     def go_on(self) -> None:
         """Until all is done. Raises HapticdError; and as a signal would, once nothing is half done."""
@@ -246,7 +246,7 @@ class _Engine:
                 while self.flying:
                     # Where nothing comes, submit finds out whether there is still a worker.
                     with suppress(Empty):
-                        self.take(self.came.get(timeout=LOOK_S))
+                        self.take(self.came.get(timeout=WORKER_POLL_S))
                     self.submit()
         except BaseException:
             with suppress(OSError):  # the scheduler may be gone
@@ -286,14 +286,17 @@ class _Engine:
             return  # it was taken back, or it is an interrupt
         part = self.flying[future].part
         try:
-            found = future.result(timeout=RESTART_S)
+            found = future.result(timeout=WORKER_WAIT_S)
         except CancelledError:
             self.again.append(part)
         except Exception as failure:
             if isinstance(failure, TimeoutError) and future.status != "error":
                 future.add_done_callback(self.came.put)
                 return
-            self.lost(part, ENDED if isinstance(failure, KilledWorker) else f"{type(failure).__name__}: {failure}")
+            self.lost(
+                part,
+                WORKERS_ENDED_REASON if isinstance(failure, KilledWorker) else f"{type(failure).__name__}: {failure}",
+            )
         else:
             if isinstance(found[0], str):
                 refusal: Refusal = found
@@ -310,7 +313,7 @@ class _Engine:
         """Nothing came of a piece: one of its points is at fault, and the others are to be had."""
         if len(part) > 1:
             self.again.extend(np.array_split(part, min(len(part), 8)))
-        elif why == ENDED and not self.alone:
+        elif why == WORKERS_ENDED_REASON and not self.alone:
             self.suspects.append(part)
         else:
             self.alone = False
@@ -319,14 +322,14 @@ class _Engine:
     def failure(self, index: np.int64, why: str) -> Row:
         """The row of a point of which nothing came."""
         row: Row = dict.fromkeys(column.name for column in self.columns)
-        row[POINT.name] = self.work.ids[index].tobytes().hex()
-        row[ERROR.name] = on_one_line(why)
+        row[POINT_COLUMN.name] = self.work.ids[index].tobytes().hex()
+        row[ERROR_COLUMN.name] = on_one_line(why)
         return row
 
     def keep(self, rows: list[Row]) -> None:
         """Writes a piece; where that fails it is written with the next one."""
         self.done += len(rows)
-        self.failed += sum(row[ERROR.name] is not None for row in rows)
+        self.failed += sum(row[ERROR_COLUMN.name] is not None for row in rows)
         self.unwritten += rows
         try:
             self.store.write(self.unwritten, self.columns)

@@ -11,7 +11,7 @@ from hapticd.sweeps.columns import Column, Value
 from hapticd.sweeps.figure_keys import SweepFigure
 from hapticd.sweeps.keys import SweepStudy
 
-MOST_LINES: Final = 10
+MAX_FIGURE_LINES: Final = 10
 """Lines in one figure, and panels of one map: more are not told apart."""
 _DRAWN_AS_NUMBERS: Final = ("number", "integer", "boolean")
 
@@ -104,7 +104,7 @@ class _Figure:
                 what = "the study has no column" if self._figure.kind == "table" else "no key is varied that is called"
                 faults.append((("where", name), f"{what} {name}; {known_names(name, list(known))}"))
             elif name in self._values and value not in self._values[name]:
-                have = ", ".join(map(str, self._values[name][:MOST_LINES]))
+                have = ", ".join(map(str, self._values[name][:MAX_FIGURE_LINES]))
                 faults.append((("where", name), f"no point has {shown(value)}; has: {have}"))
         return faults
 
@@ -114,8 +114,10 @@ class _Figure:
         names = [*keys.values(), *self._figure.where]
         faults += [((), f"{name} is named twice") for name in dict.fromkeys(names) if names.count(name) > 1]
         by = self._figure.by
-        if by is not None and len(self._values[by]) > MOST_LINES:
-            faults.append((("by",), f"{by} has {len(self._values[by])} values; at most {MOST_LINES} are told apart"))
+        if by is not None and len(self._values[by]) > MAX_FIGURE_LINES:
+            faults.append(
+                (("by",), f"{by} has {len(self._values[by])} values; at most {MAX_FIGURE_LINES} are told apart")
+            )
         if self._crossed:  # Of drawn or zipped points the figure is a view along the other keys.
             faults += [
                 ((), f"{name} is varied, too: name one of its values in where, or draw by it")

@@ -16,7 +16,7 @@ FigureKind: TypeAlias = Literal["map", "line", "table"]
 ColumnName: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=512)]
 Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
-MOST_COLUMNS: Final = 12
+MAX_FIGURE_COLUMNS: Final = 12
 """So many columns are drawn in one figure."""
 
 
@@ -25,15 +25,18 @@ def _as_columns(value: object) -> object:
 
 
 Columns: TypeAlias = Annotated[
-    tuple[ColumnName, ...], Strict(False), BeforeValidator(_as_columns), Field(min_length=1, max_length=MOST_COLUMNS)
+    tuple[ColumnName, ...],
+    Strict(False),
+    BeforeValidator(_as_columns),
+    Field(min_length=1, max_length=MAX_FIGURE_COLUMNS),
 ]
 
-_BELONG: Final[dict[FigureKind, tuple[str, ...]]] = {
+_ALLOWED_KEYS: Final[dict[FigureKind, tuple[str, ...]]] = {
     "map": ("x", "y", "color", "axis_label", "by", "overlay", "legend"),
     "line": ("x", "y", "axis_label", "by", "overlay"),
     "table": ("best", "columns"),
 }
-_NEEDED: Final[dict[FigureKind, tuple[str, ...]]] = {"map": ("x", "y", "color"), "line": ("x", "y"), "table": ()}
+_REQUIRED_KEYS: Final[dict[FigureKind, tuple[str, ...]]] = {"map": ("x", "y", "color"), "line": ("x", "y"), "table": ()}
 
 
 class SweepFigure(CheckedTogether):
@@ -60,14 +63,14 @@ class SweepFigure(CheckedTogether):
     overlay: Columns | None = Field(
         default=None, description="Measured columns in the unit of y, drawn over the figure as dashed lines."
     )
-    legend: Annotated[dict[ColumnName, Words], Field(max_length=MOST_COLUMNS)] | None = Field(
+    legend: Annotated[dict[ColumnName, Words], Field(max_length=MAX_FIGURE_COLUMNS)] | None = Field(
         default=None, description="Of a map of texts: by text, in the order of the legend, the words for it."
     )
     where: dict[ColumnName, PlainScalar] = Field(
         default={},
         description="By varied key: the value whose points are drawn; of a table, by any column.",
     )
-    best: Annotated[dict[ColumnName, Literal["least", "most"]], Field(max_length=MOST_COLUMNS)] | None = Field(
+    best: Annotated[dict[ColumnName, Literal["least", "most"]], Field(max_length=MAX_FIGURE_COLUMNS)] | None = Field(
         default=None,
         description="Of a table: rows alone that no other row beats, by column whether less or more of it is better.",
     )
@@ -76,9 +79,11 @@ class SweepFigure(CheckedTogether):
     )
 
     def cross_faults(self) -> list[str]:
-        given = {name for names in _BELONG.values() for name in names if getattr(self, name)}
-        faults = [f"kind: {self.kind} needs {name}" for name in _NEEDED[self.kind] if name not in given]
-        faults += [f"{name} does not belong to kind: {self.kind}" for name in sorted(given - {*_BELONG[self.kind]})]
+        given = {name for names in _ALLOWED_KEYS.values() for name in names if getattr(self, name)}
+        faults = [f"kind: {self.kind} needs {name}" for name in _REQUIRED_KEYS[self.kind] if name not in given]
+        faults += [
+            f"{name} does not belong to kind: {self.kind}" for name in sorted(given - {*_ALLOWED_KEYS[self.kind]})
+        ]
         if self.kind == "map" and self.y is not None and len(self.y) > 1:
             faults.append("y of a map is one varied key")
         several = self.y if self.kind == "line" else self.color

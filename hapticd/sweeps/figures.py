@@ -20,9 +20,9 @@ from hapticd.sweeps.results import Results
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_DPI: Final = 150
-_STYLE: Final = {"font.size": 9, "axes.titlesize": 9, "axes.linewidth": 0.6, "legend.fontsize": 8}
-_LONGEST_NAME: Final = 60
+_PNG_DPI: Final = 150
+_MATPLOTLIB_STYLE: Final = {"font.size": 9, "axes.titlesize": 9, "axes.linewidth": 0.6, "legend.fontsize": 8}
+_MAX_NAME_CHARACTERS: Final = 60
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,13 @@ class Drawing:
     def png(self) -> bytes:
         """On white."""
         content = io.BytesIO()
-        with drawing(_STYLE, self.title):
-            self.draw().savefig(content, format="png", dpi=_DPI)
+        with drawing(_MATPLOTLIB_STYLE, self.title):
+            self.draw().savefig(content, format="png", dpi=_PNG_DPI)
         return content.getvalue()
 
     def svg(self) -> str:
         """An element of a page, in the page's colors."""
-        with drawing(_STYLE, self.title, page_colors=True):
+        with drawing(_MATPLOTLIB_STYLE, self.title, page_colors=True):
             return svg_element(self.draw(), self.title)
 
 
@@ -68,7 +68,7 @@ def drawings_of(results: Results) -> list[Drawing]:
 def file_names(drawings: Sequence[Drawing]) -> list[str]:
     """A name for each PNG: its number and what it shows."""
     words = [re.sub(r"[^a-z0-9]+", " ", each.title.lower()).strip() for each in drawings]
-    kept = [textwrap.wrap(text, _LONGEST_NAME)[0] if text else "figure" for text in words]
+    kept = [textwrap.wrap(text, _MAX_NAME_CHARACTERS)[0] if text else "figure" for text in words]
     return [f"{number}-{text.replace(' ', '-')}.png" for number, text in enumerate(kept, 1)]
 
 

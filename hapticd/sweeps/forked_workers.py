@@ -11,9 +11,9 @@ import signal
 from multiprocessing import forkserver, resource_tracker
 from typing import Any, Final, cast
 
-METHOD: Final = "forkserver"
-_MODULES: Final = ("distributed.nanny", "hapticd.sweeps.preloaded")
-_ONE_THREAD: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+START_METHOD: Final = "forkserver"
+_PRELOADED_MODULES: Final = ("distributed.nanny", "hapticd.sweeps.preloaded")
+_ONE_THREAD_VARIABLES: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """What dask sets for workers too. Its setting of malloc, to give memory back at once, is left out: the arrays of every
 point would then be a thousand page faults."""
 
@@ -23,9 +23,9 @@ def start_fork_server() -> None:
 
     Ctrl-C at a terminal reaches every process of the command. Workers block it: this process ends them.
     """
-    for name in _ONE_THREAD:
+    for name in _ONE_THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
-    cast("Any", multiprocessing.get_context(METHOD)).set_forkserver_preload(list(_MODULES))
+    cast("Any", multiprocessing.get_context(START_METHOD)).set_forkserver_preload(list(_PRELOADED_MODULES))
     # The tracker would otherwise be started by the server's start, and would unblock the signal.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])

@@ -21,7 +21,7 @@ from hapticd.base.yaml_source import Json
 
 Sums: TypeAlias = npt.NDArray[np.uint64]
 """(n, 2), or (2,) of one document; sums are modulo 2**64."""
-_EXACT: Final = 2**53
+_MAX_EXACT_INTEGER: Final = 2**53
 """Integers up to here are the same numbers as floats."""
 
 
@@ -61,6 +61,8 @@ def _path_bytes(path: Path) -> bytes:
 
 def _scalar_bytes(value: Json) -> bytes:
     """A number is the same whether it is written 1000 or 1000.0."""
-    if isinstance(value, float) or (isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _EXACT):
+    if isinstance(value, float) or (
+        isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _MAX_EXACT_INTEGER
+    ):
         return repr(float(value)).encode()
     return json.dumps(value).encode()

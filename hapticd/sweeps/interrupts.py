@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Final
 
-_ENDING: Final = (signal.SIGINT, signal.SIGTERM)
+_ENDING_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
@@ -25,7 +25,7 @@ def noted_interrupts(note: Callable[[int], object]) -> Iterator[None]:
     def arrive(number: int, frame: FrameType | None) -> None:
         note(number)
 
-    before = {number: signal.getsignal(number) for number in _ENDING}
+    before = {number: signal.getsignal(number) for number in _ENDING_SIGNALS}
     for number, handler in before.items():
         if handler not in (signal.SIG_IGN, None):  # None: somebody else than Python has set it
             signal.signal(number, arrive)

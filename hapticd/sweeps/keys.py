@@ -20,9 +20,9 @@ Combine: TypeAlias = Literal["crossed", "zipped", "latin_hypercube", "random"]
 Run: TypeAlias = Literal["simulate", "render", "none"]
 Spacing: TypeAlias = Literal["linear", "logarithmic"]
 
-MOST_POINTS: Final = 10_000_000
-MOST_SCANNED: Final = 10_000
-DRAWN: Final = ("latin_hypercube", "random")
+MAX_SWEEP_POINTS: Final = 10_000_000
+MAX_SCAN_STEPS: Final = 10_000
+DRAWING_COMBINES: Final = ("latin_hypercube", "random")
 
 
 def _name_or_mapping(value: object) -> str | dict[str, Json]:
@@ -46,16 +46,16 @@ else:  # pydantic cannot make a schema of Json, which holds itself
 class SweepAxis(CheckedTogether):
     """The values of one key: a list, a range, a distribution, or named levels that each set several keys."""
 
-    values: Annotated[tuple[PlainScalar, ...], Strict(False), Field(min_length=1, max_length=MOST_POINTS)] | None = (
-        Field(default=None, description="The values themselves; a list in the place of the axis is the same.")
-    )
+    values: (
+        Annotated[tuple[PlainScalar, ...], Strict(False), Field(min_length=1, max_length=MAX_SWEEP_POINTS)] | None
+    ) = Field(default=None, description="The values themselves; a list in the place of the axis is the same.")
     low: Number | None = Field(default=None, description="First value of a range, or the lowest that is drawn.")
     high: Number | None = Field(default=None, description="Last value of a range, or the highest that is drawn.")
     spacing: Spacing = Field(default="linear", description="Equal steps or equal ratios; of a draw: its distribution.")
-    count: Annotated[int, Field(ge=1, le=MOST_POINTS)] | None = Field(
+    count: Annotated[int, Field(ge=1, le=MAX_SWEEP_POINTS)] | None = Field(
         default=None, description="How many values of the range, its ends included."
     )
-    draws: Annotated[int, Field(ge=1, le=MOST_POINTS)] | None = Field(
+    draws: Annotated[int, Field(ge=1, le=MAX_SWEEP_POINTS)] | None = Field(
         default=None, description="How many values are drawn at random, instead of `count`."
     )
     mean: Number | None = Field(default=None, description="Of a normal distribution, with `standard_deviation`.")
@@ -120,7 +120,7 @@ class SweepRefine(CheckedTogether):
         default=1e-3,
         description="Width of what is left: relative to the value if logarithmic, else in the key's unit.",
     )
-    scan: Annotated[int, Field(ge=1, le=MOST_SCANNED)] = Field(
+    scan: Annotated[int, Field(ge=1, le=MAX_SCAN_STEPS)] = Field(
         default=1,
         description="So many steps from `start` to `end` are tried in turn until one does not hold; 1: only `end`. For "
         "conditions that hold again beyond their first boundary.",
@@ -167,7 +167,7 @@ class SweepStudy(CheckedTogether):
         description="All combinations, the n-th value of all keys together, or `count` points drawn at random, "
         "independently or as a Latin hypercube.",
     )
-    count: Annotated[int, Field(ge=1, le=MOST_POINTS)] | None = Field(
+    count: Annotated[int, Field(ge=1, le=MAX_SWEEP_POINTS)] | None = Field(
         default=None, description="How many points are drawn, of latin_hypercube and random."
     )
     seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = Field(default=0, description="Of everything that is drawn.")
@@ -186,7 +186,7 @@ class SweepStudy(CheckedTogether):
     )
 
     def cross_faults(self) -> list[str]:
-        drawn = self.combine in DRAWN
+        drawn = self.combine in DRAWING_COMBINES
         faults = []
         if drawn and self.count is None:
             faults.append(f"combine: {self.combine} needs count, the number of points")

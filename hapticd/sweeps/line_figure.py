@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SIZE: Final = (6.4, 4.2)
+LINE_FIGURE_INCHES: Final = (6.4, 4.2)
 """Inches."""
-NO_RESULT: Final = "no result"
-BOUNDARY: Final = "boundary"
-FAILS: Final = "boundary_fails"
-STATE: Final = "boundary_state"
-STATES: Final = {
+NO_RESULT_LABEL: Final = "no result"
+BOUNDARY_COLUMN: Final = "boundary"
+BOUNDARY_FAILS_COLUMN: Final = "boundary_fails"
+BOUNDARY_STATE_COLUMN: Final = "boundary_state"
+BOUNDARY_STATE_MARKERS: Final = {
     "always": ("^", "holds to the end of the search"),
     "never": ("v", "does not hold at the start of the search"),
 }
 """A boundary that was not found: marker and words. Its marker stands at the last value that was tried."""
-_COLUMNS: Final = 4
+_LEGEND_COLUMNS: Final = 4
 """Of the legend."""
-_MOST_DOTS: Final = 40
+_MAX_DOTS: Final = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +50,10 @@ def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
     rows = with_values(results.rows, keys.where)
     lines = _lines(results, keys, rows)
     drawn: list[Value] = [row[name] for row in rows for name in (*keys.y, *(keys.overlay or ()))]
-    if keys.y == (BOUNDARY,):
-        drawn += [row[FAILS] for row in rows]
+    if keys.y == (BOUNDARY_COLUMN,):
+        drawn += [row[BOUNDARY_FAILS_COLUMN] for row in rows]
     x, y = key_scale(results, keys.x), measured_scale(results, keys.y, keys.axis_label, drawn)
-    figure.set_size_inches(*SIZE)
+    figure.set_size_inches(*LINE_FIGURE_INCHES)
     axes = figure.subplots()
     x.prepare(axes, "x")
     y.prepare(axes, "y")
@@ -62,8 +62,8 @@ def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
     for number, line in enumerate(lines):
         color = f"C{number}"
         at, values = x.at([row[keys.x] for row in line.rows]), y.at([row[line.column] for row in line.rows])
-        style = ("o-" if len(at) <= _MOST_DOTS else "-") if joined else "o"
-        if line.column == BOUNDARY:
+        style = ("o-" if len(at) <= _MAX_DOTS else "-") if joined else "o"
+        if line.column == BOUNDARY_COLUMN:
             _draw_boundary(axes, line.rows, at, y, color, style, line.label)
         else:
             axes.plot(at, values, style, ms=3.5, lw=1.3, color=color, label=literal(line.label))
@@ -83,7 +83,7 @@ def _explain(figure: Figure, axes: Axes, results: Results, keys: SweepFigure) ->
     """A legend: lines first, then what single marks mean."""
     handles, labels = axes.get_legend_handles_labels()
     known = dict(zip(labels, handles, strict=True))
-    marks = [*(words for _, words in STATES.values()), NO_RESULT]
+    marks = [*(words for _, words in BOUNDARY_STATE_MARKERS.values()), NO_RESULT_LABEL]
     ordered = [*(label for label in known if label not in marks), *(label for label in marks if label in known)]
     if not ordered or (keys.by is None and len(ordered) < 2):
         return
@@ -91,7 +91,7 @@ def _explain(figure: Figure, axes: Axes, results: Results, keys: SweepFigure) ->
         [known[label] for label in ordered],
         ordered,
         loc="outside lower center",
-        ncols=min(_COLUMNS, len(ordered)),
+        ncols=min(_LEGEND_COLUMNS, len(ordered)),
         frameon=False,
         title=None if keys.by is None else literal(key_scale(results, keys.by).label),
         title_fontsize=8,
@@ -115,12 +115,12 @@ def _draw_boundary(
     axes: Axes, rows: Sequence[Row], at: np.ndarray, y: Scale, color: str, style: str, label: str
 ) -> None:
     """The last value that holds as the line, and a band from there to the first that does not."""
-    found = np.array([row[STATE] == "found" for row in rows])
-    last, first = y.at([row[BOUNDARY] for row in rows]), y.at([row[FAILS] for row in rows])
+    found = np.array([row[BOUNDARY_STATE_COLUMN] == "found" for row in rows])
+    last, first = y.at([row[BOUNDARY_COLUMN] for row in rows]), y.at([row[BOUNDARY_FAILS_COLUMN] for row in rows])
     axes.plot(at, np.where(found, last, math.nan), style, ms=3.5, lw=1.3, color=color, label=literal(label))
     axes.fill_between(at, last, first, where=found, color=color, alpha=0.3, lw=0)
-    for state, (marker, words) in STATES.items():
-        here = np.array([row[STATE] == state for row in rows])
+    for state, (marker, words) in BOUNDARY_STATE_MARKERS.items():
+        here = np.array([row[BOUNDARY_STATE_COLUMN] == state for row in rows])
         if here.any():
             values = last if state == "always" else first
             axes.plot(at[here], values[here], marker, ms=7, color=color, mfc="none", label=words)
@@ -143,7 +143,8 @@ def _mark_missing(axes: Axes, lines: Sequence[_Line], key: str, x: Scale) -> Non
         missing = [
             row[key]
             for row in line.rows
-            if row[line.column] is None and not (line.column == BOUNDARY and row[STATE] in STATES)
+            if row[line.column] is None
+            and not (line.column == BOUNDARY_COLUMN and row[BOUNDARY_STATE_COLUMN] in BOUNDARY_STATE_MARKERS)
         ]
         if missing:
             axes.plot(
@@ -153,7 +154,7 @@ def _mark_missing(axes: Axes, lines: Sequence[_Line], key: str, x: Scale) -> Non
                 ms=6,
                 mew=1.4,
                 color=f"C{number}",
-                label=NO_RESULT,
+                label=NO_RESULT_LABEL,
                 transform=axes.get_xaxis_transform(),
                 clip_on=False,
             )

@@ -15,32 +15,32 @@ from hapticd.base.errors import HapticdError
 from hapticd.sweeps.axis_scales import Scale, key_scale, measured_scale, shown
 from hapticd.sweeps.columns import Row, Value
 from hapticd.sweeps.figure_keys import SweepFigure
-from hapticd.sweeps.line_figure import NO_RESULT
+from hapticd.sweeps.line_figure import NO_RESULT_LABEL
 from hapticd.sweeps.results import Results, with_values
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_ACROSS: Final = 4
+_PANELS_PER_ROW: Final = 4
 """Panels in a row."""
-_PANEL: Final = (2.5, 2.3)
+_PANEL_INCHES: Final = (2.5, 2.3)
 """Inches of one of several."""
-_ALONE: Final = (5.4, 3.9)
-_MARGINS: Final = (1.6, 1.3)
-_BETWEEN: Final = 0.1
+_ONE_PANEL_INCHES: Final = (5.4, 3.9)
+_MARGINS_INCHES: Final = (1.6, 1.3)
+_PANEL_PADDING_INCHES: Final = 0.1
 """Inches beside each panel, so that the numbers of two do not meet."""
-MOST_TEXTS: Final = 8
+MAX_MAP_TEXTS: Final = 8
 """Different texts in a map."""
-_CATEGORIES: Final = ("#4477aa", "#88ccee", "#ddaa33", "#cc4455", "#aa77aa", "#777777", "#228833", "#663333")
+_TEXT_COLORS: Final = ("#4477aa", "#88ccee", "#ddaa33", "#cc4455", "#aa77aa", "#777777", "#228833", "#663333")
 """Colors of texts, of yes and no: told apart by whoever sees few colors, too."""
-_YES: Final = ("#cc6644", "#4477aa")
+_BOOLEAN_COLORS: Final = ("#cc6644", "#4477aa")
 """No and yes."""
-_MOST_STEPS: Final = 12
+_MAX_INTEGER_COLORS: Final = 12
 """Of whole numbers that have a color each."""
-_MOST_SHAPES: Final = 5000
+_MAX_VECTOR_CELLS: Final = 5000
 """More cells or dots than this are one image in a page."""
-_ALIKE: Final = 1e-9
+_OVERLAY_TOLERANCE: Final = 1e-9
 """Relative: values of an overlay at one x that differ by more are not the same."""
 
 
@@ -84,19 +84,19 @@ def draw_map(figure: Figure, results: Results, keys: SweepFigure) -> None:
     """Panels with one scale of colors. A point without a result is a cross; a cell that is not computed is empty. What
     is infinite has the color of the largest number, and the bar of colors an arrow.
 
-    Raises HapticdError for an overlay that has several values at one x, and for a column of more than MOST_TEXTS texts.
+    Raises HapticdError for an overlay that has several values at one x, and for a column of more than MAX_MAP_TEXTS texts.
     """
     assert keys.x is not None and keys.y is not None and keys.color is not None
     panels = _panels(results, keys, with_values(results.rows, keys.where))
     x, y = key_scale(results, keys.x), key_scale(results, keys.y[0])
     colors = _colors(results, keys, panels)
-    across = min(_ACROSS, len(panels))
+    across = min(_PANELS_PER_ROW, len(panels))
     down = math.ceil(len(panels) / across)
-    size = _ALONE if len(panels) == 1 else _PANEL
+    size = _ONE_PANEL_INCHES if len(panels) == 1 else _PANEL_INCHES
     engine = figure.get_layout_engine()
     if engine is not None and len(panels) > 1:
-        engine.set(w_pad=_BETWEEN)  # type: ignore[call-arg]
-    figure.set_size_inches(_MARGINS[0] + across * size[0], _MARGINS[1] + down * size[1])
+        engine.set(w_pad=_PANEL_PADDING_INCHES)  # type: ignore[call-arg]
+    figure.set_size_inches(_MARGINS_INCHES[0] + across * size[0], _MARGINS_INCHES[1] + down * size[1])
     grid: npt.NDArray[Any] = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     places = list(grid.flat)
     drawn = None
@@ -144,18 +144,18 @@ def _colors(results: Results, keys: SweepFigure, panels: Sequence[_Panel]) -> _C
         categories: tuple[Value, ...] = (*listed, *sorted(found - set(listed), key=str))
         if column.kind == "boolean":
             categories = (False, True)
-        if len(categories) > MOST_TEXTS:
+        if len(categories) > MAX_MAP_TEXTS:
             raise HapticdError(
-                f"figures: {column.name} has {len(categories)} different texts; a map tells {MOST_TEXTS} apart"
+                f"figures: {column.name} has {len(categories)} different texts; a map tells {MAX_MAP_TEXTS} apart"
             )
-        palette = _YES if column.kind == "boolean" else _CATEGORIES[: max(1, len(categories))]
+        palette = _BOOLEAN_COLORS if column.kind == "boolean" else _TEXT_COLORS[: max(1, len(categories))]
         limits = {"vmin": -0.5, "vmax": max(1, len(categories)) - 0.5}
         return _Colors(None, categories, {"cmap": ListedColormap(palette), **limits})
     scale = measured_scale(results, keys.color, keys.axis_label, values)
     numbers = scale.at(values)
     finite = numbers[np.isfinite(numbers)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
-    if column.kind == "integer" and high - low < _MOST_STEPS:
+    if column.kind == "integer" and high - low < _MAX_INTEGER_COLORS:
         # A color for each number.
         count = round(high - low) + 1
         steps = colormaps["viridis"].resampled(count)
@@ -180,21 +180,21 @@ def _draw_cells(
         cells[np.searchsorted(lines, at_y), np.searchsorted(columns, at_x)] = values
         shown_cells = np.ma.masked_where(np.isnan(cells), cells)
         places = x.edges(columns), y.edges(lines)
-        is_image = cells.size > _MOST_SHAPES
+        is_image = cells.size > _MAX_VECTOR_CELLS
         drawn: Any = axes.pcolormesh(
             *places, shown_cells, edgecolors="face", lw=0.8, rasterized=is_image, **colors.keywords
         )
         limits = axes.get_ylim()
     else:
         known = ~np.isnan(values)
-        is_image = len(values) > _MOST_SHAPES
+        is_image = len(values) > _MAX_VECTOR_CELLS
         drawn = axes.scatter(at_x[known], at_y[known], c=values[known], s=16, rasterized=is_image, **colors.keywords)
         limits = axes.get_ylim()
     missing = np.isnan(values)
     if missing.any():
         size = 5.0 if missing.sum() <= 200 else 2.5
         ink = axes.xaxis.label.get_color()
-        axes.plot(at_x[missing], at_y[missing], "x", ms=size, mew=1.0, color=ink, label=NO_RESULT)
+        axes.plot(at_x[missing], at_y[missing], "x", ms=size, mew=1.0, color=ink, label=NO_RESULT_LABEL)
     _draw_overlays(axes, results, panel, keys, x, y)
     axes.set_ylim(limits)
     return drawn
@@ -212,7 +212,7 @@ def _draw_overlays(axes: Axes, results: Results, panel: _Panel, keys: SweepFigur
             if value is None:
                 continue
             known = found.setdefault(row[keys.x], float(value))
-            if abs(known - float(value)) > _ALIKE * abs(known):
+            if abs(known - float(value)) > _OVERLAY_TOLERANCE * abs(known):
                 raise HapticdError(
                     f"figures: overlay {name} has more than one value at {keys.x} {shown(row[keys.x])}: a line over "
                     f"{keys.x} cannot be drawn of it"

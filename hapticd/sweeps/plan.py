@@ -15,10 +15,10 @@ from hapticd.base.yaml_source import Json
 from hapticd.config.schema import unit_of
 from hapticd.experiment.key_paths import path_of, with_value
 from hapticd.sweeps.axes import Axis, axes_of, settings, shown_value
-from hapticd.sweeps.columns import ERROR, POINT, Column, Kind, Row, Value
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Kind, Row, Value
 from hapticd.sweeps.identity import sum_of, sums_at
 from hapticd.sweeps.keys import Run, SweepStudy
-from hapticd.sweeps.point import DURATION, OPERATOR, PARAMETERS, Point
+from hapticd.sweeps.point import DURATION_KEY, OPERATOR_KEY, PARAMETERS_KEY, Point
 from hapticd.sweeps.refine import boundary_columns, boundary_of, holds
 from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
@@ -26,7 +26,7 @@ from hapticd.sweeps.worker_check import code_version
 if TYPE_CHECKING:
     from hapticd.sweeps.measures.measure import Measure
 
-_MATERIALS: Final = "materials"
+_MATERIALS_KEY: Final = "materials"
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Job:
         refine = self.study.refine
         searched = () if refine is None else boundary_columns(refine, unit_of(refine.key) or "")
         measured = (column for measure in self.measures for column in measure.columns)
-        return (POINT, *varied, *searched, *measured, ERROR)
+        return (POINT_COLUMN, *varied, *searched, *measured, ERROR_COLUMN)
 
     def row(self, point: str, values: Sequence[Value]) -> Row:
         """What is measured of a point; what cannot be is None, with the reason as `error`."""
@@ -80,12 +80,12 @@ class Job:
             name: shown_value(value, kind) for name, kind, value in zip(self.names, self.kinds, values, strict=True)
         }
         row: Row = dict.fromkeys(column.name for column in self.columns)
-        row |= {POINT.name: point, **shown}
+        row |= {POINT_COLUMN.name: point, **shown}
         try:
             document = self.document(values)
             row |= self._measured(document) if self.study.refine is None else self._refined(document)
         except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR.name] = on_one_line(str(error)) or type(error).__name__
+            row[ERROR_COLUMN.name] = on_one_line(str(error)) or type(error).__name__
         return row
 
     def _measured(self, document: Mapping[str, Json]) -> Row:
@@ -187,11 +187,11 @@ def plan(study: SweepStudy) -> Plan:
     axes = axes_of(study)
     root: dict[str, Json] = dict(study.base)
     if study.operator is not None:
-        root[OPERATOR] = study.operator
+        root[OPERATOR_KEY] = study.operator
     if study.parameters:
-        root[PARAMETERS] = study.parameters
+        root[PARAMETERS_KEY] = study.parameters
     if study.duration_s is not None:
-        root[DURATION] = study.duration_s
+        root[DURATION_KEY] = study.duration_s
     run: Run = study.run or ("none" if study.operator is None else "simulate")
     job = Job(study, root, run, tuple(axis.name for axis in axes), tuple(axis.kind for axis in axes))
     total = len(axes[0].of_point) if axes else 1
@@ -270,7 +270,7 @@ def _paths(job: Job, axis: Axis) -> set[Path]:
 
 def _names_material(path: Path, values: Sequence[Value]) -> bool:
     """Whether values are names of materials that stand for their keys."""
-    return len(path) == 2 and path[0] == _MATERIALS and any(isinstance(value, str) for value in values)
+    return len(path) == 2 and path[0] == _MATERIALS_KEY and any(isinstance(value, str) for value in values)
 
 
 def _apart(job: Job, axes: Sequence[Axis]) -> bool:
@@ -282,6 +282,6 @@ def _apart(job: Job, axes: Sequence[Axis]) -> bool:
             if any(path[: len(other)] == other or other[: len(path)] == path for other in others):
                 return False
             # A material that is taken by its name may be one that another axis changes.
-            if len(path) == 2 and path[0] == _MATERIALS and any(other[0] == _MATERIALS for other in others):
+            if len(path) == 2 and path[0] == _MATERIALS_KEY and any(other[0] == _MATERIALS_KEY for other in others):
                 return False
     return True

@@ -17,10 +17,10 @@ from hapticd.rendering.joystick import way_of
 from hapticd.rendering.offline import Run, render_run, simulate_run
 from hapticd.sweeps.keys import Run as RunKind
 
-OPERATOR: Final = "operator"
-PARAMETERS: Final = "parameters"
-DURATION: Final = "duration_s"
-BESIDE: Final = (OPERATOR, PARAMETERS, DURATION)
+OPERATOR_KEY: Final = "operator"
+PARAMETERS_KEY: Final = "parameters"
+DURATION_KEY: Final = "duration_s"
+NON_CONFIG_KEYS: Final = (OPERATOR_KEY, PARAMETERS_KEY, DURATION_KEY)
 """Members of a point's document that are none of the configuration."""
 
 
@@ -34,7 +34,7 @@ class Point:
     @cached_property
     def source(self) -> dict[str, Json]:
         """The configuration as plain data, before it is validated."""
-        return {key: value for key, value in self._document.items() if key not in BESIDE}
+        return {key: value for key, value in self._document.items() if key not in NON_CONFIG_KEYS}
 
     @cached_property
     def config(self) -> Config:
@@ -44,19 +44,19 @@ class Point:
     @property
     def operator_source(self) -> dict[str, Json] | None:
         """What the hand does, as plain data."""
-        given = self._document.get(OPERATOR)
+        given = self._document.get(OPERATOR_KEY)
         return given if isinstance(given, dict) else None
 
     @property
     def parameters(self) -> dict[str, Json]:
         """Values that no configuration has."""
-        given = self._document.get(PARAMETERS)
+        given = self._document.get(PARAMETERS_KEY)
         return given if isinstance(given, dict) else {}
 
     @cached_property
     def operator(self) -> Operator | None:
         """What the hand does. Raises InvalidError."""
-        given: Any = self._document.get(OPERATOR)
+        given: Any = self._document.get(OPERATOR_KEY)
         return None if given is None else parse_operator(given)
 
     @property
@@ -67,7 +67,7 @@ class Point:
     @property
     def duration_s(self) -> float | None:
         """How long is run; None: as long as the operator's way."""
-        found = self._document.get(DURATION)
+        found = self._document.get(DURATION_KEY)
         return float(found) if isinstance(found, int | float) else None
 
     @cached_property

@@ -12,7 +12,7 @@ from hapticd.sweeps.columns import Column, Row
 from hapticd.sweeps.keys import SweepCondition, SweepRefine
 
 BoundaryState: TypeAlias = Literal["found", "always", "never"]
-MOST_HALVINGS: Final = 200
+MAX_BISECTIONS: Final = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def boundary_of(refine: SweepRefine, at: Callable[[float], bool]) -> Boundary:
         last = value
     if first is None:
         return Boundary("always", last, None, tried)
-    for _ in range(MOST_HALVINGS):
+    for _ in range(MAX_BISECTIONS):
         if _near(refine, last, first):
             break
         middle = _between(refine, last, first, 0.5)

@@ -14,7 +14,7 @@ from hapticd.sweeps.figure_keys import SweepFigure
 from hapticd.sweeps.figures import Drawing, title_of
 from hapticd.sweeps.results import Results, best_of, with_values
 
-MOST_ROWS: Final = 1000
+MAX_TABLE_ROWS: Final = 1000
 """Of a table on the page."""
 
 
@@ -71,11 +71,11 @@ def _table(results: Results, rows: Sequence[Row], columns: Sequence[str], captio
         f"{results.words(name)}, {unit}" if (unit := results.column(name).unit) else results.words(name)
         for name in columns
     ]
-    cells = [[shown(row[name]) for name in columns] for row in rows[:MOST_ROWS]]
+    cells = [[shown(row[name]) for name in columns] for row in rows[:MAX_TABLE_ROWS]]
     left = [results.column(name).kind == "text" for name in columns]
     drawn = html_page.table(heads, cells, left, caption)
     if not rows:
         return f'{drawn}\n<p class="note">No point is among them.</p>'
-    if len(rows) > MOST_ROWS:
-        return f'{drawn}\n<p class="note">{len(rows) - MOST_ROWS:,} more rows are in pieces/*.parquet.</p>'
+    if len(rows) > MAX_TABLE_ROWS:
+        return f'{drawn}\n<p class="note">{len(rows) - MAX_TABLE_ROWS:,} more rows are in pieces/*.parquet.</p>'
     return drawn

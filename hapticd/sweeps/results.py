@@ -15,7 +15,7 @@ from hapticd.config.schema import unit_suffix_of
 from hapticd.sweeps.axes import axes_of, shown_value
 from hapticd.sweeps.columns import Column, Row, Value
 from hapticd.sweeps.keys import SweepStudy
-from hapticd.sweeps.store import STUDY, Store
+from hapticd.sweeps.store import STUDY_FILE, Store
 
 _SWEEP: Final = "sweep"
 
@@ -100,7 +100,7 @@ def load_results(store: Store) -> Results:
         study = SweepStudy.parsed(manifest["study"])
     except ValidationError:
         raise HapticdError(
-            f"{store.folder}/{STUDY}: was written by another version of hapticd: run the study again"
+            f"{store.folder}/{STUDY_FILE}: was written by another version of hapticd: run the study again"
         ) from None
     columns = store.columns()
     rows: list[Row] = store.table().to_pylist()

@@ -28,19 +28,19 @@ import numpy.typing as npt
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import check_regular, write_whole
-from hapticd.sweeps.columns import ERROR, POINT, Column, Row, Value
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row, Value
 from hapticd.sweeps.work import ID_DTYPE, Work
 from hapticd.sweeps.worker_check import code_version
 
-STUDY: Final = "study.json"
-POINTS: Final = "points.npy"
-PIECES: Final = "pieces"
-_AT_ONCE: Final = 500
+STUDY_FILE: Final = "study.json"
+POINTS_FILE: Final = "points.npy"
+PIECES_FOLDER: Final = "pieces"
+_ROWS_IN_MEMORY: Final = 500
 """Rows that are objects of Python at once, where all are visited."""
-LOCK: Final = "lock"
-_PARTIAL: Final = re.compile(r"\.[0-9a-f]{32}\.parquet\.\d+\.[0-9a-f]{16}\.part")
+LOCK_FILE: Final = "lock"
+_PARTIAL_PIECE: Final = re.compile(r"\.[0-9a-f]{32}\.parquet\.\d+\.[0-9a-f]{16}\.part")
 """A piece that a killed process left half written."""
-_ID: Final = re.compile(r"[0-9a-f]{32}")
+_POINT_ID: Final = re.compile(r"[0-9a-f]{32}")
 
 
 def require_pyarrow() -> None:
@@ -69,12 +69,12 @@ class Store:
     def locked(self) -> Iterator[None]:
         """The folder for this process alone, made where it is missing. Raises HapticdError: where it cannot be made, or
         another process has it."""
-        pieces = self._folder / PIECES
+        pieces = self._folder / PIECES_FOLDER
         try:
             pieces.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise HapticdError(f"{self._folder}: cannot be made: {error.strerror}") from None
-        file = self._folder / LOCK
+        file = self._folder / LOCK_FILE
         check_regular(file)
         try:
             descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
@@ -83,7 +83,7 @@ class Store:
         try:
             self._lock(descriptor)
             for each in pieces.iterdir():
-                if _PARTIAL.fullmatch(each.name):
+                if _PARTIAL_PIECE.fullmatch(each.name):
                     each.unlink()
             yield
         finally:
@@ -111,12 +111,12 @@ class Store:
             "versions": {"hapticd": code_version(), "python": platform.python_version(), "numpy": np.__version__},
             **work.manifest(),
         }
-        write_whole(str(self._folder / POINTS), points.getvalue(), overwrite=True)
-        write_whole(str(self._folder / STUDY), json.dumps(manifest, indent=1).encode() + b"\n", overwrite=True)
+        write_whole(str(self._folder / POINTS_FILE), points.getvalue(), overwrite=True)
+        write_whole(str(self._folder / STUDY_FILE), json.dumps(manifest, indent=1).encode() + b"\n", overwrite=True)
 
     def manifest(self) -> dict[str, Any]:
         """What study.json holds. Raises HapticdError."""
-        file = self._folder / STUDY
+        file = self._folder / STUDY_FILE
         try:
             found = json.loads(file.read_bytes())
         except OSError as error:
@@ -133,7 +133,7 @@ class Store:
 
     def points(self) -> npt.NDArray[np.void]:
         """The identities of the study's points, (n,) ID_DTYPE. Raises HapticdError."""
-        file = self._folder / POINTS
+        file = self._folder / POINTS_FILE
         try:
             found = np.load(file, allow_pickle=False)
         except (OSError, ValueError):
@@ -144,12 +144,12 @@ class Store:
         """The identities of all rows of the folder with these columns, (m,) ID_DTYPE; `again`: of those without an
         error."""
         found = [b""]
-        for table in self._tables(_schema(columns), [POINT.name, ERROR.name]):
+        for table in self._tables(_schema(columns), [POINT_COLUMN.name, ERROR_COLUMN.name]):
             if again:
                 import pyarrow.compute as compute
 
-                table = table.filter(compute.is_null(table[ERROR.name]))
-            found += [bytes.fromhex(each) for each in table[POINT.name].to_pylist()]
+                table = table.filter(compute.is_null(table[ERROR_COLUMN.name]))
+            found += [bytes.fromhex(each) for each in table[POINT_COLUMN.name].to_pylist()]
         return np.frombuffer(b"".join(found), ID_DTYPE)
 
     def write(self, rows: Sequence[Row], columns: Sequence[Column]) -> None:
@@ -158,12 +158,12 @@ class Store:
         from pyarrow import parquet
 
         schema = _schema(columns)
-        ordered = sorted(rows, key=lambda row: str(row[POINT.name]))
+        ordered = sorted(rows, key=lambda row: str(row[POINT_COLUMN.name]))
         table = pyarrow.Table.from_pylist(ordered, schema=schema)
-        name = sha256("".join(str(row[POINT.name]) for row in ordered).encode()).hexdigest()[:32]
+        name = sha256("".join(str(row[POINT_COLUMN.name]) for row in ordered).encode()).hexdigest()[:32]
         content = io.BytesIO()
         parquet.write_table(table, content)
-        write_whole(str(self._folder / PIECES / f"{name}.parquet"), content.getvalue(), overwrite=True)
+        write_whole(str(self._folder / PIECES_FOLDER / f"{name}.parquet"), content.getvalue(), overwrite=True)
 
     def table(self) -> Any:
         """The study's rows that there are, a pyarrow.Table sorted by point. Raises HapticdError."""
@@ -174,8 +174,8 @@ class Store:
         rows: dict[str, Row] = {}
         for table in self._tables(schema, schema.names):
             for row in table.to_pylist():
-                point = row[POINT.name]
-                if point in own and (point not in rows or row[ERROR.name] is None):
+                point = row[POINT_COLUMN.name]
+                if point in own and (point not in rows or row[ERROR_COLUMN.name] is None):
                     rows[point] = row
         return pyarrow.Table.from_pylist([rows[point] for point in sorted(rows)], schema=schema)
 
@@ -195,19 +195,19 @@ class Store:
     def rows(self) -> Iterator[Row]:
         """As table, one row after the other."""
         table = self.table()
-        for begin in range(0, len(table), _AT_ONCE):
-            yield from table.slice(begin, _AT_ONCE).to_pylist()
+        for begin in range(0, len(table), _ROWS_IN_MEMORY):
+            yield from table.slice(begin, _ROWS_IN_MEMORY).to_pylist()
 
     def _tables(self, schema: Any, columns: list[str]) -> Any:
         """Of each piece that can be read and has the fields of this schema, these columns."""
         import pyarrow
         from pyarrow import parquet
 
-        for file in sorted((self._folder / PIECES).glob("*.parquet")):
+        for file in sorted((self._folder / PIECES_FOLDER).glob("*.parquet")):
             try:
                 found = parquet.ParquetFile(file)
                 own = found.schema_arrow
-                if POINT.name not in own.names or ERROR.name not in own.names:
+                if POINT_COLUMN.name not in own.names or ERROR_COLUMN.name not in own.names:
                     self._note(f"{file}: holds no points: it is left out")
                     continue
                 # A piece with others is of another study in this folder.
@@ -217,7 +217,7 @@ class Store:
             except (OSError, pyarrow.ArrowException):
                 self._note(f"{file}: is no piece of a sweep, or damaged: its points are computed again")
                 continue
-            if not all(each is not None and _ID.fullmatch(each) for each in table[POINT.name].to_pylist()):
+            if not all(each is not None and _POINT_ID.fullmatch(each) for each in table[POINT_COLUMN.name].to_pylist()):
                 self._note(f"{file}: holds no points: it is left out")
                 continue
             yield table
@@ -231,8 +231,8 @@ def _alike(one: Any, other: Any) -> bool:
 
 def _values(column: Any) -> Iterator[Value]:
     """Of a column, never all of them as objects of Python."""
-    for begin in range(0, len(column), _AT_ONCE):
-        yield from column.slice(begin, _AT_ONCE).to_pylist()
+    for begin in range(0, len(column), _ROWS_IN_MEMORY):
+        yield from column.slice(begin, _ROWS_IN_MEMORY).to_pylist()
 
 
 def _schema(columns: Sequence[Column]) -> Any:

@@ -23,12 +23,12 @@ from hapticd.sweeps.columns import Value
 from hapticd.sweeps.figure_faults import figure_faults
 from hapticd.sweeps.keys import SweepCondition, SweepStudy
 from hapticd.sweeps.measures.registry import parse_measure
-from hapticd.sweeps.measures.user_function import FUNCTION, with_source
+from hapticd.sweeps.measures.user_function import FUNCTION_MEASURE, with_source
 from hapticd.sweeps.plan import Job, Plan, plan
-from hapticd.sweeps.point import BESIDE, OPERATOR, PARAMETERS
+from hapticd.sweeps.point import NON_CONFIG_KEYS, OPERATOR_KEY, PARAMETERS_KEY
 
-_BASE: Final = "base"
-_MOST_CHECKED: Final = 200
+_BASE_KEY: Final = "base"
+_MAX_CHECKED_VALUES: Final = 200
 """So many values of each axis are validated before the study begins; a fault of another one is a row."""
 
 
@@ -42,7 +42,7 @@ class _Source:
     def invalid(self, faults: list[tuple[Path, str]]) -> InvalidError:
         return InvalidError(
             self.base.problem(path[1:], text)
-            if self.base is not None and path[:1] == (_BASE,) and len(path) > 1
+            if self.base is not None and path[:1] == (_BASE_KEY,) and len(path) > 1
             else self.study.problem(path, text)
             for path, text in faults
         )
@@ -97,7 +97,7 @@ def _load(document: Document, folder: str) -> Plan:
 
 def _with_base(document: Document, data: dict[str, Json], folder: str) -> Document | None:
     """Puts the configuration in the place of its name; what it was read from, if that is another file."""
-    given = data.get(_BASE, {})
+    given = data.get(_BASE_KEY, {})
     source: Document | None = None
     if isinstance(given, str):
         source = _file(given, folder, "scenes")
@@ -107,11 +107,13 @@ def _with_base(document: Document, data: dict[str, Json], folder: str) -> Docume
         given = source.data
     if not isinstance(given, dict):
         text = f"must be a configuration, or the name of a file or of a shipped scene, is {shown(given)}"
-        raise InvalidError([document.problem((_BASE,), text)])
+        raise InvalidError([document.problem((_BASE_KEY,), text)])
     try:
-        data[_BASE] = expanded(given)
+        data[_BASE_KEY] = expanded(given)
     except InvalidError as error:
-        faults: list[tuple[Path, str]] = [((_BASE, *each.where.split(".", 1)), each.problem) for each in error.problems]
+        faults: list[tuple[Path, str]] = [
+            ((_BASE_KEY, *each.where.split(".", 1)), each.problem) for each in error.problems
+        ]
         raise _Source(document, source).invalid(faults) from None
     return source
 
@@ -123,16 +125,16 @@ def _file(name: str, folder: str, shipped: str) -> Document:
 
 def _with_operator(document: Document, data: dict[str, Json], folder: str) -> None:
     """Puts the operator in the place of its name."""
-    given = data.get(OPERATOR)
+    given = data.get(OPERATOR_KEY)
     if isinstance(given, str):
         beside = FilePath(folder, given)
-        data[OPERATOR] = _plain_operator(load_operator(beside if beside.is_file() else file_of(given, "operators")))
+        data[OPERATOR_KEY] = _plain_operator(load_operator(beside if beside.is_file() else file_of(given, "operators")))
     elif isinstance(given, dict):
         try:
             parse_operator(given)
         except InvalidError as error:
             raise InvalidError(
-                document.problem((OPERATOR, *_elements(each.where)), each.problem) for each in error.problems
+                document.problem((OPERATOR_KEY, *_elements(each.where)), each.problem) for each in error.problems
             ) from None
 
 
@@ -144,13 +146,13 @@ def _with_functions(document: Document, data: dict[str, Json], folder: str) -> N
     measures = data["measure"] = list(measures)
     problems: list[Problem] = []
     for index, each in enumerate(measures):
-        options = each.get(FUNCTION) if isinstance(each, dict) and len(each) == 1 else None
+        options = each.get(FUNCTION_MEASURE) if isinstance(each, dict) and len(each) == 1 else None
         if isinstance(options, dict):
             try:
-                measures[index] = {FUNCTION: with_source(options, folder)}
+                measures[index] = {FUNCTION_MEASURE: with_source(options, folder)}
             except InvalidError as error:
                 problems += [
-                    document.problem(("measure", index, FUNCTION, *_elements(each.where)), each.problem)
+                    document.problem(("measure", index, FUNCTION_MEASURE, *_elements(each.where)), each.problem)
                     for each in error.problems
                 ]
     if problems:
@@ -204,7 +206,7 @@ def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
             keys += [(("vary", name, "levels", level, key), key) for key in settings]
     if study.refine is not None:
         keys.append((("refine", "key"), study.refine.key))
-    known = (*Config.model_fields, *BESIDE)
+    known = (*Config.model_fields, *NON_CONFIG_KEYS)
     for place, key in keys:
         try:
             path = path_of(key)
@@ -212,14 +214,14 @@ def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
             faults.append((place, str(error)))
             continue
         if path[0] not in known:
-            hint = f"{known_names(str(path[0]), known)}; what no configuration has stands below {PARAMETERS}"
+            hint = f"{known_names(str(path[0]), known)}; what no configuration has stands below {PARAMETERS_KEY}"
             faults.append((place, f"nothing has a key {path[0]}; {hint}"))
     return faults
 
 
 def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
     """Values of single axes that the configuration refuses, the others at their first."""
-    values = [axis.plain_values[:_MOST_CHECKED] for axis in axes]
+    values = [axis.plain_values[:_MAX_CHECKED_VALUES] for axis in axes]
     first = [each[0] for each in values]
     faults = _faults_with(job, first, "")
     if faults:
@@ -255,15 +257,15 @@ def _faults_with(job: Job, values: Sequence[Value], name: str) -> list[tuple[Pat
         elif name:
             found.append((("vary", name), f"{'.'.join(map(str, path))}: {text}" if path else text))
         else:
-            found.append(((path if path[:1] == (OPERATOR,) else (_BASE, *path)), text))
+            found.append(((path if path[:1] == (OPERATOR_KEY,) else (_BASE_KEY, *path)), text))
     return found
 
 
 def _config_faults(document: Mapping[str, Json]) -> list[tuple[Path, str]]:
-    source = {key: value for key, value in document.items() if key not in BESIDE}
+    source = {key: value for key, value in document.items() if key not in NON_CONFIG_KEYS}
     try:
         load_config(source)
-        operator = document.get(OPERATOR)
+        operator = document.get(OPERATOR_KEY)
         if isinstance(operator, dict):
             parse_operator(operator)
     except InvalidError as error:

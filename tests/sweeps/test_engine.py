@@ -140,7 +140,7 @@ def test_where_no_worker_can_be_used_it_says_so(tmp_path: Path) -> None:
 def test_where_the_last_worker_ends_it_says_so_and_keeps_what_is_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine, "RESTART_S", 1.0)
+    monkeypatch.setattr(engine, "WORKER_WAIT_S", 1.0)
     store = Store(tmp_path, lambda text: None)
     with scheduler(WORKER) as running, connected(running.address, 1) as client:
         work = Roots(400, busy_s=0.002)

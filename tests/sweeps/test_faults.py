@@ -333,7 +333,7 @@ def test_a_command_that_is_ended_leaves_no_process_and_no_traceback(
 
 
 def test_where_no_worker_comes_it_ends_with_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "RESTART_S", 0.2)
+    monkeypatch.setattr(engine, "WORKER_WAIT_S", 0.2)
     with (
         scheduler() as running,
         client_of(running.address, None, False) as client,

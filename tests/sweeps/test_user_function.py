@@ -320,7 +320,7 @@ def test_two_columns_of_one_name_are_told() -> None:
 
 def test_a_module_that_is_not_loaded_in_time_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.py").write_text("import time\ntime.sleep(1e6)\n")
-    monkeypatch.setattr(function_process, "LOAD_S", 1.0)
+    monkeypatch.setattr(function_process, "MODULE_LOAD_TIMEOUT_S", 1.0)
     with pytest.raises(InvalidError, match="its module was not loaded within 1 s"):
         planned("peak")
 

@@ -22,17 +22,17 @@ from hapticd.base.errors import HapticdError, on_one_line
 from hapticd.base.model import plain
 from hapticd.base.yaml_source import Json
 from hapticd.sweeps.batches.tree import RecordingSet, Tree, fingerprint
-from hapticd.sweeps.columns import ERROR, POINT, Column, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
 from hapticd.sweeps.identity import sum_of
 from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
 
 Quality: TypeAlias = Literal["good", "fair", "poor", "refused"]
-DIGITS: Final = 6
+PICTURE_DIGITS: Final = 6
 """Of what is drawn."""
 
-COLUMNS: Final = (
-    POINT,
+FIT_COLUMNS: Final = (
+    POINT_COLUMN,
     Column("material", "text", "varied", description="Name of the material: its folder's."),
     Column("kind", "text", "varied", description="Kind of the fit: tap, grooves, texture, puncture."),
     Column("recordings", "integer", "measured", description="Recordings of the fit."),
@@ -40,7 +40,7 @@ COLUMNS: Final = (
     Column("quality", "text", "measured", description="The verdict: good, fair or poor."),
     Column("verdict", "text", "measured", description="The verdict with its reasons."),
     Column("found", "text", "measured", description="Figures, provenance and pictures, as JSON."),
-    ERROR,
+    ERROR_COLUMN,
 )
 
 
@@ -61,9 +61,9 @@ class Fits:
         return [self._row(point, each) for point, each in zip(self.ids, self.sets, strict=True)]
 
     def _row(self, point: str, asked: RecordingSet) -> Row:
-        row: Row = dict.fromkeys(column.name for column in COLUMNS)
+        row: Row = dict.fromkeys(column.name for column in FIT_COLUMNS)
         row |= {
-            POINT.name: point,
+            POINT_COLUMN.name: point,
             "material": asked.material,
             "kind": asked.kind,
             "recordings": len(asked.files),
@@ -71,7 +71,7 @@ class Fits:
         try:
             row |= fitted_row(self.root, asked)
         except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR.name] = on_one_line(str(error)) or type(error).__name__
+            row[ERROR_COLUMN.name] = on_one_line(str(error)) or type(error).__name__
         return row
 
 
@@ -112,7 +112,7 @@ def fitted_row(root: str, asked: RecordingSet) -> Row:
 
 def _rounded(value: object) -> object:
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}")
+        return float(f"{value:.{PICTURE_DIGITS}g}")
     if isinstance(value, dict):
         return {key: _rounded(inner) for key, inner in value.items()}
     return [_rounded(inner) for inner in value] if isinstance(value, list) else value
@@ -132,7 +132,7 @@ class Batch:
     @property
     def columns(self) -> tuple[Column, ...]:
         """Of every row."""
-        return COLUMNS
+        return FIT_COLUMNS
 
     @cached_property
     def ids(self) -> npt.NDArray[np.void]:

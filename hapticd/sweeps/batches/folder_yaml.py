@@ -17,9 +17,9 @@ from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.fit.options import FitOptions
 from hapticd.fit.recording import Kind
 
-NAME: Final = "fit.yaml"
+FIT_YAML: Final = "fit.yaml"
 Key: TypeAlias = str
-TAKEN_BY: Final[Mapping[Key, tuple[Kind, ...]]] = {
+KINDS_OF_KEY: Final[Mapping[Key, tuple[Kind, ...]]] = {
     "as": ("tap",),
     "attack": ("tap",),
     "law": ("tap",),
@@ -102,7 +102,7 @@ def options_of(folder: BatchFolder, kind: Kind) -> FitOptions:
     """The options of a fit of this kind."""
 
     def taken(field: str) -> bool:
-        return kind in TAKEN_BY[key_of(field)]
+        return kind in KINDS_OF_KEY[key_of(field)]
 
     fields = ("form", "attack", "law", "two_modes", "mode_table", "autoregressive")
     return FitOptions(**{field: getattr(folder, field) for field in fields if taken(field)})

@@ -23,10 +23,10 @@ from hapticd.base.yaml_source import one_line
 from hapticd.base.yaml_text import yaml_text
 from hapticd.config.schema import unit_of
 from hapticd.sweeps.batches.ranking import MaterialResult
-from hapticd.sweeps.store import STUDY
+from hapticd.sweeps.store import STUDY_FILE
 
-MATERIALS: Final = "materials"
-_DAY: Final = re.compile(r'date: "\d{4}-\d{2}-\d{2}"')
+MATERIALS_FOLDER: Final = "materials"
+_DATE_ENTRY: Final = re.compile(r'date: "\d{4}-\d{2}-\d{2}"')
 
 
 def check_folder(folder: Path, tree: str) -> None:
@@ -36,7 +36,7 @@ def check_folder(folder: Path, tree: str) -> None:
         raise HapticdError(f"{folder}: lies in the tree of recordings; give a folder outside of it: -o")
     if folder.exists() and not folder.is_dir():
         raise HapticdError(f"{folder}: is a file; give another name: -o")
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / STUDY).is_file():
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / STUDY_FILE).is_file():
         raise HapticdError(f"{folder}: holds something else than a batch; give a new folder: -o")
 
 
@@ -45,7 +45,7 @@ def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[di
 
     A file that differs from the new one in the day alone is kept. Raises HapticdError.
     """
-    target = folder / MATERIALS
+    target = folder / MATERIALS_FOLDER
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -57,7 +57,7 @@ def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[di
         path = target / f"{each.name}.yaml"
         check_regular(path)
         text = yaml_text({"materials": {each.name: each.material.to_dict()}}) + "\n"
-        if _DAY.sub("", _read(path)) != _DAY.sub("", text):
+        if _DATE_ENTRY.sub("", _read(path)) != _DATE_ENTRY.sub("", text):
             write_whole(str(path), text, overwrite=True)
         files[each.name] = str(path)
     left = sorted({str(path) for path in target.glob("*.yaml")} - {*files.values()})

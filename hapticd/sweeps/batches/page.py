@@ -31,16 +31,16 @@ from hapticd.sweeps.batches.batch import Quality
 from hapticd.sweeps.batches.ranking import FitResult, MaterialResult, counts
 from hapticd.sweeps.worker_check import code_version
 
-PAGE: Final = "report.html"
-COMPARED: Final[Mapping[Kind, tuple[str, ...]]] = {
+PAGE_FILE: Final = "report.html"
+COMPARED_FIGURES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "tap": ("frequency_hz", "decay_time_s", "first_peak_slope_per_s"),
     "grooves": ("spacing_m", "frequency_hz", "velocity_gain_per_s"),
     "texture": ("peak_hz", "mean_hz", "velocity_gain_per_s"),
     "puncture": ("stiffness_n_per_m", "force_n", "frequency_hz"),
 }
 """Figures of which those of all materials are drawn."""
-COLORS: Final[Mapping[Quality, str]] = {"good": "C2", "fair": "C1", "poor": "C3", "refused": "C7"}
-BEYOND: Final = 1.5
+QUALITY_COLORS: Final[Mapping[Quality, str]] = {"good": "C2", "fair": "C1", "poor": "C3", "refused": "C7"}
+MAX_INTERVAL_RATIO: Final = 1.5
 """Intervals are drawn up to so many times the largest value."""
 
 
@@ -57,9 +57,9 @@ def write_page(
 
     `note` is called with a line when drawing begins. Raises HapticdError.
     """
-    path = folder / PAGE
+    path = folder / PAGE_FILE
     check_regular(path)
-    content = repr([title, results, files, drawn, COMPARED]) + code_version()
+    content = repr([title, results, files, drawn, COMPARED_FIGURES]) + code_version()
     mark = f"<!-- {sha256(content.encode(errors='backslashreplace')).hexdigest()} -->\n"
     with suppress(OSError), path.open("rb") as file:  # without one, or with a shorter one, it is written
         file.seek(-len(mark), os.SEEK_END)
@@ -152,7 +152,7 @@ def _array(values: Sequence[float | None]) -> Floats:
 
 def _compared(results: Sequence[MaterialResult]) -> Iterator[tuple[Panel, ...]]:
     """Of each kind of fit, figures of all materials over their ranks."""
-    for kind, names in COMPARED.items():
+    for kind, names in COMPARED_FIGURES.items():
         fits = [(rank, fit) for rank, each in enumerate(results, 1) for fit in each.fits if fit.kind == kind]
         panels = tuple(panel for name in names if (panel := _over_ranks(kind, name, fits)) is not None)
         if panels:
@@ -167,10 +167,10 @@ def _over_ranks(kind: Kind, name: str, fits: Sequence[tuple[int, FitResult]]) ->
     ]
     if len(found) < 2:
         return None
-    most = BEYOND * max(abs(each.value) for _, _, each in found)
+    most = MAX_INTERVAL_RATIO * max(abs(each.value) for _, _, each in found)
     curves = tuple(
         _dots(quality, [(rank, each) for rank, its, each in found if its == quality], most)
-        for quality in COLORS
+        for quality in QUALITY_COLORS
         if any(its == quality for _, its, _ in found)
     )
     return Panel(f"{kind}: {name}", "rank", unit_of(name) or "", curves, counted=True)
@@ -182,4 +182,4 @@ def _dots(quality: Quality, found: Sequence[tuple[int, Estimate]], most: float) 
         np.array([getattr(each, name) for _, each in found], dtype=np.float64) for name in ("value", "low", "high")
     )
     ends = (np.clip(np.nan_to_num(low, nan=-most), -most, most), np.clip(np.nan_to_num(high, nan=most), -most, most))
-    return Curve(quality, ranks, values, points=True, color=COLORS[quality], low=ends[0], high=ends[1])
+    return Curve(quality, ranks, values, points=True, color=QUALITY_COLORS[quality], low=ends[0], high=ends[1])

@@ -18,12 +18,12 @@ from hapticd.config.materials import Material
 from hapticd.fit.contribution import Contribution, added
 from hapticd.fit.recording import Kind
 from hapticd.sweeps.batches.batch import Batch, Quality
-from hapticd.sweeps.batches.folder_yaml import NAME
+from hapticd.sweeps.batches.folder_yaml import FIT_YAML
 from hapticd.sweeps.batches.tree import RecordingSet
-from hapticd.sweeps.columns import ERROR, POINT, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Row
 
-ORDER: Final[tuple[Quality, ...]] = ("good", "fair", "poor", "refused")
-SHOWN: Final = 160
+QUALITY_ORDER: Final[tuple[Quality, ...]] = ("good", "fair", "poor", "refused")
+MAX_REASONS_CHARACTERS: Final = 160
 """Characters of the reasons in a table."""
 
 
@@ -74,7 +74,7 @@ class MaterialResult:
     def shown_reasons(self) -> str:
         """For a table: the beginning of them."""
         text = "; ".join(self.reasons)
-        return text if len(text) <= SHOWN else f"{text[:SHOWN].rsplit(' ', 1)[0]} ..."
+        return text if len(text) <= MAX_REASONS_CHARACTERS else f"{text[:MAX_REASONS_CHARACTERS].rsplit(' ', 1)[0]} ..."
 
 
 def ranked(batch: Batch, rows: Iterable[Row], day: datetime.date) -> list[MaterialResult]:
@@ -82,7 +82,7 @@ def ranked(batch: Batch, rows: Iterable[Row], day: datetime.date) -> list[Materi
 
     A material whose point has no row yet is left out.
     """
-    by_point = {row[POINT.name]: row for row in rows}
+    by_point = {row[POINT_COLUMN.name]: row for row in rows}
     found = [
         (asked, by_point[point])
         for index, asked in enumerate(batch.tree.sets)
@@ -92,11 +92,11 @@ def ranked(batch: Batch, rows: Iterable[Row], day: datetime.date) -> list[Materi
         _material(name, [_fit(asked, row) for asked, row in several], batch.tree.path, day)
         for name, several in groupby(found, lambda each: each[0].material)
     ]
-    return sorted(results, key=lambda each: (ORDER.index(each.quality), len(each.reasons), each.name))
+    return sorted(results, key=lambda each: (QUALITY_ORDER.index(each.quality), len(each.reasons), each.name))
 
 
 def _fit(asked: RecordingSet, row: Row) -> FitResult:
-    error = row[ERROR.name]
+    error = row[ERROR_COLUMN.name]
     if error is not None:
         return FitResult(asked, "refused", str(error), (str(error),), 0, None)
     found: dict[str, Any] = json.loads(str(row["found"]))
@@ -147,8 +147,10 @@ def _material(name: str, fits: Sequence[FitResult], root: str, day: datetime.dat
         elif found.assumed_n_per_m is not None:
             assumed = found.assumed_n_per_m
     if assumed is not None:
-        notes.append(f"the stiffness, {assumed:g} N/m, is not in the recordings; stiffness_n_per_m in {NAME} sets it")
-    worst = max((fit.quality for fit in done), key=ORDER.index)
+        notes.append(
+            f"the stiffness, {assumed:g} N/m, is not in the recordings; stiffness_n_per_m in {FIT_YAML} sets it"
+        )
+    worst = max((fit.quality for fit in done), key=QUALITY_ORDER.index)
     return MaterialResult(name, worst, tuple(done), material, tuple(notes))
 
 
@@ -162,7 +164,7 @@ def _with_folder(origin: Mapping[str, object], root: str) -> dict[str, object]:
 
 def counts(results: Iterable[MaterialResult]) -> dict[Quality, int]:
     """How many materials there are of each verdict."""
-    found: dict[Quality, int] = dict.fromkeys(ORDER, 0)
+    found: dict[Quality, int] = dict.fromkeys(QUALITY_ORDER, 0)
     for each in results:
         found[each.quality] += 1
     return found

@@ -26,11 +26,19 @@ from hapticd.base.yaml_source import one_line
 from hapticd.config.materials import MAX_PROVENANCE_FILES, validate_materials
 from hapticd.fit.options import KEY_OF, FitOptions
 from hapticd.fit.recording import Kind
-from hapticd.sweeps.batches.folder_yaml import NAME, TAKEN_BY, BatchFolder, FolderYaml, key_of, merged, options_of
+from hapticd.sweeps.batches.folder_yaml import (
+    FIT_YAML,
+    KINDS_OF_KEY,
+    BatchFolder,
+    FolderYaml,
+    key_of,
+    merged,
+    options_of,
+)
 
-KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-_YAML: Final = (".yaml", ".yml")
-_KNOWN: Final = ", ".join(KINDS[:-1]) + " or " + KINDS[-1]
+FIT_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+_YAML_ENDINGS: Final = (".yaml", ".yml")
+_KINDS_TEXT: Final = ", ".join(FIT_KINDS[:-1]) + " or " + FIT_KINDS[-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +86,9 @@ def read_tree(path: str) -> Tree:
     reader = _Reader(path)
     sets = tuple(reader.read())
     if not reader.problems and not sets:
-        reader.fault("", f"holds no material: each has a folder with folders {_KNOWN}, or with recordings and {NAME}")
+        reader.fault(
+            "", f"holds no material: each has a folder with folders {_KINDS_TEXT}, or with recordings and {FIT_YAML}"
+        )
     if reader.problems:
         raise InvalidError(reader.problems)
     return Tree(path, sets, tuple(reader.others))
@@ -158,7 +168,7 @@ class _Reader:
                 level.folders.append(inside)
             elif ending_of(entry) in TABLE_READERS:
                 level.recordings.append(inside)
-            elif ending_of(entry) in _YAML:
+            elif ending_of(entry) in _YAML_ENDINGS:
                 self.yaml(level, entry, entries)
             else:
                 self.others.append(inside)
@@ -167,7 +177,7 @@ class _Reader:
     def yaml(self, level: _Level, entry: str, entries: list[str]) -> None:
         """A YAML file is of the folder, or of a recording."""
         name, described = os.path.join(level.name, entry), os.path.splitext(entry)[0]
-        if entry == NAME:
+        if entry == FIT_YAML:
             level.faulty = True
             try:
                 level.yaml = FolderYaml(os.path.join(self.root, name), os.path.join(self.root, name))
@@ -176,10 +186,12 @@ class _Reader:
                 self.problems += error.problems
             except HapticdError as error:
                 self.problems.append(Problem("", str(error)))
-        elif described == os.path.splitext(NAME)[0]:
-            self.fault(name, f"must be called {NAME}")
+        elif described == os.path.splitext(FIT_YAML)[0]:
+            self.fault(name, f"must be called {FIT_YAML}")
         elif ending_of(described) not in TABLE_READERS:
-            self.fault(name, f"is no YAML of a batch: that of a folder is {NAME}, that of tap1.csv is tap1.csv.yaml")
+            self.fault(
+                name, f"is no YAML of a batch: that of a folder is {FIT_YAML}, that of tap1.csv is tap1.csv.yaml"
+            )
         elif described not in entries:
             self.fault(name, f"describes {one_line(described)}, which is not there")
         elif not entry.endswith(".yaml"):
@@ -197,14 +209,16 @@ class _Reader:
             kind = _merged(root, own).kind
             self.loose |= {"", name}
             if kind is None and not (own.faulty or root.faulty):
-                self.fault(name, f"holds recordings of no kind: put them into a folder {_KNOWN}, or kind into {NAME}")
+                self.fault(
+                    name, f"holds recordings of no kind: put them into a folder {_KINDS_TEXT}, or kind into {FIT_YAML}"
+                )
             if kind is not None:
                 kinds[kind] = own
         levels = [own]
         for folder in own.folders:
             last = os.path.basename(folder)
-            if last not in KINDS:
-                self.fault(folder, f"unknown kind {quoted(last)}; {known_names(last, KINDS)}")
+            if last not in FIT_KINDS:
+                self.fault(folder, f"unknown kind {quoted(last)}; {known_names(last, FIT_KINDS)}")
                 continue
             below = self.level(folder)
             levels.append(below)
@@ -219,7 +233,7 @@ class _Reader:
             else:
                 kinds[last] = below
         self.check_kinds(name, kinds, levels)
-        sets = [self.recording_set(name, kind, kinds[kind], root, own) for kind in KINDS if kind in kinds]
+        sets = [self.recording_set(name, kind, kinds[kind], root, own) for kind in FIT_KINDS if kind in kinds]
         return sets, levels
 
     def recording_set(self, material: str, kind: Kind, level: _Level, root: _Level, own: _Level) -> RecordingSet:
@@ -244,7 +258,9 @@ class _Reader:
     def check_kinds(self, name: str, kinds: dict[Kind, _Level], levels: list[_Level]) -> None:
         """What one material may have."""
         if not kinds and len(levels) == 1 and not levels[0].recordings and not levels[0].folders:
-            self.fault(name, f"holds no recordings: they stand in a folder {_KNOWN}, or in it with kind in {NAME}")
+            self.fault(
+                name, f"holds no recordings: they stand in a folder {_KINDS_TEXT}, or in it with kind in {FIT_YAML}"
+            )
         if len({KEY_OF[kind] for kind in kinds}) < len(kinds):
             self.fault(name, "has grooves and a texture, and a material has one of them: leave out one folder")
         count = sum(len(level.recordings) for level in kinds.values())
@@ -269,9 +285,9 @@ class _Reader:
             return
         taken = self.taken[level.name]
         for key in level.yaml.keys:
-            kinds = TAKEN_BY.get(key)
+            kinds = KINDS_OF_KEY.get(key)
             if kinds is not None and not taken & {*kinds}:
-                has = ", ".join(kind for kind in KINDS if kind in taken) or "nothing"
+                has = ", ".join(kind for kind in FIT_KINDS if kind in taken) or "nothing"
                 self.problems.append(level.yaml.problem(key, f"is of {kinds[0]}, and here is fitted: {has}"))
             if key != "kind":
                 continue

@@ -24,9 +24,9 @@ import numpy.typing as npt
 from numpy.polynomial import Polynomial
 
 Floats = npt.NDArray[np.float64]
-_HALVINGS: Final = 80
-_MOST_STRETCHES: Final = 100_000
-_MINIMUM_JERK: Final = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
+_MAX_BISECTIONS: Final = 80
+_MAX_STRETCHES: Final = 100_000
+_MINIMUM_JERK_COEFFICIENTS: Final = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
 """Of the part of the way by the part of the time (Flash and Hogan 1985)."""
 
 
@@ -108,7 +108,7 @@ class ContinuousWall:
         loop = self._loop
         now, height, speed, pressed = 0.0, float(self._way[0, 1]), 0.0, False
         while now < end_s:
-            if len(self._stretches) == _MOST_STRETCHES:
+            if len(self._stretches) == _MAX_STRETCHES:
                 raise ArithmeticError("the continuous loop touches and leaves the wall without end")
             until = min(end_s, self._next_waypoint(now))
             stretch = self._stretch(now, height, speed, pressed)
@@ -125,7 +125,7 @@ class ContinuousWall:
             if len(changed):
                 low = now if changed[0] == 0 else float(times[changed[0] - 1])
                 high = float(times[changed[0]])
-                for _ in range(_HALVINGS):
+                for _ in range(_MAX_BISECTIONS):
                     middle = 0.5 * (low + high)
                     if middle in (low, high):
                         break
@@ -147,7 +147,7 @@ class ContinuousWall:
             return Polynomial([way[max(index, 0), 1]])
         (begin_s, begin), (end_s, end) = way[index], way[index + 1]
         part = Polynomial([(now_s - begin_s) / (end_s - begin_s), 1.0 / (end_s - begin_s)])
-        gone = Polynomial(_MINIMUM_JERK)(part) if self._minimum_jerk else part
+        gone = Polynomial(_MINIMUM_JERK_COEFFICIENTS)(part) if self._minimum_jerk else part
         found: Polynomial = begin + (end - begin) * gone
         return found
 

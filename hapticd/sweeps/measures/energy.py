@@ -17,7 +17,7 @@ from hapticd.sweeps.measures.measure import NoOptions
 from hapticd.sweeps.point import Point
 
 Floats = npt.NDArray[np.float64]
-_SAME_PERIOD: Final = 1e-9
+_PERIOD_TOLERANCE: Final = 1e-9
 """An age of so little more than a whole number of periods is that number."""
 
 
@@ -78,4 +78,4 @@ class EnergyGiven:
         # What a late position hides: a contact of the handle's own that the reports see later.
         age = 0 if run.truth is None else output_of(config, run.rate_hz).age_s * run.rate_hz
         touched = (run.samples["flags"] & Flag.CONTACT) != 0
-        return {"energy_given_j": given_j(force, position, touched, math.ceil(age - _SAME_PERIOD))}
+        return {"energy_given_j": given_j(force, position, touched, math.ceil(age - _PERIOD_TOLERANCE))}

@@ -20,7 +20,7 @@ from hapticd.sweeps.measures.function_values import values_of
 from hapticd.sweeps.measures.sweep_point import SweepPoint
 
 _PR_SET_PDEATHSIG: Final = 1
-_LONGEST_REASON: Final = 500
+_MAX_ERROR_CHARACTERS: Final = 500
 
 
 def serve() -> None:
@@ -76,7 +76,7 @@ def _answer(
     try:
         return values_of(called(point), dict(function.kinds)), None
     except HapticdError as error:
-        return None, on_one_line(str(error))[:_LONGEST_REASON]
+        return None, on_one_line(str(error))[:_MAX_ERROR_CHARACTERS]
     except BaseException as error:  # also SystemExit: nothing of a function ends a study
         return None, f"raised {_reason(error, function)}"
 
@@ -86,5 +86,5 @@ def _reason(error: BaseException, function: Function) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == function.file]
     where = f" ({os.path.basename(function.file)}, line {lines[-1]})" if lines else ""
-    text = on_one_line(str(error))[:_LONGEST_REASON]
+    text = on_one_line(str(error))[:_MAX_ERROR_CHARACTERS]
     return f"{type(error).__name__}{f': {text}' if text else ''}{where}"

@@ -28,9 +28,9 @@ from hapticd.base.wording import duration
 from hapticd.sweeps.columns import Kind, Row
 from hapticd.sweeps.measures.sweep_point import SweepPoint
 
-LOAD_S: Final = 60.0
+MODULE_LOAD_TIMEOUT_S: Final = 60.0
 """To start Python and to load the module."""
-_MOST: Final = 4
+_MAX_PROCESSES_PER_THREAD: Final = 4
 """Functions that a thread has processes for."""
 
 
@@ -76,7 +76,9 @@ class FunctionProcess:
         except OSError as error:
             raise HapticdError(f"no process for a function: {os.strerror(error.errno or 0)}") from None
         self._end = weakref.finalize(self, _end, self._process, self._pipe)
-        why = self._asked(function, LOAD_S, f"its module was not loaded within {duration(LOAD_S)}")
+        why = self._asked(
+            function, MODULE_LOAD_TIMEOUT_S, f"its module was not loaded within {duration(MODULE_LOAD_TIMEOUT_S)}"
+        )
         if why is not None:
             self.end()
             raise HapticdError(why)
@@ -159,6 +161,6 @@ def process_of(function: Function) -> FunctionProcess:
     if known is None or not known.alive:
         known = FunctionProcess(function)
     processes[function] = known
-    while len(processes) > _MOST:
+    while len(processes) > _MAX_PROCESSES_PER_THREAD:
         processes.popitem(last=False)[1].end()
     return known

@@ -9,7 +9,7 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError, on_one_line
 
-_LARGEST: Final = 4 << 20
+_MAX_SOURCE_BYTES: Final = 4 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +43,8 @@ def source_of(module: str, folder: str) -> FunctionSource:
 def _read(file: str) -> FunctionSource:
     try:
         content = Path(file).read_bytes()
-        if len(content) > _LARGEST:
-            raise HapticdError(f"{file} is larger than {_LARGEST >> 20} MiB")
+        if len(content) > _MAX_SOURCE_BYTES:
+            raise HapticdError(f"{file} is larger than {_MAX_SOURCE_BYTES >> 20} MiB")
         return FunctionSource(file, content.decode())
     except OSError as error:
         raise HapticdError(f"{file} cannot be read: {error.strerror}") from None

@@ -11,7 +11,7 @@ import numpy as np
 from hapticd.base.errors import HapticdError, shown
 from hapticd.sweeps.columns import Kind, Value
 
-_WANTED: Final[Mapping[Kind, str]] = {
+_KIND_TEXTS: Final[Mapping[Kind, str]] = {
     "number": "a finite number",
     "integer": "a whole number of 64 bits",
     "boolean": "true or false",
@@ -52,7 +52,7 @@ def _value(name: str, given: Any, kind: Kind) -> Value:
         case "text" if isinstance(given, str):
             return given.encode(errors="replace").decode()
     known = given is None or isinstance(given, bool | int | float | str)
-    raise HapticdError(f"column {name} must be {_WANTED[kind]}, is {shown(given) if known else _type(given)}")
+    raise HapticdError(f"column {name} must be {_KIND_TEXTS[kind]}, is {shown(given) if known else _type(given)}")
 
 
 def _type(value: object) -> str:

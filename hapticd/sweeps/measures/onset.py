@@ -19,7 +19,7 @@ from hapticd.sweeps.point import Point
 Floats: TypeAlias = npt.NDArray[np.float64]
 Way: TypeAlias = Callable[[Floats], Floats]
 """Positions (n, 2) at times (n,)."""
-_HALVINGS: Final = 60
+_CROSSING_BISECTIONS: Final = 60
 
 
 class OnsetError:
@@ -70,7 +70,7 @@ def _crossings(item: SceneObject, time_s: Floats, positions: Floats, way: Way) -
     height = _height_of(item, positions)
     into = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0))
     low, high = time_s[into], time_s[into + 1]
-    for _ in range(_HALVINGS):
+    for _ in range(_CROSSING_BISECTIONS):
         middle = 0.5 * (low + high)
         above = _height_of(item, way(middle)) > 0.0
         low, high = np.where(above, middle, low), np.where(above, high, middle)

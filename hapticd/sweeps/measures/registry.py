@@ -21,9 +21,9 @@ from hapticd.sweeps.measures.passive_limit import PassiveLimit, PassiveLimitOpti
 from hapticd.sweeps.measures.peaks import PeakForce, PeakSpeed
 from hapticd.sweeps.measures.quantile import Quantile, QuantileOptions
 from hapticd.sweeps.measures.rest import Rest, RestOptions
-from hapticd.sweeps.measures.user_function import FUNCTION, FunctionOptions, UserFunction, known_by
+from hapticd.sweeps.measures.user_function import FUNCTION_MEASURE, FunctionOptions, UserFunction, known_by
 
-_KNOWN: Final[Mapping[str, tuple[type[Model], Callable[[Any], Measure]]]] = {
+_MEASURES: Final[Mapping[str, tuple[type[Model], Callable[[Any], Measure]]]] = {
     "end": (RestOptions, Rest),
     "peak_force_n": (NoOptions, PeakForce),
     "peak_speed_m_per_s": (NoOptions, PeakSpeed),
@@ -35,13 +35,13 @@ _KNOWN: Final[Mapping[str, tuple[type[Model], Callable[[Any], Measure]]]] = {
     "displayed_error": (DisplayedErrorOptions, DisplayedError),
     "passive_limit": (PassiveLimitOptions, PassiveLimit),
     "displayed_materials": (DisplayedMaterialsOptions, DisplayedMaterials),
-    FUNCTION: (FunctionOptions, UserFunction),
+    FUNCTION_MEASURE: (FunctionOptions, UserFunction),
 }
 
 
 def known_measures() -> tuple[str, ...]:
     """The names."""
-    return tuple(_KNOWN)
+    return tuple(_MEASURES)
 
 
 def parse_measure(given: str | Mapping[str, Json]) -> Measure:
@@ -55,9 +55,11 @@ def parse_measure(given: str | Mapping[str, Json]) -> Measure:
         options = found
     else:
         raise InvalidError([Problem("", f"must be a name, or one name with its options, has {len(given)} keys")])
-    if name not in _KNOWN:
-        raise InvalidError([Problem("", f"nothing that can be measured is called {name}; {known_names(name, _KNOWN)}")])
-    model, made = _KNOWN[name]
+    if name not in _MEASURES:
+        raise InvalidError(
+            [Problem("", f"nothing that can be measured is called {name}; {known_names(name, _MEASURES)}")]
+        )
+    model, made = _MEASURES[name]
     try:
         return made(model.parsed(options))
     except ValidationError as error:
@@ -69,6 +71,6 @@ def identity_of(given: str | Mapping[str, Json]) -> Json:
     if isinstance(given, str):
         return given
     return {
-        name: known_by(options) if name == FUNCTION and isinstance(options, dict) else options
+        name: known_by(options) if name == FUNCTION_MEASURE and isinstance(options, dict) else options
         for name, options in given.items()
     }

@@ -16,12 +16,12 @@ from hapticd.sweeps.measures.function_source import source_of
 from hapticd.sweeps.measures.sweep_point import SweepPoint
 from hapticd.sweeps.point import Point
 
-FUNCTION: Final = "function"
+FUNCTION_MEASURE: Final = "function"
 """The measure's name."""
-_KINDS: Final[Mapping[str, Kind]] = {"integer": "integer", "boolean": "boolean", "text": "text"}
-_FOUND: Final = ("source", "file", "folder")
+_KIND_OF_UNIT: Final[Mapping[str, Kind]] = {"integer": "integer", "boolean": "boolean", "text": "text"}
+_ADDED_OPTIONS: Final = ("source", "file", "folder")
 """Options that are set when a study is read."""
-_BESIDE: Final = ("file", "folder", "timeout_s")
+_NON_IDENTITY_OPTIONS: Final = ("file", "folder", "timeout_s")
 """Options that change no value."""
 
 
@@ -78,7 +78,7 @@ class UserFunction:
 
 
 def _column(call: str, name: str, unit: str) -> Column:
-    kind = _KINDS.get(unit)
+    kind = _KIND_OF_UNIT.get(unit)
     return Column(name, kind or "number", "measured", "" if kind else unit, f"By the function {call}.")
 
 
@@ -87,7 +87,7 @@ def with_source(options: Mapping[str, Json], folder: str) -> dict[str, Json]:
 
     `folder`: where the study is. Raises InvalidError, with paths relative to the options.
     """
-    given = {key: value for key, value in options.items() if key not in _FOUND}
+    given = {key: value for key, value in options.items() if key not in _ADDED_OPTIONS}
     parsed = FunctionOptions.model_validate(given)
     module = parsed.call.partition(":")[0]
     try:
@@ -101,4 +101,4 @@ def with_source(options: Mapping[str, Json], folder: str) -> dict[str, Json]:
 
 def known_by(options: Mapping[str, Json]) -> dict[str, Json]:
     """What of the options a result depends on."""
-    return {key: value for key, value in options.items() if key not in _BESIDE}
+    return {key: value for key, value in options.items() if key not in _NON_IDENTITY_OPTIONS}

@@ -12,13 +12,13 @@ import numpy.typing as npt
 from hapticd.base.errors import HapticdError, on_one_line
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.keys import Study
-from hapticd.sweeps.columns import ERROR, POINT, Column, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
 from hapticd.sweeps.identity import sum_of, sums_at
-from hapticd.sweeps.participants.one_session import COLUMNS, row_of
+from hapticd.sweeps.participants.one_session import SESSION_COLUMNS, row_of
 from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
 
-PARTICIPANT: Final = Column("participant", "text", "varied", description="Label of the participant.")
+PARTICIPANT_COLUMN: Final = Column("participant", "text", "varied", description="Label of the participant.")
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,16 @@ class Sessions:
         return [self._row(point, label) for point, label in zip(self.ids, self.labels, strict=True)]
 
     def _row(self, point: str, label: str) -> Row:
-        row: Row = {POINT.name: point, PARTICIPANT.name: label, **dict.fromkeys(column.name for column in COLUMNS)}
-        row[ERROR.name] = None
+        row: Row = {
+            POINT_COLUMN.name: point,
+            PARTICIPANT_COLUMN.name: label,
+            **dict.fromkeys(column.name for column in SESSION_COLUMNS),
+        }
+        row[ERROR_COLUMN.name] = None
         try:
             row |= row_of(self.study, label, self.session, self.seed)
         except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR.name] = on_one_line(str(error)) or type(error).__name__
+            row[ERROR_COLUMN.name] = on_one_line(str(error)) or type(error).__name__
         return row
 
 
@@ -71,7 +75,7 @@ class Participants:
     @property
     def columns(self) -> tuple[Column, ...]:
         """Of every row, in order."""
-        return (POINT, PARTICIPANT, *COLUMNS, ERROR)
+        return (POINT_COLUMN, PARTICIPANT_COLUMN, *SESSION_COLUMNS, ERROR_COLUMN)
 
     @property
     def points(self) -> dict[str, str]:
@@ -102,5 +106,5 @@ def _ids(study: Study, session: int, seed: int, labels: Sequence[str]) -> npt.ND
         "seed": seed,
         "code": code_version(),
     }
-    sums = sum_of(shared) + sums_at((PARTICIPANT.name,), labels)
+    sums = sum_of(shared) + sums_at((PARTICIPANT_COLUMN.name,), labels)
     return np.ascontiguousarray(sums).view(ID_DTYPE).reshape(-1)

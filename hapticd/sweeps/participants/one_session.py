@@ -20,9 +20,9 @@ from hapticd.experiment.session_log import LogInMemory, Record
 from hapticd.experiment.stimuli import at_level
 from hapticd.sweeps.columns import Column, Row
 
-CLOCK: Final = "clock"
+CLOCK_KEY: Final = "clock"
 """Member of the first record that is of the machine, not of the session."""
-COLUMNS: Final = (
+SESSION_COLUMNS: Final = (
     Column("trials", "integer", "measured", "", "Trials of the plan."),
     Column("answered", "integer", "measured", "", "Trials with an answer."),
     Column("correct", "number", "measured", "", "Part of the test's answers that are right; absent: none can be."),
@@ -32,7 +32,7 @@ COLUMNS: Final = (
 
 
 def row_of(study: Study, participant: str, session: int, seed: int) -> Row:
-    """COLUMNS of a session. The same study, participant, session and seed give the same bits. Raises HapticdError."""
+    """SESSION_COLUMNS of a session. The same study, participant, session and seed give the same bits. Raises HapticdError."""
     made = plan(study, participant, session, seed)
     records, duration_s = _run(made)
     answers = [each for each in records if each["kind"] == "answer"]
@@ -73,4 +73,4 @@ def _run(made: Plan) -> tuple[list[Record], float]:
     if session.run() != "ended":
         raise HapticdError("the session was aborted")
     first, *others = log.appended
-    return [{key: value for key, value in first.items() if key != CLOCK}, *others], stage.now_s()
+    return [{key: value for key, value in first.items() if key != CLOCK_KEY}, *others], stage.now_s()

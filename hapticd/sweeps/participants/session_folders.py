@@ -1,7 +1,7 @@
 """Rows of simulated participants as session folders, which `hapticd experiment analyze` reads.
 
 To wait for the disk after each of some ten files of a session would take longer than all else. So it is waited for once
-in AT_ONCE sessions, and WRITTEN names those that are on disk: after a loss of power the others are written again, from
+in SESSIONS_PER_SYNC sessions, and WRITTEN_FILE names those that are on disk: after a loss of power the others are written again, from
 their rows.
 """
 
@@ -20,13 +20,13 @@ from hapticd.experiment.plan import plan
 from hapticd.experiment.session import about_of, plan_document
 from hapticd.experiment.session_folder import LOG, SessionFolder, folder_of
 from hapticd.experiment.session_log import lines_of
-from hapticd.sweeps.columns import ERROR, POINT, Row
-from hapticd.sweeps.participants.bulk import PARTICIPANT, Participants
-from hapticd.sweeps.participants.one_session import CLOCK, records_of, stage_of
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Row
+from hapticd.sweeps.participants.bulk import PARTICIPANT_COLUMN, Participants
+from hapticd.sweeps.participants.one_session import CLOCK_KEY, records_of, stage_of
 
-WRITTEN: Final = "written.txt"
+WRITTEN_FILE: Final = "written.txt"
 """Beside the rows: the identities of the participants whose folders are on disk, a line each."""
-AT_ONCE: Final = 500
+SESSIONS_PER_SYNC: Final = 500
 
 
 class SessionFolders:
@@ -37,7 +37,7 @@ class SessionFolders:
         another one under the label and number of one of these."""
         check_one_study(root, work.title)
         self._root, self._work, self._source = root, work, source
-        self._file = rows_folder / WRITTEN
+        self._file = rows_folder / WRITTEN_FILE
         self._on_disk = set(self._file.read_text().split()) if self._file.is_file() else set()
         self.present = frozenset(label for label, point in work.points.items() if self._has(label, point))
         """Labels whose folders are there."""
@@ -61,11 +61,11 @@ class SessionFolders:
         fresh: list[str] = []
         count = 0
         for row in rows:
-            if row[ERROR.name] is None and row[PARTICIPANT.name] not in self.present:
+            if row[ERROR_COLUMN.name] is None and row[PARTICIPANT_COLUMN.name] not in self.present:
                 self._write(row)
-                fresh.append(str(row[POINT.name]))
+                fresh.append(str(row[POINT_COLUMN.name]))
                 count += 1
-            if len(fresh) == AT_ONCE:
+            if len(fresh) == SESSIONS_PER_SYNC:
                 self._settle(fresh)
         self._settle(fresh)
         if count or self.present:
@@ -73,12 +73,12 @@ class SessionFolders:
         return count
 
     def _write(self, row: Row) -> None:
-        work, label = self._work, str(row[PARTICIPANT.name])
+        work, label = self._work, str(row[PARTICIPANT_COLUMN.name])
         made = plan(work.study, label, work.session, work.seed)
-        about = about_of(made, stage_of(str(row[POINT.name])), clock.read())
+        about = about_of(made, stage_of(str(row[POINT_COLUMN.name])), clock.read())
         folder = SessionFolder(folder_of(self._root, label, work.session), self._source, plan_document(made), about)
         first, *others = records_of(row)
-        folder.write_with(lines_of([{**first, CLOCK: about[CLOCK]}, *others]))
+        folder.write_with(lines_of([{**first, CLOCK_KEY: about[CLOCK_KEY]}, *others]))
         write_session_tables(folder, synced=False)
 
     def _settle(self, fresh: list[str]) -> None:
