@@ -1,4 +1,4 @@
-"""The figures of a study that names none."""
+"""The default figures, for a study without the key `figures`."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from hapticd.sweeps.map_figure import MAX_MAP_TEXTS
 from hapticd.sweeps.results import Results
 
 MAX_DEFAULT_FIGURES: Final = 6
+"""Largest number of default figures."""
 _MIN_MAP_VALUES: Final = 5
-"""Two keys with so many values each are the axes of a map; with fewer, a line for each value is read more easily."""
+"""Two keys with at least 5 values each become the axes of a map; with fewer, a line for each value is clearer."""
 
 
 def default_figures(results: Results) -> list[SweepFigure]:
-    """One for each measured column, up to MAX_DEFAULT_FIGURES; of a refined study the boundary alone.
+    """Return one figure for each measured column, up to MAX_DEFAULT_FIGURES; with `refine` only the boundary.
 
-    Over the key with the most values, by the one with the next most: as a map if both are numbers with five values or
-    more, otherwise as lines. Other keys of a crossed study stay at their first value. Without a number that is varied
-    there is none.
+    The x axis is the numeric key with the most values. The key with the second most values is the y axis of a map if it
+    is numeric and has at least _MIN_MAP_VALUES values, otherwise it has a line for each value. Other keys of a crossed
+    study are kept at their first value. Without a varied number there are no figures.
     """
     study = results.study
     counts = {name: len(results.values(name)) for name in results.named("varied")}
     numeric = [name for name in counts if counts[name] > 1 and results.column(name).kind in ("number", "integer")]
     if not numeric:
         return []
-    # Sorted stably: of as many values, the first in the study.
+    # The sort is stable: of keys with equally many values, the first in the study wins.
     ordered = sorted(numeric, key=lambda name: -counts[name])
     x, others = ordered[0], ordered[1:] + [name for name in counts if counts[name] > 1 and name not in numeric]
     second = others[0] if others else None
@@ -44,7 +45,7 @@ def default_figures(results: Results) -> list[SweepFigure]:
 
 
 def _drawn(results: Results, is_map: bool) -> list[str]:
-    """Measured columns that can be drawn and have a value."""
+    """Return the measured columns that can be drawn and have a value."""
     if results.study.refine is not None:
         return ["boundary"]
     found = []

@@ -1,4 +1,4 @@
-"""Measured columns over a varied key: one line for each column, or for each value of another key."""
+"""Draws measured columns over a varied key: a line for each column, or for each value of another key."""
 
 from __future__ import annotations
 
@@ -20,24 +20,29 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LINE_FIGURE_INCHES: Final = (6.4, 4.2)
-"""Inches."""
+"""Width and height of a line figure, in inches."""
 NO_RESULT_LABEL: Final = "no result"
+"""Label of points without a result in the legend."""
 BOUNDARY_COLUMN: Final = "boundary"
+"""Column of the last value at which the condition of `refine` holds."""
 BOUNDARY_FAILS_COLUMN: Final = "boundary_fails"
+"""Column of the first value at which the condition of `refine` fails."""
 BOUNDARY_STATE_COLUMN: Final = "boundary_state"
+"""Column that states whether the boundary was found."""
 BOUNDARY_STATE_MARKERS: Final = {
     "always": ("^", "holds to the end of the search"),
     "never": ("v", "does not hold at the start of the search"),
 }
-"""A boundary that was not found: marker and words. Its marker stands at the last value that was tried."""
+"""Marker and label for each state of a boundary that was not found; the marker is at the last value that was tried."""
 _LEGEND_COLUMNS: Final = 4
-"""Of the legend."""
+"""Number of columns of the legend."""
 _MAX_DOTS: Final = 40
+"""Lines with at most 40 points have a dot at each."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """One line."""
+    """One line: its label, its column, and the rows of its points."""
 
     label: str
     column: str
@@ -45,7 +50,7 @@ class _Line:
 
 
 def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
-    """Lines on one pair of axes. Points without a result are crosses at the lower edge."""
+    """Draw lines on one pair of axes. Points without a result are crosses at the lower edge."""
     assert keys.x is not None and keys.y is not None
     rows = with_values(results.rows, keys.where)
     lines = _lines(results, keys, rows)
@@ -57,7 +62,7 @@ def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
     axes = figure.subplots()
     x.prepare(axes, "x")
     y.prepare(axes, "y")
-    # Points that are drawn at random lie along several keys at once: a line between them would mean nothing.
+    # Random points differ in several keys at once, so a line between them has no meaning.
     joined = results.study.combine in ("crossed", "zipped")
     for number, line in enumerate(lines):
         color = f"C{number}"
@@ -76,11 +81,11 @@ def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
     axes.set_xlabel(literal(x.label))
     axes.set_ylabel(literal(y.label))
     axes.grid(alpha=0.3)
-    _explain(figure, axes, results, keys)
+    _add_legend(figure, axes, results, keys)
 
 
-def _explain(figure: Figure, axes: Axes, results: Results, keys: SweepFigure) -> None:
-    """A legend: lines first, then what single marks mean."""
+def _add_legend(figure: Figure, axes: Axes, results: Results, keys: SweepFigure) -> None:
+    """Add a legend: lines first, then markers."""
     handles, labels = axes.get_legend_handles_labels()
     known = dict(zip(labels, handles, strict=True))
     marks = [*(words for _, words in BOUNDARY_STATE_MARKERS.values()), NO_RESULT_LABEL]
@@ -114,7 +119,7 @@ def _lines(results: Results, keys: SweepFigure, rows: Sequence[Row]) -> list[_Li
 def _draw_boundary(
     axes: Axes, rows: Sequence[Row], at: np.ndarray, y: Scale, color: str, style: str, label: str
 ) -> None:
-    """The last value that holds as the line, and a band from there to the first that does not."""
+    """Draw a line at the last value that holds, and a band from there to the first that fails."""
     found = np.array([row[BOUNDARY_STATE_COLUMN] == "found" for row in rows])
     last, first = y.at([row[BOUNDARY_COLUMN] for row in rows]), y.at([row[BOUNDARY_FAILS_COLUMN] for row in rows])
     axes.plot(at, np.where(found, last, math.nan), style, ms=3.5, lw=1.3, color=color, label=literal(label))
@@ -127,7 +132,7 @@ def _draw_boundary(
 
 
 def _draw_overlays(axes: Axes, results: Results, keys: SweepFigure, lines: Sequence[_Line], x: Scale, y: Scale) -> None:
-    """Dashed: once where every line has the same, otherwise in the color of each line."""
+    """Draw overlays as dashed lines: one if it is the same for all lines, otherwise one in the color of each line."""
     assert keys.x is not None
     for name in keys.overlay or ():
         each = [(x.at([row[keys.x] for row in line.rows]), y.at([row[name] for row in line.rows])) for line in lines]
@@ -138,7 +143,7 @@ def _draw_overlays(axes: Axes, results: Results, keys: SweepFigure, lines: Seque
 
 
 def _mark_missing(axes: Axes, lines: Sequence[_Line], key: str, x: Scale) -> None:
-    """Crosses at the lower edge, where a line has no value: one row for each line."""
+    """Draw crosses at the lower edge for points without a value, with a row of crosses for each line."""
     for number, line in enumerate(lines):
         missing = [
             row[key]

@@ -1,4 +1,4 @@
-"""Reads a sweep: a YAML file or a mapping, with every fault at its line, before anything is computed."""
+"""Reads and validates a sweep from a YAML file or a mapping, and reports every fault with its line."""
 
 from __future__ import annotations
 
@@ -28,13 +28,15 @@ from hapticd.sweeps.plan import Job, Plan, plan
 from hapticd.sweeps.point import NON_CONFIG_KEYS, OPERATOR_KEY, PARAMETERS_KEY
 
 _BASE_KEY: Final = "base"
+"""Key of the base configuration in a study."""
 _MAX_CHECKED_VALUES: Final = 200
-"""So many values of each axis are validated before the study begins; a fault of another one is a row."""
+"""Number of values of each axis that are validated before the study begins; faults of the others are found when their
+points are computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """What a study was read from, and the file of its base if that is another one."""
+    """The document of a study, and that of its base if the base is a separate file."""
 
     study: Document
     base: Document | None
@@ -49,11 +51,12 @@ class _Source:
 
 
 def load_sweep(source: Mapping[str, object] | str | os.PathLike[str]) -> Plan:
-    """The points of a study, from a YAML file, by the name of a study that ships, or from a mapping; paths in it are
-    relative to the file, or to the current folder.
+    """Read a study from a YAML file, by the name of a shipped study, or from a mapping, and return its plan.
 
-    Raises InvalidError, which names every fault with file, line, key and what would be right; HapticdError for a file
-    that cannot be read.
+    Paths in a study are relative to its file; those in a mapping are relative to the current folder.
+
+    Raises InvalidError, which states every fault with file, line, key and what would be right, and HapticdError for a
+    file that cannot be read.
     """
     if isinstance(source, Mapping):
         return _load(Document(plain(source)), os.getcwd())
@@ -96,7 +99,7 @@ def _load(document: Document, folder: str) -> Plan:
 
 
 def _with_base(document: Document, data: dict[str, Json], folder: str) -> Document | None:
-    """Puts the configuration in the place of its name; what it was read from, if that is another file."""
+    """Replace the name of the base by its configuration; return the document of its file, or None without a file."""
     given = data.get(_BASE_KEY, {})
     source: Document | None = None
     if isinstance(given, str):
@@ -119,16 +122,16 @@ def _with_base(document: Document, data: dict[str, Json], folder: str) -> Docume
 
 
 def _file(name: str, folder: str, shipped: str) -> Document:
-    beside = FilePath(folder, name)
-    return load_path(beside if beside.is_file() else file_of(name, shipped))  # type: ignore[arg-type]
+    local = FilePath(folder, name)
+    return load_path(local if local.is_file() else file_of(name, shipped))  # type: ignore[arg-type]
 
 
 def _with_operator(document: Document, data: dict[str, Json], folder: str) -> None:
-    """Puts the operator in the place of its name."""
+    """Replace the name of the operator by its keys."""
     given = data.get(OPERATOR_KEY)
     if isinstance(given, str):
-        beside = FilePath(folder, given)
-        data[OPERATOR_KEY] = _plain_operator(load_operator(beside if beside.is_file() else file_of(given, "operators")))
+        local = FilePath(folder, given)
+        data[OPERATOR_KEY] = _plain_operator(load_operator(local if local.is_file() else file_of(given, "operators")))
     elif isinstance(given, dict):
         try:
             parse_operator(given)
@@ -139,7 +142,7 @@ def _with_operator(document: Document, data: dict[str, Json], folder: str) -> No
 
 
 def _with_functions(document: Document, data: dict[str, Json], folder: str) -> None:
-    """Puts the source of each function of the user's beside its name."""
+    """Add the source of its module to the options of each user function."""
     measures = data.get("measure")
     if not isinstance(measures, list):
         return
@@ -167,7 +170,7 @@ def _plain_operator(operator: Operator) -> dict[str, Json]:
 
 
 def _elements(where: str) -> Path:
-    """A path as a problem writes it."""
+    """Return the path that the `where` of a problem stands for; empty if it is not a path."""
     try:
         return path_of(where)
     except ValueError:
@@ -188,15 +191,15 @@ def _measure_faults(study: SweepStudy) -> list[tuple[Path, str]]:
             continue
         for column in measure.columns:
             if column.name in names or column.name in study.vary:
-                faults.append((("measure", index), f"there are two columns {column.name}: give one another name"))
+                faults.append((("measure", index), f"duplicate column {column.name}; give one of them another name"))
             names.add(column.name)
         if measure.needs_run and (study.run == "none" or study.operator is None):
-            faults.append((("measure", index), "measures a run: the study needs an operator, and run: simulate"))
+            faults.append((("measure", index), "measures a run: the study needs an operator and run: simulate"))
     return faults
 
 
 def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
-    """Keys that nothing has."""
+    """Return the faults of keys that neither a configuration nor a study has."""
     faults: list[tuple[Path, str]] = []
     keys: list[tuple[Path, str]] = []
     for name, axis in study.vary.items():
@@ -214,13 +217,16 @@ def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
             faults.append((place, str(error)))
             continue
         if path[0] not in known:
-            hint = f"{known_names(str(path[0]), known)}; what no configuration has stands below {PARAMETERS_KEY}"
-            faults.append((place, f"nothing has a key {path[0]}; {hint}"))
+            hint = f"{known_names(str(path[0]), known)}; free parameters are below {PARAMETERS_KEY}"
+            faults.append((place, f"unknown key {path[0]}; {hint}"))
     return faults
 
 
 def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
-    """Values of single axes that the configuration refuses, the others at their first."""
+    """Return the faults of values that are invalid in the configuration.
+
+    The values of each axis are checked with the first values of all other axes.
+    """
     values = [axis.plain_values[:_MAX_CHECKED_VALUES] for axis in axes]
     first = [each[0] for each in values]
     faults = _faults_with(job, first, "")
@@ -241,7 +247,10 @@ def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
 
 
 def _faults_with(job: Job, values: Sequence[Value], name: str) -> list[tuple[Path, str]]:
-    """The configuration's faults at a point; those of a key that is varied at its axis, others at the base."""
+    """Return the faults of the configuration at a point.
+
+    The place of a fault is the axis that sets the key, otherwise the axis `name`, or without one the base.
+    """
     try:
         document = job.document(values)
     except InvalidError as error:
@@ -276,7 +285,7 @@ def _config_faults(document: Mapping[str, Json]) -> list[tuple[Path, str]]:
 
 
 def _column_faults(found: Plan) -> list[tuple[Path, str]]:
-    """Names of columns that are none."""
+    """Return the fault of `refine.holds` if it does not name a measured column."""
     study, names = found.job.study, [column.name for column in found.columns if column.role == "measured"]
     if study.refine is None:
         return []
@@ -285,4 +294,4 @@ def _column_faults(found: Plan) -> list[tuple[Path, str]]:
     if column in names:
         return []
     place = ("refine", "holds", "column") if isinstance(holds, SweepCondition) else ("refine", "holds")
-    return [(place, f"nothing that is measured is called {column}; {known_names(column, names)}")]
+    return [(place, f"unknown measured column {column}; {known_names(column, names)}")]

@@ -194,7 +194,7 @@ def test_a_damaged_piece_is_told_and_computed_again(tmp_path: Path) -> None:
     piece = max((tmp_path / "pieces").iterdir(), key=lambda file: file.stat().st_size)
     piece.write_bytes(piece.read_bytes()[:100])
     outcome, store, notes, _ = ran(Roots(40), tmp_path, threads())
-    assert notes == [f"{piece}: is no piece of a sweep, or damaged: its points are computed again"]
+    assert notes == [f"{piece}: not a piece of a sweep, or damaged; its points are computed again"]
     assert outcome.computed > 0 and store.digest() == before
 
 

@@ -186,7 +186,7 @@ def test_a_folder_that_another_process_writes_into_is_refused(tmp_path: Path) ->
     def opened() -> Any:
         code, said, _ = told(command(study(tmp_path, 5), tmp_path / "r", "--threads"))
         assert code == 1
-        told_it = "another process writes results into it: wait for its end, or give another folder"
+        told_it = "another process writes results into it; wait for its end, or give another folder"
         assert said == [f"hapticd: {tmp_path / 'r'}: {told_it}"]
         return threads()
 
@@ -209,7 +209,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     if user == 0:
         os.seteuid(65534)  # root may write everywhere
     try:
-        with pytest.raises(HapticdError, match=r"cannot be made: Permission denied$"):
+        with pytest.raises(HapticdError, match=r"cannot be created: Permission denied$"):
             ran(Roots(10), tmp_path / "r", threads())
     finally:
         os.seteuid(user)
@@ -260,8 +260,8 @@ def piece_of(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("damage", "why"),
     [
-        (lambda whole: whole[:100], "is no piece of a sweep, or damaged: its points are computed again"),
-        (lambda whole: b"", "is no piece of a sweep, or damaged: its points are computed again"),
+        (lambda whole: whole[:100], "not a piece of a sweep, or damaged; its points are computed again"),
+        (lambda whole: b"", "not a piece of a sweep, or damaged; its points are computed again"),
         (lambda whole: whole[:300] + bytes(50) + whole[350:], None),
     ],
 )

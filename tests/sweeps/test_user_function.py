@@ -314,7 +314,7 @@ def test_a_faulty_function_is_told_with_its_place_before_anything_is_computed(
 
 
 def test_two_columns_of_one_name_are_told() -> None:
-    with pytest.raises(InvalidError, match="there are two columns peak_force_n: give one another name"):
+    with pytest.raises(InvalidError, match="duplicate column peak_force_n; give one of them another name"):
         planned("peak", measure=["peak_force_n", {"function": {"call": "mine:peak", "columns": {"peak_force_n": "N"}}}])
 
 
