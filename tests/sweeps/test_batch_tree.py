@@ -72,7 +72,7 @@ TAP = {"pine/tap/1.npz": "a"}
         ({".x/": ""}, ": holds no material: each has a folder with folders tap, grooves"),
         ({"pine/tap/": ""}, "pine/tap: holds no recordings (.csv, .npz, .wav)"),
         ({"pine/taps/1.npz": "a"}, 'pine/taps: unknown kind "taps"; did you mean tap?'),
-        ({"pine/1.npz": "a"}, "pine: holds recordings of unknown kind; put them into a folder tap, grooves"),
+        ({"pine/1.npz": "a"}, "pine: holds recordings without a kind; put them into a folder tap, grooves"),
         ({"1.npz": "a", **TAP}, "1.npz: recording outside of a material's folder"),
         ({"a.b/tap/1.npz": "a"}, "a.b: invalid name of a material: must not hold a dot or a control character"),
         ({"x" * 65 + "/tap/1.npz": "a"}, "invalid name of a material: String should have at most 64 characters"),

@@ -278,5 +278,5 @@ def test_without_a_touch_there_is_no_error_and_a_membrane_is_refused() -> None:
     given = document(100, {"waypoints": [[0, 0, 0.01], [0.1, 0, -0.005]]})
     given["scene"] = {"objects": {"skin": {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1],
                                            "width_m": 0.02, "material": "m"}}}  # fmt: skip
-    with pytest.raises(HapticdError, match="a membrane is met from both sides"):
+    with pytest.raises(HapticdError, match="a membrane can be touched from both sides"):
         measured("onset_error", given, "render")

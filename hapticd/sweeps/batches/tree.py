@@ -221,7 +221,7 @@ class _Reader:
             if kind is None and not (own.faulty or root.faulty):
                 self.fault(
                     name,
-                    f"holds recordings of unknown kind; put them into a folder {_KINDS_TEXT}, or set kind in {FIT_YAML}",
+                    f"holds recordings without a kind; put them into a folder {_KINDS_TEXT} or set kind in {FIT_YAML}",
                 )
             if kind is not None:
                 kinds[kind] = own

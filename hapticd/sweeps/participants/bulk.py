@@ -1,4 +1,4 @@
-"""The participants of a study as the engine takes them."""
+"""The simulated participants of a study as work of the engine."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
 
 PARTICIPANT_COLUMN: Final = Column("participant", "text", "varied", description="Label of the participant.")
+"""The varied column of every row."""
 
 
 @dataclass(frozen=True)
 class Sessions:
-    """The sessions of some participants: a piece."""
+    """A piece of a study: the sessions of some participants."""
 
     study: Study
     session: int
@@ -35,7 +36,7 @@ class Sessions:
         return len(self.labels)
 
     def rows(self) -> list[Row]:
-        """One row a participant."""
+        """Run the session of each participant and return one row for each."""
         return [self._row(point, label) for point, label in zip(self.ids, self.labels, strict=True)]
 
     def _row(self, point: str, label: str) -> Row:
@@ -54,27 +55,27 @@ class Sessions:
 
 @dataclass(frozen=True)
 class Participants:
-    """Simulated participants, each with one session of the same study."""
+    """Simulated participants, each with one session of the same study: work of the engine."""
 
     study: Study
     session: int
     seed: int
     labels: tuple[str, ...]
-    """Each different."""
+    """Labels of the participants, all different."""
     ids: npt.NDArray[np.void] = field(init=False, repr=False)
-    """(n,) ID_DTYPE."""
+    """Identities of the participants, (n,) ID_DTYPE."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", _ids(self.study, self.session, self.seed, self.labels))
 
     @property
     def title(self) -> str:
-        """The study's."""
+        """Title of the study."""
         return self.study.title
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of every row, in order."""
+        """The columns of every row, in order."""
         return (POINT_COLUMN, PARTICIPANT_COLUMN, *SESSION_COLUMNS, ERROR_COLUMN)
 
     @property
@@ -83,13 +84,13 @@ class Participants:
         return {label: each.tobytes().hex() for label, each in zip(self.labels, self.ids, strict=True)}
 
     def piece(self, indices: npt.NDArray[np.int64]) -> Sessions:
-        """The participants with these indices."""
+        """Return the participants with these indices."""
         ids = tuple(each.tobytes().hex() for each in self.ids[indices])
         labels = tuple(self.labels[index] for index in indices.tolist())
         return Sessions(self.study, self.session, self.seed, ids, labels)
 
     def manifest(self) -> dict[str, Json]:
-        """What study.json says besides title and columns."""
+        """Return the members of study.json besides title and columns."""
         return {
             "kind": "participants",
             "study": self.study.to_dict(),
