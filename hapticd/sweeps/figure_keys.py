@@ -90,5 +90,5 @@ class SweepFigure(CheckedTogether):
             faults.append("y of a map must be one varied key")
         several = self.y if self.kind == "line" else self.color
         if self.by is not None and several is not None and len(several) > 1:
-            faults.append("several columns and by exclude one another: either columns or values of by are drawn")
+            faults.append("by cannot be combined with several columns")
         return faults

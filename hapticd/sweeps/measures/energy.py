@@ -69,7 +69,7 @@ class EnergyGiven:
         fields = field_ids(config.scene.objects)
         if fields:
             raise HapticdError(
-                f"energy_given: the scene must not have fields, has {fields[0]}: samples hold only the sum of all forces"
+                f"energy_given: the scene must not have fields, has {fields[0]}: samples have only the total force"
             )
         contact = run.samples["contact_force_n"]
         pushes = [each.force_n for each in config.scene.objects.values() if isinstance(each, Constant)]
