@@ -32,7 +32,7 @@ MIN_PIECE_S: Final = 1.0
 MAX_PIECE_S: Final = 10.0
 """Longest computing time of a piece, in s."""
 MIN_PIECES_PER_THREAD: Final = 20
-"""A study is cut into at least 20 pieces for each thread of a worker, unless these are shorter than MIN_PIECE_S."""
+"""A study has at least 20 pieces for each thread of a worker, unless these would be shorter than MIN_PIECE_S."""
 QUEUED_PIECES_PER_THREAD: Final = 2
 """Number of pieces that wait at a worker for each of its threads, in addition to the one that it computes."""
 WORKER_WAIT_S: Final = 30.0
@@ -40,7 +40,7 @@ WORKER_WAIT_S: Final = 30.0
 WORKER_POLL_S: Final = 1.0
 """Interval in s at which the scheduler is asked for its workers while no piece finishes."""
 WORKERS_ENDED_REASON: Final = "every worker that computed it ended: too little memory, or a crash"
-"""Error of a point whose workers were ended, also when nothing else was computed."""
+"""Error of a point that ended every worker which computed it."""
 MIN_LAST_PIECE_S: Final = 0.1
 """Shortest computing time in s of the last pieces, which are made short so that all workers finish together."""
 
@@ -50,29 +50,26 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Progress of a study."""
+    """Progress of a study, in points."""
 
     done: int
-    """Number of points that are computed, of `total`."""
     total: int
     failed: int
-    """Number of computed points with an error."""
+    """Computed points whose row has an error."""
     left_s: float | None
     """Estimated remaining time; None if it is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Numbers and times of a study that was run."""
+    """Numbers of points, and times, of a study that was run."""
 
     points: int
-    """Number of points of the study."""
     reused: int
-    """Number of points whose rows the folder already held."""
+    """Points whose rows the folder already held."""
     computed: int
-    """Number of points that were computed."""
     failed: int
-    """Number of computed points whose row has an error."""
+    """Computed points whose row has an error."""
     seconds: float
     """Elapsed time, in s."""
     worker_seconds: float

@@ -20,8 +20,6 @@ from hapticd.sweeps.results import Results
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_PNG_DPI: Final = 150
-"""Resolution of PNG files, in pixels per inch."""
 _MATPLOTLIB_STYLE: Final = {"font.size": 9, "axes.titlesize": 9, "axes.linewidth": 0.6, "legend.fontsize": 8}
 """Settings of matplotlib for all figures; sizes in points."""
 _MAX_NAME_CHARACTERS: Final = 60
@@ -52,7 +50,7 @@ class Drawing:
         """Return the figure as a PNG file on a white background."""
         content = io.BytesIO()
         with drawing(_MATPLOTLIB_STYLE, self.title):
-            self.draw().savefig(content, format="png", dpi=_PNG_DPI)
+            self.draw().savefig(content, format="png", dpi=150)
         return content.getvalue()
 
     def svg(self) -> str:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LINE_FIGURE_INCHES: Final = (6.4, 4.2)
-"""Width and height of a line figure, in inches."""
 NO_RESULT_LABEL: Final = "no result"
 """Label of points without a result in the legend."""
 BOUNDARY_COLUMN: Final = "boundary"
@@ -34,8 +32,6 @@ BOUNDARY_STATE_MARKERS: Final = {
     "never": ("v", "does not hold at the start of the search"),
 }
 """Marker and label for each state of a boundary that was not found; the marker is at the last value that was tried."""
-_LEGEND_COLUMNS: Final = 4
-"""Number of columns of the legend."""
 _MAX_DOTS: Final = 40
 """Lines with at most 40 points have a dot at each."""
 
@@ -58,7 +54,7 @@ def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
     if keys.y == (BOUNDARY_COLUMN,):
         drawn += [row[BOUNDARY_FAILS_COLUMN] for row in rows]
     x, y = key_scale(results, keys.x), measured_scale(results, keys.y, keys.axis_label, drawn)
-    figure.set_size_inches(*LINE_FIGURE_INCHES)
+    figure.set_size_inches(6.4, 4.2)
     axes = figure.subplots()
     x.prepare(axes, "x")
     y.prepare(axes, "y")
@@ -96,7 +92,7 @@ def _add_legend(figure: Figure, axes: Axes, results: Results, keys: SweepFigure)
         [known[label] for label in ordered],
         ordered,
         loc="outside lower center",
-        ncols=min(_LEGEND_COLUMNS, len(ordered)),
+        ncols=min(4, len(ordered)),
         frameon=False,
         title=None if keys.by is None else literal(key_scale(results, keys.by).label),
         title_fontsize=8,

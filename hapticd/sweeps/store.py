@@ -33,15 +33,13 @@ from hapticd.sweeps.work import ID_DTYPE, Work
 from hapticd.sweeps.worker_check import code_version
 
 STUDY_FILE: Final = "study.json"
-"""Name of the file of the study in a result folder."""
+"""File of the study in a result folder."""
 POINTS_FILE: Final = "points.npy"
-"""Name of the file of identities in a result folder."""
+"""File of the identities in a result folder."""
 PIECES_FOLDER: Final = "pieces"
-"""Name of the folder of pieces in a result folder."""
+"""Folder of the pieces in a result folder."""
 _ROWS_IN_MEMORY: Final = 500
 """Number of rows that are converted to Python objects at a time while all rows are visited."""
-LOCK_FILE: Final = "lock"
-"""Name of the lock file in a result folder."""
 _PARTIAL_PIECE: Final = re.compile(r"\.[0-9a-f]{32}\.parquet\.\d+\.[0-9a-f]{16}\.part")
 """Name of a temporary file, which a killed process may leave behind."""
 _POINT_ID: Final = re.compile(r"[0-9a-f]{32}")
@@ -82,7 +80,7 @@ class Store:
             pieces.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise HapticdError(f"{self._folder}: cannot be created: {error.strerror}") from None
-        file = self._folder / LOCK_FILE
+        file = self._folder / "lock"
         check_regular(file)
         try:
             descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)

@@ -25,8 +25,6 @@ from hapticd.config.schema import unit_of
 from hapticd.sweeps.batches.ranking import MaterialResult
 from hapticd.sweeps.store import STUDY_FILE
 
-MATERIALS_FOLDER: Final = "materials"
-"""Name of the folder of materials in a result folder."""
 _DATE_ENTRY: Final = re.compile(r'date: "\d{4}-\d{2}-\d{2}"')
 """The date of a fit in a file of a material."""
 
@@ -48,7 +46,7 @@ def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[di
     Returns the path of each material's file by its name, and the paths of files of other materials, which an earlier
     batch wrote. A file that differs only in the date is kept. Raises HapticdError.
     """
-    target = folder / MATERIALS_FOLDER
+    target = folder / "materials"
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:

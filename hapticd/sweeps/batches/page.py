@@ -31,8 +31,6 @@ from hapticd.sweeps.batches.batch import Quality
 from hapticd.sweeps.batches.ranking import FitResult, MaterialResult, counts
 from hapticd.sweeps.worker_check import code_version
 
-PAGE_FILE: Final = "report.html"
-"""Name of the page in a result folder."""
 COMPARED_FIGURES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "tap": ("frequency_hz", "decay_time_s", "first_peak_slope_per_s"),
     "grooves": ("spacing_m", "frequency_hz", "velocity_gain_per_s"),
@@ -54,7 +52,7 @@ def write_page(
     drawn: bool,
     note: Callable[[str], None],
 ) -> None:
-    """Write the page into `folder`.
+    """Write the page into `folder` as report.html.
 
     Args:
         title: Title of the page.
@@ -67,7 +65,7 @@ def write_page(
     An existing page of the same content is kept, since drawing takes longer than everything else if all fits are done.
     Raises HapticdError.
     """
-    path = folder / PAGE_FILE
+    path = folder / "report.html"
     check_regular(path)
     content = repr([title, results, files, drawn, COMPARED_FIGURES]) + code_version()
     mark = f"<!-- {sha256(content.encode(errors='backslashreplace')).hexdigest()} -->\n"

@@ -39,8 +39,6 @@ from hapticd.sweeps.batches.folder_yaml import (
 
 FIT_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 """All kinds of fits."""
-_YAML_ENDINGS: Final = (".yaml", ".yml")
-"""Endings of YAML files."""
 _KINDS_TEXT: Final = ", ".join(FIT_KINDS[:-1]) + " or " + FIT_KINDS[-1]
 """All kinds of fits, as text for errors."""
 
@@ -178,7 +176,7 @@ class _Reader:
                 level.folders.append(inside)
             elif ending_of(entry) in TABLE_READERS:
                 level.recordings.append(inside)
-            elif ending_of(entry) in _YAML_ENDINGS:
+            elif ending_of(entry) in (".yaml", ".yml"):
                 self.yaml(level, entry, entries)
             else:
                 self.others.append(inside)
