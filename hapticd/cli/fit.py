@@ -291,7 +291,7 @@ def _print_ranking(results: Sequence[MaterialResult]) -> None:
     rows = []
     for rank, each in list(enumerate(results, 1))[hidden:]:
         kinds = ", ".join(fit.kind for fit in each.fits)
-        count = sum(len(fit.asked.files) for fit in each.fits)
+        count = sum(len(fit.recordings.files) for fit in each.fits)
         rows.append((str(rank), each.name, each.quality, kinds, str(count), each.shown_reasons))
     columns = (">rank", "material", "verdict", "fits", ">recordings", "reasons")
     print_table(columns, rows, broken="reasons", width=None if sys.stdout.isatty() else _COLUMNS_OF_A_FILE)

@@ -1,42 +1,42 @@
-"""Studies of many points on dask: sweeps of simulations.
+"""Sweeps of simulations: studies of many points, computed on dask.
 
-What is computed:
+Studies and points:
 
-    sweep             a sweep from Python: a DataFrame
+    sweep             runs a study from Python and returns a DataFrame
     keys              the keys of a study's YAML file, each with its range
-    study             reads a study, with every fault at its line
-    axes              the values of what is varied, and which of them make a point
-    identity          by what a point is known: a hash of all that it computes
+    study             reads and validates a study, with every fault at its line
+    axes              the values of each varied key, and their combination into points
+    identity          the identity of a point: a hash of everything that its result depends on
     plan              the points of a study, in pieces
     point             configuration, operator and run of one point
-    refine            the boundary of a condition along one key
-    measures/         what is measured of a point
+    refine            the search for the boundary of a condition along one key
+    measures/         quantities that are measured at a point
     columns           the columns of a result: name, kind, unit
 
-    batches/          batches of fits: a tree of recordings, a folder for each material
+    batches/          batches of fits over a tree of recordings
     participants/     many simulated participants of an experiment
 
-What is shown:
+Figures and pages:
 
     figure_keys       the keys of `figures`
-    figure_faults     what is wrong between the figures of a study and its columns
-    default_figures   the figures of a study that names none
-    results           the rows of a folder, with words for their columns
-    axis_scales       how the values of a column lie on an axis
+    figure_faults     checks the figures of a study against its columns
+    default_figures   the figures of a study without the key `figures`
+    results           the rows of a result folder, and the label of each column
+    axis_scales       scale, unit and ticks of an axis
     map_figure        a measured column as a color over two varied keys
     line_figure       measured columns over one varied key
-    figures           what each figure draws, as PNG and for a page
+    figures           draws figures as PNG files and as SVG for a page
     report_page       figures, tables and study as one HTML page
 
-How:
+Engine:
 
-    work              what the engine is given: points that are known by their identity, in pieces
-    engine            sends pieces to workers, and keeps each as soon as it is done
-    task              what a worker is sent
-    interrupts        SIGINT and SIGTERM, where nothing is half done
-    cluster           where workers are: processes, threads, or a scheduler that runs
-    forked_workers    the process that workers of this machine are forked from
-    preloaded         what that process imports
-    worker_check      whether a worker runs the same hapticd
-    store             results in a folder, as Parquet
+    work              the interface of a study to the engine: points with identities, in pieces
+    engine            sends pieces to workers, and stores the rows of each as soon as it is done
+    task              the function that a worker runs on a piece
+    interrupts        defers SIGINT and SIGTERM to moments without half-written results
+    cluster           dask clients of local processes, local threads, or a running scheduler
+    forked_workers    the process that local workers are forked from
+    preloaded         the modules that this process imports
+    worker_check      the code version, which scheduler and worker compare
+    store             results in a folder, as Parquet files
 """

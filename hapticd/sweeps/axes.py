@@ -1,4 +1,7 @@
-"""The values of what is varied, and which of them make a point: crossed, zipped, or drawn at random."""
+"""The axes of a study: the values of each varied key, and their combination into points.
+
+Axes are crossed, zipped, or drawn at random.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ import numpy.typing as npt
 from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.yaml_source import Json
 from hapticd.sweeps.columns import Kind, Value
-from hapticd.sweeps.keys import DRAWN, MOST_POINTS, SweepAxis, SweepStudy
+from hapticd.sweeps.keys import DRAWING_COMBINES, MAX_SWEEP_POINTS, SweepAxis, SweepStudy
 
 Indices: TypeAlias = npt.NDArray[np.int32]
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -22,29 +25,30 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """What is varied under one name."""
+    """One entry of `vary`: a varied key, or a set of named levels."""
 
     name: str
-    """The key's path, or what a person calls the levels."""
+    """Path of the key, or the name that the study gives to the levels."""
     values: tuple[Value, ...] | Floats
-    """The different values; the names of levels."""
+    """The values of the key, or the names of the levels."""
     of_point: Indices
-    """(n,) which of the values each point has."""
+    """Index of the value of each point, (n,)."""
     kind: Kind
+    """Kind of the column."""
 
     @property
     def plain_values(self) -> Sequence[Value]:
-        """The different values, none of them numpy's."""
+        """The values as plain Python objects."""
         return self.values.tolist() if isinstance(self.values, np.ndarray) else self.values
 
 
 def axes_of(study: SweepStudy) -> tuple[Axis, ...]:
-    """What each point has of everything that is varied; without an axis there is one point.
+    """Return the axes of a study, with the value that each point has on each; without axes there is one point.
 
-    Draws depend on the seed and on the axis' name alone, not on other axes. Raises InvalidError where there would be
-    too many points, or where axes that are zipped are not of one length.
+    Random values depend only on the seed and the name of the axis, not on other axes. Raises InvalidError for more than
+    MAX_SWEEP_POINTS points, or zipped axes of different lengths.
     """
-    if study.combine in DRAWN:
+    if study.combine in DRAWING_COMBINES:
         assert study.count is not None
         return tuple(_drawn(study, name, axis, study.count) for name, axis in study.vary.items())
     values = {name: _listed(study, name, axis) for name, axis in study.vary.items()}
@@ -52,13 +56,13 @@ def axes_of(study: SweepStudy) -> tuple[Axis, ...]:
     if study.combine == "zipped":
         if len(set(counts)) > 1:
             lengths = ", ".join(f"{name} {len(each)}" for name, each in values.items())
-            raise InvalidError([Problem("vary", f"zipped keys need equally many values, have: {lengths}")])
+            raise InvalidError([Problem("vary", f"zipped keys must have the same number of values, have: {lengths}")])
         index = np.arange(counts[0] if counts else 1, dtype=np.int32)
         return tuple(Axis(name, each, index, _kind(each)) for name, each in values.items())
     total = math.prod(counts)
-    if total > MOST_POINTS:
+    if total > MAX_SWEEP_POINTS:
         product = " x ".join(map(str, counts))
-        raise InvalidError([Problem("vary", f"would be {product} = {total} points; the most are {MOST_POINTS}")])
+        raise InvalidError([Problem("vary", f"{product} = {total} points are too many, at most {MAX_SWEEP_POINTS}")])
     found = []
     inner = total
     for name, each in values.items():
@@ -84,13 +88,13 @@ def _random(study: SweepStudy, name: str) -> np.random.Generator:
 
 
 def _listed(study: SweepStudy, name: str, axis: SweepAxis) -> tuple[Value, ...] | Floats:
-    """The values of an axis that has a number of them."""
+    """Return the values of an axis that has a list, levels, a count or a number of draws."""
     if axis.values is not None:
-        return _alike(axis.values)
+        return _as_floats_if_mixed(axis.values)
     if axis.levels is not None:
         return tuple(axis.levels)
     if axis.draws is not None:
-        return _at(axis, _random(study, name).random(axis.draws))
+        return _quantiles(axis, _random(study, name).random(axis.draws))
     assert axis.count is not None and axis.low is not None and axis.high is not None
     if axis.count == 1:
         return np.array([axis.low])
@@ -98,12 +102,13 @@ def _listed(study: SweepStudy, name: str, axis: SweepAxis) -> tuple[Value, ...] 
         found = np.geomspace(axis.low, axis.high, axis.count)
     else:
         found = np.linspace(axis.low, axis.high, axis.count)
-    whole = found.astype(np.int64)
-    # Numbers that are counted: seeds, frames.
-    return tuple(whole.tolist()) if axis.spacing == "linear" and np.array_equal(whole, found) else found
+    integers = found.astype(np.int64)
+    # Integer values such as seeds and frame counts stay integers.
+    return tuple(integers.tolist()) if axis.spacing == "linear" and np.array_equal(integers, found) else found
 
 
-def _alike(values: tuple[Value, ...]) -> tuple[Value, ...] | Floats:
+def _as_floats_if_mixed(values: tuple[Value, ...]) -> tuple[Value, ...] | Floats:
+    """Return values as an array of floats if they are floats and integers, otherwise unchanged."""
     kinds = set(map(type, values))
     if float in kinds and kinds <= {int, float}:
         return np.array(values, dtype=np.float64)
@@ -111,14 +116,14 @@ def _alike(values: tuple[Value, ...]) -> tuple[Value, ...] | Floats:
 
 
 def shown_value(value: Value, kind: Kind) -> Value:
-    """A value as its column has it: where values are of several types, all of them are texts."""
+    """Return a value as it is written in a column of this kind: in a text column all values are texts."""
     if kind != "text" or isinstance(value, str):
         return value
     return str(value).lower() if isinstance(value, bool) else f"{value}"
 
 
-def _at(axis: SweepAxis, part: Floats) -> Floats:
-    """The quantiles of an axis' distribution, (n,) from (n,) in 0 to 1."""
+def _quantiles(axis: SweepAxis, part: Floats) -> Floats:
+    """Return the quantiles of the distribution of an axis, (n,), at probabilities `part`, (n,), from 0 to 1."""
     if axis.is_normal:
         assert axis.mean is not None and axis.standard_deviation is not None
         inverse = NormalDist(axis.mean, axis.standard_deviation).inv_cdf
@@ -130,19 +135,19 @@ def _at(axis: SweepAxis, part: Floats) -> Floats:
 
 
 def _drawn(study: SweepStudy, name: str, axis: SweepAxis, count: int) -> Axis:
-    """An axis of drawn points. Of a Latin hypercube each of `count` equally probable parts has one point."""
+    """Return an axis of `count` random values; in a Latin hypercube each of `count` equally probable parts has one."""
     random = _random(study, name)
     if study.combine == "random":
         part = random.random(count)
     else:
         part = (random.permutation(count) + random.random(count)) / count
     if axis.values is None and axis.levels is None:
-        return Axis(name, _at(axis, part), np.arange(count, dtype=np.int32), "number")
-    values = tuple(axis.levels) if axis.levels is not None else _alike(axis.values or ())
+        return Axis(name, _quantiles(axis, part), np.arange(count, dtype=np.int32), "number")
+    values = tuple(axis.levels) if axis.levels is not None else _as_floats_if_mixed(axis.values or ())
     return Axis(name, values, np.minimum(part * len(values), len(values) - 1).astype(np.int32), _kind(values))
 
 
 def settings(study: SweepStudy, name: str, value: Value) -> Mapping[str, Json]:
-    """The keys that a value of an axis sets: its own, or those of the level of that name."""
+    """Return the keys that a value of an axis sets: the varied key itself, or those of the level of that name."""
     levels = study.vary[name].levels
     return {name: value} if levels is None else levels[str(value)]

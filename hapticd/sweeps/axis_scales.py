@@ -1,4 +1,4 @@
-"""How values of a column lie on an axis: linear, logarithmic or side by side, in a unit that is easy to read."""
+"""The scale of an axis: linear, logarithmic or categories, in a unit that keeps its numbers short."""
 
 from __future__ import annotations
 
@@ -22,51 +22,51 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Spacing: TypeAlias = Literal["linear", "logarithmic", "categories"]
 Which: TypeAlias = Literal["x", "y"]
 
-WIDE: Final = 30.0
-"""Measured values, all above 0, whose largest is so many times the least are on a logarithmic axis."""
-_PLAIN, _MOST_PLAIN = 1e4, 1e7
-"""A number from one to the other has no exponent: 10000."""
-_MOST_TICKS: Final = 8
-"""So many values that a study lists have a tick each."""
-_UNITS: Final[dict[str, tuple[tuple[float, float, str], ...]]] = {
+LOGARITHMIC_FROM_RATIO: Final = 30.0
+"""Positive measured values get a logarithmic axis if the largest is at least 30 times the smallest."""
+_PLAIN_FROM, _PLAIN_BELOW = 1e4, 1e7
+"""Floats in this range are written without an exponent: 10000."""
+_MAX_TICKS: Final = 8
+"""Up to this number, the listed values of a varied key have a tick each."""
+_READABLE_UNITS: Final[dict[str, tuple[tuple[float, float, str], ...]]] = {
     "m": ((1e-3, 1e6, "µm"), (1.0, 1e3, "mm")),
     "s": ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms")),
     "kg": ((1.0, 1e3, "g"),),
     "us": ((math.inf, 1.0, "µs"),),
 }
-"""By unit: if the largest value is below the first number, values are multiplied by the second, in the third."""
+"""For each unit, tuples (limit, factor, unit): if the largest value is below limit, values times factor are in unit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """One axis."""
+    """The scale of one axis."""
 
     label: str
-    """Words and unit."""
+    """Axis label: words and unit."""
     spacing: Spacing
     factor: float = 1.0
-    """Numbers are multiplied by it."""
+    """Factor from the column's unit to the unit of the axis."""
     unit: str = ""
-    """As it is written at the axis."""
+    """The unit of the axis."""
     ticks: tuple[float, ...] = ()
-    """Where ticks are, in the axis' unit; none: where matplotlib has them."""
+    """Positions of the ticks in the unit of the axis; if empty, matplotlib chooses them."""
     categories: tuple[Value, ...] = ()
-    """Values that lie one beside the other, at 0, 1, 2..."""
+    """Values at the positions 0, 1, 2... of an axis of categories."""
 
     def at(self, values: Sequence[Value]) -> Floats:
-        """Where values lie, (n,); what is None is NaN."""
+        """Return the positions of values on the axis, (n,); NaN for None."""
         if self.spacing == "categories":
             return np.array([float(self.categories.index(value)) for value in values])
         return np.array([math.nan if value is None else self.factor * float(value) for value in values])
 
     def text(self, value: Value, with_unit: bool = True) -> str:
-        """A value in a caption or a legend: `40 g`."""
+        """Return a value as text for a caption or a legend: `40 g`."""
         if self.spacing == "categories" or not isinstance(value, int | float):
             return shown(value)
         return f"{shown(self.factor * value)} {self.unit if with_unit else ''}".rstrip()
 
     def edges(self, centers: Floats) -> Floats:
-        """The borders of cells about centers that ascend, (n + 1,): half way to the next, as the axis is spaced."""
+        """Return the edges of cells around ascending centers, (n + 1,), half way between neighbours on the axis."""
         if len(centers) == 1:
             step = 0.5 if self.spacing == "categories" else abs(centers[0]) * 0.1 or 0.5
             return np.array([centers[0] - step, centers[0] + step])
@@ -76,12 +76,12 @@ class Scale:
         return np.exp(found) if self.spacing == "logarithmic" else found
 
     def prepare(self, axes: Axes, which: Which) -> None:
-        """Before anything is drawn: what a line on this axis is laid out by."""
+        """Set a logarithmic scale if the axis has one. Must be called before anything is drawn."""
         if self.spacing == "logarithmic":
             (axes.set_xscale if which == "x" else axes.set_yscale)("log")
 
     def label_ticks(self, axes: Axes, which: Which) -> None:
-        """After everything is drawn: ticks with plain numbers, as many as have room."""
+        """Set ticks with plain numbers, as many as have room. Must be called after everything is drawn."""
         from matplotlib.ticker import NullLocator
 
         axis = axes.xaxis if which == "x" else axes.yaxis
@@ -96,23 +96,23 @@ class Scale:
         decades = math.log10(high / low)
         if decades <= MANY_DECADES:
             plain_decades(axis, next(steps for most, steps in STEPS if decades <= most))
-        # matplotlib adds what it has beyond either end, which would stretch the axis.
+        # matplotlib adds ticks beyond the limits, which would stretch the axis.
         (axes.set_xlim if which == "x" else axes.set_ylim)(low, high)
 
 
 def shown(value: Value) -> str:
-    """A value in a legend, at a tick or in a table."""
+    """Return a value as text for a legend, a tick or a table."""
     if value is None:
         return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if not isinstance(value, float):
         return str(value)
-    return f"{value:.0f}" if _PLAIN <= abs(value) < _MOST_PLAIN else f"{value:.4g}"
+    return f"{value:.0f}" if _PLAIN_FROM <= abs(value) < _PLAIN_BELOW else f"{value:.4g}"
 
 
 def key_scale(results: Results, name: str) -> Scale:
-    """Of a varied key: logarithmic where its values are spaced so."""
+    """Return the scale of a varied key: logarithmic if its values are spaced logarithmically."""
     column, values = results.column(name), results.values(name)
     if column.kind in ("text", "boolean"):
         return Scale(results.words(name), "categories", categories=tuple(values))
@@ -121,12 +121,15 @@ def key_scale(results: Results, name: str) -> Scale:
     ranged = axis.is_range and numbers.min() > 0
     logarithmic = axis.spacing == "logarithmic" if ranged else _geometric(numbers)
     found = _scale(results.words(name), column, numbers, logarithmic, bare=name not in results.study.labels)
-    listed = axis.values is not None and len(numbers) <= _MOST_TICKS
+    listed = axis.values is not None and len(numbers) <= _MAX_TICKS
     return replace(found, ticks=tuple((found.factor * numbers).tolist())) if listed else found
 
 
 def measured_scale(results: Results, names: Sequence[str], words: str | None, values: Sequence[Value]) -> Scale:
-    """Of measured columns of one unit, drawn with these values among them; `words` instead of the columns' own."""
+    """Return the scale of measured columns of one unit that are drawn with these values.
+
+    `words` replaces the labels of the columns.
+    """
     column = results.column(names[0])
     bare = words is None and names[0] not in results.study.labels
     words = words or ", ".join(results.words(name) for name in names)
@@ -138,20 +141,25 @@ def measured_scale(results: Results, names: Sequence[str], words: str | None, va
     if refine is not None and names[0] == "boundary":
         logarithmic = refine.spacing == "logarithmic"
     else:
-        logarithmic = len(numbers) > 0 and bool(numbers.min() > 0 and numbers.max() >= WIDE * numbers.min())
+        logarithmic = len(numbers) > 0 and bool(
+            numbers.min() > 0 and numbers.max() >= LOGARITHMIC_FROM_RATIO * numbers.min()
+        )
     return _scale(words, column, numbers, logarithmic, bare)
 
 
 def unit_scale(unit: str, largest: float) -> tuple[float, str]:
-    """The factor of a unit that suits values up to this magnitude, and the unit's sign."""
-    for below, factor, text in _UNITS.get(unit, ()):
+    """Return factor and symbol of a readable unit for values in `unit` up to the magnitude `largest`."""
+    for below, factor, text in _READABLE_UNITS.get(unit, ()):
         if largest < below:
             return factor, text
     return 1.0, unit
 
 
 def _scale(words: str, column: Column, numbers: Floats, logarithmic: bool, bare: bool) -> Scale:
-    """`bare`: the words are not the study's own, which may say of what a number without a unit is a ratio."""
+    """Return a linear or logarithmic scale in a readable unit.
+
+    With `bare`, a number without a unit is labelled `(no unit)`; a label of the study itself is used as it is.
+    """
     factor, unit = unit_scale(column.unit, float(np.abs(numbers).max(initial=0.0)))
     without = " (no unit)" if bare and column.kind == "number" else ""
     label = f"{words}, {unit}" if unit else words + without
@@ -159,7 +167,7 @@ def _scale(words: str, column: Column, numbers: Floats, logarithmic: bool, bare:
 
 
 def _geometric(numbers: Floats) -> bool:
-    """Whether listed numbers are nearer to equal ratios than to equal steps."""
+    """Return whether listed numbers are closer to equal ratios than to equal steps."""
     if len(numbers) < 3 or numbers.min() <= 0:
         return False
     steps, ratios = np.diff(numbers), np.diff(np.log(numbers))

@@ -1,4 +1,4 @@
-"""Where a study is computed: processes or threads of this machine, or the workers of a scheduler that runs."""
+"""Dask clients of a study: local processes, local threads, or the workers of a running scheduler."""
 
 from __future__ import annotations
 
@@ -12,53 +12,59 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 from hapticd.base.errors import HapticdError, on_one_line
-from hapticd.sweeps.forked_workers import METHOD, start_fork_server
+from hapticd.sweeps.forked_workers import START_METHOD, start_fork_server
 from hapticd.sweeps.interrupts import deferred_interrupts
 
-CONNECT_S: Final = 10.0
-START_S: Final = 120.0
-"""For the processes of all workers to start, on a machine that is busy."""
-END_S: Final = 1.0
-"""For a worker to end, before it is killed."""
-_HERE: Final = "127.0.0.1:0"
-"""A free port that this machine alone can reach."""
-_SEEN_LESS: Final = {
+SCHEDULER_TIMEOUT_S: Final = 10.0
+"""Time in s within which a scheduler must answer."""
+WORKERS_START_TIMEOUT_S: Final = 120.0
+"""Time in s within which all local worker processes must have started; long enough for a busy machine."""
+WORKER_END_TIMEOUT_S: Final = 1.0
+"""Time in s that a worker gets to end before it is killed."""
+_LOCAL_ADDRESS: Final = "127.0.0.1:0"
+"""A free port that only this machine can reach."""
+_MONITORING_SETTINGS: Final = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.system-monitor.interval": "5s",
 }
-"""Dask observes its own processes: with two workers this takes 11 % of a processor by default, and 3 % like this. The
-dashboard's profiles are empty then."""
+"""Settings of dask that reduce the monitoring of its processes.
+
+With two workers it takes 11 % of a processor by default, and 3 % with these. The dashboard then shows no profiles.
+"""
 
 
 def require_dask() -> None:
-    """Raises HapticdError (one line) where dask is missing."""
-    # It is not imported here: that takes as long as the start of the process that workers are forked from, which is
-    # started first.
+    """Raise HapticdError (one line) if dask is missing."""
+    # Dask is not imported here, since its import takes as long as the start of the fork server, which is started first.
     if importlib.util.find_spec("distributed") is None:
         raise HapticdError("sweeps need dask: pip install 'hapticd[cluster]'")
 
 
 def processors() -> int:
-    """Those that this process may use."""
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 @contextmanager
 def client_of(scheduler: str | None, workers: int | None, threads: bool) -> Iterator[Any]:
-    """A `distributed.Client`: of the scheduler at an address, or of as many processes as there are processors, or
-    `workers` of them; with `threads` of threads of this process, which open no port.
+    """Open a `distributed.Client` and close it at the end of the context.
 
-    Processes listen on 127.0.0.1 alone. TLS of a scheduler is that of dask's own configuration. Raises HapticdError.
+    Args:
+        scheduler: Address of a running scheduler. TLS is configured in dask's own configuration.
+        workers: Number of local processes or threads, by default the number of processors.
+        threads: Use threads of this process, which open no port. Local processes listen on 127.0.0.1 only.
+
+    Raises HapticdError if the scheduler cannot be used, or local processes do not start.
     """
     require_dask()
     count = processors() if workers is None else workers
     if scheduler is None and not threads:
-        start_fork_server()  # imports while this process does
+        start_fork_server()  # first, so that it imports its modules while this process imports dask
     import distributed  # noqa: F401
 
-    # What goes wrong is told in our words, by whoever uses the client.
-    for name in ("distributed", "distributed.client"):  # dask sets the level of each
+    # Users of the client report errors themselves, so dask's logs are silenced.
+    for name in ("distributed", "distributed.client"):  # dask sets the levels of both
         logging.getLogger(name).setLevel(logging.CRITICAL)
     if scheduler is not None:
         with _reached(scheduler) as client:
@@ -76,14 +82,14 @@ def _reached(scheduler: str) -> Iterator[Any]:
     from distributed import Client
 
     try:
-        # First by itself: a client that could not connect would try again when it is thrown away.
+        # Checked without a client: one that fails to connect tries again when it is deleted.
         found = asyncio.run(_kind_of(scheduler))
         if found != "Scheduler":
-            raise HapticdError(f"{scheduler}: is no scheduler, but a {found.lower()}")
-        client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+            raise HapticdError(f"{scheduler}: not a dask scheduler, but a {found.lower()}")
+        client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)
     except OSError as error:
         why = f": {on_one_line(str(error))}" if str(error) else ""
-        raise HapticdError(f"{scheduler}: no scheduler answers there within {CONNECT_S:g} s{why}") from None
+        raise HapticdError(f"{scheduler}: no scheduler answers within {SCHEDULER_TIMEOUT_S:g} s{why}") from None
     except (ValueError, TypeError, RuntimeError) as error:
         raise HapticdError(f"{scheduler}: cannot be used: {on_one_line(str(error))}") from None
     try:
@@ -94,13 +100,16 @@ def _reached(scheduler: str) -> Iterator[Any]:
 
 
 async def _kind_of(address: str) -> str:
-    """What answers at an address: Scheduler, Worker, Nanny. Raises OSError where nothing does within CONNECT_S."""
+    """Return the kind of dask server at an address: Scheduler, Worker or Nanny.
+
+    Raises OSError if there is no answer within SCHEDULER_TIMEOUT_S.
+    """
     from distributed import Security
     from distributed.comm.core import connect
 
-    comm = await connect(address, timeout=CONNECT_S, **Security().get_connection_args("client"))
+    comm = await connect(address, timeout=SCHEDULER_TIMEOUT_S, **Security().get_connection_args("client"))
     try:
-        async with asyncio.timeout(CONNECT_S):
+        async with asyncio.timeout(SCHEDULER_TIMEOUT_S):
             await comm.write({"op": "identity"})
             answer = await comm.read()
     finally:
@@ -115,15 +124,15 @@ def _threads(count: int) -> Iterator[Any]:
 
     cluster = client = None
     try:
-        with deferred_interrupts(), dask.config.set(_SEEN_LESS), warnings.catch_warnings():
-            # Dask asks for an address even for threads of one process. A machine without a network has none.
+        with deferred_interrupts(), dask.config.set(_MONITORING_SETTINGS), warnings.catch_warnings():
+            # Dask looks up an IP address even for threads of one process. A machine without a network has none.
             warnings.filterwarnings("ignore", "Couldn't detect a suitable IP address", RuntimeWarning)
             cluster = LocalCluster(
                 n_workers=1,
                 threads_per_worker=count,
                 processes=False,
-                dashboard_address=_HERE,
-                worker_dashboard_address=_HERE,
+                dashboard_address=_LOCAL_ADDRESS,
+                worker_dashboard_address=_LOCAL_ADDRESS,
                 silence_logs=logging.CRITICAL,
             )
             client = Client(cluster, set_as_default=False)
@@ -137,7 +146,7 @@ def _threads(count: int) -> Iterator[Any]:
 
 
 async def _without_listeners(cluster: Any) -> None:
-    """Dask has an HTTP server for the scheduler and one for each worker, whether a dashboard is wanted or not."""
+    """Stop the HTTP servers of scheduler and workers, which dask starts even without a dashboard."""
     for each in (cluster.scheduler, *cluster.workers.values()):
         each.http_server.stop()
 
@@ -148,28 +157,30 @@ def _processes(count: int) -> Iterator[Any]:
     import distributed.utils
     from distributed import Client, LocalCluster
 
-    # Dask would import pandas here, for a fork server of its own.
+    # Prevents dask from preloading pandas and other modules into a fork server.
     distributed.utils._forkserver_preload_set = True
     cluster = client = adaptive = None
-    with dask.config.set({"distributed.worker.multiprocessing-method": METHOD, **_SEEN_LESS}):
+    with dask.config.set({"distributed.worker.multiprocessing-method": START_METHOD, **_MONITORING_SETTINGS}):
         try:
             with deferred_interrupts():
                 cluster = LocalCluster(
                     n_workers=0,
                     threads_per_worker=1,
-                    memory_limit=1.0 / count,  # of what there is
+                    memory_limit=1.0 / count,  # as a fraction of the memory of the machine
                     host="127.0.0.1",
-                    dashboard_address=_HERE,
+                    dashboard_address=_LOCAL_ADDRESS,
                     silence_logs=logging.CRITICAL,
                 )
                 client = Client(cluster, set_as_default=False)
                 cluster.scale(count)
-                # A process that ends while it starts is given up for good otherwise.
+                # Without this, a process that ends during its start is never replaced.
                 adaptive = cluster.adapt(minimum=count, maximum=count)
             try:
-                client.wait_for_workers(count, timeout=START_S)
+                client.wait_for_workers(count, timeout=WORKERS_START_TIMEOUT_S)
             except TimeoutError:
-                raise HapticdError(f"{count} processes of workers did not start within {START_S:g} s") from None
+                raise HapticdError(
+                    f"{count} worker processes did not start within {WORKERS_START_TIMEOUT_S:g} s"
+                ) from None
             yield client
         finally:
             with deferred_interrupts():
@@ -183,5 +194,8 @@ def _processes(count: int) -> Iterator[Any]:
 
 
 async def _end_workers(cluster: Any) -> None:
-    """They hold nothing that is needed: after END_S they are killed, where dask gives them four seconds."""
-    await asyncio.gather(*(each.close(timeout=END_S / 0.8) for each in cluster.workers.values()))
+    """End the workers, and kill them after WORKER_END_TIMEOUT_S; dask would wait four seconds.
+
+    Workers hold no data that is still needed.
+    """
+    await asyncio.gather(*(each.close(timeout=WORKER_END_TIMEOUT_S / 0.8) for each in cluster.workers.values()))

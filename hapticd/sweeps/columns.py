@@ -1,4 +1,4 @@
-"""The columns of a result: name, kind and unit."""
+"""The columns of a result table: name, kind and unit."""
 
 from __future__ import annotations
 
@@ -7,22 +7,24 @@ from typing import Final, Literal, TypeAlias
 
 Value: TypeAlias = bool | int | float | str | None
 Row: TypeAlias = dict[str, Value]
-"""One point, by column: `point` first, then what is varied, what is measured, and `error` last."""
+"""The values of one point by column name: `point`, varied keys, measured columns, `error`, in this order."""
 Kind: TypeAlias = Literal["number", "integer", "boolean", "text"]
 Role: TypeAlias = Literal["point", "varied", "measured", "error"]
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column."""
+    """A column of a result table."""
 
     name: str
     kind: Kind
     role: Role
     unit: str = ""
-    """As in `N/m`; empty: it has none."""
+    """For example `N/m`; empty for a column without a unit."""
     description: str = ""
 
 
-POINT: Final = Column("point", "text", "point", description="Identity of the point: 32 hexadecimal digits.")
-ERROR: Final = Column("error", "text", "error", description="Why the point has no result; absent: it has one.")
+POINT_COLUMN: Final = Column("point", "text", "point", description="Identity of the point: 32 hexadecimal digits.")
+"""The first column of every row."""
+ERROR_COLUMN: Final = Column("error", "text", "error", description="Why the point has no result; null if it has one.")
+"""The last column of every row."""

@@ -1,7 +1,8 @@
-"""Computes the points of a study on the workers of a dask scheduler, and keeps each piece as soon as it is done.
+"""The engine: computes the points of a study on the workers of a dask scheduler.
 
-Points go out in pieces of 1 to 10 s, shorter ones at the end, and a few at a time, so that a million points are never a
-million tasks. Only this process writes results; a worker needs nothing but hapticd and what a piece brings.
+Points are submitted in pieces of 1 to 10 s, shorter ones at the end, and only a few pieces at a time, so that a million
+points are never a million tasks. Only this process writes results, and it writes each piece as soon as it is done. A
+worker needs only hapticd and the content of its piece.
 """
 
 from __future__ import annotations
@@ -19,54 +20,60 @@ import numpy.typing as npt
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, on_one_line
-from hapticd.sweeps.columns import ERROR, POINT, Column, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
 from hapticd.sweeps.interrupts import noted_interrupts, raise_interrupt
 from hapticd.sweeps.store import Store
-from hapticd.sweeps.task import Refusal, packed, task
+from hapticd.sweeps.task import Refusal, pickled, task
 from hapticd.sweeps.work import Work
 from hapticd.sweeps.worker_check import code_version
 
-SHORTEST_S: Final = 1.0
-LONGEST_S: Final = 10.0
-ROUNDS: Final = 20
-"""A study is cut into at least so many pieces for each worker, if they are not too short then."""
-AHEAD: Final = 2
-"""Pieces that wait at a worker, besides the one that it computes."""
-RESTART_S: Final = 30.0
-"""A scheduler without workers is given so long to get one."""
-LOOK_S: Final = 1.0
-"""How often workers are looked for where nothing comes."""
-ENDED: Final = "every worker that computed it ended: too little memory, or a crash"
-LAST_S: Final = 0.1
-"""No piece is made shorter than this for the sake of an even end."""
+MIN_PIECE_S: Final = 1.0
+"""Shortest computing time of a piece, except for the last ones, in s."""
+MAX_PIECE_S: Final = 10.0
+"""Longest computing time of a piece, in s."""
+MIN_PIECES_PER_THREAD: Final = 20
+"""A study has at least 20 pieces for each thread of a worker, unless these would be shorter than MIN_PIECE_S."""
+QUEUED_PIECES_PER_THREAD: Final = 2
+"""Number of pieces that wait at a worker for each of its threads, in addition to the one that it computes."""
+WORKER_WAIT_S: Final = 30.0
+"""Time in s after which a study ends if the scheduler has no workers."""
+WORKER_POLL_S: Final = 1.0
+"""Interval in s at which the scheduler is asked for its workers while no piece finishes."""
+WORKERS_ENDED_REASON: Final = "every worker that computed it ended: too little memory, or a crash"
+"""Error of a point that ended every worker which computed it."""
+MIN_LAST_PIECE_S: Final = 0.1
+"""Shortest computing time in s of the last pieces, which are made short so that all workers finish together."""
 
 Indices = npt.NDArray[np.int64]
+"""Indices of points in the study, (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a study is."""
+    """Progress of a study, in points."""
 
     done: int
     total: int
     failed: int
+    """Computed points whose row has an error."""
     left_s: float | None
-    """Estimated time left; None: nothing is known yet."""
+    """Estimated remaining time; None if it is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of a study."""
+    """Numbers of points, and times, of a study that was run."""
 
     points: int
     reused: int
-    """Rows that were there."""
+    """Points whose rows the folder already held."""
     computed: int
     failed: int
-    """Rows with an error, of those that were computed."""
+    """Computed points whose row has an error."""
     seconds: float
+    """Elapsed time, in s."""
     worker_seconds: float
-    """What workers spent on points, together."""
+    """Sum of the times that workers spent on points, in s."""
 
 
 def run(
@@ -77,11 +84,17 @@ def run(
     report: Callable[[Progress], None],
     again: bool = False,
 ) -> Outcome:
-    """Computes the points of a study that the folder does not hold, on the workers of a `distributed.Client`, which
-    `opened` gives if there is something to compute.
+    """Compute the points of a study that the folder does not hold.
 
-    `note` is called with a line about what goes wrong while the rest goes on. `again`: points whose row has an error
-    are computed anew. Raises HapticdError where no worker can be used, or where results could not be written.
+    Args:
+        work: The study.
+        store: The folder of results.
+        opened: Returns a context manager for a `distributed.Client`. It is called only if there are points to compute.
+        note: Is called with a line of text for each fault that does not end the study.
+        report: Is called with the progress after each piece.
+        again: Also compute the points again whose row has an error.
+
+    Raises HapticdError if no worker can be used, or if results cannot be written.
     """
     begin = perf_counter()
     with store.locked():
@@ -92,21 +105,23 @@ def run(
             return Outcome(*counts, computed=0, failed=0, seconds=perf_counter() - begin, worker_seconds=0.0)
         with opened() as client:
             engine = _Engine(work, store, client, note, report, missing)
-            engine.go_on()
+            engine.compute_all()
     return Outcome(*counts, engine.done, engine.failed, perf_counter() - begin, engine.spent_s)
 
 
 @dataclass(frozen=True, slots=True)
-class _Flying:
-    """A piece that is computed, or waits for it."""
+class _SubmittedPiece:
+    """A piece that a worker computes, or that waits at the scheduler or a worker."""
 
     part: Indices
     workers: frozenset[str] | None
-    """Those that may compute it; None: all."""
+    """Addresses of the workers that may compute it; None allows all."""
 
 
 @dataclass
 class _Engine:
+    """One run of a study: the points that are missing, the submitted pieces, and the workers."""
+
     work: Work
     store: Store
     client: Any
@@ -117,23 +132,27 @@ class _Engine:
     failed: int = 0
     spent_s: float = 0.0
     threads: int = 1
-    """Of the workers that are used."""
-    begun: int = 0
-    again: deque[Indices] = field(default_factory=deque)
-    """Pieces that have to be computed once more, in smaller parts."""
+    """Number of threads of all usable workers."""
+    taken: int = 0
+    """Number of missing points that were put into pieces."""
+    to_retry: deque[Indices] = field(default_factory=deque)
+    """Pieces that have to be computed again."""
     suspects: deque[Indices] = field(default_factory=deque)
-    """Points whose workers ended. Another piece there may have been the reason: each is tried alone at the end."""
-    alone: bool = False
-    """Whether a suspect is tried."""
-    flying: dict[Any, _Flying] = field(default_factory=dict)
-    """By future."""
-    came: SimpleQueue[Any] = field(default_factory=SimpleQueue)
+    """Points whose workers ended. Since another piece may have been the cause, each is computed alone at the end."""
+    trying_suspect: bool = False
+    """Whether a suspect is being computed."""
+    submitted: dict[Any, _SubmittedPiece] = field(default_factory=dict)
+    """Submitted pieces by their futures."""
+    finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)
     """Futures that are done, and None for an interrupt."""
     interrupted: int | None = None
-    """By which signal."""
+    """Number of the signal that arrived."""
     refused: set[str] = field(default_factory=set)
+    """Addresses of the workers that get no pieces."""
     unwritten: list[Row] = field(default_factory=list)
-    full: bool = False
+    """Computed rows that are not written yet."""
+    write_failed: bool = False
+    """Whether the last attempt to write rows failed."""
 
     def __post_init__(self) -> None:
         self.columns: tuple[Column, ...] = self.work.columns
@@ -141,200 +160,213 @@ class _Engine:
 
     # ---- Workers -----------------------------------------------------------------------------------------------------
 
-    def workers(self) -> list[str]:
-        """Those that may be used; `threads` is how many threads these have. Raises HapticdError where there is none."""
-        known = self._known()
-        deadline = monotonic() + RESTART_S
+    def usable_workers(self) -> list[str]:
+        """Return the addresses of the workers that may be used, and set `threads` to the number of their threads.
+
+        Waits up to WORKER_WAIT_S for a worker. Raises HapticdError if none can be used.
+        """
+        known = self._threads_of_workers()
+        deadline = monotonic() + WORKER_WAIT_S
         while not known and monotonic() < deadline:
-            with suppress(OSError):  # among them TimeoutError: where all have ended, new ones take their place
-                self.client.wait_for_workers(1, timeout=LOOK_S)
+            with suppress(OSError):  # OSError includes TimeoutError; ended local workers are started again
+                self.client.wait_for_workers(1, timeout=WORKER_POLL_S)
             self.end_if_interrupted()
-            known = self._known()
+            known = self._threads_of_workers()
         usable = {each: threads for each, threads in known.items() if each not in self.refused}
         if not usable:
             why = "none of its workers runs this hapticd" if known else "it has no workers"
-            raise HapticdError(f"the scheduler {self.client.scheduler.address} cannot be used: {why}")
+            raise HapticdError(f"{self.client.scheduler.address}: the scheduler cannot be used: {why}")
         self.threads = sum(usable.values())
         return list(usable)
 
-    def _known(self) -> dict[str, int]:
-        """Threads of each worker of the scheduler, by address. Raises HapticdError where the scheduler is gone."""
+    def _threads_of_workers(self) -> dict[str, int]:
+        """Return the number of threads of each worker by address. Raises HapticdError if the scheduler is gone."""
         try:
             found: dict[str, int] = self.client.nthreads()
         except (OSError, TimeoutError) as error:
-            gone = f"the scheduler {self.client.scheduler.address} is gone: {on_one_line(str(error))}"
-            raise HapticdError(f"{gone}; what is done stays, and the same command goes on") from None
+            gone = f"{self.client.scheduler.address}: the scheduler is gone: {on_one_line(str(error))}"
+            raise HapticdError(f"{gone}; results are kept: run the same command again to continue") from None
         return found
 
-    def examine(self) -> None:
-        """Asks each worker for its version. One that comes later is asked with its first piece."""
+    def check_versions(self) -> None:
+        """Refuse each worker whose code version differs. A worker that joins later is checked with its first piece."""
         for address, answer in self.client.run(code_version, on_error="return").items():
             if isinstance(answer, OSError):
-                continue  # it ended meanwhile
+                continue  # the worker has ended
             if isinstance(answer, Exception):
-                # What the worker could not send as it is, dask sends as a bare Exception with its text.
+                # Dask replaces an exception that cannot be pickled by a bare Exception with its text.
                 kind = "" if type(answer) is Exception else f"{type(answer).__name__}: "
                 self.refuse(address, on_one_line(f"{kind}{answer}"))
             elif answer != self.version:
                 self.refuse(address, f"it runs hapticd {answer}, this study needs {self.version}")
 
     def refuse(self, address: str, why: str) -> None:
-        """A worker gets nothing more."""
+        """Give a worker no more pieces, and report the reason once."""
         if address not in self.refused:
             self.refused.add(address)
             self.note(f"worker {address} is not used: {why}")
 
     # ---- Pieces ------------------------------------------------------------------------------------------------------
 
-    def size(self, threads: int) -> int:
-        """How many points the next piece has."""
+    def next_piece_size(self, threads: int) -> int:
+        """Return the number of points of the next piece, from the mean time of the computed points."""
         if not self.done:
             return 1
         each_s = max(self.spent_s / self.done, 1e-7)
-        left_s = (len(self.missing) - self.begun) * each_s
-        wanted_s = min(max(len(self.missing) * each_s / (ROUNDS * threads), SHORTEST_S), LONGEST_S)
-        return max(1, round(min(wanted_s, max(left_s / (2 * threads), LAST_S)) / each_s))
+        left_s = (len(self.missing) - self.taken) * each_s
+        wanted_s = min(max(len(self.missing) * each_s / (MIN_PIECES_PER_THREAD * threads), MIN_PIECE_S), MAX_PIECE_S)
+        return max(1, round(min(wanted_s, max(left_s / (2 * threads), MIN_LAST_PIECE_S)) / each_s))
 
     def next_piece(self, threads: int) -> Indices | None:
-        """Which points come next; None: all have begun."""
-        if self.again:
-            return self.again.popleft()
-        if self.begun == len(self.missing):
+        """Return the points of the next piece, or None if all points are in pieces."""
+        if self.to_retry:
+            return self.to_retry.popleft()
+        if self.taken == len(self.missing):
             return None
-        part = self.missing[self.begun : self.begun + self.size(threads)]
-        self.begun += len(part)
+        part = self.missing[self.taken : self.taken + self.next_piece_size(threads)]
+        self.taken += len(part)
         return part
 
     def submit(self) -> None:
-        """Gives each worker something to do, and something to go on with."""
+        """Submit pieces until each worker has one for each thread to compute, and QUEUED_PIECES_PER_THREAD waiting."""
         self.end_if_interrupted()
-        workers = frozenset(self.workers())
-        self.recall(workers)
-        # Until it is known how long a point takes, nothing waits.
-        most = self.threads * (1 + (AHEAD if self.done else 0))
-        while len(self.flying) < most and not self.alone:
+        workers = frozenset(self.usable_workers())
+        self.cancel_stranded(workers)
+        # Before the first result the time of a point is unknown, and no pieces are queued.
+        max_submitted = self.threads * (1 + (QUEUED_PIECES_PER_THREAD if self.done else 0))
+        while len(self.submitted) < max_submitted and not self.trying_suspect:
             part = self.next_piece(self.threads)
-            if part is None and self.suspects and not self.flying:
-                part, self.alone = self.suspects.popleft(), True
+            if part is None and self.suspects and not self.submitted:
+                part, self.trying_suspect = self.suspects.popleft(), True
             if part is None:
                 return
             future = self.client.submit(
                 task,
-                packed(self.work.piece(part)),
+                pickled(self.work.piece(part)),
                 self.version,
                 pure=False,
                 workers=sorted(workers) if self.refused else None,
                 allow_other_workers=False,
             )
-            self.flying[future] = _Flying(part, workers if self.refused else None)
-            future.add_done_callback(self.came.put)
+            self.submitted[future] = _SubmittedPiece(part, workers if self.refused else None)
+            future.add_done_callback(self.finished.put)
 
-    def recall(self, workers: frozenset[str]) -> None:
-        """Takes back what waits for workers that have all left: dask would keep it for their return."""
-        for future, flying in list(self.flying.items()):
-            if flying.workers is not None and not flying.workers & workers:
+    def cancel_stranded(self, workers: frozenset[str]) -> None:
+        """Cancel pieces whose allowed workers have all left; dask would keep them until one returns."""
+        for future, piece in list(self.submitted.items()):
+            if piece.workers is not None and not piece.workers & workers:
                 self.client.cancel([future], force=True)
-                del self.flying[future]
-                self.lost(flying.part, ENDED)
+                del self.submitted[future]
+                self.retry_or_fail(piece.part, WORKERS_ENDED_REASON)
 
-    def go_on(self) -> None:
-        """Until all is done. Raises HapticdError; and as a signal would, once nothing is half done."""
+    def compute_all(self) -> None:
+        """Submit pieces and store their rows until all points are done.
+
+        Raises HapticdError. After SIGINT or SIGTERM it stores the finished rows, then raises as in `raise_interrupt`.
+        """
         try:
             with noted_interrupts(self.interrupt):
-                self.examine()
+                self.check_versions()
                 self.submit()
-                while self.flying:
-                    # Where nothing comes, submit finds out whether there is still a worker.
+                while self.submitted:
+                    # If no piece finishes, submit checks that there still is a worker.
                     with suppress(Empty):
-                        self.take(self.came.get(timeout=LOOK_S))
+                        self.handle_finished(self.finished.get(timeout=WORKER_POLL_S))
                     self.submit()
         except BaseException:
             with suppress(OSError):  # the scheduler may be gone
-                self.client.cancel(list(self.flying), force=True)
+                self.client.cancel(list(self.submitted), force=True)
             try:
-                self.write_rest()
+                self.write_unwritten()
             except HapticdError as error:
                 self.note(str(error))
             raise
-        self.write_rest()
+        self.write_unwritten()
 
     def interrupt(self, number: int) -> None:
-        """From a signal's handler: the loop ends the study."""
+        """Wake the loop, which then ends the study. Is called from the handler of a signal."""
         self.interrupted = number
-        self.came.put(None)
+        self.finished.put(None)
 
     def end_if_interrupted(self) -> None:
-        """Raises as the signal would that has arrived."""
+        """Raise as in `raise_interrupt` if SIGINT or SIGTERM has arrived."""
         if self.interrupted is not None:
             raise_interrupt(self.interrupted)
 
-    def write_rest(self) -> None:
-        """What could not be written before. Raises HapticdError where it still cannot."""
+    def write_unwritten(self) -> None:
+        """Write the rows that could not be written before. Raises HapticdError if they still cannot."""
         if not self.unwritten:
             return
         try:
             self.store.write(self.unwritten, self.columns)
         except HapticdError as error:
             lost = wording.count(len(self.unwritten), "row")
-            raise HapticdError(f"{error}; {lost} of results are lost: the same command computes them again") from None
+            raise HapticdError(f"{error}; {lost} of results are lost: run the same command to compute them") from None
 
-    def take(self, future: Any) -> None:
-        """What came of a piece. What was lost with its worker before it came here, dask computes again meanwhile."""
+    def handle_finished(self, future: Any) -> None:
+        """Store the rows of a finished piece, or submit its points again.
+
+        Dask itself computes a piece again whose worker ended before its rows arrived here.
+        """
         from distributed import CancelledError, KilledWorker
 
-        if future not in self.flying:
-            return  # it was taken back, or it is an interrupt
-        part = self.flying[future].part
+        if future not in self.submitted:
+            return  # it was cancelled, or it is the None of an interrupt
+        part = self.submitted[future].part
         try:
-            found = future.result(timeout=RESTART_S)
+            found = future.result(timeout=WORKER_WAIT_S)
         except CancelledError:
-            self.again.append(part)
-        except Exception as failure:
-            if isinstance(failure, TimeoutError) and future.status != "error":
-                future.add_done_callback(self.came.put)
+            self.to_retry.append(part)
+        except Exception as error:
+            if isinstance(error, TimeoutError) and future.status != "error":
+                future.add_done_callback(self.finished.put)
                 return
-            self.lost(part, ENDED if isinstance(failure, KilledWorker) else f"{type(failure).__name__}: {failure}")
+            killed = isinstance(error, KilledWorker)
+            self.retry_or_fail(part, WORKERS_ENDED_REASON if killed else f"{type(error).__name__}: {error}")
         else:
             if isinstance(found[0], str):
                 refusal: Refusal = found
                 self.refuse(*refusal)
-                self.again.append(part)
+                self.to_retry.append(part)
             else:
                 rows, seconds = found
                 self.spent_s += seconds
-                self.keep(rows)
-        del self.flying[future]
-        self.alone = False
+                self.store_rows(rows)
+        del self.submitted[future]
+        self.trying_suspect = False
 
-    def lost(self, part: Indices, why: str) -> None:
-        """Nothing came of a piece: one of its points is at fault, and the others are to be had."""
+    def retry_or_fail(self, part: Indices, why: str) -> None:
+        """Submit the points of a failed piece again in up to eight parts; give a single point a row with the reason.
+
+        A single point whose workers ended is first suspected, and computed alone at the end.
+        """
         if len(part) > 1:
-            self.again.extend(np.array_split(part, min(len(part), 8)))
-        elif why == ENDED and not self.alone:
+            self.to_retry.extend(np.array_split(part, min(len(part), 8)))
+        elif why == WORKERS_ENDED_REASON and not self.trying_suspect:
             self.suspects.append(part)
         else:
-            self.alone = False
-            self.keep([self.failure(part[0], why)])
+            self.trying_suspect = False
+            self.store_rows([self.error_row(part[0], why)])
 
-    def failure(self, index: np.int64, why: str) -> Row:
-        """The row of a point of which nothing came."""
+    def error_row(self, index: np.int64, why: str) -> Row:
+        """Return the row of a point that has no result; `why` is its error."""
         row: Row = dict.fromkeys(column.name for column in self.columns)
-        row[POINT.name] = self.work.ids[index].tobytes().hex()
-        row[ERROR.name] = on_one_line(why)
+        row[POINT_COLUMN.name] = self.work.ids[index].tobytes().hex()
+        row[ERROR_COLUMN.name] = on_one_line(why)
         return row
 
-    def keep(self, rows: list[Row]) -> None:
-        """Writes a piece; where that fails it is written with the next one."""
+    def store_rows(self, rows: list[Row]) -> None:
+        """Write the rows of a piece; if that fails, keep them in memory and write them with the next piece."""
         self.done += len(rows)
-        self.failed += sum(row[ERROR.name] is not None for row in rows)
+        self.failed += sum(row[ERROR_COLUMN.name] is not None for row in rows)
         self.unwritten += rows
         try:
             self.store.write(self.unwritten, self.columns)
             self.unwritten = []
-            self.full = False
+            self.write_failed = False
         except HapticdError as error:
-            if not self.full:
+            if not self.write_failed:
                 self.note(f"{error}; results are kept in memory and written with the next ones")
-            self.full = True
+            self.write_failed = True
         left = len(self.missing) - self.done
         self.report(Progress(self.done, len(self.missing), self.failed, left * self.spent_s / self.done / self.threads))

@@ -1,4 +1,4 @@
-"""What is wrong between the figures of a study and its columns."""
+"""Checks the figures and labels of a study against its columns."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from hapticd.sweeps.columns import Column, Value
 from hapticd.sweeps.figure_keys import SweepFigure
 from hapticd.sweeps.keys import SweepStudy
 
-MOST_LINES: Final = 10
-"""Lines in one figure, and panels of one map: more are not told apart."""
+MAX_FIGURE_LINES: Final = 10
+"""Largest number of lines in a figure, and of panels in a map; more cannot be distinguished."""
 _DRAWN_AS_NUMBERS: Final = ("number", "integer", "boolean")
+"""Kinds of columns whose values are drawn as numbers."""
 
 
 def figure_faults(study: SweepStudy, columns: Sequence[Column], axes: Sequence[Axis]) -> list[tuple[Path, str]]:
-    """Of `figures` and `labels`, each with its place in the study."""
+    """Return the faults of `figures` and `labels`, each with its path in the study."""
     known = {column.name: column for column in columns}
     values = {axis.name: [shown_value(value, axis.kind) for value in axis.plain_values] for axis in axes}
     faults: list[tuple[Path, str]] = [
-        (("labels", name), f"the study has no column {name}; {known_names(name, list(known))}")
+        (("labels", name), f"unknown column {name}; {known_names(name, list(known))}")
         for name in study.labels
         if name not in known
     ]
@@ -32,7 +33,7 @@ def figure_faults(study: SweepStudy, columns: Sequence[Column], axes: Sequence[A
 
 
 class _Figure:
-    """One figure, and what it may draw."""
+    """Checks one figure against the columns and varied values of the study."""
 
     def __init__(
         self,
@@ -44,7 +45,7 @@ class _Figure:
         self._figure, self._columns, self._values, self._crossed = figure, columns, values, crossed
 
     def faults(self) -> list[tuple[Path, str]]:
-        """With paths relative to the figure."""
+        """Return the faults of the figure, with paths relative to it."""
         figure = self._figure
         faults = list(self._where_faults())
         if figure.kind == "table":
@@ -54,7 +55,7 @@ class _Figure:
         if figure.by is not None:
             keys["by"] = figure.by
         faults += [
-            ((place,), f"no key {name} is varied; {known_names(name, list(self._values))}")
+            ((place,), f"{name} is not a varied key; {known_names(name, list(self._values))}")
             for place, name in keys.items()
             if name not in self._values
         ]
@@ -64,7 +65,7 @@ class _Figure:
         if faults:
             return faults
         faults += [
-            (("overlay",), f"{name} is in {self._unit(name)}, y in {self._unit(figure.y[0])}")
+            (("overlay",), f"{name} must have the unit of y, {self._unit(figure.y[0])}, has {self._unit(name)}")
             for name in figure.overlay or ()
             if self._columns[name].unit != self._columns[figure.y[0]].unit
         ]
@@ -74,26 +75,26 @@ class _Figure:
         for place, names in (("columns", self._figure.columns or ()), ("best", tuple(self._figure.best or ()))):
             for name in names:
                 if name not in self._columns:
-                    yield (place,), f"the study has no column {name}; {known_names(name, list(self._columns))}"
+                    yield (place,), f"unknown column {name}; {known_names(name, list(self._columns))}"
                 elif place == "best" and self._columns[name].kind == "text":
-                    yield (place, name), f"{name} is a text: neither more nor less of it is better"
+                    yield (place, name), f"{name} is a text column; best needs numbers"
 
     def _unit(self, name: str) -> str:
         return self._columns[name].unit or "no unit"
 
     def _measured_faults(self, place: str, names: Sequence[str], texts: bool) -> list[tuple[Path, str]]:
-        """Columns that are not measured or cannot be drawn; `texts`: a text can be."""
+        """Return the faults of columns that are not measured or cannot be drawn; `texts` allows a text column."""
         measured = [name for name, column in self._columns.items() if column.role == "measured"]
         for name in names:
             if name not in measured:
-                return [((place,), f"nothing that is measured is called {name}; {known_names(name, measured)}")]
+                return [((place,), f"unknown measured column {name}; {known_names(name, measured)}")]
             kind = self._columns[name].kind
             if kind not in _DRAWN_AS_NUMBERS and not (texts and len(names) == 1):
-                return [((place,), f"{name} is a text: only a map of that column alone draws it")]
+                return [((place,), f"{name} is a text column: only a map of this single column can draw it")]
         units = {self._columns[name].unit for name in names}
         if len(units) > 1:
             listed = ", ".join(f"{name} ({self._unit(name)})" for name in names)
-            return [((place,), f"columns of one figure need one unit, have {listed}")]
+            return [((place,), f"columns of one figure must have the same unit, have: {listed}")]
         return []
 
     def _where_faults(self) -> list[tuple[Path, str]]:
@@ -101,24 +102,26 @@ class _Figure:
         faults: list[tuple[Path, str]] = []
         for name, value in self._figure.where.items():
             if name not in known:
-                what = "the study has no column" if self._figure.kind == "table" else "no key is varied that is called"
+                what = "unknown column" if self._figure.kind == "table" else "unknown varied key"
                 faults.append((("where", name), f"{what} {name}; {known_names(name, list(known))}"))
             elif name in self._values and value not in self._values[name]:
-                have = ", ".join(map(str, self._values[name][:MOST_LINES]))
-                faults.append((("where", name), f"no point has {shown(value)}; has: {have}"))
+                have = ", ".join(map(str, self._values[name][:MAX_FIGURE_LINES]))
+                faults.append((("where", name), f"no point has the value {shown(value)}; known: {have}"))
         return faults
 
     def _key_faults(self, keys: Mapping[str, str]) -> list[tuple[Path, str]]:
-        """Keys that are named twice, that have too many values, or that nothing in the figure tells apart."""
+        """Return the faults of keys that are used twice, have too many values, or are varied but not used."""
         faults: list[tuple[Path, str]] = []
         names = [*keys.values(), *self._figure.where]
-        faults += [((), f"{name} is named twice") for name in dict.fromkeys(names) if names.count(name) > 1]
+        faults += [((), f"{name} is used twice") for name in dict.fromkeys(names) if names.count(name) > 1]
         by = self._figure.by
-        if by is not None and len(self._values[by]) > MOST_LINES:
-            faults.append((("by",), f"{by} has {len(self._values[by])} values; at most {MOST_LINES} are told apart"))
-        if self._crossed:  # Of drawn or zipped points the figure is a view along the other keys.
+        if by is not None and len(self._values[by]) > MAX_FIGURE_LINES:
+            faults.append(
+                (("by",), f"{by} has {len(self._values[by])} values; at most {MAX_FIGURE_LINES} can be drawn")
+            )
+        if self._crossed:  # Random or zipped points are drawn at all values of the other keys.
             faults += [
-                ((), f"{name} is varied, too: name one of its values in where, or draw by it")
+                ((), f"{name} is varied, too: set one of its values in where, or use it as by")
                 for name, values in self._values.items()
                 if name not in names and len(values) > 1
             ]

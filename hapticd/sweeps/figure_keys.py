@@ -1,6 +1,6 @@
-"""The keys of `figures`: what a study has drawn of its results.
+"""The keys of `figures` in the YAML file of a sweep.
 
-Faults between a figure and the columns of the study are found by hapticd.sweeps.figure_faults.
+Faults that concern the columns of the study, too, are found by hapticd.sweeps.figure_faults.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ FigureKind: TypeAlias = Literal["map", "line", "table"]
 ColumnName: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=512)]
 Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
-MOST_COLUMNS: Final = 12
-"""So many columns are drawn in one figure."""
+MAX_FIGURE_COLUMNS: Final = 12
+"""Largest number of columns in one figure."""
 
 
 def _as_columns(value: object) -> object:
@@ -25,15 +25,20 @@ def _as_columns(value: object) -> object:
 
 
 Columns: TypeAlias = Annotated[
-    tuple[ColumnName, ...], Strict(False), BeforeValidator(_as_columns), Field(min_length=1, max_length=MOST_COLUMNS)
+    tuple[ColumnName, ...],
+    Strict(False),
+    BeforeValidator(_as_columns),
+    Field(min_length=1, max_length=MAX_FIGURE_COLUMNS),
 ]
 
-_BELONG: Final[dict[FigureKind, tuple[str, ...]]] = {
+_ALLOWED_KEYS: Final[dict[FigureKind, tuple[str, ...]]] = {
     "map": ("x", "y", "color", "axis_label", "by", "overlay", "legend"),
     "line": ("x", "y", "axis_label", "by", "overlay"),
     "table": ("best", "columns"),
 }
-_NEEDED: Final[dict[FigureKind, tuple[str, ...]]] = {"map": ("x", "y", "color"), "line": ("x", "y"), "table": ()}
+"""Keys that a figure may have in addition to the common ones, by its kind."""
+_REQUIRED_KEYS: Final[dict[FigureKind, tuple[str, ...]]] = {"map": ("x", "y", "color"), "line": ("x", "y"), "table": ()}
+"""Keys that a figure must have, by its kind."""
 
 
 class SweepFigure(CheckedTogether):
@@ -42,46 +47,48 @@ class SweepFigure(CheckedTogether):
     kind: FigureKind = Field(
         description="`map`: a measured column as a color over two varied keys; `line`: over one; `table`: some rows."
     )
-    title: Words | None = Field(default=None, description="By default what is drawn over what.")
+    title: Words | None = Field(default=None, description="Title; by default made of the drawn columns and their axes.")
     x: ColumnName | None = Field(default=None, description="A varied key.")
     y: Columns | None = Field(
-        default=None, description="Of a map: another varied key. Of lines: a measured column, or several of one unit."
+        default=None,
+        description="In a map: another varied key. In a line figure: a measured column, or several of one unit.",
     )
     color: Columns | None = Field(
-        default=None, description="Of a map: a measured column, or several of one unit, each in a panel."
+        default=None, description="In a map: a measured column, or several of one unit, each in a panel."
     )
     axis_label: Words | None = Field(
         default=None,
-        description="Words at the axis of measured values, without the unit; by default the columns' own.",
+        description="Label of the axis of measured values, without the unit; by default made of the columns.",
     )
     by: ColumnName | None = Field(
-        default=None, description="A varied key whose values have a line each, or a panel each in a map."
+        default=None, description="A varied key whose values have a line each, or in a map a panel each."
     )
     overlay: Columns | None = Field(
-        default=None, description="Measured columns in the unit of y, drawn over the figure as dashed lines."
+        default=None, description="Measured columns in the unit of y that are drawn as dashed lines."
     )
-    legend: Annotated[dict[ColumnName, Words], Field(max_length=MOST_COLUMNS)] | None = Field(
-        default=None, description="Of a map of texts: by text, in the order of the legend, the words for it."
+    legend: Annotated[dict[ColumnName, Words], Field(max_length=MAX_FIGURE_COLUMNS)] | None = Field(
+        default=None, description="In a map of texts: for each text its words in the legend, in this order."
     )
     where: dict[ColumnName, PlainScalar] = Field(
         default={},
-        description="By varied key: the value whose points are drawn; of a table, by any column.",
+        description="Values of varied keys: only points with these values are drawn. In a table, of any column.",
     )
-    best: Annotated[dict[ColumnName, Literal["least", "most"]], Field(max_length=MOST_COLUMNS)] | None = Field(
+    best: Annotated[dict[ColumnName, Literal["least", "most"]], Field(max_length=MAX_FIGURE_COLUMNS)] | None = Field(
         default=None,
-        description="Of a table: rows alone that no other row beats, by column whether less or more of it is better.",
+        description="In a table: only rows that are Pareto-optimal; for each column whether the least or most is best.",
     )
     columns: Annotated[tuple[ColumnName, ...], Strict(False), Field(min_length=1)] | None = Field(
-        default=None, description="Of a table: its columns, by default all."
+        default=None, description="In a table: its columns, by default all."
     )
 
     def cross_faults(self) -> list[str]:
-        given = {name for names in _BELONG.values() for name in names if getattr(self, name)}
-        faults = [f"kind: {self.kind} needs {name}" for name in _NEEDED[self.kind] if name not in given]
-        faults += [f"{name} does not belong to kind: {self.kind}" for name in sorted(given - {*_BELONG[self.kind]})]
+        """Return the faults between keys of the figure."""
+        given = {name for names in _ALLOWED_KEYS.values() for name in names if getattr(self, name)}
+        faults = [f"kind: {self.kind} needs {name}" for name in _REQUIRED_KEYS[self.kind] if name not in given]
+        faults += [f"{name} is not a key of kind: {self.kind}" for name in sorted(given - {*_ALLOWED_KEYS[self.kind]})]
         if self.kind == "map" and self.y is not None and len(self.y) > 1:
-            faults.append("y of a map is one varied key")
+            faults.append("y of a map must be one varied key")
         several = self.y if self.kind == "line" else self.color
         if self.by is not None and several is not None and len(several) > 1:
-            faults.append("several columns and by do not go together: one of them has the lines or panels")
+            faults.append("by cannot be combined with several columns")
         return faults

@@ -1,4 +1,4 @@
-"""The figures of a sweep: what each draws, and how it becomes a PNG or an element of a page."""
+"""Draws the figures of a sweep as PNG files and as SVG for a page."""
 
 from __future__ import annotations
 
@@ -20,23 +20,24 @@ from hapticd.sweeps.results import Results
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_DPI: Final = 150
-_STYLE: Final = {"font.size": 9, "axes.titlesize": 9, "axes.linewidth": 0.6, "legend.fontsize": 8}
-_LONGEST_NAME: Final = 60
+_MATPLOTLIB_STYLE: Final = {"font.size": 9, "axes.titlesize": 9, "axes.linewidth": 0.6, "legend.fontsize": 8}
+"""Settings of matplotlib for all figures; sizes in points."""
+_MAX_NAME_CHARACTERS: Final = 60
+"""Largest length of a file name without its number and ending."""
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """One figure that can be drawn."""
+    """A figure with its title, ready to be drawn."""
 
     title: str
     caption: str
-    """What stays the same in it; may be empty."""
+    """The keys that are kept constant, with their values; may be empty."""
     keys: SweepFigure
     results: Results
 
     def draw(self) -> Figure:
-        """As a figure of matplotlib, with the settings that are in force. Raises HapticdError."""
+        """Draw a figure of matplotlib with the current settings. Raises HapticdError."""
         from matplotlib.figure import Figure
 
         draw: Callable[[Figure, Results, SweepFigure], None] = draw_map if self.keys.kind == "map" else draw_lines
@@ -46,34 +47,34 @@ class Drawing:
         return figure
 
     def png(self) -> bytes:
-        """On white."""
+        """Return the figure as a PNG file on a white background."""
         content = io.BytesIO()
-        with drawing(_STYLE, self.title):
-            self.draw().savefig(content, format="png", dpi=_DPI)
+        with drawing(_MATPLOTLIB_STYLE, self.title):
+            self.draw().savefig(content, format="png", dpi=150)
         return content.getvalue()
 
     def svg(self) -> str:
-        """An element of a page, in the page's colors."""
-        with drawing(_STYLE, self.title, page_colors=True):
+        """Return the figure as an SVG element in the colors of the page."""
+        with drawing(_MATPLOTLIB_STYLE, self.title, page_colors=True):
             return svg_element(self.draw(), self.title)
 
 
 def drawings_of(results: Results) -> list[Drawing]:
-    """The maps and lines that the study names, or else those that suit it."""
+    """Return the maps and line figures of the study, or the default ones if it has no key `figures`."""
     named = results.study.figures
     keys = default_figures(results) if named is None else [each for each in named if each.kind != "table"]
     return [Drawing(title_of(results, each), _caption(results, each), each, results) for each in keys]
 
 
 def file_names(drawings: Sequence[Drawing]) -> list[str]:
-    """A name for each PNG: its number and what it shows."""
+    """Return a file name for each PNG, made of its number and its title."""
     words = [re.sub(r"[^a-z0-9]+", " ", each.title.lower()).strip() for each in drawings]
-    kept = [textwrap.wrap(text, _LONGEST_NAME)[0] if text else "figure" for text in words]
+    kept = [textwrap.wrap(text, _MAX_NAME_CHARACTERS)[0] if text else "figure" for text in words]
     return [f"{number}-{text.replace(' ', '-')}.png" for number, text in enumerate(kept, 1)]
 
 
 def title_of(results: Results, figure: SweepFigure) -> str:
-    """The study's own title for it, or what is drawn over what."""
+    """Return the title of a figure, by default made of the drawn columns and their axes."""
     if figure.title is not None:
         return figure.title
     if figure.kind == "table":
@@ -92,7 +93,7 @@ def _caption(results: Results, figure: SweepFigure) -> str:
 
 
 def _listed(results: Results, figure: SweepFigure) -> str:
-    """The values that are kept, with their units: `handle mass: 40 g`."""
+    """Return the entries of `where` as text with units: `handle mass: 40 g`."""
     found = []
     for name, value in figure.where.items():
         column = results.column(name)

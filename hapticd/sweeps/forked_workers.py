@@ -1,6 +1,6 @@
-"""What the processes of workers have in common: they are forked from one process that has imported this module.
+"""The fork server: the process that local workers are forked from, with dask, numpy and hapticd already imported.
 
-Without it each of them imports dask, numpy and hapticd again, which takes longer than many a study.
+Without it each worker would import these again, which takes longer than many studies.
 """
 
 from __future__ import annotations
@@ -11,22 +11,27 @@ import signal
 from multiprocessing import forkserver, resource_tracker
 from typing import Any, Final, cast
 
-METHOD: Final = "forkserver"
-_MODULES: Final = ("distributed.nanny", "hapticd.sweeps.preloaded")
-_ONE_THREAD: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""What dask sets for workers too. Its setting of malloc, to give memory back at once, is left out: the arrays of every
-point would then be a thousand page faults."""
+START_METHOD: Final = "forkserver"
+"""The start method of multiprocessing for local workers."""
+_PRELOADED_MODULES: Final = ("distributed.nanny", "hapticd.sweeps.preloaded")
+"""Modules that the fork server imports."""
+_ONE_THREAD_VARIABLES: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""Environment variables that limit numerical libraries to one thread; dask sets them for its workers, too.
+
+Dask's setting that makes malloc return memory at once is not used: it causes a thousand page faults for each point.
+"""
 
 
 def start_fork_server() -> None:
-    """Starts that process, if it does not run yet; it imports while this one goes on.
+    """Start the fork server if it is not running. It imports its modules while this process continues.
 
-    Ctrl-C at a terminal reaches every process of the command. Workers block it: this process ends them.
+    Ctrl-C at a terminal sends SIGINT to every process of the command. The fork server and its workers block it, since
+    this process ends them.
     """
-    for name in _ONE_THREAD:
+    for name in _ONE_THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
-    cast("Any", multiprocessing.get_context(METHOD)).set_forkserver_preload(list(_MODULES))
-    # The tracker would otherwise be started by the server's start, and would unblock the signal.
+    cast("Any", multiprocessing.get_context(START_METHOD)).set_forkserver_preload(list(_PRELOADED_MODULES))
+    # Started here because starting it together with the fork server would unblock the signal.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:

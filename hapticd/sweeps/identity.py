@@ -1,9 +1,10 @@
-"""The identity of a point: 16 bytes by which two studies, or two runs of one, know that they compute the same.
+"""The identity of a point: 16 bytes that are equal for two points, of any study or run, which compute the same.
 
-A document of plain data is the set of its leaves, each a path and a value. A leaf's number is the BLAKE2b hash of both,
-as two integers modulo 2**64; a document's identity is the sum over its leaves. So the identities of a million points
-that differ in a few keys need the hashes of those keys alone, and two studies that reach the same document by other
-axes agree. (Incremental hashing by sums: Bellare and Micciancio 1997; here against accidents, not against attacks.)
+A document of plain data is the set of its leaves, each a path and a value. The hash of a leaf is the BLAKE2b hash of
+both, as two integers modulo 2**64; the identity of a document is the sum of the hashes of its leaves. So the identities
+of a million points that differ in a few keys need the hashes of only those keys, and two studies with different axes
+agree where they reach the same document. (Incremental hashing by sums: Bellare and Micciancio 1997. It protects against
+accidental collisions, not against attacks.)
 """
 
 from __future__ import annotations
@@ -20,13 +21,16 @@ from hapticd.base.errors import Path
 from hapticd.base.yaml_source import Json
 
 Sums: TypeAlias = npt.NDArray[np.uint64]
-"""(n, 2), or (2,) of one document; sums are modulo 2**64."""
-_EXACT: Final = 2**53
-"""Integers up to here are the same numbers as floats."""
+"""Sums of leaf hashes modulo 2**64: (n, 2) for n documents, or (2,) for one."""
+_MAX_EXACT_INTEGER: Final = 2**53
+"""Integers up to 2**53 in magnitude are represented exactly by a float."""
 
 
 def sum_of(data: Json, path: Path = ()) -> Sums:
-    """The sum over the leaves of a part of a document that stands at `path`, (2,). An empty mapping has none."""
+    """Return the sum of the hashes of all leaves below `path`, (2,).
+
+    `data` is the part of the document at `path`. An empty mapping has no leaves, an empty list is a leaf.
+    """
     total = np.zeros(2, np.uint64)
     pending: list[tuple[Path, Json]] = [(path, data)]
     while pending:
@@ -41,7 +45,7 @@ def sum_of(data: Json, path: Path = ()) -> Sums:
 
 
 def sums_at(path: Path, values: Iterable[Json]) -> Sums:
-    """Of each scalar at a path, (n, 2)."""
+    """Return the leaf hash of each scalar, (n, 2), as if it was the value at `path`."""
     prefix = blake2b(_path_bytes(path), digest_size=16)
     found = bytearray()
     for value in values:
@@ -60,7 +64,9 @@ def _path_bytes(path: Path) -> bytes:
 
 
 def _scalar_bytes(value: Json) -> bytes:
-    """A number is the same whether it is written 1000 or 1000.0."""
-    if isinstance(value, float) or (isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _EXACT):
+    """Return the JSON text of a scalar; 1000 and 1000.0 have the same text."""
+    if isinstance(value, float) or (
+        isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _MAX_EXACT_INTEGER
+    ):
         return repr(float(value)).encode()
     return json.dumps(value).encode()

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM, handled where nothing is half done: no row is lost then, and no process left over."""
+"""Handling of SIGINT and SIGTERM at moments at which no row is lost and no process is left running."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Final
 
-_ENDING: Final = (signal.SIGINT, signal.SIGTERM)
+_ENDING_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+"""Signals that ask a command to end."""
 
 
 @contextmanager
 def noted_interrupts(note: Callable[[int], object]) -> Iterator[None]:
-    """Meanwhile they do nothing but call `note` with their number. What is ignored stays so, as under nohup.
+    """Make SIGINT and SIGTERM only call `note` with their number while the context is active.
 
-    Threads other than the main one get no signals anyway.
+    Signals that the process ignores, for example under nohup, stay ignored. In a thread other than the main one, which
+    cannot set handlers, nothing changes.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -25,9 +27,9 @@ def noted_interrupts(note: Callable[[int], object]) -> Iterator[None]:
     def arrive(number: int, frame: FrameType | None) -> None:
         note(number)
 
-    before = {number: signal.getsignal(number) for number in _ENDING}
+    before = {number: signal.getsignal(number) for number in _ENDING_SIGNALS}
     for number, handler in before.items():
-        if handler not in (signal.SIG_IGN, None):  # None: somebody else than Python has set it
+        if handler not in (signal.SIG_IGN, None):  # None: the handler was not set by Python
             signal.signal(number, arrive)
     try:
         yield
@@ -39,7 +41,7 @@ def noted_interrupts(note: Callable[[int], object]) -> Iterator[None]:
 
 @contextmanager
 def deferred_interrupts() -> Iterator[None]:
-    """What arrives meanwhile is handled at the end."""
+    """Defer SIGINT and SIGTERM that arrive in the context to its end."""
     arrived: list[int] = []
     try:
         with noted_interrupts(arrived.append):
@@ -50,7 +52,7 @@ def deferred_interrupts() -> Iterator[None]:
 
 
 def raise_interrupt(number: int) -> None:
-    """Ends as a signal would: Ctrl-C by KeyboardInterrupt, others with exit code 128 and their number."""
+    """Raise KeyboardInterrupt for SIGINT, and SystemExit(128 + number) for any other signal."""
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise SystemExit(128 + number)
@@ -58,7 +60,7 @@ def raise_interrupt(number: int) -> None:
 
 @contextmanager
 def sigterm_ends() -> Iterator[None]:
-    """SIGTERM ends the process as Ctrl-C does, but with exit code 143, as a shell would have it."""
+    """Make SIGTERM raise SystemExit(143), the exit code that a shell reports, so that cleanup runs as after Ctrl-C."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise_interrupt(number)

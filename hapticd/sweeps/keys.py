@@ -1,7 +1,6 @@
-"""The keys of a sweep's YAML file, each with its range.
+"""The keys of the YAML file of a sweep, each with its range.
 
-Faults between keys that need the base configuration are found by hapticd.sweeps.study, where the place of each is
-known.
+Faults that concern the base configuration, too, are found by hapticd.sweeps.study, which knows the line of each key.
 """
 
 from __future__ import annotations
@@ -20,9 +19,12 @@ Combine: TypeAlias = Literal["crossed", "zipped", "latin_hypercube", "random"]
 Run: TypeAlias = Literal["simulate", "render", "none"]
 Spacing: TypeAlias = Literal["linear", "logarithmic"]
 
-MOST_POINTS: Final = 10_000_000
-MOST_SCANNED: Final = 10_000
-DRAWN: Final = ("latin_hypercube", "random")
+MAX_SWEEP_POINTS: Final = 10_000_000
+"""Largest number of points of a study; the identities and indices of that many take 240 MB."""
+MAX_SCAN_STEPS: Final = 10_000
+"""Largest number of steps of `refine.scan`."""
+DRAWING_COMBINES: Final = ("latin_hypercube", "random")
+"""Values of `combine` with which points are drawn at random."""
 
 
 def _name_or_mapping(value: object) -> str | dict[str, Json]:
@@ -39,169 +41,178 @@ KeyPath: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=5
 Number: TypeAlias = Annotated[float, Field(ge=-1e15, le=1e15)]
 if TYPE_CHECKING:
     Measured: TypeAlias = "str | dict[str, Json]"
-else:  # pydantic cannot make a schema of Json, which holds itself
+else:  # pydantic cannot make a schema of Json, which is recursive
     Measured = Annotated[object, PlainValidator(_name_or_mapping)]
 
 
 class SweepAxis(CheckedTogether):
     """The values of one key: a list, a range, a distribution, or named levels that each set several keys."""
 
-    values: Annotated[tuple[PlainScalar, ...], Strict(False), Field(min_length=1, max_length=MOST_POINTS)] | None = (
-        Field(default=None, description="The values themselves; a list in the place of the axis is the same.")
+    values: (
+        Annotated[tuple[PlainScalar, ...], Strict(False), Field(min_length=1, max_length=MAX_SWEEP_POINTS)] | None
+    ) = Field(default=None, description="The values as a list; the axis may also be this list itself.")
+    low: Number | None = Field(default=None, description="First value of a range, or the lower limit of random values.")
+    high: Number | None = Field(default=None, description="Last value of a range, or the upper limit of random values.")
+    spacing: Spacing = Field(
+        default="linear", description="Equal steps or equal ratios; for random values, uniform or log-uniform."
     )
-    low: Number | None = Field(default=None, description="First value of a range, or the lowest that is drawn.")
-    high: Number | None = Field(default=None, description="Last value of a range, or the highest that is drawn.")
-    spacing: Spacing = Field(default="linear", description="Equal steps or equal ratios; of a draw: its distribution.")
-    count: Annotated[int, Field(ge=1, le=MOST_POINTS)] | None = Field(
-        default=None, description="How many values of the range, its ends included."
+    count: Annotated[int, Field(ge=1, le=MAX_SWEEP_POINTS)] | None = Field(
+        default=None, description="Number of values of the range, including its ends."
     )
-    draws: Annotated[int, Field(ge=1, le=MOST_POINTS)] | None = Field(
-        default=None, description="How many values are drawn at random, instead of `count`."
+    draws: Annotated[int, Field(ge=1, le=MAX_SWEEP_POINTS)] | None = Field(
+        default=None, description="Number of random values, instead of `count`."
     )
-    mean: Number | None = Field(default=None, description="Of a normal distribution, with `standard_deviation`.")
+    mean: Number | None = Field(default=None, description="Mean of a normal distribution; needs `standard_deviation`.")
     standard_deviation: Annotated[float, Field(gt=0, le=1e15)] | None = Field(
-        default=None, description="Of a normal distribution."
+        default=None, description="Standard deviation of a normal distribution; needs `mean`."
     )
     levels: Annotated[dict[Name, PlainMapping], Field(min_length=1, max_length=10_000)] | None = Field(
-        default=None, description="By name: the keys that the level sets, with their values."
+        default=None, description="Named levels: for each name, the keys that the level sets, with their values."
     )
 
     @property
     def is_range(self) -> bool:
-        """Between `low` and `high`."""
+        """Whether the axis has `low` or `high`."""
         return self.low is not None or self.high is not None
 
     @property
     def is_normal(self) -> bool:
-        """Drawn about a mean."""
+        """Whether the axis has `mean` or `standard_deviation`."""
         return self.mean is not None or self.standard_deviation is not None
 
     def cross_faults(self) -> list[str]:
+        """Return the faults between keys of the axis."""
         given = [self.values is not None, self.is_range, self.is_normal, self.levels is not None]
         if sum(given) != 1:
             return ["needs one of: values (a list), low and high, mean and standard_deviation, levels"]
         faults = []
         if self.is_range and (self.low is None or self.high is None):
-            faults.append("low and high belong together")
+            faults.append("low and high must be given together")
         if self.is_normal and (self.mean is None or self.standard_deviation is None):
-            faults.append("mean and standard_deviation belong together")
+            faults.append("mean and standard_deviation must be given together")
         if not self.is_range and self.count is not None:
-            faults.append("count belongs to low and high")
+            faults.append("count needs low and high")
         if not (self.is_range or self.is_normal) and self.draws is not None:
-            faults.append("draws belongs to low and high, or to mean and standard_deviation")
+            faults.append("draws needs low and high, or mean and standard_deviation")
         if self.count is not None and self.draws is not None:
-            faults.append("count and draws do not go together: count is of equal steps, draws of random values")
+            faults.append("count and draws exclude one another: count is for equal steps, draws for random values")
         if not self.is_range and self.spacing != "linear":
-            faults.append("spacing belongs to low and high")
+            faults.append("spacing needs low and high")
         if self.spacing == "logarithmic" and min(self.low or 0.0, self.high or 0.0) <= 0:
-            faults.append("a logarithmic range needs low and high above 0")
+            faults.append("low and high of a logarithmic range must be above 0")
         return faults
 
 
 class SweepCondition(Model):
-    """A limit of a measured column."""
+    """A condition on a measured column: its values are at most or at least a limit."""
 
     column: KeyPath = Field(description="A measured column.")
-    at_most: Number | None = Field(default=None, description="Holds where the column is not above this.")
-    at_least: Number | None = Field(default=None, description="Holds where the column is not below this.")
+    at_most: Number | None = Field(
+        default=None, description="The condition holds if the column is not above this value."
+    )
+    at_least: Number | None = Field(
+        default=None, description="The condition holds if the column is not below this value."
+    )
 
 
 class SweepRefine(CheckedTogether):
-    """The boundary along one key at which a condition ceases to hold, found by bisection at every point."""
+    """The search for the value of one key at which a condition ceases to hold, by bisection at every point."""
 
-    key: KeyPath = Field(description="The key that is searched along; it is not varied besides.")
+    key: KeyPath = Field(description="The key whose value is searched; it must not be in `vary`.")
     start: Number = Field(description="Value at which the condition holds.")
-    end: Number = Field(description="Value at which it is expected not to hold, above or below `start`.")
+    end: Number = Field(description="Value at which the condition is expected to fail, above or below `start`.")
     spacing: Spacing = Field(default="logarithmic", description="Whether steps are equal ratios or differences.")
     holds: Annotated[str | SweepCondition, Field(union_mode="left_to_right")] = Field(
         description="A column of true and false, or a limit: {column, at_most} or {column, at_least}."
     )
     within: Annotated[float, Field(gt=0, le=1e6)] = Field(
         default=1e-3,
-        description="Width of what is left: relative to the value if logarithmic, else in the key's unit.",
+        description="Width that ends the search: relative to the value if logarithmic, else in the key's unit.",
     )
-    scan: Annotated[int, Field(ge=1, le=MOST_SCANNED)] = Field(
+    scan: Annotated[int, Field(ge=1, le=MAX_SCAN_STEPS)] = Field(
         default=1,
-        description="So many steps from `start` to `end` are tried in turn until one does not hold; 1: only `end`. For "
-        "conditions that hold again beyond their first boundary.",
+        description="Number of steps from `start` to `end` that are tried in turn until the condition fails; 1 tries "
+        "only `end`. For conditions that hold again beyond their first boundary.",
     )
 
     def cross_faults(self) -> list[str]:
+        """Return the faults between keys of `refine`."""
         if self.start == self.end:
             return ["start and end must differ"]
         if self.spacing == "logarithmic" and (self.start <= 0 or self.end <= 0):
-            return ["logarithmic steps need start and end above 0"]
+            return ["start and end must be above 0 with logarithmic spacing"]
         return []
 
 
 class SweepStudy(CheckedTogether):
-    """A sweep: what stays, what is varied, and what is measured."""
+    """A sweep: the base configuration, the varied keys, and the measures."""
 
     title: Annotated[str, StringConstraints(min_length=1, max_length=200)] = Field(
-        default="A sweep", description="What the study is called in tables and figures."
+        default="A sweep", description="Title of the study in tables and figures."
     )
     base: PlainMapping = Field(
         default={},
-        description="What all points share: a configuration (servo, device, materials, scene); or the name of a file "
+        description="What all points share: a configuration (servo, device, materials, scene), or the name of a file "
         "or of a shipped scene.",
     )
     operator: PlainMapping | None = Field(
-        default=None, description="What the hand does, or the name of a file or of a shipped operator."
+        default=None, description="The motion of the hand, or the name of a file or of a shipped operator."
     )
     run: Run | None = Field(
         default=None,
-        description="What of each point is run: the closed loop, the open loop along the operator's way, or nothing; "
-        "by default the closed loop where there is an operator.",
+        description="`simulate`: the closed loop; `render`: the open loop along the operator's path; `none`: no run. "
+        "By default `simulate` if there is an operator, otherwise `none`.",
     )
     duration_s: Annotated[float, Field(gt=0, le=3600)] | None = Field(
-        default=None, description="How long is run; by default as long as the operator's way."
+        default=None, description="Duration of a run; by default that of the operator's path."
     )
     vary: dict[KeyPath, Annotated[SweepAxis, BeforeValidator(_as_axis)]] = Field(
         default={},
         max_length=64,
-        description="By key (servo.rate_hz, materials.wood.stiffness_n_per_m, operator.gesture.speed_m_per_s, "
-        "parameters.ANY), or by any name for levels: its values.",
+        description="The values of each varied key (servo.rate_hz, materials.wood.stiffness_n_per_m, "
+        "operator.gesture.speed_m_per_s, parameters.ANY), or of named levels under any name.",
     )
     combine: Combine = Field(
         default="crossed",
         description="All combinations, the n-th value of all keys together, or `count` points drawn at random, "
         "independently or as a Latin hypercube.",
     )
-    count: Annotated[int, Field(ge=1, le=MOST_POINTS)] | None = Field(
-        default=None, description="How many points are drawn, of latin_hypercube and random."
+    count: Annotated[int, Field(ge=1, le=MAX_SWEEP_POINTS)] | None = Field(
+        default=None, description="Number of points with `combine: latin_hypercube` or `random`."
     )
-    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = Field(default=0, description="Of everything that is drawn.")
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = Field(default=0, description="Seed of all random values.")
     parameters: PlainMapping = Field(
-        default={}, description="Values that no configuration has; they tell points apart."
+        default={}, description="Free parameters, which no configuration has and only functions read."
     )
     measure: Annotated[tuple[Measured, ...], Strict(False), Field(min_length=1, max_length=64)] = Field(
-        description="What is measured at each point: names, or {name: options}."
+        description="The measures of each point, by name or as {name: options}."
     )
     refine: SweepRefine | None = Field(default=None, description="The search for a boundary along one more key.")
     labels: Annotated[dict[KeyPath, Words], Field(max_length=256)] = Field(
-        default={}, description="By column: what figures and their page call it, without the unit."
+        default={}, description="Labels of columns in figures and on their page, without the unit."
     )
     figures: Annotated[tuple[SweepFigure, ...], Strict(False), Field(max_length=32)] | None = Field(
-        default=None, description="What `hapticd sweep show` draws; by default what suits the study."
+        default=None, description="Figures of `hapticd sweep show`; by default they are chosen from the columns."
     )
 
     def cross_faults(self) -> list[str]:
-        drawn = self.combine in DRAWN
+        """Return the faults between keys of the study."""
+        drawn = self.combine in DRAWING_COMBINES
         faults = []
         if drawn and self.count is None:
             faults.append(f"combine: {self.combine} needs count, the number of points")
         if not drawn and self.count is not None:
-            faults.append("count belongs to combine: latin_hypercube or random; of a range it stands in the axis")
+            faults.append("count needs combine: latin_hypercube or random; the count of a range belongs to its axis")
         for name, axis in self.vary.items():
             if axis.is_range or axis.is_normal:
                 counted = axis.count is not None or axis.draws is not None
                 if drawn and counted:
-                    faults.append(f"vary.{name}: with combine: {self.combine} the study's count is all: leave it out")
+                    faults.append(f"vary.{name}: must not have count or draws with combine: {self.combine}")
                 if not drawn and not counted:
                     wanted = "draws" if axis.is_normal else "count or draws"
                     faults.append(f"vary.{name}: needs {wanted}, the number of its values")
         if self.run in ("simulate", "render") and self.operator is None:
-            faults.append(f"run: {self.run} needs an operator, what the hand does")
+            faults.append(f"run: {self.run} needs an operator")
         if self.refine is not None and self.refine.key in self.vary:
-            faults.append(f"refine.key is varied, too: take {self.refine.key} out of vary")
+            faults.append(f"refine.key: {self.refine.key} must not be in vary, too")
         return faults

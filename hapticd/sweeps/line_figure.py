@@ -1,4 +1,4 @@
-"""Measured columns over a varied key: one line for each column, or for each value of another key."""
+"""Draws measured columns over a varied key: a line for each column, or for each value of another key."""
 
 from __future__ import annotations
 
@@ -19,25 +19,26 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SIZE: Final = (6.4, 4.2)
-"""Inches."""
-NO_RESULT: Final = "no result"
-BOUNDARY: Final = "boundary"
-FAILS: Final = "boundary_fails"
-STATE: Final = "boundary_state"
-STATES: Final = {
+NO_RESULT_LABEL: Final = "no result"
+"""Label of points without a result in the legend."""
+BOUNDARY_COLUMN: Final = "boundary"
+"""Column of the last value at which the condition of `refine` holds."""
+BOUNDARY_FAILS_COLUMN: Final = "boundary_fails"
+"""Column of the first value at which the condition of `refine` fails."""
+BOUNDARY_STATE_COLUMN: Final = "boundary_state"
+"""Column that states whether the boundary was found."""
+BOUNDARY_STATE_MARKERS: Final = {
     "always": ("^", "holds to the end of the search"),
     "never": ("v", "does not hold at the start of the search"),
 }
-"""A boundary that was not found: marker and words. Its marker stands at the last value that was tried."""
-_COLUMNS: Final = 4
-"""Of the legend."""
-_MOST_DOTS: Final = 40
+"""Marker and label for each state of a boundary that was not found; the marker is at the last value that was tried."""
+_MAX_DOTS: Final = 40
+"""Lines with at most 40 points have a dot at each."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """One line."""
+    """One line: its label, its column, and the rows of its points."""
 
     label: str
     column: str
@@ -45,25 +46,25 @@ class _Line:
 
 
 def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
-    """Lines on one pair of axes. Points without a result are crosses at the lower edge."""
+    """Draw lines on one pair of axes. Points without a result are crosses at the lower edge."""
     assert keys.x is not None and keys.y is not None
     rows = with_values(results.rows, keys.where)
     lines = _lines(results, keys, rows)
     drawn: list[Value] = [row[name] for row in rows for name in (*keys.y, *(keys.overlay or ()))]
-    if keys.y == (BOUNDARY,):
-        drawn += [row[FAILS] for row in rows]
+    if keys.y == (BOUNDARY_COLUMN,):
+        drawn += [row[BOUNDARY_FAILS_COLUMN] for row in rows]
     x, y = key_scale(results, keys.x), measured_scale(results, keys.y, keys.axis_label, drawn)
-    figure.set_size_inches(*SIZE)
+    figure.set_size_inches(6.4, 4.2)
     axes = figure.subplots()
     x.prepare(axes, "x")
     y.prepare(axes, "y")
-    # Points that are drawn at random lie along several keys at once: a line between them would mean nothing.
+    # Random points differ in several keys at once, so a line between them has no meaning.
     joined = results.study.combine in ("crossed", "zipped")
     for number, line in enumerate(lines):
         color = f"C{number}"
         at, values = x.at([row[keys.x] for row in line.rows]), y.at([row[line.column] for row in line.rows])
-        style = ("o-" if len(at) <= _MOST_DOTS else "-") if joined else "o"
-        if line.column == BOUNDARY:
+        style = ("o-" if len(at) <= _MAX_DOTS else "-") if joined else "o"
+        if line.column == BOUNDARY_COLUMN:
             _draw_boundary(axes, line.rows, at, y, color, style, line.label)
         else:
             axes.plot(at, values, style, ms=3.5, lw=1.3, color=color, label=literal(line.label))
@@ -76,14 +77,14 @@ def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
     axes.set_xlabel(literal(x.label))
     axes.set_ylabel(literal(y.label))
     axes.grid(alpha=0.3)
-    _explain(figure, axes, results, keys)
+    _add_legend(figure, axes, results, keys)
 
 
-def _explain(figure: Figure, axes: Axes, results: Results, keys: SweepFigure) -> None:
-    """A legend: lines first, then what single marks mean."""
+def _add_legend(figure: Figure, axes: Axes, results: Results, keys: SweepFigure) -> None:
+    """Add a legend: lines first, then markers."""
     handles, labels = axes.get_legend_handles_labels()
     known = dict(zip(labels, handles, strict=True))
-    marks = [*(words for _, words in STATES.values()), NO_RESULT]
+    marks = [*(words for _, words in BOUNDARY_STATE_MARKERS.values()), NO_RESULT_LABEL]
     ordered = [*(label for label in known if label not in marks), *(label for label in marks if label in known)]
     if not ordered or (keys.by is None and len(ordered) < 2):
         return
@@ -91,7 +92,7 @@ def _explain(figure: Figure, axes: Axes, results: Results, keys: SweepFigure) ->
         [known[label] for label in ordered],
         ordered,
         loc="outside lower center",
-        ncols=min(_COLUMNS, len(ordered)),
+        ncols=min(4, len(ordered)),
         frameon=False,
         title=None if keys.by is None else literal(key_scale(results, keys.by).label),
         title_fontsize=8,
@@ -114,20 +115,20 @@ def _lines(results: Results, keys: SweepFigure, rows: Sequence[Row]) -> list[_Li
 def _draw_boundary(
     axes: Axes, rows: Sequence[Row], at: np.ndarray, y: Scale, color: str, style: str, label: str
 ) -> None:
-    """The last value that holds as the line, and a band from there to the first that does not."""
-    found = np.array([row[STATE] == "found" for row in rows])
-    last, first = y.at([row[BOUNDARY] for row in rows]), y.at([row[FAILS] for row in rows])
+    """Draw a line at the last value that holds, and a band from there to the first that fails."""
+    found = np.array([row[BOUNDARY_STATE_COLUMN] == "found" for row in rows])
+    last, first = y.at([row[BOUNDARY_COLUMN] for row in rows]), y.at([row[BOUNDARY_FAILS_COLUMN] for row in rows])
     axes.plot(at, np.where(found, last, math.nan), style, ms=3.5, lw=1.3, color=color, label=literal(label))
     axes.fill_between(at, last, first, where=found, color=color, alpha=0.3, lw=0)
-    for state, (marker, words) in STATES.items():
-        here = np.array([row[STATE] == state for row in rows])
+    for state, (marker, words) in BOUNDARY_STATE_MARKERS.items():
+        here = np.array([row[BOUNDARY_STATE_COLUMN] == state for row in rows])
         if here.any():
             values = last if state == "always" else first
             axes.plot(at[here], values[here], marker, ms=7, color=color, mfc="none", label=words)
 
 
 def _draw_overlays(axes: Axes, results: Results, keys: SweepFigure, lines: Sequence[_Line], x: Scale, y: Scale) -> None:
-    """Dashed: once where every line has the same, otherwise in the color of each line."""
+    """Draw overlays as dashed lines: one if it is the same for all lines, otherwise one in the color of each line."""
     assert keys.x is not None
     for name in keys.overlay or ():
         each = [(x.at([row[keys.x] for row in line.rows]), y.at([row[name] for row in line.rows])) for line in lines]
@@ -138,12 +139,13 @@ def _draw_overlays(axes: Axes, results: Results, keys: SweepFigure, lines: Seque
 
 
 def _mark_missing(axes: Axes, lines: Sequence[_Line], key: str, x: Scale) -> None:
-    """Crosses at the lower edge, where a line has no value: one row for each line."""
+    """Draw crosses at the lower edge for points without a value, with a row of crosses for each line."""
     for number, line in enumerate(lines):
         missing = [
             row[key]
             for row in line.rows
-            if row[line.column] is None and not (line.column == BOUNDARY and row[STATE] in STATES)
+            if row[line.column] is None
+            and not (line.column == BOUNDARY_COLUMN and row[BOUNDARY_STATE_COLUMN] in BOUNDARY_STATE_MARKERS)
         ]
         if missing:
             axes.plot(
@@ -153,7 +155,7 @@ def _mark_missing(axes: Axes, lines: Sequence[_Line], key: str, x: Scale) -> Non
                 ms=6,
                 mew=1.4,
                 color=f"C{number}",
-                label=NO_RESULT,
+                label=NO_RESULT_LABEL,
                 transform=axes.get_xaxis_transform(),
                 clip_on=False,
             )

@@ -1,4 +1,7 @@
-"""A measured column as a color over two varied keys; several columns, or the values of a third key, in panels."""
+"""Draws a measured column as a color over two varied keys.
+
+Several columns, or the values of a third key, are drawn in panels.
+"""
 
 from __future__ import annotations
 
@@ -15,38 +18,40 @@ from hapticd.base.errors import HapticdError
 from hapticd.sweeps.axis_scales import Scale, key_scale, measured_scale, shown
 from hapticd.sweeps.columns import Row, Value
 from hapticd.sweeps.figure_keys import SweepFigure
-from hapticd.sweeps.line_figure import NO_RESULT
+from hapticd.sweeps.line_figure import NO_RESULT_LABEL
 from hapticd.sweeps.results import Results, with_values
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_ACROSS: Final = 4
-"""Panels in a row."""
-_PANEL: Final = (2.5, 2.3)
-"""Inches of one of several."""
-_ALONE: Final = (5.4, 3.9)
-_MARGINS: Final = (1.6, 1.3)
-_BETWEEN: Final = 0.1
-"""Inches beside each panel, so that the numbers of two do not meet."""
-MOST_TEXTS: Final = 8
-"""Different texts in a map."""
-_CATEGORIES: Final = ("#4477aa", "#88ccee", "#ddaa33", "#cc4455", "#aa77aa", "#777777", "#228833", "#663333")
-"""Colors of texts, of yes and no: told apart by whoever sees few colors, too."""
-_YES: Final = ("#cc6644", "#4477aa")
-"""No and yes."""
-_MOST_STEPS: Final = 12
-"""Of whole numbers that have a color each."""
-_MOST_SHAPES: Final = 5000
-"""More cells or dots than this are one image in a page."""
-_ALIKE: Final = 1e-9
-"""Relative: values of an overlay at one x that differ by more are not the same."""
+_PANELS_PER_ROW: Final = 4
+"""Largest number of panels in a row."""
+_PANEL_INCHES: Final = (2.5, 2.3)
+"""Width and height of each of several panels, in inches."""
+_ONE_PANEL_INCHES: Final = (5.4, 3.9)
+"""Width and height of a single panel, in inches."""
+_MARGINS_INCHES: Final = (1.6, 1.3)
+"""Width and height of the figure outside its panels, in inches."""
+_PANEL_PADDING_INCHES: Final = 0.1
+"""Horizontal padding of each panel, in inches, so that numbers of neighbouring axes do not overlap."""
+MAX_MAP_TEXTS: Final = 8
+"""Largest number of different texts in a map: the number of text colors."""
+_TEXT_COLORS: Final = ("#4477aa", "#88ccee", "#ddaa33", "#cc4455", "#aa77aa", "#777777", "#228833", "#663333")
+"""Colors of texts, which people with a color vision deficiency can distinguish, too."""
+_BOOLEAN_COLORS: Final = ("#cc6644", "#4477aa")
+"""Colors of no and yes."""
+_MAX_INTEGER_COLORS: Final = 12
+"""Integers with a smaller range have one color each."""
+_MAX_VECTOR_CELLS: Final = 5000
+"""A map with more cells or dots is drawn as one raster image in an SVG."""
+_OVERLAY_TOLERANCE: Final = 1e-9
+"""Relative difference up to which two values of an overlay at one x are equal."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Panel:
-    """One pair of axes."""
+    """One panel: its title, its column, and the rows of its points."""
 
     title: str
     column: str
@@ -55,48 +60,50 @@ class _Panel:
 
 @dataclass(frozen=True, slots=True)
 class _Colors:
-    """What colors stand for."""
+    """The color scale of a map: numbers, or categories for texts and booleans."""
 
     scale: Scale | None
-    """Of numbers."""
+    """Scale of numbers; None for categories."""
     categories: tuple[Value, ...]
-    """Of texts, and of yes and no."""
+    """Texts or booleans, each with a color; empty for numbers."""
     keywords: dict[str, Any]
-    """For matplotlib."""
-    endless: bool = False
+    """Keyword arguments of matplotlib's drawing functions."""
+    has_infinite: bool = False
     """Whether a number is infinite."""
 
     @property
     def largest(self) -> float:
-        """The number that has the last color."""
+        """The number of the last color."""
         return float(self.keywords["norm"].vmax)
 
     def at(self, values: Sequence[Value]) -> npt.NDArray[np.float64]:
-        """Numbers for the color map; NaN without a value."""
+        """Return numbers for the color map, (n,); NaN for None."""
         if self.scale is not None:
             numbers = self.scale.at(values)
-            # matplotlib leaves out what is infinite; beyond the largest number it has that one's color.
+            # matplotlib omits infinite numbers; a finite one above the largest gets the color of the largest.
             return np.where(np.isposinf(numbers), self.largest + abs(self.largest) + 1.0, numbers)
         return np.array([math.nan if value is None else float(self.categories.index(value)) for value in values])
 
 
 def draw_map(figure: Figure, results: Results, keys: SweepFigure) -> None:
-    """Panels with one scale of colors. A point without a result is a cross; a cell that is not computed is empty. What
-    is infinite has the color of the largest number, and the bar of colors an arrow.
+    """Draw panels with one color scale.
 
-    Raises HapticdError for an overlay that has several values at one x, and for a column of more than MOST_TEXTS texts.
+    A point without a result is a cross, and a point that is not computed yet leaves its cell empty. Infinite values
+    have the color of the largest number, and the color bar then ends in an arrow.
+
+    Raises HapticdError for an overlay with several values at one x, and a column of more than MAX_MAP_TEXTS texts.
     """
     assert keys.x is not None and keys.y is not None and keys.color is not None
     panels = _panels(results, keys, with_values(results.rows, keys.where))
     x, y = key_scale(results, keys.x), key_scale(results, keys.y[0])
     colors = _colors(results, keys, panels)
-    across = min(_ACROSS, len(panels))
+    across = min(_PANELS_PER_ROW, len(panels))
     down = math.ceil(len(panels) / across)
-    size = _ALONE if len(panels) == 1 else _PANEL
+    size = _ONE_PANEL_INCHES if len(panels) == 1 else _PANEL_INCHES
     engine = figure.get_layout_engine()
     if engine is not None and len(panels) > 1:
-        engine.set(w_pad=_BETWEEN)  # type: ignore[call-arg]
-    figure.set_size_inches(_MARGINS[0] + across * size[0], _MARGINS[1] + down * size[1])
+        engine.set(w_pad=_PANEL_PADDING_INCHES)  # type: ignore[call-arg]
+    figure.set_size_inches(_MARGINS_INCHES[0] + across * size[0], _MARGINS_INCHES[1] + down * size[1])
     grid: npt.NDArray[Any] = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     places = list(grid.flat)
     drawn = None
@@ -117,7 +124,7 @@ def draw_map(figure: Figure, results: Results, keys: SweepFigure) -> None:
             axes.set_xlabel(literal(x.label))
         if place % across == 0:
             axes.set_ylabel(literal(y.label))
-    _explain(figure, places[: len(panels)], places, results, keys, colors, drawn)
+    _add_legend(figure, places[: len(panels)], places, results, keys, colors, drawn)
 
 
 def _panels(results: Results, keys: SweepFigure, rows: Sequence[Row]) -> list[_Panel]:
@@ -144,18 +151,18 @@ def _colors(results: Results, keys: SweepFigure, panels: Sequence[_Panel]) -> _C
         categories: tuple[Value, ...] = (*listed, *sorted(found - set(listed), key=str))
         if column.kind == "boolean":
             categories = (False, True)
-        if len(categories) > MOST_TEXTS:
+        if len(categories) > MAX_MAP_TEXTS:
             raise HapticdError(
-                f"figures: {column.name} has {len(categories)} different texts; a map tells {MOST_TEXTS} apart"
+                f"figures: {column.name} has {len(categories)} different texts; a map can have at most {MAX_MAP_TEXTS}"
             )
-        palette = _YES if column.kind == "boolean" else _CATEGORIES[: max(1, len(categories))]
+        palette = _BOOLEAN_COLORS if column.kind == "boolean" else _TEXT_COLORS[: max(1, len(categories))]
         limits = {"vmin": -0.5, "vmax": max(1, len(categories)) - 0.5}
         return _Colors(None, categories, {"cmap": ListedColormap(palette), **limits})
     scale = measured_scale(results, keys.color, keys.axis_label, values)
     numbers = scale.at(values)
     finite = numbers[np.isfinite(numbers)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
-    if column.kind == "integer" and high - low < _MOST_STEPS:
+    if column.kind == "integer" and high - low < _MAX_INTEGER_COLORS:
         # A color for each number.
         count = round(high - low) + 1
         steps = colormaps["viridis"].resampled(count)
@@ -169,7 +176,7 @@ def _colors(results: Results, keys: SweepFigure, panels: Sequence[_Panel]) -> _C
 def _draw_cells(
     axes: Axes, results: Results, panel: _Panel, keys: SweepFigure, x: Scale, y: Scale, colors: _Colors
 ) -> Any:
-    """Cells of a crossed study, dots of any other; what a bar of colors is made of."""
+    """Draw cells for a crossed study, otherwise dots; return the mappable for a color bar."""
     assert keys.x is not None and keys.y is not None
     at_x = x.at([row[keys.x] for row in panel.rows])
     at_y = y.at([row[keys.y[0]] for row in panel.rows])
@@ -180,28 +187,28 @@ def _draw_cells(
         cells[np.searchsorted(lines, at_y), np.searchsorted(columns, at_x)] = values
         shown_cells = np.ma.masked_where(np.isnan(cells), cells)
         places = x.edges(columns), y.edges(lines)
-        is_image = cells.size > _MOST_SHAPES
+        is_image = cells.size > _MAX_VECTOR_CELLS
         drawn: Any = axes.pcolormesh(
             *places, shown_cells, edgecolors="face", lw=0.8, rasterized=is_image, **colors.keywords
         )
         limits = axes.get_ylim()
     else:
         known = ~np.isnan(values)
-        is_image = len(values) > _MOST_SHAPES
+        is_image = len(values) > _MAX_VECTOR_CELLS
         drawn = axes.scatter(at_x[known], at_y[known], c=values[known], s=16, rasterized=is_image, **colors.keywords)
         limits = axes.get_ylim()
     missing = np.isnan(values)
     if missing.any():
         size = 5.0 if missing.sum() <= 200 else 2.5
         ink = axes.xaxis.label.get_color()
-        axes.plot(at_x[missing], at_y[missing], "x", ms=size, mew=1.0, color=ink, label=NO_RESULT)
+        axes.plot(at_x[missing], at_y[missing], "x", ms=size, mew=1.0, color=ink, label=NO_RESULT_LABEL)
     _draw_overlays(axes, results, panel, keys, x, y)
     axes.set_ylim(limits)
     return drawn
 
 
 def _draw_overlays(axes: Axes, results: Results, panel: _Panel, keys: SweepFigure, x: Scale, y: Scale) -> None:
-    """Dashed, black on a white border: seen on every color, and in a legend on light and dark."""
+    """Draw overlays as dashed black lines with a white border, which is visible on every color and page."""
     from matplotlib.patheffects import withStroke
 
     assert keys.x is not None
@@ -212,10 +219,10 @@ def _draw_overlays(axes: Axes, results: Results, panel: _Panel, keys: SweepFigur
             if value is None:
                 continue
             known = found.setdefault(row[keys.x], float(value))
-            if abs(known - float(value)) > _ALIKE * abs(known):
+            if abs(known - float(value)) > _OVERLAY_TOLERANCE * abs(known):
                 raise HapticdError(
-                    f"figures: overlay {name} has more than one value at {keys.x} {shown(row[keys.x])}: a line over "
-                    f"{keys.x} cannot be drawn of it"
+                    f"figures: overlay {name} has more than one value at {keys.x} {shown(row[keys.x])}: it must depend "
+                    f"on {keys.x} only"
                 )
         axes.plot(
             x.at(list(found)),
@@ -229,7 +236,7 @@ def _draw_overlays(axes: Axes, results: Results, panel: _Panel, keys: SweepFigur
         )
 
 
-def _explain(
+def _add_legend(
     figure: Figure,
     used: Sequence[Axes],
     all_axes: Sequence[Axes],
@@ -238,7 +245,7 @@ def _explain(
     colors: _Colors,
     drawn: Any,
 ) -> None:
-    """A bar of colors for numbers; a legend for texts, lines and crosses."""
+    """Add a color bar for numbers, and a legend for texts, lines and crosses."""
     from matplotlib.patches import Patch
 
     assert keys.color is not None
@@ -253,7 +260,10 @@ def _explain(
             handles[literal(text)] = Patch(color=palette(place))
     elif drawn is not None:
         bar = figure.colorbar(
-            drawn, ax=list(all_axes), label=literal(colors.scale.label), extend="max" if colors.endless else "neither"
+            drawn,
+            ax=list(all_axes),
+            label=literal(colors.scale.label),
+            extend="max" if colors.has_infinite else "neither",
         )
         bar.outline.set_linewidth(0.6)
         colors.scale.label_ticks(bar.ax, "y")

@@ -1,4 +1,4 @@
-"""The points of a sweep: which they are, by what each is known, and the pieces in which they are computed."""
+"""The plan of a sweep: its points, their identities, and the pieces in which they are computed."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from hapticd.base.yaml_source import Json
 from hapticd.config.schema import unit_of
 from hapticd.experiment.key_paths import path_of, with_value
 from hapticd.sweeps.axes import Axis, axes_of, settings, shown_value
-from hapticd.sweeps.columns import ERROR, POINT, Column, Kind, Row, Value
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Kind, Row, Value
 from hapticd.sweeps.identity import sum_of, sums_at
 from hapticd.sweeps.keys import Run, SweepStudy
-from hapticd.sweeps.point import DURATION, OPERATOR, PARAMETERS, Point
+from hapticd.sweeps.point import DURATION_KEY, OPERATOR_KEY, PARAMETERS_KEY, Point
 from hapticd.sweeps.refine import boundary_columns, boundary_of, holds
 from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
@@ -26,23 +26,25 @@ from hapticd.sweeps.worker_check import code_version
 if TYPE_CHECKING:
     from hapticd.sweeps.measures.measure import Measure
 
-_MATERIALS: Final = "materials"
+_MATERIALS_KEY: Final = "materials"
+"""Key of a configuration whose values may be names of shipped materials."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What all points of a study share, as a worker needs it."""
+    """The data that all points of a study share; a worker gets it with each piece."""
 
     study: SweepStudy
     root: Mapping[str, Json]
-    """The document of a point before its own keys are set."""
+    """The document of every point, before the varied keys are set in it."""
     run: Run
     names: tuple[str, ...]
-    """Of the axes."""
+    """Names of the axes."""
     kinds: tuple[Kind, ...]
+    """Kinds of the columns of the axes."""
 
     def document(self, values: Sequence[Value]) -> dict[str, Json]:
-        """The document of a point with these values, by axis. Raises InvalidError."""
+        """Return the document of the point with these values, one for each axis. Raises InvalidError."""
         document = dict(self.root)
         for name, value in zip(self.names, values, strict=True):
             for path, each in self.settings(name, value):
@@ -50,20 +52,20 @@ class Job:
         return document
 
     def settings(self, name: str, value: Value) -> Iterator[tuple[Path, Json]]:
-        """The keys that a value of an axis sets."""
+        """Yield path and value of each key that a value of an axis sets."""
         for key, each in settings(self.study, name, value).items():
             yield path_of(key), each
 
     @cached_property
     def measures(self) -> tuple[Measure, ...]:
-        """What is measured. Raises InvalidError."""
+        """The measures of the study. Raises InvalidError."""
         from hapticd.sweeps.measures.registry import parse_measure
 
         return tuple(parse_measure(each) for each in self.study.measure)
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:
-        """Of a row."""
+        """The columns of a row."""
         levels = {name for name, axis in self.study.vary.items() if axis.levels is not None}
         varied = [
             Column(name, kind, "varied", "" if name in levels else unit_of(name) or "")
@@ -72,20 +74,20 @@ class Job:
         refine = self.study.refine
         searched = () if refine is None else boundary_columns(refine, unit_of(refine.key) or "")
         measured = (column for measure in self.measures for column in measure.columns)
-        return (POINT, *varied, *searched, *measured, ERROR)
+        return (POINT_COLUMN, *varied, *searched, *measured, ERROR_COLUMN)
 
     def row(self, point: str, values: Sequence[Value]) -> Row:
-        """What is measured of a point; what cannot be is None, with the reason as `error`."""
+        """Compute the row of a point. If that fails, measured columns are empty and `error` has the reason."""
         shown = {
             name: shown_value(value, kind) for name, kind, value in zip(self.names, self.kinds, values, strict=True)
         }
         row: Row = dict.fromkeys(column.name for column in self.columns)
-        row |= {POINT.name: point, **shown}
+        row |= {POINT_COLUMN.name: point, **shown}
         try:
             document = self.document(values)
             row |= self._measured(document) if self.study.refine is None else self._refined(document)
         except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR.name] = on_one_line(str(error)) or type(error).__name__
+            row[ERROR_COLUMN.name] = on_one_line(str(error)) or type(error).__name__
         return row
 
     def _measured(self, document: Mapping[str, Json]) -> Row:
@@ -96,7 +98,7 @@ class Job:
         return found
 
     def _refined(self, document: dict[str, Json]) -> Row:
-        """Boundary and, if there is one, what is measured at the last value at which the condition holds."""
+        """Search for the boundary; measure at the last value at which the condition holds, or else at `start`."""
         refine = self.study.refine
         assert refine is not None
         path = path_of(refine.key)
@@ -119,18 +121,18 @@ class Job:
 
 @dataclass(frozen=True)
 class Points:
-    """Some points: a piece of a sweep."""
+    """A piece of a sweep: some of its points."""
 
     job: Job
     ids: tuple[str, ...]
     values: tuple[tuple[Value, ...], ...]
-    """By point, by axis."""
+    """For each point, its value of each axis."""
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def rows(self) -> list[Row]:
-        """One row a point."""
+        """Compute one row for each point."""
         return [self.job.row(point, values) for point, values in zip(self.ids, self.values, strict=True)]
 
 
@@ -141,68 +143,68 @@ class Plan:
     job: Job
     axes: tuple[Axis, ...]
     ids: npt.NDArray[np.void] = field(repr=False)
-    """(n,) ID_DTYPE."""
+    """Identities of the points, (n,) ID_DTYPE."""
     places: npt.NDArray[np.int64] = field(repr=False)
-    """(n,) which combination of the axes each is; of equal ones the first."""
+    """For each point, the index of its combination of axis values, (n,); the first if several compute the same."""
     source: str | None = field(default=None, repr=False)
-    """The study's file as it was read."""
+    """Text of the study's file; None if the study was not read from a file."""
 
     @property
     def title(self) -> str:
-        """The study's."""
+        """Title of the study."""
         return self.job.study.title
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of every row, in order."""
+        """The columns of every row, in order."""
         return self.job.columns
 
     def piece(self, indices: npt.NDArray[np.int64]) -> Points:
-        """The points with these indices, with all that computing them needs."""
+        """Return the points with these indices, with all data that computing them needs."""
         places = self.places[indices]
-        columns = [_taken(axis, places) for axis in self.axes]
+        columns = [_values_at(axis, places) for axis in self.axes]
         values = tuple(zip(*columns, strict=True)) if columns else ((),) * len(indices)
         return Points(self.job, tuple(each.tobytes().hex() for each in self.ids[indices]), values)
 
     def manifest(self) -> dict[str, Json]:
-        """What study.json says besides title and columns."""
+        """Return the members of study.json besides title and columns."""
         study = self.job.study
         found: dict[str, Json] = {"kind": "sweep", "study": study.to_dict(), "seed": study.seed}
         return found if self.source is None else {**found, "source": self.source}
 
 
-def _taken(axis: Axis, places: npt.NDArray[np.int64]) -> Sequence[Value]:
+def _values_at(axis: Axis, places: npt.NDArray[np.int64]) -> Sequence[Value]:
     index = axis.of_point[places]
     if isinstance(axis.values, np.ndarray):
-        taken: list[Value] = axis.values[index].tolist()
-        return taken
+        found: list[Value] = axis.values[index].tolist()
+        return found
     return [axis.values[each] for each in index.tolist()]
 
 
 def plan(study: SweepStudy) -> Plan:
-    """The points of a validated study. Points that compute the same are one.
+    """Return the plan of a validated study. Combinations that compute the same are one point.
 
-    Raises InvalidError, with paths of the study's keys; a fault of a single point is none, but a row.
+    Raises InvalidError, with paths of the study's keys. A fault of a single point does not raise: its row reports it.
     """
     axes = axes_of(study)
     root: dict[str, Json] = dict(study.base)
     if study.operator is not None:
-        root[OPERATOR] = study.operator
+        root[OPERATOR_KEY] = study.operator
     if study.parameters:
-        root[PARAMETERS] = study.parameters
+        root[PARAMETERS_KEY] = study.parameters
     if study.duration_s is not None:
-        root[DURATION] = study.duration_s
+        root[DURATION_KEY] = study.duration_s
     run: Run = study.run or ("none" if study.operator is None else "simulate")
     job = Job(study, root, run, tuple(axis.name for axis in axes), tuple(axis.kind for axis in axes))
     total = len(axes[0].of_point) if axes else 1
-    sums = _sums(job, axes, total) + _context(job)
+    sums = _document_hashes(job, axes, total) + _shared_hash(job)
     ids, places = np.unique(sums.view(ID_DTYPE).reshape(-1), return_index=True)
     order = np.argsort(places, kind="stable")  # in the order of the axes, not of the hashes
     return Plan(job, axes, ids[order], places[order])
 
 
-def _context(job: Job) -> npt.NDArray[np.uint64]:
-    """What else a point's result depends on."""
+def _shared_hash(job: Job) -> npt.NDArray[np.uint64]:
+    """Return the hash, (2,), of what results depend on besides the documents of points: measures, code, names."""
     from hapticd.sweeps.measures.registry import identity_of
 
     study = job.study
@@ -212,32 +214,35 @@ def _context(job: Job) -> npt.NDArray[np.uint64]:
         "measure": [identity_of(each) for each in study.measure],
         "refine": refine,
         "code": code_version(),
-        # A row holds what is varied under these names.
+        # A row has the varied values in columns of these names.
         "names": list(job.names),
         "levels": {name: list(axis.levels) for name, axis in study.vary.items() if axis.levels is not None},
     }
     return sum_of(context, ("",))
 
 
-def _sums(job: Job, axes: Sequence[Axis], total: int) -> npt.NDArray[np.uint64]:
-    """The sums of the points' documents, (n, 2): of what all share, and of each axis apart where that is possible."""
-    if not _apart(job, axes):
-        return np.array([sum_of(job.document(_values(axes, index))) for index in range(total)])
-    found = np.broadcast_to(sum_of(job.document(_values(axes, 0))), (total, 2)).copy()
+def _document_hashes(job: Job, axes: Sequence[Axis], total: int) -> npt.NDArray[np.uint64]:
+    """Return the hashes of the documents of `total` points, (n, 2).
+
+    If the axes are independent, each value of an axis is hashed only once. Otherwise each document is hashed.
+    """
+    if not _are_independent(job, axes):
+        return np.array([sum_of(job.document(_combination(axes, index))) for index in range(total)])
+    found = np.broadcast_to(sum_of(job.document(_combination(axes, 0))), (total, 2)).copy()
     for axis in axes:
-        sums = _of_axis(job, axis)
+        sums = _axis_hashes(job, axis)
         index = axis.of_point
         begin = int(index[0])
         found += (sums - sums[begin])[index]
     return found
 
 
-def _values(axes: Sequence[Axis], index: int) -> list[Value]:
-    return [_taken(axis, np.array([index]))[0] for axis in axes]
+def _combination(axes: Sequence[Axis], index: int) -> list[Value]:
+    return [_values_at(axis, np.array([index]))[0] for axis in axes]
 
 
-def _of_axis(job: Job, axis: Axis) -> npt.NDArray[np.uint64]:
-    """Of each value of an axis: the sum over what stands at its keys, (m, 2)."""
+def _axis_hashes(job: Job, axis: Axis) -> npt.NDArray[np.uint64]:
+    """Return the hash of all keys of an axis for each of its m values, (m, 2)."""
     values = axis.plain_values
     if job.study.vary[axis.name].levels is None and not _names_material(path_of(axis.name), values):
         return sums_at(path_of(axis.name), values)
@@ -247,12 +252,12 @@ def _of_axis(job: Job, axis: Axis) -> npt.NDArray[np.uint64]:
         document: dict[str, Json] = dict(job.root)
         for path, each in job.settings(axis.name, value):
             document = with_value(document, path, each, make=True)
-        found.append(sum((sum_of(_at(document, path), path) for path in paths), np.zeros(2, np.uint64)))
+        found.append(sum((sum_of(_part_at(document, path), path) for path in paths), np.zeros(2, np.uint64)))
     return np.array(found)
 
 
-def _at(document: Json, path: Path) -> Json:
-    """What stands at a path; nothing (an empty mapping) where nothing does."""
+def _part_at(document: Json, path: Path) -> Json:
+    """Return the part of a document at a path; an empty mapping, which adds nothing to a hash, if it does not exist."""
     for key in path:
         inside = key in document if isinstance(document, dict) else isinstance(key, int)
         if not isinstance(document, dict | list) or not inside:
@@ -262,26 +267,26 @@ def _at(document: Json, path: Path) -> Json:
 
 
 def _paths(job: Job, axis: Axis) -> set[Path]:
-    """The keys that an axis sets, at one of its values at least."""
+    """Return the keys that an axis sets at one or more of its values."""
     if job.study.vary[axis.name].levels is None:
         return {path_of(axis.name)}
     return {path for value in axis.values for path, _ in job.settings(axis.name, value)}
 
 
 def _names_material(path: Path, values: Sequence[Value]) -> bool:
-    """Whether values are names of materials that stand for their keys."""
-    return len(path) == 2 and path[0] == _MATERIALS and any(isinstance(value, str) for value in values)
+    """Return whether an axis replaces a material by the name of a shipped one, which stands for its keys."""
+    return len(path) == 2 and path[0] == _MATERIALS_KEY and any(isinstance(value, str) for value in values)
 
 
-def _apart(job: Job, axes: Sequence[Axis]) -> bool:
-    """Whether no axis changes what another sets, so that the sums of axes may be added."""
+def _are_independent(job: Job, axes: Sequence[Axis]) -> bool:
+    """Return whether no axis changes a key that another axis sets, so that the hashes of the axes may be added."""
     paths = [_paths(job, axis) for axis in axes]
     for index, own in enumerate(paths):
         others = set().union(*(other for place, other in enumerate(paths) if place != index))
         for path in own:
             if any(path[: len(other)] == other or other[: len(path)] == path for other in others):
                 return False
-            # A material that is taken by its name may be one that another axis changes.
-            if len(path) == 2 and path[0] == _MATERIALS and any(other[0] == _MATERIALS for other in others):
+            # A material given by its name may be one that another axis changes.
+            if len(path) == 2 and path[0] == _MATERIALS_KEY and any(other[0] == _MATERIALS_KEY for other in others):
                 return False
     return True

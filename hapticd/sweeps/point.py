@@ -1,4 +1,4 @@
-"""One point of a sweep: configuration, operator and run, each made when it is first needed."""
+"""One point of a sweep: its configuration, operator and run, each computed at first use."""
 
 from __future__ import annotations
 
@@ -17,15 +17,21 @@ from hapticd.rendering.joystick import waypoints_of
 from hapticd.rendering.offline import Run, render_run, simulate_run
 from hapticd.sweeps.keys import Run as RunKind
 
-OPERATOR: Final = "operator"
-PARAMETERS: Final = "parameters"
-DURATION: Final = "duration_s"
-BESIDE: Final = (OPERATOR, PARAMETERS, DURATION)
-"""Members of a point's document that are none of the configuration."""
+OPERATOR_KEY: Final = "operator"
+"""Key of the motion of the hand in the document of a point."""
+PARAMETERS_KEY: Final = "parameters"
+"""Key of the free parameters in the document of a point."""
+DURATION_KEY: Final = "duration_s"
+"""Key of the duration of the run, in s, in the document of a point."""
+NON_CONFIG_KEYS: Final = (OPERATOR_KEY, PARAMETERS_KEY, DURATION_KEY)
+"""Keys in the document of a point that are not keys of a configuration."""
 
 
 class Point:
-    """A point, by its document: the keys of a configuration, and `operator`, `parameters`, `duration_s`."""
+    """A point of a sweep, computed from its document.
+
+    The document has the keys of a configuration, and `operator`, `parameters` and `duration_s`.
+    """
 
     def __init__(self, document: Mapping[str, Json], run: RunKind) -> None:
         self.run_kind = run
@@ -34,7 +40,7 @@ class Point:
     @cached_property
     def source(self) -> dict[str, Json]:
         """The configuration as plain data, before it is validated."""
-        return {key: value for key, value in self._document.items() if key not in BESIDE}
+        return {key: value for key, value in self._document.items() if key not in NON_CONFIG_KEYS}
 
     @cached_property
     def config(self) -> Config:
@@ -43,20 +49,20 @@ class Point:
 
     @property
     def operator_source(self) -> dict[str, Json] | None:
-        """What the hand does, as plain data."""
-        given = self._document.get(OPERATOR)
+        """The operator, which is the motion of the hand, as plain data; None without one."""
+        given = self._document.get(OPERATOR_KEY)
         return given if isinstance(given, dict) else None
 
     @property
     def parameters(self) -> dict[str, Json]:
-        """Values that no configuration has."""
-        given = self._document.get(PARAMETERS)
+        """Free parameters, which are not part of the configuration."""
+        given = self._document.get(PARAMETERS_KEY)
         return given if isinstance(given, dict) else {}
 
     @cached_property
     def operator(self) -> Operator | None:
-        """What the hand does. Raises InvalidError."""
-        given: Any = self._document.get(OPERATOR)
+        """The validated operator; None without one. Raises InvalidError."""
+        given: Any = self._document.get(OPERATOR_KEY)
         return None if given is None else parse_operator(given)
 
     @property
@@ -66,27 +72,27 @@ class Point:
 
     @property
     def duration_s(self) -> float | None:
-        """How long is run; None: as long as the operator's way."""
-        found = self._document.get(DURATION)
+        """Duration of the run; None if it lasts as long as the path of the operator."""
+        found = self._document.get(DURATION_KEY)
         return float(found) if isinstance(found, int | float) else None
 
     @cached_property
     def waypoints(self) -> npt.NDArray[np.float64]:
-        """The way of the hand, rows [t_s, x_m, y_m], shape (n, 3). Raises InvalidError, HapticdError."""
+        """The path of the hand, rows [t_s, x_m, y_m], shape (n, 3). Raises InvalidError, HapticdError."""
         operator = self.operator
         if operator is None:
-            raise HapticdError("nothing is run without an operator, what the hand does")
+            raise HapticdError("the study has no operator: a run needs one")
         return waypoints_of(operator, self.config)
 
     @cached_property
     def run(self) -> Run:
-        """The closed loop with the simulated joystick; of `render`, the tick along the way of the hand, open loop.
+        """The run: the closed loop with the simulated joystick, or with `run: render` the open loop.
 
-        Raises InvalidError, HapticdError.
+        In the open loop the tick is computed at positions on the path of the hand. Raises InvalidError, HapticdError.
         """
         operator = self.operator
         if operator is None or self.run_kind == "none":
-            raise HapticdError("nothing is run: the study needs an operator, and run: simulate or render")
+            raise HapticdError("the study has no run: it needs an operator, and run: simulate or render")
         if self.run_kind == "render":
             return render_run(self.config, self._positions())
         return simulate_run(
@@ -98,15 +104,15 @@ class Point:
         )
 
     def _positions(self) -> npt.NDArray[np.float64]:
-        """Where the hand wants to be at each tick, (n, 2)."""
+        """Return the reference position of the hand at each tick, (n, 2)."""
         duration_s = float(self.waypoints[-1, 0]) if self.duration_s is None else self.duration_s
         return self.hand_at(np.arange(max(1, round(duration_s * self.rate_hz))) / self.rate_hz)
 
     def hand_at(self, at_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Where the hand wants to be at times (n,), shape (n, 2). Raises InvalidError, HapticdError."""
+        """Return the reference position of the hand at times (n,), shape (n, 2). Raises InvalidError, HapticdError."""
         way = self.waypoints
         if self.operator is not None and self.operator.interpolation == "minimum_jerk":
-            # 10 s^3 - 15 s^4 + 6 s^5 between two waypoints (Flash and Hogan 1985), as the simulated hand.
+            # 10 s^3 - 15 s^4 + 6 s^5 between two waypoints (Flash and Hogan 1985), as in the simulated hand.
             segment = np.clip(np.searchsorted(way[:, 0], at_s, side="right") - 1, 0, max(0, len(way) - 2))
             start, end = way[segment], way[np.minimum(segment + 1, len(way) - 1)]
             lasting = np.maximum(end[:, 0] - start[:, 0], 1e-300)

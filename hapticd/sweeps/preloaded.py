@@ -1,4 +1,4 @@
-"""Imported by the process that workers are forked from (`forked_workers`): what they need for a piece of a sweep."""
+"""Modules that workers need for a piece of a sweep; the fork server (`forked_workers`) imports this module."""
 
 import hapticd.rendering.offline
 import hapticd.sweeps.engine
@@ -6,5 +6,5 @@ import hapticd.sweeps.measures.registry
 import hapticd.sweeps.plan  # noqa: F401
 from hapticd.sweeps.worker_check import code_version
 
-# Known from here on, so that no worker reads all files again.
+# Cached here, so that no worker reads and hashes all files again.
 code_version()

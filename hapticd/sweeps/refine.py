@@ -12,39 +12,41 @@ from hapticd.sweeps.columns import Column, Row
 from hapticd.sweeps.keys import SweepCondition, SweepRefine
 
 BoundaryState: TypeAlias = Literal["found", "always", "never"]
-MOST_HALVINGS: Final = 200
+MAX_BISECTIONS: Final = 200
+"""Number of bisections after which the search ends even if the interval is wider than `within`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Boundary:
-    """Where the condition ceases to hold."""
+    """Result of the search for the value at which a condition ceases to hold."""
 
     state: BoundaryState
-    """`always`: it holds up to `end`; `never`: it does not hold at `start`."""
+    """`always` if the condition holds up to `end`, `never` if it does not hold at `start`."""
     holds_at: float | None
-    """The last value at which it was seen to hold."""
+    """The last tried value at which the condition holds, or None."""
     fails_at: float | None
-    """The first at which it was seen not to."""
+    """The first tried value at which the condition fails, or None."""
     tried: int
+    """Number of values that were tried."""
 
 
 def boundary_columns(refine: SweepRefine, unit: str) -> tuple[Column, ...]:
-    """What a refined study has besides its measures."""
+    """Return the columns that a study with `refine` has in addition to its measures."""
     return (
         Column("boundary", "number", "measured", unit, f"Last {refine.key} at which the condition holds."),
-        Column("boundary_fails", "number", "measured", unit, f"First {refine.key} at which it does not."),
-        Column("boundary_state", "text", "measured", "", "found; always: it holds up to the end; never: nowhere."),
-        Column("boundary_tried", "integer", "measured", "", "How many values were tried."),
+        Column("boundary_fails", "number", "measured", unit, f"First {refine.key} at which it fails."),
+        Column("boundary_state", "text", "measured", "", "found, always (holds up to the end) or never."),
+        Column("boundary_tried", "integer", "measured", "", "Number of values that were tried."),
     )
 
 
 def holds(refine: SweepRefine, row: Row) -> bool:
-    """Whether the condition holds of what was measured. Raises HapticdError where the column has no value."""
+    """Return whether a measured row meets the condition. Raises HapticdError if its column has no value."""
     condition = refine.holds
     column = condition.column if isinstance(condition, SweepCondition) else condition
     value = row[column]
     if value is None or isinstance(value, str):
-        raise HapticdError(f"{column} has no value here, so that nothing can be said of refine.holds")
+        raise HapticdError(f"refine.holds cannot be evaluated: {column} has no value here")
     if isinstance(condition, str):
         return bool(value)
     if condition.at_most is not None and not value <= condition.at_most:
@@ -53,10 +55,10 @@ def holds(refine: SweepRefine, row: Row) -> bool:
 
 
 def boundary_of(refine: SweepRefine, at: Callable[[float], bool]) -> Boundary:
-    """Searches from `start` towards `end`; `at(value)` says whether the condition holds.
+    """Search from `start` towards `end` for the boundary of a condition; `at(value)` returns whether it holds.
 
-    With `scan` steps, each is tried in turn from `start` on; the first that fails and the one before it are bisected
-    until they are within `within` of each other, or neighbouring numbers.
+    The steps of `scan` are tried in turn from `start` on. The interval between the first value that fails and the one
+    before it is then bisected until it is narrower than `within`, or its ends are neighbouring floats.
     """
     tried = 1
     if not at(refine.start):
@@ -71,7 +73,7 @@ def boundary_of(refine: SweepRefine, at: Callable[[float], bool]) -> Boundary:
         last = value
     if first is None:
         return Boundary("always", last, None, tried)
-    for _ in range(MOST_HALVINGS):
+    for _ in range(MAX_BISECTIONS):
         if _near(refine, last, first):
             break
         middle = _between(refine, last, first, 0.5)
@@ -88,7 +90,7 @@ def boundary_of(refine: SweepRefine, at: Callable[[float], bool]) -> Boundary:
 def _between(refine: SweepRefine, low: float, high: float, part: float) -> float:
     if refine.spacing == "linear":
         return low + part * (high - low)
-    # Exponent and logarithm are avoided in the middle: a square root is the same on every machine.
+    # The middle is a product of square roots, which are correctly rounded on every machine; powers are not.
     return math.sqrt(low) * math.sqrt(high) if part == 0.5 else low * (high / low) ** part
 
 

@@ -1,4 +1,4 @@
-"""The results of a sweep as one HTML page: figures, tables, the study, and what it was computed with."""
+"""The results of a sweep as one HTML page: figures, tables, the study, its seed and versions."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from hapticd.sweeps.figure_keys import SweepFigure
 from hapticd.sweeps.figures import Drawing, title_of
 from hapticd.sweeps.results import Results, best_of, with_values
 
-MOST_ROWS: Final = 1000
-"""Of a table on the page."""
+MAX_TABLE_ROWS: Final = 1000
+"""Largest number of rows of a table on the page."""
 
 
 def page(results: Results, drawings: Sequence[Drawing]) -> str:
-    """The page; every figure stands in it as SVG. Raises HapticdError for a figure that cannot be drawn."""
+    """Return the page with every figure as inline SVG. Raises HapticdError for a figure that cannot be drawn."""
     tables = [figure for figure in results.study.figures or () if figure.kind == "table"]
     source = results.source or yaml_text(results.study.to_dict())
     made = {"seed": str(results.study.seed), **results.versions}
@@ -54,7 +54,7 @@ def _summary(results: Results) -> str:
 
 
 def _own_columns(results: Results) -> list[str]:
-    """All but the identity; errors where there are some."""
+    """Return all columns except the identity, and `error` only if a row has an error."""
     failed = any(row["error"] is not None for row in results.rows)
     return [*results.named("varied"), *results.named("measured"), *(["error"] if failed else [])]
 
@@ -71,11 +71,11 @@ def _table(results: Results, rows: Sequence[Row], columns: Sequence[str], captio
         f"{results.words(name)}, {unit}" if (unit := results.column(name).unit) else results.words(name)
         for name in columns
     ]
-    cells = [[shown(row[name]) for name in columns] for row in rows[:MOST_ROWS]]
+    cells = [[shown(row[name]) for name in columns] for row in rows[:MAX_TABLE_ROWS]]
     left = [results.column(name).kind == "text" for name in columns]
     drawn = html_page.table(heads, cells, left, caption)
     if not rows:
-        return f'{drawn}\n<p class="note">No point is among them.</p>'
-    if len(rows) > MOST_ROWS:
-        return f'{drawn}\n<p class="note">{len(rows) - MOST_ROWS:,} more rows are in pieces/*.parquet.</p>'
+        return f'{drawn}\n<p class="note">No point has these values.</p>'
+    if len(rows) > MAX_TABLE_ROWS:
+        return f'{drawn}\n<p class="note">{len(rows) - MAX_TABLE_ROWS:,} more rows are in pieces/*.parquet.</p>'
     return drawn

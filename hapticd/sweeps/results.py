@@ -1,11 +1,11 @@
-"""The results of a sweep as figures and pages draw them: rows in the order of what is varied, columns with words."""
+"""The results of a sweep for figures and pages: rows in the order of the varied keys, columns with labels."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -15,30 +15,29 @@ from hapticd.config.schema import unit_suffix_of
 from hapticd.sweeps.axes import axes_of, shown_value
 from hapticd.sweeps.columns import Column, Row, Value
 from hapticd.sweeps.keys import SweepStudy
-from hapticd.sweeps.store import STUDY, Store
-
-_SWEEP: Final = "sweep"
+from hapticd.sweeps.store import STUDY_FILE, Store
 
 
 @dataclass(frozen=True)
 class Results:
-    """What a folder holds of a study."""
+    """The results of a study in a folder."""
 
     study: SweepStudy
     source: str | None
-    """The study's file as it was read; None: it was no file."""
+    """Text of the study's file; None if the study was not read from a file."""
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     points: int
-    """How many points the study has; those without a row are not computed yet."""
+    """Number of points of the study; those without a row are not computed yet."""
     versions: Mapping[str, str]
+    """Versions of hapticd, Python and numpy."""
 
     def column(self, name: str) -> Column:
-        """The column of that name."""
+        """Return the column of this name."""
         return next(column for column in self.columns if column.name == name)
 
     def named(self, role: str) -> list[str]:
-        """The columns of a role, in order."""
+        """Return the names of the columns of a role, in order."""
         return [column.name for column in self.columns if column.role == role]
 
     @cached_property
@@ -49,20 +48,22 @@ class Results:
         return words_of(self.columns, labels)
 
     def words(self, name: str) -> str:
-        """What a column is called in a figure, without its unit: `handle mass`."""
+        """Return the label of a column in a figure, without its unit: `handle mass`."""
         return self._words[name]
 
     @cached_property
     def _planned(self) -> dict[str, list[Value]]:
-        """The different values of each axis, computed or not."""
+        """The different values of each axis, including those of points that are not computed yet."""
         return {
             axis.name: list(dict.fromkeys(shown_value(value, axis.kind) for value in axis.plain_values))
             for axis in axes_of(self.study)
         }
 
     def values(self, name: str) -> list[Value]:
-        """The different values that a varied column has, not computed points among them: numbers in their order, texts
-        as the study lists them."""
+        """Return the different values of a varied column, including those of points that are not computed yet.
+
+        Numbers are sorted; texts are in the order of the study.
+        """
         found = self._planned[name]
         if self.column(name).kind == "text":
             return list(found)
@@ -70,8 +71,10 @@ class Results:
 
 
 def words_of(columns: Sequence[Column], labels: Mapping[str, str]) -> dict[str, str]:
-    """By column: the study's own words, or the end of its name without the unit, with what stands before if two end
-    alike."""
+    """Return the label of each column: that of the study, or else the last part of its name without the unit.
+
+    As many preceding parts are added as make the label unique.
+    """
     parts = {column.name: [_plain(part) for part in column.name.split(".")] for column in columns}
     found: dict[str, str] = {}
     for name, own in parts.items():
@@ -92,20 +95,20 @@ def _plain(part: str) -> str:
 
 
 def load_results(store: Store) -> Results:
-    """What is in a folder. Raises HapticdError, also for results that are of no sweep."""
+    """Read the results of a folder. Raises HapticdError, also if they are not results of a sweep."""
     manifest: dict[str, Any] = store.manifest()
-    if manifest.get("kind") != _SWEEP:
-        raise HapticdError(f"{store.folder}: holds no results of a sweep; figures are drawn of sweeps alone")
+    if manifest.get("kind") != "sweep":
+        raise HapticdError(f"{store.folder}: holds no results of a sweep; only results of sweeps can be drawn")
     try:
         study = SweepStudy.parsed(manifest["study"])
     except ValidationError:
         raise HapticdError(
-            f"{store.folder}/{STUDY}: was written by another version of hapticd: run the study again"
+            f"{store.folder}/{STUDY_FILE}: written by another version of hapticd; run the study again"
         ) from None
     columns = store.columns()
     rows: list[Row] = store.table().to_pylist()
     if not rows:
-        raise HapticdError(f"{store.folder}: no point has been computed yet: hapticd sweep run goes on")
+        raise HapticdError(f"{store.folder}: no point has been computed yet; run hapticd sweep run again to continue")
     return Results(
         study,
         manifest.get("source"),
@@ -117,19 +120,21 @@ def load_results(store: Store) -> Results:
 
 
 def in_order(rows: Sequence[Row], columns: Sequence[Column]) -> list[Row]:
-    """Rows in the order of what is varied, not of identities."""
+    """Return the rows sorted by their varied values."""
     varied = [column.name for column in columns if column.role == "varied"]
     return sorted(rows, key=lambda row: [(row[name] is None, row[name]) for name in varied])
 
 
 def with_values(rows: Sequence[Row], where: Mapping[str, Value]) -> list[Row]:
-    """The rows that have these values."""
+    """Return the rows with these values."""
     return [row for row in rows if all(row[name] == value for name, value in where.items())]
 
 
 def best_of(rows: Sequence[Row], better: Mapping[str, str]) -> list[Row]:
-    """The rows that no other row beats: as good in every one of these columns and better in one (Pareto's). `better`
-    says of each whether `least` or `most` is better. A row without a value in one of them is left out."""
+    """Return the Pareto-optimal rows: no other row is at least as good in all columns of `better`, and better in one.
+
+    `better` is `least` or `most` for each column. A row without a value in one of these columns is left out.
+    """
     known = [row for row in rows if all(row[name] is not None for name in better)]
     if not known:
         return []

@@ -1,9 +1,9 @@
-"""The results of sweeps in a folder: pieces as Parquet, each written whole, and what belongs to the study.
+"""The results of sweeps in a folder: the study, and pieces of rows as Parquet files, each written atomically.
 
     lock                  locked by the process that writes
     study.json            title, columns, the study itself, seed and versions
-    points.npy            (n,) the identities of the study's points
-    pieces/HASH.parquet   rows, sorted by point; HASH is that of the points' identities
+    points.npy            the identities of the study's points, (n,)
+    pieces/HASH.parquet   rows, sorted by point; HASH is the hash of the identities of their points
 
 Two studies in one folder share the points that compute the same.
 """
@@ -28,23 +28,26 @@ import numpy.typing as npt
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import check_regular, write_whole
-from hapticd.sweeps.columns import ERROR, POINT, Column, Row, Value
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row, Value
 from hapticd.sweeps.work import ID_DTYPE, Work
 from hapticd.sweeps.worker_check import code_version
 
-STUDY: Final = "study.json"
-POINTS: Final = "points.npy"
-PIECES: Final = "pieces"
-_AT_ONCE: Final = 500
-"""Rows that are objects of Python at once, where all are visited."""
-LOCK: Final = "lock"
-_PARTIAL: Final = re.compile(r"\.[0-9a-f]{32}\.parquet\.\d+\.[0-9a-f]{16}\.part")
-"""A piece that a killed process left half written."""
-_ID: Final = re.compile(r"[0-9a-f]{32}")
+STUDY_FILE: Final = "study.json"
+"""File of the study in a result folder."""
+POINTS_FILE: Final = "points.npy"
+"""File of the identities in a result folder."""
+PIECES_FOLDER: Final = "pieces"
+"""Folder of the pieces in a result folder."""
+_ROWS_IN_MEMORY: Final = 500
+"""Number of rows that are converted to Python objects at a time while all rows are visited."""
+_PARTIAL_PIECE: Final = re.compile(r"\.[0-9a-f]{32}\.parquet\.\d+\.[0-9a-f]{16}\.part")
+"""Name of a temporary file, which a killed process may leave behind."""
+_POINT_ID: Final = re.compile(r"[0-9a-f]{32}")
+"""The identity of a point as text."""
 
 
 def require_pyarrow() -> None:
-    """Raises HapticdError (one line) where pyarrow is missing."""
+    """Raise HapticdError (one line) if pyarrow is missing."""
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError:
@@ -55,26 +58,29 @@ class Store:
     """A folder of results."""
 
     def __init__(self, folder: Path, note: Callable[[str], None]) -> None:
-        """`note` is called with a line on each file that cannot be read."""
+        """`note` is called with a line about each piece that cannot be read, or a folder that cannot be locked."""
         require_pyarrow()
         self._folder = folder
         self._note = note
 
     @property
     def folder(self) -> Path:
-        """Where it is."""
+        """Path of the folder."""
         return self._folder
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """The folder for this process alone, made where it is missing. Raises HapticdError: where it cannot be made, or
-        another process has it."""
-        pieces = self._folder / PIECES
+        """Lock the folder for this process while the context is active; create it if it is missing.
+
+        Temporary files of killed processes are removed. Raises HapticdError if the folder cannot be created, or another
+        process has locked it.
+        """
+        pieces = self._folder / PIECES_FOLDER
         try:
             pieces.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise HapticdError(f"{self._folder}: cannot be made: {error.strerror}") from None
-        file = self._folder / LOCK
+            raise HapticdError(f"{self._folder}: cannot be created: {error.strerror}") from None
+        file = self._folder / "lock"
         check_regular(file)
         try:
             descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
@@ -83,7 +89,7 @@ class Store:
         try:
             self._lock(descriptor)
             for each in pieces.iterdir():
-                if _PARTIAL.fullmatch(each.name):
+                if _PARTIAL_PIECE.fullmatch(each.name):
                     each.unlink()
             yield
         finally:
@@ -94,14 +100,14 @@ class Store:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise HapticdError(
-                f"{self._folder}: another process writes results into it: wait for its end, or give another folder"
+                f"{self._folder}: another process writes results into it; wait for its end, or give another folder"
             ) from None
         except OSError as error:
-            # Not every file system of a cluster has locks. Pieces are written whole all the same.
-            self._note(f"{self._folder}: cannot be locked ({error.strerror}): run one study at a time into it")
+            # Some file systems of clusters have no locks. Pieces are written atomically even there.
+            self._note(f"{self._folder}: cannot be locked: {error.strerror}; run only one study at a time into it")
 
     def begin(self, work: Work) -> None:
-        """Writes what belongs to the study; pieces that are there stay. Raises HapticdError."""
+        """Write study.json and points.npy; existing pieces are kept. Raises HapticdError."""
         points = io.BytesIO()
         np.save(points, np.frombuffer(work.ids.tobytes(), np.uint8).reshape(-1, ID_DTYPE.itemsize))
         columns = [asdict(column) for column in work.columns]
@@ -111,62 +117,64 @@ class Store:
             "versions": {"hapticd": code_version(), "python": platform.python_version(), "numpy": np.__version__},
             **work.manifest(),
         }
-        write_whole(str(self._folder / POINTS), points.getvalue(), overwrite=True)
-        write_whole(str(self._folder / STUDY), json.dumps(manifest, indent=1).encode() + b"\n", overwrite=True)
+        write_whole(str(self._folder / POINTS_FILE), points.getvalue(), overwrite=True)
+        write_whole(str(self._folder / STUDY_FILE), json.dumps(manifest, indent=1).encode() + b"\n", overwrite=True)
 
     def manifest(self) -> dict[str, Any]:
-        """What study.json holds. Raises HapticdError."""
-        file = self._folder / STUDY
+        """Read study.json. Raises HapticdError."""
+        file = self._folder / STUDY_FILE
         try:
             found = json.loads(file.read_bytes())
         except OSError as error:
-            raise HapticdError(f"{file}: cannot be read: {error.strerror}; no sweep was run into this folder") from None
+            raise HapticdError(f"{file}: cannot be read: {error.strerror}; not a folder of results") from None
         except ValueError:
-            raise HapticdError(f"{file}: is no JSON: run the study again to have it written anew") from None
+            raise HapticdError(f"{file}: not JSON; run the study again to restore it") from None
         if not isinstance(found, dict) or not isinstance(found.get("columns"), list):
-            raise HapticdError(f"{file}: is of no sweep: run the study again to have it written anew")
+            raise HapticdError(f"{file}: not a file of a sweep; run the study again to restore it")
         return found
 
     def columns(self) -> tuple[Column, ...]:
-        """Of the study."""
+        """Return the columns of the study. Raises HapticdError."""
         return tuple(Column(**each) for each in self.manifest()["columns"])
 
     def points(self) -> npt.NDArray[np.void]:
-        """The identities of the study's points, (n,) ID_DTYPE. Raises HapticdError."""
-        file = self._folder / POINTS
+        """Return the identities of the study's points, (n,) ID_DTYPE. Raises HapticdError."""
+        file = self._folder / POINTS_FILE
         try:
             found = np.load(file, allow_pickle=False)
         except (OSError, ValueError):
-            raise HapticdError(f"{file}: cannot be read: run the study again to have it written anew") from None
+            raise HapticdError(f"{file}: cannot be read; run the study again to restore it") from None
         return np.frombuffer(found.tobytes(), ID_DTYPE)
 
     def present(self, columns: Sequence[Column], again: bool = False) -> npt.NDArray[np.void]:
-        """The identities of all rows of the folder with these columns, (m,) ID_DTYPE; `again`: of those without an
-        error."""
+        """Return the identities of all rows of the folder that have these columns, (m,) ID_DTYPE.
+
+        With `again`, rows with an error are left out.
+        """
         found = [b""]
-        for table in self._tables(_schema(columns), [POINT.name, ERROR.name]):
+        for table in self._tables(_schema(columns), [POINT_COLUMN.name, ERROR_COLUMN.name]):
             if again:
                 import pyarrow.compute as compute
 
-                table = table.filter(compute.is_null(table[ERROR.name]))
-            found += [bytes.fromhex(each) for each in table[POINT.name].to_pylist()]
+                table = table.filter(compute.is_null(table[ERROR_COLUMN.name]))
+            found += [bytes.fromhex(each) for each in table[POINT_COLUMN.name].to_pylist()]
         return np.frombuffer(b"".join(found), ID_DTYPE)
 
     def write(self, rows: Sequence[Row], columns: Sequence[Column]) -> None:
-        """One piece, whole and on disk when this returns. Raises HapticdError."""
+        """Write rows as one piece, atomically; it is on disk when this returns. Raises HapticdError."""
         import pyarrow
         from pyarrow import parquet
 
         schema = _schema(columns)
-        ordered = sorted(rows, key=lambda row: str(row[POINT.name]))
+        ordered = sorted(rows, key=lambda row: str(row[POINT_COLUMN.name]))
         table = pyarrow.Table.from_pylist(ordered, schema=schema)
-        name = sha256("".join(str(row[POINT.name]) for row in ordered).encode()).hexdigest()[:32]
+        name = sha256("".join(str(row[POINT_COLUMN.name]) for row in ordered).encode()).hexdigest()[:32]
         content = io.BytesIO()
         parquet.write_table(table, content)
-        write_whole(str(self._folder / PIECES / f"{name}.parquet"), content.getvalue(), overwrite=True)
+        write_whole(str(self._folder / PIECES_FOLDER / f"{name}.parquet"), content.getvalue(), overwrite=True)
 
     def table(self) -> Any:
-        """The study's rows that there are, a pyarrow.Table sorted by point. Raises HapticdError."""
+        """Return the computed rows of the study, a pyarrow.Table sorted by point. Raises HapticdError."""
         import pyarrow
 
         schema = _schema(self.columns())
@@ -174,13 +182,13 @@ class Store:
         rows: dict[str, Row] = {}
         for table in self._tables(schema, schema.names):
             for row in table.to_pylist():
-                point = row[POINT.name]
-                if point in own and (point not in rows or row[ERROR.name] is None):
+                point = row[POINT_COLUMN.name]
+                if point in own and (point not in rows or row[ERROR_COLUMN.name] is None):
                     rows[point] = row
         return pyarrow.Table.from_pylist([rows[point] for point in sorted(rows)], schema=schema)
 
     def digest(self) -> str:
-        """SHA-256 of the sorted rows: names, kinds and values; not of how files hold them."""
+        """Return the SHA-256 of column names, types and values of the sorted rows, independent of the pieces."""
         table = self.table()
         digest = sha256()
         for name in table.column_names:
@@ -193,50 +201,50 @@ class Store:
         return digest.hexdigest()
 
     def rows(self) -> Iterator[Row]:
-        """As table, one row after the other."""
+        """Yield the rows of `table`. Raises HapticdError."""
         table = self.table()
-        for begin in range(0, len(table), _AT_ONCE):
-            yield from table.slice(begin, _AT_ONCE).to_pylist()
+        for begin in range(0, len(table), _ROWS_IN_MEMORY):
+            yield from table.slice(begin, _ROWS_IN_MEMORY).to_pylist()
 
     def _tables(self, schema: Any, columns: list[str]) -> Any:
-        """Of each piece that can be read and has the fields of this schema, these columns."""
+        """Yield `columns` of each readable piece that has the fields of `schema`, as a pyarrow.Table."""
         import pyarrow
         from pyarrow import parquet
 
-        for file in sorted((self._folder / PIECES).glob("*.parquet")):
+        for file in sorted((self._folder / PIECES_FOLDER).glob("*.parquet")):
             try:
                 found = parquet.ParquetFile(file)
                 own = found.schema_arrow
-                if POINT.name not in own.names or ERROR.name not in own.names:
-                    self._note(f"{file}: holds no points: it is left out")
+                if POINT_COLUMN.name not in own.names or ERROR_COLUMN.name not in own.names:
+                    self._note(f"{file}: not a piece of a sweep; it is left out")
                     continue
-                # A piece with others is of another study in this folder.
-                if not all(each.name in own.names and _alike(own.field(each.name), each) for each in schema):
+                # A piece with other fields belongs to another study in this folder.
+                if not all(each.name in own.names and _same_kind(own.field(each.name), each) for each in schema):
                     continue
                 table = found.read(columns)
             except (OSError, pyarrow.ArrowException):
-                self._note(f"{file}: is no piece of a sweep, or damaged: its points are computed again")
+                self._note(f"{file}: not a piece of a sweep, or damaged; its points are computed again")
                 continue
-            if not all(each is not None and _ID.fullmatch(each) for each in table[POINT.name].to_pylist()):
-                self._note(f"{file}: holds no points: it is left out")
+            if not all(each is not None and _POINT_ID.fullmatch(each) for each in table[POINT_COLUMN.name].to_pylist()):
+                self._note(f"{file}: not a piece of a sweep; it is left out")
                 continue
             yield table
 
 
-def _alike(one: Any, other: Any) -> bool:
-    """Whether the values of two fields are of one kind; a whole number is a number."""
+def _same_kind(one: Any, other: Any) -> bool:
+    """Return whether two fields have the same type; integers and floats count as the same."""
     kinds = [str(each.type) for each in (one, other)]
     return kinds[0] == kinds[1] or set(kinds) <= {"int64", "double"}
 
 
 def _values(column: Any) -> Iterator[Value]:
-    """Of a column, never all of them as objects of Python."""
-    for begin in range(0, len(column), _AT_ONCE):
-        yield from column.slice(begin, _AT_ONCE).to_pylist()
+    """Yield the values of a column, with at most _ROWS_IN_MEMORY of them as Python objects at a time."""
+    for begin in range(0, len(column), _ROWS_IN_MEMORY):
+        yield from column.slice(begin, _ROWS_IN_MEMORY).to_pylist()
 
 
 def _schema(columns: Sequence[Column]) -> Any:
-    """The fields of a table, with unit and description of each as metadata."""
+    """Return the schema of a table; unit, description and role of each column are metadata of its field."""
     import pyarrow
 
     made: dict[str, Callable[[], Any]] = {

@@ -1,4 +1,4 @@
-"""Reads a sweep: a YAML file or a mapping, with every fault at its line, before anything is computed."""
+"""Reads and validates a sweep from a YAML file or a mapping, and reports every fault with its line."""
 
 from __future__ import annotations
 
@@ -23,18 +23,20 @@ from hapticd.sweeps.columns import Value
 from hapticd.sweeps.figure_faults import figure_faults
 from hapticd.sweeps.keys import SweepCondition, SweepStudy
 from hapticd.sweeps.measures.registry import parse_measure
-from hapticd.sweeps.measures.user_function import FUNCTION, with_source
+from hapticd.sweeps.measures.user_function import FUNCTION_MEASURE, with_source
 from hapticd.sweeps.plan import Job, Plan, plan
-from hapticd.sweeps.point import BESIDE, OPERATOR, PARAMETERS
+from hapticd.sweeps.point import NON_CONFIG_KEYS, OPERATOR_KEY, PARAMETERS_KEY
 
-_BASE: Final = "base"
-_MOST_CHECKED: Final = 200
-"""So many values of each axis are validated before the study begins; a fault of another one is a row."""
+_BASE_KEY: Final = "base"
+"""Key of the base configuration in a study."""
+_MAX_CHECKED_VALUES: Final = 200
+"""Number of values of each axis that are validated before the study begins; faults of the others are found when their
+points are computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """What a study was read from, and the file of its base if that is another one."""
+    """The document of a study, and that of its base if the base is a separate file."""
 
     study: Document
     base: Document | None
@@ -42,18 +44,19 @@ class _Source:
     def invalid(self, faults: list[tuple[Path, str]]) -> InvalidError:
         return InvalidError(
             self.base.problem(path[1:], text)
-            if self.base is not None and path[:1] == (_BASE,) and len(path) > 1
+            if self.base is not None and path[:1] == (_BASE_KEY,) and len(path) > 1
             else self.study.problem(path, text)
             for path, text in faults
         )
 
 
 def load_sweep(source: Mapping[str, object] | str | os.PathLike[str]) -> Plan:
-    """The points of a study, from a YAML file, by the name of a study that ships, or from a mapping; paths in it are
-    relative to the file, or to the current folder.
+    """Read a study from a YAML file, by the name of a shipped study, or from a mapping, and return its plan.
 
-    Raises InvalidError, which names every fault with file, line, key and what would be right; HapticdError for a file
-    that cannot be read.
+    Paths in a study are relative to its file; those in a mapping are relative to the current folder.
+
+    Raises InvalidError, which states every fault with file, line, key and what would be right, and HapticdError for a
+    file that cannot be read.
     """
     if isinstance(source, Mapping):
         return _load(Document(plain(source)), os.getcwd())
@@ -96,8 +99,8 @@ def _load(document: Document, folder: str) -> Plan:
 
 
 def _with_base(document: Document, data: dict[str, Json], folder: str) -> Document | None:
-    """Puts the configuration in the place of its name; what it was read from, if that is another file."""
-    given = data.get(_BASE, {})
+    """Replace the name of the base by its configuration; return the document of its file, or None without a file."""
+    given = data.get(_BASE_KEY, {})
     source: Document | None = None
     if isinstance(given, str):
         source = _file(given, folder, "scenes")
@@ -107,50 +110,52 @@ def _with_base(document: Document, data: dict[str, Json], folder: str) -> Docume
         given = source.data
     if not isinstance(given, dict):
         text = f"must be a configuration, or the name of a file or of a shipped scene, is {shown(given)}"
-        raise InvalidError([document.problem((_BASE,), text)])
+        raise InvalidError([document.problem((_BASE_KEY,), text)])
     try:
-        data[_BASE] = expanded(given)
+        data[_BASE_KEY] = expanded(given)
     except InvalidError as error:
-        faults: list[tuple[Path, str]] = [((_BASE, *each.where.split(".", 1)), each.problem) for each in error.problems]
+        faults: list[tuple[Path, str]] = [
+            ((_BASE_KEY, *each.where.split(".", 1)), each.problem) for each in error.problems
+        ]
         raise _Source(document, source).invalid(faults) from None
     return source
 
 
 def _file(name: str, folder: str, shipped: str) -> Document:
-    beside = FilePath(folder, name)
-    return load_path(beside if beside.is_file() else file_of(name, shipped))  # type: ignore[arg-type]
+    local = FilePath(folder, name)
+    return load_path(local if local.is_file() else file_of(name, shipped))  # type: ignore[arg-type]
 
 
 def _with_operator(document: Document, data: dict[str, Json], folder: str) -> None:
-    """Puts the operator in the place of its name."""
-    given = data.get(OPERATOR)
+    """Replace the name of the operator by its keys."""
+    given = data.get(OPERATOR_KEY)
     if isinstance(given, str):
-        beside = FilePath(folder, given)
-        data[OPERATOR] = _plain_operator(load_operator(beside if beside.is_file() else file_of(given, "operators")))
+        local = FilePath(folder, given)
+        data[OPERATOR_KEY] = _plain_operator(load_operator(local if local.is_file() else file_of(given, "operators")))
     elif isinstance(given, dict):
         try:
             parse_operator(given)
         except InvalidError as error:
             raise InvalidError(
-                document.problem((OPERATOR, *_elements(each.where)), each.problem) for each in error.problems
+                document.problem((OPERATOR_KEY, *_elements(each.where)), each.problem) for each in error.problems
             ) from None
 
 
 def _with_functions(document: Document, data: dict[str, Json], folder: str) -> None:
-    """Puts the source of each function of the user's beside its name."""
+    """Add the source of its module to the options of each user function."""
     measures = data.get("measure")
     if not isinstance(measures, list):
         return
     measures = data["measure"] = list(measures)
     problems: list[Problem] = []
     for index, each in enumerate(measures):
-        options = each.get(FUNCTION) if isinstance(each, dict) and len(each) == 1 else None
+        options = each.get(FUNCTION_MEASURE) if isinstance(each, dict) and len(each) == 1 else None
         if isinstance(options, dict):
             try:
-                measures[index] = {FUNCTION: with_source(options, folder)}
+                measures[index] = {FUNCTION_MEASURE: with_source(options, folder)}
             except InvalidError as error:
                 problems += [
-                    document.problem(("measure", index, FUNCTION, *_elements(each.where)), each.problem)
+                    document.problem(("measure", index, FUNCTION_MEASURE, *_elements(each.where)), each.problem)
                     for each in error.problems
                 ]
     if problems:
@@ -165,7 +170,7 @@ def _plain_operator(operator: Operator) -> dict[str, Json]:
 
 
 def _elements(where: str) -> Path:
-    """A path as a problem writes it."""
+    """Return the path that the `where` of a problem stands for; empty if it is not a path."""
     try:
         return path_of(where)
     except ValueError:
@@ -186,15 +191,15 @@ def _measure_faults(study: SweepStudy) -> list[tuple[Path, str]]:
             continue
         for column in measure.columns:
             if column.name in names or column.name in study.vary:
-                faults.append((("measure", index), f"there are two columns {column.name}: give one another name"))
+                faults.append((("measure", index), f"duplicate column {column.name}; give one of them another name"))
             names.add(column.name)
         if measure.needs_run and (study.run == "none" or study.operator is None):
-            faults.append((("measure", index), "measures a run: the study needs an operator, and run: simulate"))
+            faults.append((("measure", index), "measures a run: the study needs an operator and run: simulate"))
     return faults
 
 
 def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
-    """Keys that nothing has."""
+    """Return the faults of keys that neither a configuration nor a study has."""
     faults: list[tuple[Path, str]] = []
     keys: list[tuple[Path, str]] = []
     for name, axis in study.vary.items():
@@ -204,7 +209,7 @@ def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
             keys += [(("vary", name, "levels", level, key), key) for key in settings]
     if study.refine is not None:
         keys.append((("refine", "key"), study.refine.key))
-    known = (*Config.model_fields, *BESIDE)
+    known = (*Config.model_fields, *NON_CONFIG_KEYS)
     for place, key in keys:
         try:
             path = path_of(key)
@@ -212,14 +217,17 @@ def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
             faults.append((place, str(error)))
             continue
         if path[0] not in known:
-            hint = f"{known_names(str(path[0]), known)}; what no configuration has stands below {PARAMETERS}"
-            faults.append((place, f"nothing has a key {path[0]}; {hint}"))
+            hint = f"{known_names(str(path[0]), known)}; free parameters are below {PARAMETERS_KEY}"
+            faults.append((place, f"unknown key {path[0]}; {hint}"))
     return faults
 
 
 def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
-    """Values of single axes that the configuration refuses, the others at their first."""
-    values = [axis.plain_values[:_MOST_CHECKED] for axis in axes]
+    """Return the faults of values that are invalid in the configuration.
+
+    The values of each axis are checked with the first values of all other axes.
+    """
+    values = [axis.plain_values[:_MAX_CHECKED_VALUES] for axis in axes]
     first = [each[0] for each in values]
     faults = _faults_with(job, first, "")
     if faults:
@@ -239,7 +247,10 @@ def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
 
 
 def _faults_with(job: Job, values: Sequence[Value], name: str) -> list[tuple[Path, str]]:
-    """The configuration's faults at a point; those of a key that is varied at its axis, others at the base."""
+    """Return the faults of the configuration at a point.
+
+    The place of a fault is the axis that sets the key, otherwise the axis `name`, or without one the base.
+    """
     try:
         document = job.document(values)
     except InvalidError as error:
@@ -255,15 +266,15 @@ def _faults_with(job: Job, values: Sequence[Value], name: str) -> list[tuple[Pat
         elif name:
             found.append((("vary", name), f"{'.'.join(map(str, path))}: {text}" if path else text))
         else:
-            found.append(((path if path[:1] == (OPERATOR,) else (_BASE, *path)), text))
+            found.append(((path if path[:1] == (OPERATOR_KEY,) else (_BASE_KEY, *path)), text))
     return found
 
 
 def _config_faults(document: Mapping[str, Json]) -> list[tuple[Path, str]]:
-    source = {key: value for key, value in document.items() if key not in BESIDE}
+    source = {key: value for key, value in document.items() if key not in NON_CONFIG_KEYS}
     try:
         load_config(source)
-        operator = document.get(OPERATOR)
+        operator = document.get(OPERATOR_KEY)
         if isinstance(operator, dict):
             parse_operator(operator)
     except InvalidError as error:
@@ -274,7 +285,7 @@ def _config_faults(document: Mapping[str, Json]) -> list[tuple[Path, str]]:
 
 
 def _column_faults(found: Plan) -> list[tuple[Path, str]]:
-    """Names of columns that are none."""
+    """Return the fault of `refine.holds` if it does not name a measured column."""
     study, names = found.job.study, [column.name for column in found.columns if column.role == "measured"]
     if study.refine is None:
         return []
@@ -283,4 +294,4 @@ def _column_faults(found: Plan) -> list[tuple[Path, str]]:
     if column in names:
         return []
     place = ("refine", "holds", "column") if isinstance(holds, SweepCondition) else ("refine", "holds")
-    return [(place, f"nothing that is measured is called {column}; {known_names(column, names)}")]
+    return [(place, f"unknown measured column {column}; {known_names(column, names)}")]

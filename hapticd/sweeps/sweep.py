@@ -1,4 +1,4 @@
-"""A sweep from Python: all points of a study as a DataFrame."""
+"""hapticd.sweep(): runs a study from Python and returns its rows as a DataFrame."""
 
 from __future__ import annotations
 
@@ -28,16 +28,18 @@ def sweep(
     workers: int | None = None,
     threads: bool = False,
 ) -> pd.DataFrame:
-    """Computes the points of a study (docs/sweeps.md), and returns one row a point.
+    """Compute the points of a study (docs/sweeps.md) and return a DataFrame with one row for each point.
 
-    `study`: a YAML file, the name of one that ships, or a mapping.
+    Args:
+        study: A YAML file, the name of a shipped study, or a mapping.
+        client: A `distributed.Client`. By default one with local processes is started for this call.
+        folder: Where results are kept; points that it already holds are not computed again.
+        workers: Number of local processes, by default the number of processors.
+        threads: Use threads of this process instead of processes. Processes are spawned, so a script must make this
+            call below `if __name__ == "__main__":`.
 
-    `client`: a `distributed.Client`, by default of `workers` processes of this machine (as many as processors), or with
-    `threads` of threads of this process. Processes are spawned: a script calls this below `if __name__ == "__main__":`.
-    `folder` keeps the results, and points that it holds are not computed again.
-
-    Rows are sorted by what is varied. The columns are `point`, what is varied, what is measured, and `error`, why a
-    point has no result. Raises InvalidError for a study that is not valid, and HapticdError.
+    The columns are `point`, the varied keys, the measured columns, and `error`, the reason why a point has no result.
+    Rows are sorted by the varied keys. Raises InvalidError for an invalid study, HapticdError if it cannot be run.
     """
     require_dask()
     plan = load_sweep(study)

@@ -1,7 +1,8 @@
-"""What a worker is sent: a piece, packed, and the function that unpacks and computes it.
+"""The function that a worker runs on a piece, which it gets as pickled bytes.
 
-A worker that cannot read what it is sent ends, as dask has it, and takes the piece of another one along. So the
-function names nothing of hapticd, and every worker can read it; one without hapticd, or with another, answers so.
+Dask ends a worker that cannot unpickle its task, and may lose pieces of other workers with it. So the function is sent
+as code that refers to nothing of hapticd, and every worker can unpickle it. A worker without hapticd, or with another
+version, returns a refusal.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ from hapticd.sweeps.columns import Row
 from hapticd.sweeps.work import Piece
 
 Refusal: TypeAlias = tuple[str, str]
-"""The address of a worker that cannot compute the piece, and why."""
+"""The address of a worker that cannot compute the piece, and the reason."""
 Answer: TypeAlias = "tuple[list[Row], float] | Refusal"
-"""The rows and how long they took, s; or a refusal."""
+"""The rows and the time that the worker spent on them, in s; or a refusal."""
 
 
-def packed(piece: Piece) -> bytes:
-    """A piece as bytes, which nobody on its way reads."""
+def pickled(piece: Piece) -> bytes:
+    """Return a piece as bytes, which the scheduler forwards without unpickling them."""
     from distributed.protocol.pickle import dumps
 
     found: bytes = dumps(piece)
@@ -27,7 +28,7 @@ def packed(piece: Piece) -> bytes:
 
 
 def _task() -> Callable[[bytes, str], Answer]:
-    # Within a function, so that it is sent as code and not as a name of this module.
+    # A nested function is pickled as code; a function of a module would be pickled as its name.
     def computed(content: bytes, version: str) -> Answer:
         from pickle import loads
         from time import perf_counter

@@ -1,4 +1,4 @@
-"""What the engine is given: points, each known by its identity, in pieces that a worker computes."""
+"""The interface of a study to the engine: points with an identity each, in pieces that a worker computes."""
 
 from __future__ import annotations
 
@@ -11,17 +11,20 @@ from hapticd.base.yaml_source import Json
 from hapticd.sweeps.columns import Column, Row
 
 ID_DTYPE: Final = np.dtype("V16")
-"""The identity of a point: 16 bytes of a hash of everything that it computes."""
+"""The identity of a point: 16 bytes of a hash of everything that its result depends on."""
 
 
 class Piece(Protocol):
-    """Some points, with everything that computing them needs but the code; a worker gets it by pickle."""
+    """Some points of a study with all data that computing them needs; it is pickled and sent to a worker."""
 
     def __len__(self) -> int:
-        """How many points."""
+        """Return the number of points."""
 
     def rows(self) -> list[Row]:
-        """One row a point, in their order. A point that cannot be computed has the reason in its column `error`."""
+        """Compute one row for each point, in their order.
+
+        The row of a point that cannot be computed has the reason in its column `error`.
+        """
 
 
 class Work(Protocol):
@@ -29,18 +32,18 @@ class Work(Protocol):
 
     @property
     def title(self) -> str:
-        """What a person calls it."""
+        """Title of the study."""
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of every row, in order."""
+        """The columns of every row, in order."""
 
     @property
     def ids(self) -> npt.NDArray[np.void]:
-        """(n,) ID_DTYPE, each different."""
+        """The identities of the points, (n,) ID_DTYPE, all different."""
 
     def piece(self, indices: npt.NDArray[np.int64]) -> Piece:
-        """The points with these indices."""
+        """Return the points with these indices."""
 
     def manifest(self) -> dict[str, Json]:
-        """What study.json says of it besides title and columns: at least `kind`, `study` and `seed`."""
+        """Return the members of study.json besides title and columns: at least `kind`, `study` and `seed`."""

@@ -1,4 +1,4 @@
-"""Whether a worker runs the same hapticd as whoever sends it a piece."""
+"""The code version, by which a worker is checked to run the same hapticd as the command."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from hapticd.config.shipped_files import folder_of
 
 @cache
 def code_version() -> str:
-    """The version of hapticd, and 12 hexadecimal digits of a hash: `0.1.0 (1f2e3d4c5b6a)`.
+    """Return the version of hapticd with 12 hexadecimal digits of a hash: `0.1.0 (1f2e3d4c5b6a)`.
 
-    The hash is of what results depend on: Python files, the C core, the shipped materials. A clone that
-    was changed has another one than the version that it was cloned from.
+    The SHA-256 covers the files that results depend on: Python files, the C core, and the shipped materials. So a
+    modified clone differs from the release of the same version.
     """
     root = Path(__file__).parents[1]
     digest = sha256()

@@ -30,7 +30,7 @@ def test_crossed_points_are_all_combinations_the_last_key_fastest() -> None:
 
 def test_zipped_points_are_the_nth_values_together() -> None:
     assert points({"a.x": [1, 2], "b.x": ["p", "q"]}, combine="zipped") == [(1, "p"), (2, "q")]
-    with pytest.raises(InvalidError, match=r"equally many values, have: a.x 2, b.x 3"):
+    with pytest.raises(InvalidError, match=r"the same number of values, have: a.x 2, b.x 3"):
         points({"a.x": [1, 2], "b.x": [1, 2, 3]}, combine="zipped")
 
 
@@ -100,21 +100,24 @@ def test_a_level_sets_its_keys() -> None:
 
 def test_too_many_points_are_refused_before_they_are_made() -> None:
     axis = {"low": 0.0, "high": 1.0, "count": 10_000}
-    with pytest.raises(InvalidError, match="10000 x 10000 = 100000000 points; the most are 10000000"):
+    with pytest.raises(InvalidError, match="10000 x 10000 = 100000000 points are too many, at most 10000000"):
         points({"a.x": axis, "b.x": axis})
 
 
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
-        ({"vary": {"a.x": {"low": 1.0}}}, "low and high belong together"),
+        ({"vary": {"a.x": {"low": 1.0}}}, "low and high must be given together"),
         ({"vary": {"a.x": {"low": 1.0, "high": 2.0}}}, "needs count or draws"),
         ({"vary": {"a.x": {"mean": 1.0, "standard_deviation": 1.0}}}, "needs draws"),
         ({"vary": {"a.x": {"low": 0.0, "high": 1.0, "count": 3, "spacing": "logarithmic"}}}, "above 0"),
         ({"vary": {"a.x": {"values": [1], "low": 1.0, "high": 2.0}}}, "needs one of: values"),
         ({"vary": {"a.x": [1]}, "combine": "random"}, "needs count, the number of points"),
-        ({"vary": {"a.x": [1]}, "count": 3}, "count belongs to combine: latin_hypercube or random"),
-        ({"vary": {"a.x": {"low": 1.0, "high": 2.0, "count": 3}}, "combine": "random", "count": 3}, "leave it out"),
+        ({"vary": {"a.x": [1]}, "count": 3}, "count needs combine: latin_hypercube or random"),
+        (
+            {"vary": {"a.x": {"low": 1.0, "high": 2.0, "count": 3}}, "combine": "random", "count": 3},
+            "must not have count or draws",
+        ),
         ({"vary": {"a.x": [None]}}, "must be a number, a string, true or false, is null"),
     ],
 )

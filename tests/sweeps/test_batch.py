@@ -223,9 +223,9 @@ def test_without_matplotlib_the_page_has_no_pictures(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("none",), "none: there is no such folder"),
-        (("tree", "-o", "tree/out"), "tree/out: lies in the tree of recordings; give a folder outside of it"),
-        (("tree", "-o", "."), ".: holds something else than a batch; give a new folder"),
+        (("none",), "none: no such folder"),
+        (("tree", "-o", "tree/out"), "tree/out: is inside the tree of recordings; give a folder outside of it"),
+        (("tree", "-o", "."), ".: not empty, and not a folder of results; give a new folder"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(
@@ -241,7 +241,7 @@ def test_a_recording_that_changes_meanwhile_is_a_row(tree: Path) -> None:
     (tree / "steel/tap/0.npz").write_bytes(b"")
     names = [each.material for each in work.tree.sets]
     (row,) = work.piece(np.array([names.index("steel")])).rows()
-    assert row["error"] == "steel/tap/0.npz: was changed since the batch began, or is another file at the worker"
+    assert row["error"] == "steel/tap/0.npz: changed since the batch began, or differs at the worker"
     (tree / "steel/tap/0.npz").unlink()
     (row,) = work.piece(np.array([names.index("steel")])).rows()
     assert str(row["error"]).endswith("steel/tap/0.npz: cannot be read: No such file or directory")

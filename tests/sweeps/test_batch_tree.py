@@ -56,7 +56,7 @@ def test_kinds_are_known_by_folders_and_by_yaml(tmp_path: Path) -> None:
     pine = found["pine", "tap"]
     assert pine.options == FitOptions(form="mode", law="table") and pine.strict and pine.stiffness_n_per_m == 700
     assert [file.name for file in pine.files] == ["pine/tap/10.csv", "pine/tap/2.csv"]
-    assert [bool(file.beside) for file in pine.files] == [False, True]
+    assert [bool(file.yaml_sha256) for file in pine.files] == [False, True]
     assert found["silk", "texture"].options == FitOptions(autoregressive=True)
     assert [file.name for file in found["silk", "texture"].files] == ["silk/A.WAV"]
     assert tree.others == ("silk/notes.txt",)
@@ -68,32 +68,35 @@ TAP = {"pine/tap/1.npz": "a"}
 @pytest.mark.parametrize(
     ("files", "told"),
     [
-        ({"x/": ""}, "x: holds no recordings: they stand in a folder tap, grooves, texture or puncture, or in it"),
+        ({"x/": ""}, "x: holds no recordings; put them into a folder tap, grooves, texture or puncture, or here"),
         ({".x/": ""}, ": holds no material: each has a folder with folders tap, grooves"),
         ({"pine/tap/": ""}, "pine/tap: holds no recordings (.csv, .npz, .wav)"),
         ({"pine/taps/1.npz": "a"}, 'pine/taps: unknown kind "taps"; did you mean tap?'),
-        ({"pine/1.npz": "a"}, "pine: holds recordings of no kind: put them into a folder tap, grooves"),
-        ({"1.npz": "a", **TAP}, "1.npz: stands beside the folders of the materials"),
-        ({"a.b/tap/1.npz": "a"}, "a.b: is no name of a material: must not hold a dot or a control character"),
-        ({"x" * 65 + "/tap/1.npz": "a"}, "is no name of a material: String should have at most 64 characters"),
-        ({"pine/tap/more/1.npz": "a", **TAP}, "pine/tap/more: is too deep: recordings stand in pine/tap itself"),
-        ({"pine/grooves/1.npz": "b", "pine/texture/1.npz": "a"}, "pine: has grooves and a texture, and a material has"),
+        ({"pine/1.npz": "a"}, "pine: holds recordings without a kind; put them into a folder tap, grooves"),
+        ({"1.npz": "a", **TAP}, "1.npz: recording outside of a material's folder"),
+        ({"a.b/tap/1.npz": "a"}, "a.b: invalid name of a material: must not hold a dot or a control character"),
+        ({"x" * 65 + "/tap/1.npz": "a"}, "invalid name of a material: String should have at most 64 characters"),
+        ({"pine/tap/more/1.npz": "a", **TAP}, "pine/tap/more: too deep; recordings must be in pine/tap itself"),
+        (
+            {"pine/grooves/1.npz": "b", "pine/texture/1.npz": "a"},
+            "pine: has grooves and a texture; a material can have",
+        ),
         (
             {"pine/1.npz": "b", "pine/fit.yaml": "kind: tap", **TAP},
-            "pine/tap: is of the same kind as the recordings in pine itself",
+            "pine/tap: has the same kind as the recordings in pine itself",
         ),
         (
             {"oak/tap/x.npz": "a", **TAP},
-            "pine/tap/1.npz: holds the same as {root}/oak/tap/x.npz: a ",
+            "pine/tap/1.npz: same content as {root}/oak/tap/x.npz; a ",
         ),
         # YAML
-        ({"pine/fit.yml": "kind: tap", **TAP}, "pine/fit.yml: must be called fit.yaml"),
+        ({"pine/fit.yml": "kind: tap", **TAP}, "pine/fit.yml: must be named fit.yaml"),
         (
             {"pine/tap/scene.yaml": "", **TAP},
-            "pine/tap/scene.yaml: is no YAML of a batch: that of a folder is",
+            "pine/tap/scene.yaml: unexpected YAML file; options of a folder are in fit.yaml",
         ),
-        ({"pine/tap/2.npz.yaml": "", **TAP}, "pine/tap/2.npz.yaml: describes 2.npz, which is not there"),
-        ({"pine/tap/1.npz.yml": "", **TAP}, "pine/tap/1.npz.yml: must be called 1.npz.yaml"),
+        ({"pine/tap/2.npz.yaml": "", **TAP}, "pine/tap/2.npz.yaml: describes 2.npz, which does not exist"),
+        ({"pine/tap/1.npz.yml": "", **TAP}, "pine/tap/1.npz.yml: must be named 1.npz.yaml"),
         (
             {"pine/fit.yaml": "", **TAP},
             "pine/fit.yaml:1:1: is empty; known keys: kind, stiffness_n_per_m, strict, as",
@@ -105,14 +108,14 @@ TAP = {"pine/tap/1.npz": "a"}
             {"fit.yaml": "stiffness_n_per_m: -1", **TAP},
             "fit.yaml:1:1: stiffness_n_per_m: should be greater than or equal to 0, is -1",
         ),
-        ({"pine/fit.yaml": "kind: tap", **TAP}, "pine/fit.yaml:1:1: kind: is of recordings that stand in the folder"),
+        ({"pine/fit.yaml": "kind: tap", **TAP}, "pine/fit.yaml:1:1: kind: only for recordings directly in the folder"),
         (
             {"pine/tap/fit.yaml": "kind: texture", **TAP},
-            "pine/tap/fit.yaml:1:1: kind: the folder says tap: leave",
+            "pine/tap/fit.yaml:1:1: kind: must be tap, the name of the folder",
         ),
         (
             {"pine/fit.yaml": "autoregressive: true", **TAP},
-            "pine/fit.yaml:1:1: autoregressive: is of texture, and here is fitted: tap",
+            "pine/fit.yaml:1:1: autoregressive: only for texture; fitted here: tap",
         ),
         (
             {"fit.yaml": "as: waveform", "pine/fit.yaml": "strict: true\nlaw: line", **TAP},
@@ -138,7 +141,7 @@ def test_all_faults_of_a_tree_are_told_at_once(tmp_path: Path) -> None:
     assert len(caught.value.problems) == 3
 
 
-@pytest.mark.parametrize(("name", "told"), [("none", "there is no such folder"), ("file", "is no folder")])
+@pytest.mark.parametrize(("name", "told"), [("none", "no such folder"), ("file", "not a folder")])
 def test_what_is_no_tree_is_told(name: str, told: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(HapticdError, match=f"{name}: {told}; a batch needs a folder with a folder for each material"):
@@ -153,7 +156,7 @@ def test_a_recording_that_is_a_pipe_or_leads_nowhere_is_told(tmp_path: Path) -> 
         read_tree(root)
     told = [str(each) for each in caught.value.problems]
     assert told == [
-        f"{root}/pine/tap/2.npz: is no file",
+        f"{root}/pine/tap/2.npz: not a regular file",
         f"{root}/pine/tap/3.npz: cannot be read: No such file or directory",
     ]
 

@@ -105,16 +105,19 @@ def test_a_point_that_cannot_be_computed_is_a_row_and_the_exit_code_says_so(
     [
         ({"vary": {"servo.rate": [1000]}}, 'vary."servo.rate": unknown key; did you mean rate_hz?'),
         ({"vary": {"servo.rate_hz": [1000, 5]}}, 'vary."servo.rate_hz": should be greater than or equal to 1000, is 5'),
-        ({"vary": {"rate": [1]}}, "vary.rate: nothing has a key rate"),
-        ({"measure": ["peak_force"]}, "nothing that can be measured is called peak_force; did you mean peak_force_n?"),
+        ({"vary": {"rate": [1]}}, "vary.rate: unknown key rate"),
+        ({"measure": ["peak_force"]}, "unknown measure peak_force; did you mean peak_force_n?"),
         (
             {"measure": [{"quantile": {"field": "force_n", "q": 2}}]},
             "measure[0].quantile.q: should be less than or equal to 1, is 2",
         ),
         ({"operator": None}, "measures a run: the study needs an operator"),
         ({"operator": {"gesture": {"kind": "tap"}}}, "operator.gesture.object: Field required"),
-        ({"base": "no_such_scene"}, "no_such_scene: neither a file nor a shipped scene"),
-        ({"refine": {"key": "servo.rate_hz", "start": 1000, "end": 9000, "holds": "peak"}}, "nothing that is measured"),
+        ({"base": "no_such_scene"}, "no_such_scene: is no file here and no shipped scene"),
+        (
+            {"refine": {"key": "servo.rate_hz", "start": 1000, "end": 9000, "holds": "peak"}},
+            "unknown measured column peak",
+        ),
         (
             {"vary": {"a": {"levels": {"x": {"servo.rate_hz": 5}}}}},
             "vary.a: should be greater than or equal to 1000, is 5",

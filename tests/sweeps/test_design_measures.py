@@ -53,7 +53,7 @@ def test_no_stiffness_is_passive_with_more_damping_than_the_handle_has() -> None
 
 
 def test_the_passive_limit_of_nothing_is_refused() -> None:
-    with pytest.raises(HapticdError, match="no material is called paper"):
+    with pytest.raises(HapticdError, match="unknown material paper"):
         measured({"passive_limit": {"material": "paper"}}, {})
     with pytest.raises(HapticdError, match=r"device\.handle is not given"):
         measured({"passive_limit": {"material": "wood"}}, {"device": {"kind": "hid"}})
@@ -153,5 +153,5 @@ def test_a_wall_counts_as_stable_as_the_margin_says() -> None:
 
 
 def test_a_material_without_one_mode_is_refused() -> None:
-    with pytest.raises(HapticdError, match="cellophane is no material with a tap of one mode"):
+    with pytest.raises(HapticdError, match="cellophane is not a material with a tap of one mode"):
         measured({"displayed_materials": {"materials": ["cellophane"]}}, {})

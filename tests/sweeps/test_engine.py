@@ -140,7 +140,7 @@ def test_where_no_worker_can_be_used_it_says_so(tmp_path: Path) -> None:
 def test_where_the_last_worker_ends_it_says_so_and_keeps_what_is_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine, "RESTART_S", 1.0)
+    monkeypatch.setattr(engine, "WORKER_WAIT_S", 1.0)
     store = Store(tmp_path, lambda text: None)
     with scheduler(WORKER) as running, connected(running.address, 1) as client:
         work = Roots(400, busy_s=0.002)
@@ -194,7 +194,7 @@ def test_a_damaged_piece_is_told_and_computed_again(tmp_path: Path) -> None:
     piece = max((tmp_path / "pieces").iterdir(), key=lambda file: file.stat().st_size)
     piece.write_bytes(piece.read_bytes()[:100])
     outcome, store, notes, _ = ran(Roots(40), tmp_path, threads())
-    assert notes == [f"{piece}: is no piece of a sweep, or damaged: its points are computed again"]
+    assert notes == [f"{piece}: not a piece of a sweep, or damaged; its points are computed again"]
     assert outcome.computed > 0 and store.digest() == before
 
 
@@ -239,7 +239,7 @@ def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
 
 
 def test_an_unreachable_scheduler_is_one_line() -> None:
-    told = r"^tcp://127.0.0.1:9: no scheduler answers there within 10 s(: .+)?$"
+    told = r"^tcp://127.0.0.1:9: no scheduler answers within 10 s(: .+)?$"
     with pytest.raises(HapticdError, match=told), client_of("tcp://127.0.0.1:9", None, False):
         pass
 
@@ -247,8 +247,8 @@ def test_an_unreachable_scheduler_is_one_line() -> None:
 def test_pieces_grow_to_seconds_and_shrink_at_the_end(tmp_path: Path) -> None:
     work = Roots(3000)
     made = engine._Engine(work, Store(tmp_path, print), None, print, lambda progress: None, np.arange(3000))
-    assert made.size(2) == 1
-    made.done, made.spent_s, made.begun = 100, 10.0, 100  # 0.1 s a point, 300 s in all
-    assert 1.0 <= 0.1 * made.size(2) <= 10.0
-    made.begun = 2990
-    assert made.size(2) <= 3
+    assert made.next_piece_size(2) == 1
+    made.done, made.spent_s, made.taken = 100, 10.0, 100  # 0.1 s a point, 300 s in all
+    assert 1.0 <= 0.1 * made.next_piece_size(2) <= 10.0
+    made.taken = 2990
+    assert made.next_piece_size(2) <= 3

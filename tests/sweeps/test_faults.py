@@ -114,7 +114,7 @@ def test_a_scheduler_that_goes_is_one_line_and_what_is_done_stays(tmp_path: Path
         def report(progress: Progress) -> None:
             running.process.kill()
 
-        with pytest.raises(HapticdError, match=r"^the scheduler tcp://127.0.0.1:\d+ is gone: "):
+        with pytest.raises(HapticdError, match=r"^tcp://127.0.0.1:\d+: the scheduler is gone: "):
             run(Roots(400, busy_s=0.002), store, lambda: nullcontext(client), lambda text: None, report)
     assert 0 < store.table().num_rows < 400
 
@@ -123,7 +123,7 @@ def test_a_scheduler_that_goes_is_one_line_and_what_is_done_stays(tmp_path: Path
 @pytest.mark.parametrize(
     ("address", "why"),
     [
-        ("tcp://127.0.0.1:9", "tcp://127.0.0.1:9: no scheduler answers there within 10 s: "),
+        ("tcp://127.0.0.1:9", "tcp://127.0.0.1:9: no scheduler answers within 10 s: "),
         ("cluster", "cluster: cannot be used: missing port number in address 'cluster'"),
         ("tls://127.0.0.1:9", "tls://127.0.0.1:9: cannot be used: TLS expects a `ssl_context` argument"),
     ],
@@ -138,7 +138,7 @@ def test_a_worker_is_no_scheduler(tmp_path: Path) -> None:
     with (
         scheduler(WORKER) as running,
         connected(running.address, 1) as client,
-        pytest.raises(HapticdError, match=r": is no scheduler, but a worker$"),
+        pytest.raises(HapticdError, match=r": not a dask scheduler, but a worker$"),
         client_of(next(iter(client.nthreads())), None, False),
     ):
         pass
@@ -173,10 +173,10 @@ def test_tls_is_that_of_the_configuration_of_dask(tmp_path: Path) -> None:
         assert code == 0 and said == []
         assert json.loads(over_tls)["sha256"] == json.loads(out)["sha256"]
         code, said, _ = told(command(file, tmp_path / "others", *over[:2]), others)
-        assert code == 1 and len(said) == 1 and "no scheduler answers there within 10 s: " in said[0]
+        assert code == 1 and len(said) == 1 and "no scheduler answers within 10 s: " in said[0]
         plain = running.address.replace("tls://", "tcp://")
         code, said, _ = told(command(file, tmp_path / "plain", "--scheduler", plain), ours)
-        assert code == 1 and len(said) == 1 and "no scheduler answers there within 10 s" in said[0]
+        assert code == 1 and len(said) == 1 and "no scheduler answers within 10 s" in said[0]
 
 
 # ---- The folder ------------------------------------------------------------------------------------------------------
@@ -186,7 +186,7 @@ def test_a_folder_that_another_process_writes_into_is_refused(tmp_path: Path) ->
     def opened() -> Any:
         code, said, _ = told(command(study(tmp_path, 5), tmp_path / "r", "--threads"))
         assert code == 1
-        told_it = "another process writes results into it: wait for its end, or give another folder"
+        told_it = "another process writes results into it; wait for its end, or give another folder"
         assert said == [f"hapticd: {tmp_path / 'r'}: {told_it}"]
         return threads()
 
@@ -209,7 +209,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     if user == 0:
         os.seteuid(65534)  # root may write everywhere
     try:
-        with pytest.raises(HapticdError, match=r"cannot be made: Permission denied$"):
+        with pytest.raises(HapticdError, match=r"cannot be created: Permission denied$"):
             ran(Roots(10), tmp_path / "r", threads())
     finally:
         os.seteuid(user)
@@ -232,7 +232,7 @@ def test_a_disk_that_stays_full_is_one_line_and_a_code(tmp_path: Path) -> None:
     assert said[0].endswith(
         "cannot be written: File too large; results are kept in memory and written with the next ones"
     )
-    assert said[1].endswith("rows of results are lost: the same command computes them again")
+    assert said[1].endswith("rows of results are lost: run the same command to compute them")
 
 
 def test_rows_that_cannot_be_written_at_the_end_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,7 +240,9 @@ def test_rows_that_cannot_be_written_at_the_end_are_told(tmp_path: Path, monkeyp
         raise HapticdError("pieces: cannot be written: No space left on device")
 
     monkeypatch.setattr(Store, "write", write)
-    with pytest.raises(HapticdError, match="No space left on device; 20 rows of results are lost: the same command"):
+    with pytest.raises(
+        HapticdError, match="No space left on device; 20 rows of results are lost: run the same command"
+    ):
         ran(Roots(20), tmp_path, threads())
     notes: list[str] = []
 
@@ -260,8 +262,8 @@ def piece_of(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("damage", "why"),
     [
-        (lambda whole: whole[:100], "is no piece of a sweep, or damaged: its points are computed again"),
-        (lambda whole: b"", "is no piece of a sweep, or damaged: its points are computed again"),
+        (lambda whole: whole[:100], "not a piece of a sweep, or damaged; its points are computed again"),
+        (lambda whole: b"", "not a piece of a sweep, or damaged; its points are computed again"),
         (lambda whole: whole[:300] + bytes(50) + whole[350:], None),
     ],
 )
@@ -333,7 +335,7 @@ def test_a_command_that_is_ended_leaves_no_process_and_no_traceback(
 
 
 def test_where_no_worker_comes_it_ends_with_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "RESTART_S", 0.2)
+    monkeypatch.setattr(engine, "WORKER_WAIT_S", 0.2)
     with (
         scheduler() as running,
         client_of(running.address, None, False) as client,

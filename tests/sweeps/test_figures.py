@@ -142,7 +142,7 @@ def test_too_many_texts_are_refused_by_one_line() -> None:
         vary={RATE: RATES, STIFFNESS: STIFFNESSES}, measure=[{"displayed_materials": options}], figures=[figure]
     )
     rows = [{RATE: row[RATE], STIFFNESS: row[STIFFNESS], "not_displayed": f"{place}"} for place, row in enumerate(ROWS)]
-    with pytest.raises(HapticdError, match="not_displayed has 12 different texts; a map tells 8 apart"):
+    with pytest.raises(HapticdError, match="not_displayed has 12 different texts; a map can have at most 8"):
         drawn(study, rows)
     titles = [each.title for each in drawings_of(results_of({**study, "figures": None}, rows))]
     assert not any("Not displayed" in title for title in titles)
@@ -280,25 +280,28 @@ def test_without_a_number_that_is_varied_nothing_is_drawn() -> None:
     [
         ({"kind": "pie"}, "figures[0].kind: should be 'map', 'line' or 'table'"),
         ({"kind": "map", "x": RATE, "y": STIFFNESS}, "figures[0]: kind: map needs color"),
-        ({"kind": "line", "x": RATE, "y": "stability_factor", "color": "x"}, "color does not belong to kind: line"),
-        ({**MAP, "x": "servo.rate"}, "figures[0].x: no key servo.rate is varied; did you mean servo.rate_hz?"),
-        ({**MAP, "color": "stability"}, "figures[0].color: nothing that is measured is called stability"),
-        ({**MAP, "overlay": "stability_factor"}, "figures[0].overlay: stability_factor is in no unit, y in N/m"),
+        ({"kind": "line", "x": RATE, "y": "stability_factor", "color": "x"}, "color is not a key of kind: line"),
+        ({**MAP, "x": "servo.rate"}, "figures[0].x: servo.rate is not a varied key; did you mean servo.rate_hz?"),
+        ({**MAP, "color": "stability"}, "figures[0].color: unknown measured column stability"),
+        (
+            {**MAP, "overlay": "stability_factor"},
+            "figures[0].overlay: stability_factor must have the unit of y, N/m, has no unit",
+        ),
         (
             {"kind": "line", "x": RATE, "y": ["stability_factor", "passive_limit_n_per_m"], "where": {STIFFNESS: 100}},
-            "figures[0].y: columns of one figure need one unit, have stability_factor (no unit), passive_limit_n_per_m",
+            "figures[0].y: columns of one figure must have the same unit, have: stability_factor (no unit), passive_limit_n_per_m",
         ),
         (
             {"kind": "line", "x": RATE, "y": "stability_factor"},
-            f"figures[0]: {STIFFNESS} is varied, too: name one of its values in where, or draw by it",
+            f"figures[0]: {STIFFNESS} is varied, too: set one of its values in where, or use it as by",
         ),
         (
             {"kind": "line", "x": RATE, "y": "stability_factor", "where": {STIFFNESS: 150}},
-            "no point has 150; has: 100.0, 300.0, 1000.0",
+            "no point has the value 150; known: 100.0, 300.0, 1000.0",
         ),
-        ({**MAP, "y": RATE}, "is named twice"),
-        ({"kind": "table", "columns": ["rate"]}, "figures[0].columns: the study has no column rate"),
-        ({"kind": "table", "best": {"error": "least"}}, "error is a text: neither more nor less of it is better"),
+        ({**MAP, "y": RATE}, "is used twice"),
+        ({"kind": "table", "columns": ["rate"]}, "figures[0].columns: unknown column rate"),
+        ({"kind": "table", "best": {"error": "least"}}, "error is a text column; best needs numbers"),
     ],
 )
 def test_a_fault_of_a_figure_has_its_line(keys: dict[str, Any], told: str, tmp_path: Path) -> None:
@@ -312,7 +315,7 @@ def test_a_fault_of_a_figure_has_its_line(keys: dict[str, Any], told: str, tmp_p
 
 
 def test_a_label_of_no_column_is_a_fault() -> None:
-    with pytest.raises(InvalidError, match=r"the study has no column servo\.rate; did you mean servo\.rate_hz\?"):
+    with pytest.raises(InvalidError, match=r"unknown column servo\.rate; did you mean servo\.rate_hz\?"):
         load_sweep({**CROSSED, "labels": {"servo.rate": "rate"}})
 
 

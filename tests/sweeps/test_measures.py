@@ -104,7 +104,7 @@ def test_a_mode_that_the_rate_does_not_carry_has_no_displayed_error() -> None:
 @pytest.mark.parametrize("material", ["no_such", "membrane_without_tap"])
 def test_what_has_no_tap_has_no_displayed_error(material: str) -> None:
     document = {"materials": {"membrane_without_tap": {"stiffness_n_per_m": 10}}}
-    with pytest.raises(HapticdError, match=f"{material} is no material with a tap"):
+    with pytest.raises(HapticdError, match=f"{material} is not a material with a tap"):
         measured({"displayed_error": {"material": material}}, document, "none")
 
 
@@ -146,7 +146,7 @@ def test_every_measure_says_what_its_columns_are() -> None:
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ("peak", "nothing that can be measured is called peak; known: "),
+        ("peak", "unknown measure peak; known: "),
         ({"quantile": {"field": "forces", "q": 0.5}}, "quantile.field: should be 'position_m', 'velocity_m_per_s', "),
         ({"end": {"longest_s": 0}}, "end.longest_s: should be greater than or equal to 0.5, is 0"),
         ({"end": 3}, "end: must be a mapping of options"),

@@ -125,7 +125,7 @@ def test_another_session_in_the_place_of_one_is_refused_before_anything_is_compu
     words = ["--offline", "--participant", "simulated:A", "--count", "3", "--threads", "-o", str(root)]
     assert main(["experiment", "run", file, *words]) == 1
     told = capsys.readouterr().err
-    assert len(told.splitlines()) == 1 and f"sub-{LABELS[1]}/ses-01: is of another study, seed or version" in told
+    assert len(told.splitlines()) == 1 and f"sub-{LABELS[1]}/ses-01: belongs to another study, seed or version" in told
     assert not (root / "sourcedata").exists()
 
 

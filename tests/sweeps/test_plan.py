@@ -35,17 +35,17 @@ def planned(vary: dict[str, Any], **keys: Any) -> Plan:
 )
 def test_sums_over_axes_are_those_of_whole_documents(vary: dict[str, Any]) -> None:
     made = planned(vary)
-    assert planning._apart(made.job, made.axes)
+    assert planning._are_independent(made.job, made.axes)
     total = len(made.axes[0].of_point)
-    whole = [sum_of(made.job.document(planning._values(made.axes, index))) for index in range(total)]
-    assert np.array_equal(planning._sums(made.job, made.axes, total), np.array(whole))
+    whole = [sum_of(made.job.document(planning._combination(made.axes, index))) for index in range(total)]
+    assert np.array_equal(planning._document_hashes(made.job, made.axes, total), np.array(whole))
     assert len(made.ids) == total
 
 
 def test_axes_that_change_the_same_are_summed_whole() -> None:
     made = planned({"materials.m": ["wood", "steel"], "materials.m.stiffness_n_per_m": [10, 20]})
-    assert not planning._apart(made.job, made.axes) and len(made.ids) == 4
-    documents = [made.job.document(planning._values(made.axes, index)) for index in range(4)]
+    assert not planning._are_independent(made.job, made.axes) and len(made.ids) == 4
+    documents = [made.job.document(planning._combination(made.axes, index)) for index in range(4)]
     assert [each["materials"]["m"]["stiffness_n_per_m"] for each in documents] == [10, 20, 10, 20]  # type: ignore[index, call-overload]
 
 

@@ -67,7 +67,7 @@ def test_conditions() -> None:
     ("keys", "told"),
     [
         ({"start": 5.0, "end": 5.0}, "start and end must differ"),
-        ({"start": -5.0}, "logarithmic steps need start and end above 0"),
+        ({"start": -5.0}, "start and end must be above 0 with logarithmic spacing"),
         ({"within": 0.0}, "within: should be greater than 0"),
     ],
 )

@@ -131,5 +131,5 @@ def test_a_study_whose_points_have_no_result_is_drawn(tmp_path: Path, capsys: py
     file.write_text(yaml.safe_dump({**study_of(**keys), "figures": [figure]}))
     assert main(["sweep", "run", str(file), "-o", results, "--threads"]) == 1
     code, out, _ = ran(capsys, results, "--html", str(tmp_path / "page.html"), "--figures", str(tmp_path))
-    assert code == 0 and "m is no material with a tap" in out
+    assert code == 0 and "m is not a material with a tap" in out
     assert "4 points, 4 without a result" in (tmp_path / "page.html").read_text()

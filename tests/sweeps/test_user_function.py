@@ -188,16 +188,16 @@ def test_what_a_function_prints_disturbs_nothing_and_it_has_no_input() -> None:
             ("leaves", None, "mine:leaves: raised SystemExit: 3 (mine.py, line 25)"),
             ("crashes", None, "mine:crashes: its process ended with SIGSEGV"),
             ("quits", None, "mine:quits: ended its process with exit code 7"),
-            ("missing", None, "mine:missing: returned no column x: None where there is no value"),
-            ("strange", None, 'mine:strange: returned a column "y" that the study does not declare'),
-            ("alone", {"x": "", "y": ""}, "mine:alone: returned a float: must be a mapping of the columns x, y"),
+            ("missing", None, "mine:missing: returned no column x; return None if it has no value"),
+            ("strange", None, 'mine:strange: returned unknown column "y"; declared: x'),
+            ("alone", {"x": "", "y": ""}, "mine:alone: must return a mapping of the columns x, y, returned a float"),
             ("nan", None, "mine:nan: column x must be a finite number, is nan"),
             ("words", None, 'mine:words: column x must be a finite number, is "abc"'),
             ("odd", None, "mine:odd: column x must be a finite number, is a object"),
             ("truth", None, "mine:truth: column x must be a finite number, is true"),
-            ("alone", {"x": "integer"}, "mine:alone: column x must be a whole number of 64 bits, is 10.0"),
+            ("alone", {"x": "integer"}, "mine:alone: column x must be an integer of 64 bits, is 10.0"),
             ("alone", {"x": "boolean"}, "mine:alone: column x must be true or false, is 10.0"),
-            ("alone", {"x": "text"}, "mine:alone: column x must be a text, is 10.0"),
+            ("alone", {"x": "text"}, "mine:alone: column x must be a string, is 10.0"),
         ],
         fast=5,
     ),
@@ -215,7 +215,7 @@ def test_a_function_that_hangs_is_ended_and_the_next_point_goes_on(name: str) ->
     Path("mine.py").write_text(text)
     found = rows(planned("some", {"x": "integer"}, vary={"parameters.n": [0, 1, 2]}, options={"timeout_s": 2}))
     assert [row["error"] for row in found] == [
-        None, "mine:some: gave nothing within 2 s, and was ended (timeout_s)", None,
+        None, "mine:some: timed out after 2 s and was killed (timeout_s)", None,
     ]  # fmt: skip
     first, last = (row["x"] for row in (found[0], found[2]))
     assert first != last
@@ -286,9 +286,9 @@ def test_a_function_ends_with_the_process_that_asked_even_where_that_is_killed(t
     ("options", "place", "told"),
     [
         ("call: 'mine:peek', columns: {x: ''}", "call", "mine has no function peek; did you mean peak?"),
-        ("call: 'mine:not_callable', columns: {x: ''}", "call", "mine:not_callable is no function, but a int"),
-        ("call: 'yours:peak', columns: {x: ''}", "call", "there is no module yours, neither as yours.py in "),
-        ("call: 'math:sqrt', columns: {x: ''}", "call", "math is no Python file, whose source could go to workers"),
+        ("call: 'mine:not_callable', columns: {x: ''}", "call", "mine:not_callable is not a function, but a int"),
+        ("call: 'yours:peak', columns: {x: ''}", "call", "no module yours, neither as yours.py in "),
+        ("call: 'math:sqrt', columns: {x: ''}", "call", "math is not a Python file; workers need its source"),
         ("call: 'broken:peak', columns: {x: ''}", "call", "broken cannot be loaded: line 2: '(' was never closed"),
         ("call: 'needs:peak', columns: {x: ''}", "call",
          "needs cannot be loaded: ModuleNotFoundError: No module named 'no_such_thing' (needs.py, line 1)"),
@@ -314,13 +314,13 @@ def test_a_faulty_function_is_told_with_its_place_before_anything_is_computed(
 
 
 def test_two_columns_of_one_name_are_told() -> None:
-    with pytest.raises(InvalidError, match="there are two columns peak_force_n: give one another name"):
+    with pytest.raises(InvalidError, match="duplicate column peak_force_n; give one of them another name"):
         planned("peak", measure=["peak_force_n", {"function": {"call": "mine:peak", "columns": {"peak_force_n": "N"}}}])
 
 
 def test_a_module_that_is_not_loaded_in_time_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.py").write_text("import time\ntime.sleep(1e6)\n")
-    monkeypatch.setattr(function_process, "LOAD_S", 1.0)
+    monkeypatch.setattr(function_process, "MODULE_LOAD_TIMEOUT_S", 1.0)
     with pytest.raises(InvalidError, match="its module was not loaded within 1 s"):
         planned("peak")
 
@@ -400,7 +400,7 @@ def test_a_study_with_functions_that_fail_and_hang_ends_with_a_row_each(threads:
         if n == 3:
             assert why == "mine:some: raised LookupError: three (mine.py, line 7)"
         elif n == 5:
-            assert why == "mine:some: gave nothing within 2 s, and was ended (timeout_s)"
+            assert why == "mine:some: timed out after 2 s and was killed (timeout_s)"
         else:
             assert square == n * n and not isinstance(why, str)
 
@@ -413,6 +413,6 @@ def test_a_value_is_refused_where_the_machine_has_no_process(monkeypatch: pytest
 
     monkeypatch.setattr(function_process.subprocess, "Popen", refused)
     (row,) = rows(found)
-    assert row["error"] == "no process for a function: Resource temporarily unavailable"
+    assert row["error"] == "cannot start a process for mine:alone: Resource temporarily unavailable"
     with pytest.raises(HapticdError):
         function_process.process_of(function_process.Function("a", "b", "", "a.py", "", (("x", "number"),)))

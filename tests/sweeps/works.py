@@ -13,10 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.yaml_source import Json
-from hapticd.sweeps.columns import ERROR, POINT, Column, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
 from hapticd.sweeps.work import ID_DTYPE
 
-COLUMNS = (POINT, Column("n", "integer", "varied"), Column("root", "number", "measured", "m", "Root of n."), ERROR)
+COLUMNS = (
+    POINT_COLUMN,
+    Column("n", "integer", "varied"),
+    Column("root", "number", "measured", "m", "Root of n."),
+    ERROR_COLUMN,
+)
 Fault: TypeAlias = Literal["none", "exits", "raises", "eats", "is killed", "has no memory"]
 BAD = 13
 """The point with a fault."""

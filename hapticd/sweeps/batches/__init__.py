@@ -1,9 +1,9 @@
-"""Batches of fits: a tree of folders, one a material, through the fits of hapticd.fit.
+"""Batches of fits: fits the recordings of a tree that has a folder for each material.
 
-folder_yaml     the keys of fit.yaml, which says how the recordings of a folder are fitted
-tree            the recordings of a tree, by material and kind, with every fault of the tree
-batch           what the engine computes: one fit a point
+folder_yaml     the keys of fit.yaml, the fit options of a folder
+tree            reads a tree: its recordings by material and kind, and all its faults
+batch           a batch as work of the engine: each point is a fit
 ranking         the materials of a batch, ranked by verdict
-output          the files of a batch: a YAML for each material, tables
-page            the page of a batch, with its pictures
+output          the output files: a YAML file for each material, and CSV tables
+page            the HTML page of a batch, with its plots
 """

@@ -1,7 +1,8 @@
-"""A batch as the engine has it: each fit is a point, known by what its recordings hold, by its options and the code.
+"""A batch as work of the engine: each point is a fit, identified by its recordings, its options and the code.
 
-A row keeps what the fit gives to its material, and what is reported of it, as JSON in the column `found`: materials are
-made of rows, without recordings. Workers read the recordings themselves: they see the same files at the same paths.
+The column `found` of a row has the result of the fit as JSON: the keys of the material, provenance and report. So
+materials are made from rows, without reading recordings again. Workers read the recordings themselves, and must see the
+same files at the same paths.
 """
 
 from __future__ import annotations
@@ -22,34 +23,34 @@ from hapticd.base.errors import HapticdError, on_one_line
 from hapticd.base.model import plain
 from hapticd.base.yaml_source import Json
 from hapticd.sweeps.batches.tree import RecordingSet, Tree, fingerprint
-from hapticd.sweeps.columns import ERROR, POINT, Column, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
 from hapticd.sweeps.identity import sum_of
 from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
 
 Quality: TypeAlias = Literal["good", "fair", "poor", "refused"]
-DIGITS: Final = 6
-"""Of what is drawn."""
-
-COLUMNS: Final = (
-    POINT,
-    Column("material", "text", "varied", description="Name of the material: its folder's."),
+PICTURE_DIGITS: Final = 6
+"""Number of significant digits of the numbers in plots."""
+FIT_COLUMNS: Final = (
+    POINT_COLUMN,
+    Column("material", "text", "varied", description="Name of the material, which is that of its folder."),
     Column("kind", "text", "varied", description="Kind of the fit: tap, grooves, texture, puncture."),
-    Column("recordings", "integer", "measured", description="Recordings of the fit."),
-    Column("left_out", "integer", "measured", description="Recordings of which nothing was used."),
+    Column("recordings", "integer", "measured", description="Number of recordings of the fit."),
+    Column("left_out", "integer", "measured", description="Number of recordings that were not used."),
     Column("quality", "text", "measured", description="The verdict: good, fair or poor."),
     Column("verdict", "text", "measured", description="The verdict with its reasons."),
-    Column("found", "text", "measured", description="Figures, provenance and pictures, as JSON."),
-    ERROR,
+    Column("found", "text", "measured", description="Figures, provenance and plots, as JSON."),
+    ERROR_COLUMN,
 )
+"""The columns of the rows of a batch."""
 
 
 @dataclass(frozen=True)
 class Fits:
-    """Some fits: a piece of a batch."""
+    """A piece of a batch: some of its fits."""
 
     root: str
-    """The tree, by its absolute path."""
+    """Absolute path of the tree."""
     ids: tuple[str, ...]
     sets: tuple[RecordingSet, ...]
 
@@ -57,26 +58,26 @@ class Fits:
         return len(self.sets)
 
     def rows(self) -> list[Row]:
-        """One row a fit."""
+        """Compute one row for each fit."""
         return [self._row(point, each) for point, each in zip(self.ids, self.sets, strict=True)]
 
-    def _row(self, point: str, asked: RecordingSet) -> Row:
-        row: Row = dict.fromkeys(column.name for column in COLUMNS)
+    def _row(self, point: str, recordings: RecordingSet) -> Row:
+        row: Row = dict.fromkeys(column.name for column in FIT_COLUMNS)
         row |= {
-            POINT.name: point,
-            "material": asked.material,
-            "kind": asked.kind,
-            "recordings": len(asked.files),
+            POINT_COLUMN.name: point,
+            "material": recordings.material,
+            "kind": recordings.kind,
+            "recordings": len(recordings.files),
         }
         try:
-            row |= fitted_row(self.root, asked)
+            row |= fitted_row(self.root, recordings)
         except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR.name] = on_one_line(str(error)) or type(error).__name__
+            row[ERROR_COLUMN.name] = on_one_line(str(error)) or type(error).__name__
         return row
 
 
-def fitted_row(root: str, asked: RecordingSet) -> Row:
-    """Fits the recordings of a set. Raises HapticdError where they do not support it."""
+def fitted_row(root: str, recordings: RecordingSet) -> Row:
+    """Fit the recordings of a set and return the measured columns. Raises HapticdError if they cannot be fitted."""
     from hapticd.analysis.statistics import require_scipy
     from hapticd.fit.contribution import added, contribution_of
     from hapticd.fit.from_files import fitted_files
@@ -85,14 +86,14 @@ def fitted_row(root: str, asked: RecordingSet) -> Row:
     from hapticd.fit.result import plain as plain_data
 
     require_scipy()
-    for file in asked.files:
+    for file in recordings.files:
         if fingerprint(os.path.join(root, file.name), file.name) != file:
-            raise HapticdError(f"{file.name}: was changed since the batch began, or is another file at the worker")
-    names = [file.name for file in asked.files]
-    used, _, fitted = fitted_files(names, asked.kind, asked.options, lambda _: None, asked.strict, root)
-    part = contribution_of(asked.kind, fitted, used)
-    # What no material may have is refused here, where it is a fault of this fit.
-    added(part, asked.material, datetime.date.min, onto=None, stiffness_n_per_m=asked.stiffness_n_per_m)
+            raise HapticdError(f"{file.name}: changed since the batch began, or differs at the worker")
+    names = [file.name for file in recordings.files]
+    used, _, fitted = fitted_files(names, recordings.kind, recordings.options, lambda _: None, recordings.strict, root)
+    part = contribution_of(recordings.kind, fitted, used)
+    # Figures that are invalid for a material are refused here, so that the error belongs to this fit.
+    added(part, recordings.material, datetime.date.min, onto=None, stiffness_n_per_m=recordings.stiffness_n_per_m)
     found = {
         "figures": plain(dict(part.figures)),
         "origin": plain(dict(part.origin)),
@@ -100,7 +101,7 @@ def fitted_row(root: str, asked: RecordingSet) -> Row:
         "warnings": list(fitted.fit.warnings),
         "estimates": {name: [each.value, each.low, each.high] for name, each in estimates(fitted.fit).items()},
         "plain": plain_figures(fitted.fit),
-        "panels": [_rounded(finite(plain_data(panel))) for panel in first_row(asked.kind, fitted.fit, used)],
+        "panels": [_rounded(finite(plain_data(panel))) for panel in first_row(recordings.kind, fitted.fit, used)],
     }
     return {
         "left_out": len(names) - len(used),
@@ -112,7 +113,7 @@ def fitted_row(root: str, asked: RecordingSet) -> Row:
 
 def _rounded(value: object) -> object:
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}")
+        return float(f"{value:.{PICTURE_DIGITS}g}")
     if isinstance(value, dict):
         return {key: _rounded(inner) for key, inner in value.items()}
     return [_rounded(inner) for inner in value] if isinstance(value, list) else value
@@ -126,44 +127,44 @@ class Batch:
 
     @property
     def title(self) -> str:
-        """The tree's name."""
+        """Title with the path of the tree."""
         return f"Fits of {self.tree.path}"
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of every row."""
-        return COLUMNS
+        """The columns of every row."""
+        return FIT_COLUMNS
 
     @cached_property
     def ids(self) -> npt.NDArray[np.void]:
-        """(n,) of ID_DTYPE, in the order of the tree's sets."""
+        """The identities of the fits, (n,) ID_DTYPE, in the order of the tree's sets."""
         sums = np.array([sum_of(_document(each)) for each in self.tree.sets], np.uint64).reshape(-1, 2)
         return sums.view(ID_DTYPE).reshape(-1)
 
     def piece(self, indices: npt.NDArray[np.int64]) -> Fits:
-        """The fits with these indices."""
+        """Return the fits with these indices."""
         ids = tuple(each.tobytes().hex() for each in self.ids[indices])
         return Fits(os.path.abspath(self.tree.path), ids, tuple(self.tree.sets[index] for index in indices.tolist()))
 
     def point(self, index: int) -> str:
-        """The identity of a set as a row has it."""
+        """Return the identity of a fit as hexadecimal digits, as in the column `point`."""
         return bytes(self.ids[index].tobytes()).hex()
 
     def manifest(self) -> dict[str, Json]:
-        """What study.json says besides title and columns."""
+        """Return the members of study.json besides title and columns."""
         path = os.fsencode(self.tree.path).decode(errors="backslashreplace")
         return {"kind": "batch", "study": {"tree": path}, "seed": 0}
 
 
-def _document(asked: RecordingSet) -> dict[str, Json]:
-    """What a row depends on. The stiffness is not among it: no fit reads it."""
-    options: Sequence[tuple[str, Json]] = list(dataclasses.asdict(asked.options).items())
+def _document(recordings: RecordingSet) -> dict[str, Json]:
+    """Return the document whose hash is the identity of a fit. It omits the stiffness, which no fit reads."""
+    options: Sequence[tuple[str, Json]] = list(dataclasses.asdict(recordings.options).items())
     return {
-        "kind": asked.kind,
-        "material": asked.material,
+        "kind": recordings.kind,
+        "material": recordings.material,
         "options": dict(options),
-        "strict": asked.strict,
-        "files": {file.name: [file.sha256, file.beside] for file in asked.files},
+        "strict": recordings.strict,
+        "files": {file.name: [file.sha256, file.yaml_sha256] for file in recordings.files},
         "code": code_version(),
         "batch": True,
     }

@@ -1,6 +1,6 @@
-"""The keys of fit.yaml, which says how the recordings of a folder, and of folders in it, are fitted.
+"""The keys of fit.yaml, which sets the fit options of the recordings below its folder.
 
-A key holds for all fits below the folder that take it. A fit.yaml nearer to the recordings overrides it, key by key.
+A key applies to all fits below the folder that use it. A fit.yaml in a deeper folder overrides it, key by key.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.fit.options import FitOptions
 from hapticd.fit.recording import Kind
 
-NAME: Final = "fit.yaml"
+FIT_YAML: Final = "fit.yaml"
+"""Name of the file with the fit options of a folder."""
 Key: TypeAlias = str
-TAKEN_BY: Final[Mapping[Key, tuple[Kind, ...]]] = {
+KINDS_OF_KEY: Final[Mapping[Key, tuple[Kind, ...]]] = {
     "as": ("tap",),
     "attack": ("tap",),
     "law": ("tap",),
@@ -27,47 +28,49 @@ TAKEN_BY: Final[Mapping[Key, tuple[Kind, ...]]] = {
     "mode_table": ("tap",),
     "autoregressive": ("texture",),
 }
-"""Keys that not every kind of fit takes."""
+"""The kinds of fit that use a key, for keys that not all kinds use."""
 
 
 class BatchFolder(Model):
-    """fit.yaml: how recordings are fitted."""
+    """The content of a fit.yaml: fit options."""
 
     kind: Literal["tap", "grooves", "texture", "puncture"] | None = Field(
-        default=None, description="Of the recordings that stand in a material's folder itself."
+        default=None, description="Kind of the recordings directly in the folder of a material."
     )
     stiffness_n_per_m: Stiffness | None = Field(
-        default=None, description="Of the material if the recordings do not determine it; 800 without it."
+        default=None, description="Stiffness of the material if the recordings do not determine it; by default 800."
     )
-    strict: bool | None = Field(default=None, description="Refuse what would be left out: a bad file, a clipped tap.")
+    strict: bool | None = Field(
+        default=None, description="Refuse a fit of which parts would be left out: a bad file, a clipped tap."
+    )
     form: Literal["auto", "mode", "waveform"] | None = Field(
-        default=None, alias="as", description="Of taps: a mode that rings, or a waveform of a pulse."
+        default=None, alias="as", description="Form of a tap: a ringing mode, or the waveform of a pulse."
     )
     attack: Literal["coefficient", "first_peak"] | None = Field(
-        default=None, description="Of taps: what the slope in the material means."
+        default=None, description="Meaning of the slope of a tap in the material."
     )
     law: Literal["line", "power", "table"] | None = Field(
-        default=None, description="Of taps: how the amplitude of the material follows the speed."
+        default=None, description="Law of the amplitude of a tap over the speed."
     )
-    two_modes: bool | None = Field(default=None, description="Of taps: two modes in the material, or one.")
+    two_modes: bool | None = Field(default=None, description="Fit two modes to a tap instead of one.")
     mode_table: bool | None = Field(
-        default=None, description="Of taps: frequency and decay over the speed, or one of each."
+        default=None, description="Fit frequency and decay of a tap over the speed, instead of one of each."
     )
     autoregressive: bool | None = Field(
-        default=None, description="Of textures: autoregressive models over speed and force."
+        default=None, description="Fit autoregressive models over speed and force to a texture."
     )
 
 
 def key_of(field: str) -> Key:
-    """How a field is written."""
+    """Return the key of a field of BatchFolder in YAML."""
     return BatchFolder.model_fields[field].alias or field
 
 
 class FolderYaml:
-    """One fit.yaml: what it says, and where each key stands."""
+    """A fit.yaml: its keys, and the line of each."""
 
     def __init__(self, path: str, shown: str) -> None:
-        """Reads it; `shown` is its name in errors. Raises InvalidError, and HapticdError where it cannot be read."""
+        """Read the file; `shown` is its name in errors. Raises InvalidError, and HapticdError if it cannot be read."""
         document = load_bytes(read_file(path, MAX_YAML_BYTES), shown)
         refuse_other_kinds(document)
         if not isinstance(document.data, dict):
@@ -82,16 +85,16 @@ class FolderYaml:
 
     @property
     def keys(self) -> list[Key]:
-        """Those that are given."""
+        """The keys that the file sets."""
         return [key_of(field) for field in BatchFolder.model_fields if field in self.folder.model_fields_set]
 
     def problem(self, key: Key, text: str) -> Problem:
-        """A fault of a key."""
+        """Return a fault at the line of a key."""
         return self._document.problem((key,), text)
 
 
 def merged(folders: Iterable[BatchFolder]) -> BatchFolder:
-    """What holds below several folders, the outermost first."""
+    """Return the options that apply below nested folders, given from the outermost to the innermost."""
     found: dict[str, object] = {}
     for folder in folders:
         found |= {key_of(field): getattr(folder, field) for field in folder.model_fields_set}
@@ -99,10 +102,10 @@ def merged(folders: Iterable[BatchFolder]) -> BatchFolder:
 
 
 def options_of(folder: BatchFolder, kind: Kind) -> FitOptions:
-    """The options of a fit of this kind."""
+    """Return the options of a fit of this kind."""
 
-    def taken(field: str) -> bool:
-        return kind in TAKEN_BY[key_of(field)]
+    def is_used(field: str) -> bool:
+        return kind in KINDS_OF_KEY[key_of(field)]
 
     fields = ("form", "attack", "law", "two_modes", "mode_table", "autoregressive")
-    return FitOptions(**{field: getattr(folder, field) for field in fields if taken(field)})
+    return FitOptions(**{field: getattr(folder, field) for field in fields if is_used(field)})

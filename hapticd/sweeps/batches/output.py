@@ -1,10 +1,10 @@
-"""The files of a batch beside its rows: a YAML for each material, and tables as CSV.
+"""The output files of a batch in addition to its rows: a YAML file for each material, and CSV tables.
 
-    materials/NAME.yaml   as `hapticd fit -o` writes it: a file that -c and `material set` take
+    materials/NAME.yaml   a file for -c and `material set`, as written by `hapticd fit -o`
     ranking.csv           a row for each fit, the best material first
     figures.csv           a row for each figure of each fit, with its 95 % interval
 
-A file for each material, so that the good ones can be taken, and so that only what changed is written again.
+Each material has a separate file so that a user can choose the good ones, and only changed files are written again.
 """
 
 from __future__ import annotations
@@ -23,33 +23,34 @@ from hapticd.base.yaml_source import one_line
 from hapticd.base.yaml_text import yaml_text
 from hapticd.config.schema import unit_of
 from hapticd.sweeps.batches.ranking import MaterialResult
-from hapticd.sweeps.store import STUDY
+from hapticd.sweeps.store import STUDY_FILE
 
-MATERIALS: Final = "materials"
-_DAY: Final = re.compile(r'date: "\d{4}-\d{2}-\d{2}"')
+_DATE_ENTRY: Final = re.compile(r'date: "\d{4}-\d{2}-\d{2}"')
+"""The date of a fit in a file of a material."""
 
 
 def check_folder(folder: Path, tree: str) -> None:
-    """Raises HapticdError where results cannot go to a folder: one in the tree, or one that holds something else."""
+    """Raise HapticdError if results cannot be written to a folder: one in the tree, or one with other content."""
     inside, above = os.path.realpath(folder), os.path.realpath(tree)
     if os.path.commonpath([inside, above]) == above:
-        raise HapticdError(f"{folder}: lies in the tree of recordings; give a folder outside of it: -o")
+        raise HapticdError(f"{folder}: is inside the tree of recordings; give a folder outside of it with -o")
     if folder.exists() and not folder.is_dir():
-        raise HapticdError(f"{folder}: is a file; give another name: -o")
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / STUDY).is_file():
-        raise HapticdError(f"{folder}: holds something else than a batch; give a new folder: -o")
+        raise HapticdError(f"{folder}: not a folder; give another name with -o")
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / STUDY_FILE).is_file():
+        raise HapticdError(f"{folder}: not empty, and not a folder of results; give a new folder with -o")
 
 
 def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[dict[str, str], list[str]]:
-    """The file of each material that there is, by name, and files of others that an earlier batch left there.
+    """Write a file for each material that was not refused.
 
-    A file that differs from the new one in the day alone is kept. Raises HapticdError.
+    Returns the path of each material's file by its name, and the paths of files of other materials, which an earlier
+    batch wrote. A file that differs only in the date is kept. Raises HapticdError.
     """
-    target = folder / MATERIALS
+    target = folder / "materials"
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise HapticdError(f"{target}: cannot be made: {error.strerror}") from None
+        raise HapticdError(f"{target}: cannot be created: {error.strerror}") from None
     files: dict[str, str] = {}
     for each in results:
         if each.material is None:
@@ -57,7 +58,7 @@ def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[di
         path = target / f"{each.name}.yaml"
         check_regular(path)
         text = yaml_text({"materials": {each.name: each.material.to_dict()}}) + "\n"
-        if _DAY.sub("", _read(path)) != _DAY.sub("", text):
+        if _DATE_ENTRY.sub("", _read(path)) != _DATE_ENTRY.sub("", text):
             write_whole(str(path), text, overwrite=True)
         files[each.name] = str(path)
     left = sorted({str(path) for path in target.glob("*.yaml")} - {*files.values()})
@@ -65,7 +66,7 @@ def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[di
 
 
 def _read(path: Path) -> str:
-    """Empty where there is nothing that could be kept."""
+    """Return the text of a file; empty if the file is missing or unreadable."""
     try:
         return path.read_text()
     except (OSError, UnicodeDecodeError):
@@ -73,9 +74,9 @@ def _read(path: Path) -> str:
 
 
 def write_tables(folder: Path, results: Sequence[MaterialResult], files: Mapping[str, str]) -> None:
-    """ranking.csv and figures.csv. Raises HapticdError."""
+    """Write ranking.csv and figures.csv. Raises HapticdError."""
     ranking = [
-        (rank, result.name, result.quality, fit.kind, fit.quality, len(fit.asked.files), fit.left_out,
+        (rank, result.name, result.quality, fit.kind, fit.quality, len(fit.recordings.files), fit.left_out,
          "; ".join(fit.reasons), os.path.relpath(files[result.name], folder) if result.name in files else "")
         for rank, result in enumerate(results, 1)
         for fit in result.fits
@@ -100,6 +101,6 @@ def _write(path: Path, heads: Sequence[str], rows: Sequence[Sequence[object]]) -
 
 
 def shown_files(names: Sequence[str], most: int = 3) -> str:
-    """The first of several names, on one line."""
+    """Return the first `most` names and the number of the others, on one line."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(map(one_line, names[:most])) + more

@@ -1,4 +1,4 @@
-"""The page of a batch: materials ranked by verdict, their figures beside one another, and each fit with its picture."""
+"""The HTML page of a batch: the ranking of the materials, a comparison of their figures, and each fit with its plot."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ from hapticd.sweeps.batches.batch import Quality
 from hapticd.sweeps.batches.ranking import FitResult, MaterialResult, counts
 from hapticd.sweeps.worker_check import code_version
 
-PAGE: Final = "report.html"
-COMPARED: Final[Mapping[Kind, tuple[str, ...]]] = {
+COMPARED_FIGURES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "tap": ("frequency_hz", "decay_time_s", "first_peak_slope_per_s"),
     "grooves": ("spacing_m", "frequency_hz", "velocity_gain_per_s"),
     "texture": ("peak_hz", "mean_hz", "velocity_gain_per_s"),
     "puncture": ("stiffness_n_per_m", "force_n", "frequency_hz"),
 }
-"""Figures of which those of all materials are drawn."""
-COLORS: Final[Mapping[Quality, str]] = {"good": "C2", "fair": "C1", "poor": "C3", "refused": "C7"}
-BEYOND: Final = 1.5
-"""Intervals are drawn up to so many times the largest value."""
+"""For each kind of fit, the figures that are compared between all materials."""
+QUALITY_COLORS: Final[Mapping[Quality, str]] = {"good": "C2", "fair": "C1", "poor": "C3", "refused": "C7"}
+"""matplotlib's color for each verdict."""
+MAX_INTERVAL_RATIO: Final = 1.5
+"""Confidence intervals are cut at 1.5 times the largest value of a plot."""
 
 
 def write_page(
@@ -52,16 +52,24 @@ def write_page(
     drawn: bool,
     note: Callable[[str], None],
 ) -> None:
-    """Writes the page, with pictures where they can be `drawn`; `files` are those of the materials. A page of the same
-    content is kept: to draw a hundred pictures takes longer than all else of a batch that is done already.
+    """Write the page into `folder` as report.html.
 
-    `note` is called with a line when drawing begins. Raises HapticdError.
+    Args:
+        title: Title of the page.
+        results: The materials in the order of their ranking.
+        files: The path of the file of each material.
+        folder: The result folder.
+        drawn: Whether to draw plots.
+        note: Is called with a line of text when drawing begins.
+
+    An existing page of the same content is kept, since drawing takes longer than everything else if all fits are done.
+    Raises HapticdError.
     """
-    path = folder / PAGE
+    path = folder / "report.html"
     check_regular(path)
-    content = repr([title, results, files, drawn, COMPARED]) + code_version()
+    content = repr([title, results, files, drawn, COMPARED_FIGURES]) + code_version()
     mark = f"<!-- {sha256(content.encode(errors='backslashreplace')).hexdigest()} -->\n"
-    with suppress(OSError), path.open("rb") as file:  # without one, or with a shorter one, it is written
+    with suppress(OSError), path.open("rb") as file:  # a missing or shorter file raises, and the page is written
         file.seek(-len(mark), os.SEEK_END)
         if file.read() == mark.encode():
             return
@@ -72,14 +80,14 @@ def write_page(
 
 
 def page(title: str, results: Sequence[MaterialResult], files: Mapping[str, str], folder: Path, drawn: bool) -> str:
-    """The page that stands in a folder."""
+    """Return the page of a batch as HTML; links are relative to `folder`."""
     rows = [
         (
             str(rank),
             f'<a href="#{_anchor(rank)}">{html.escape(each.name)}</a>',
             each.quality,
             ", ".join(fit.kind for fit in each.fits),
-            str(sum(len(fit.asked.files) for fit in each.fits)),
+            str(sum(len(fit.recordings.files) for fit in each.fits)),
             f'<span class="prose">{html.escape(each.shown_reasons)}</span>',
         )
         for rank, each in enumerate(results, 1)
@@ -98,7 +106,7 @@ def page(title: str, results: Sequence[MaterialResult], files: Mapping[str, str]
 
 
 def summary(results: Sequence[MaterialResult]) -> str:
-    """How many materials have which verdict."""
+    """Return the number of materials with each verdict as text."""
     parts = ", ".join(f"{count} {quality}" for quality, count in counts(results).items() if count)
     return f"{wording.count(len(results), 'material')}: {parts}"
 
@@ -108,7 +116,7 @@ def _anchor(rank: int) -> str:
 
 
 def _section(rank: int, result: MaterialResult, files: Mapping[str, str], folder: Path, drawn: bool) -> str:
-    """One material; a good one is closed until it is asked for."""
+    """Return the section of a material; that of a good one is collapsed."""
     file = files.get(result.name)
     link = ""
     if file is not None:
@@ -137,7 +145,7 @@ def _fit(fit: FitResult, drawn: bool) -> str:
 
 
 def _panel(data: Mapping[str, Any]) -> Panel:
-    """A picture from plain data."""
+    """Return a plot from plain data."""
     return Panel(**{**data, "curves": tuple(map(_curve, data["curves"]))})
 
 
@@ -151,8 +159,8 @@ def _array(values: Sequence[float | None]) -> Floats:
 
 
 def _compared(results: Sequence[MaterialResult]) -> Iterator[tuple[Panel, ...]]:
-    """Of each kind of fit, figures of all materials over their ranks."""
-    for kind, names in COMPARED.items():
+    """Yield for each kind of fit a row of plots of its figures over the rank of the material."""
+    for kind, names in COMPARED_FIGURES.items():
         fits = [(rank, fit) for rank, each in enumerate(results, 1) for fit in each.fits if fit.kind == kind]
         panels = tuple(panel for name in names if (panel := _over_ranks(kind, name, fits)) is not None)
         if panels:
@@ -167,10 +175,10 @@ def _over_ranks(kind: Kind, name: str, fits: Sequence[tuple[int, FitResult]]) ->
     ]
     if len(found) < 2:
         return None
-    most = BEYOND * max(abs(each.value) for _, _, each in found)
+    most = MAX_INTERVAL_RATIO * max(abs(each.value) for _, _, each in found)
     curves = tuple(
         _dots(quality, [(rank, each) for rank, its, each in found if its == quality], most)
-        for quality in COLORS
+        for quality in QUALITY_COLORS
         if any(its == quality for _, its, _ in found)
     )
     return Panel(f"{kind}: {name}", "rank", unit_of(name) or "", curves, counted=True)
@@ -182,4 +190,4 @@ def _dots(quality: Quality, found: Sequence[tuple[int, Estimate]], most: float) 
         np.array([getattr(each, name) for _, each in found], dtype=np.float64) for name in ("value", "low", "high")
     )
     ends = (np.clip(np.nan_to_num(low, nan=-most), -most, most), np.clip(np.nan_to_num(high, nan=most), -most, most))
-    return Curve(quality, ranks, values, points=True, color=COLORS[quality], low=ends[0], high=ends[1])
+    return Curve(quality, ranks, values, points=True, color=QUALITY_COLORS[quality], low=ends[0], high=ends[1])

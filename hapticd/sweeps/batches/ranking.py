@@ -1,4 +1,4 @@
-"""The materials of a batch, from its rows: each with what its fits found, ranked by verdict."""
+"""The materials of a batch, made from its rows, and their ranking by verdict."""
 
 from __future__ import annotations
 
@@ -18,98 +18,100 @@ from hapticd.config.materials import Material
 from hapticd.fit.contribution import Contribution, added
 from hapticd.fit.recording import Kind
 from hapticd.sweeps.batches.batch import Batch, Quality
-from hapticd.sweeps.batches.folder_yaml import NAME
+from hapticd.sweeps.batches.folder_yaml import FIT_YAML
 from hapticd.sweeps.batches.tree import RecordingSet
-from hapticd.sweeps.columns import ERROR, POINT, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Row
 
-ORDER: Final[tuple[Quality, ...]] = ("good", "fair", "poor", "refused")
-SHOWN: Final = 160
-"""Characters of the reasons in a table."""
+QUALITY_ORDER: Final[tuple[Quality, ...]] = ("good", "fair", "poor", "refused")
+"""Verdicts from best to worst."""
+MAX_REASONS_CHARACTERS: Final = 160
+"""Length at which the reasons of a verdict are cut in a table."""
 
 
 @dataclass(frozen=True, slots=True)
 class FitResult:
-    """What came of one fit."""
+    """The result of one fit."""
 
-    asked: RecordingSet
+    recordings: RecordingSet
     quality: Quality
     verdict: str
-    """With its reasons; of a refused fit the reason alone."""
+    """The verdict with its reasons; for a refused fit only the reason."""
     reasons: tuple[str, ...]
     left_out: int
+    """Number of recordings that were not used."""
     contribution: Contribution | None
-    """None: the fit was refused."""
+    """The figures that the fit adds to its material; None if the fit was refused."""
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     estimates: Mapping[str, Estimate] | None = None
     plain: Mapping[str, float] | None = None
     panels: Sequence[Any] = ()
-    """Pictures, as plain data."""
+    """Plots, as plain data."""
 
     @property
     def kind(self) -> Kind:
-        """Of the fit."""
-        return self.asked.kind
+        """Kind of the fit."""
+        return self.recordings.kind
 
 
 @dataclass(frozen=True, slots=True)
 class MaterialResult:
-    """A material, of all of its fits that were not refused."""
+    """A material with its fits."""
 
     name: str
     quality: Quality
-    """The worst of its fits'."""
+    """The worst verdict of its fits."""
     fits: tuple[FitResult, ...]
     material: Material | None
-    """None: every fit was refused."""
+    """The material, made of all fits that were not refused; None if every fit was refused."""
     notes: tuple[str, ...]
 
     @property
     def reasons(self) -> list[str]:
-        """Of all fits; each with its kind where there are several."""
+        """The reasons of all fits; with the kind of the fit if there are several fits."""
         several = len(self.fits) > 1
         return [f"{fit.kind}: {reason}" if several else reason for fit in self.fits for reason in fit.reasons]
 
     @property
     def shown_reasons(self) -> str:
-        """For a table: the beginning of them."""
+        """The reasons as one text for a table, cut at MAX_REASONS_CHARACTERS."""
         text = "; ".join(self.reasons)
-        return text if len(text) <= SHOWN else f"{text[:SHOWN].rsplit(' ', 1)[0]} ..."
+        return text if len(text) <= MAX_REASONS_CHARACTERS else f"{text[:MAX_REASONS_CHARACTERS].rsplit(' ', 1)[0]} ..."
 
 
 def ranked(batch: Batch, rows: Iterable[Row], day: datetime.date) -> list[MaterialResult]:
-    """The best first; of equal verdicts those with fewer reasons first, then by name. `day` is that of the fits.
+    """Return the materials from best to worst verdict; with equal verdicts by number of reasons, then by name.
 
-    A material whose point has no row yet is left out.
+    `day` is the date of the fits in the provenance. A material without rows is left out.
     """
-    by_point = {row[POINT.name]: row for row in rows}
+    by_point = {row[POINT_COLUMN.name]: row for row in rows}
     found = [
-        (asked, by_point[point])
-        for index, asked in enumerate(batch.tree.sets)
+        (recordings, by_point[point])
+        for index, recordings in enumerate(batch.tree.sets)
         if (point := batch.point(index)) in by_point
     ]
     results = [
-        _material(name, [_fit(asked, row) for asked, row in several], batch.tree.path, day)
+        _material(name, [_fit(recordings, row) for recordings, row in several], batch.tree.path, day)
         for name, several in groupby(found, lambda each: each[0].material)
     ]
-    return sorted(results, key=lambda each: (ORDER.index(each.quality), len(each.reasons), each.name))
+    return sorted(results, key=lambda each: (QUALITY_ORDER.index(each.quality), len(each.reasons), each.name))
 
 
-def _fit(asked: RecordingSet, row: Row) -> FitResult:
-    error = row[ERROR.name]
+def _fit(recordings: RecordingSet, row: Row) -> FitResult:
+    error = row[ERROR_COLUMN.name]
     if error is not None:
-        return FitResult(asked, "refused", str(error), (str(error),), 0, None)
+        return FitResult(recordings, "refused", str(error), (str(error),), 0, None)
     found: dict[str, Any] = json.loads(str(row["found"]))
-    judged = found["origin"]["verdict"][asked.kind]
+    judged = found["origin"]["verdict"][recordings.kind]
     left_out = row["left_out"]
     assert isinstance(left_out, int)
     return FitResult(
-        asked,
+        recordings,
         judged["quality"],
         str(row["verdict"]),
         tuple(judged.get("reasons", ())),
         left_out,
-        Contribution(asked.kind, found["figures"], found["origin"]),
+        Contribution(recordings.kind, found["figures"], found["origin"]),
         tuple(found["notes"]),
         tuple(found["warnings"]),
         {name: Estimate(*map(_number, each)) for name, each in found["estimates"].items()},
@@ -123,7 +125,7 @@ def _number(value: float | None) -> float:
 
 
 def _material(name: str, fits: Sequence[FitResult], root: str, day: datetime.date) -> MaterialResult:
-    """Adds the fits to one another in their order, as `hapticd fit --merge` does."""
+    """Merge the fits into one material in their order, as `hapticd fit --merge` does."""
     material: Material | None = None
     assumed: float | None = None
     notes: list[str] = []
@@ -134,26 +136,28 @@ def _material(name: str, fits: Sequence[FitResult], root: str, day: datetime.dat
             continue
         part = Contribution(fit.kind, fit.contribution.figures, _with_folder(fit.contribution.origin, root))
         try:
-            found = added(part, name, day, onto=material, stiffness_n_per_m=fit.asked.stiffness_n_per_m)
-        except InvalidError as error:  # of the material as a whole: each fit alone was one
-            done.append(FitResult(fit.asked, "refused", str(error), (str(error),), fit.left_out, None))
+            found = added(part, name, day, onto=material, stiffness_n_per_m=fit.recordings.stiffness_n_per_m)
+        except InvalidError as error:  # the merged material is invalid, although each single fit is valid
+            done.append(FitResult(fit.recordings, "refused", str(error), (str(error),), fit.left_out, None))
             continue
         material = found.material
         done.append(fit)
         notes += fit.notes
-        # A puncture, which comes last, measures it.
-        if fit.asked.stiffness_n_per_m is not None or "stiffness_n_per_m" in part.figures:
+        # The stiffness is set or measured; a puncture, which measures it, comes last.
+        if fit.recordings.stiffness_n_per_m is not None or "stiffness_n_per_m" in part.figures:
             assumed = None
         elif found.assumed_n_per_m is not None:
             assumed = found.assumed_n_per_m
     if assumed is not None:
-        notes.append(f"the stiffness, {assumed:g} N/m, is not in the recordings; stiffness_n_per_m in {NAME} sets it")
-    worst = max((fit.quality for fit in done), key=ORDER.index)
+        notes.append(
+            f"the stiffness, {assumed:g} N/m, is not in the recordings; stiffness_n_per_m in {FIT_YAML} sets it"
+        )
+    worst = max((fit.quality for fit in done), key=QUALITY_ORDER.index)
     return MaterialResult(name, worst, tuple(done), material, tuple(notes))
 
 
 def _with_folder(origin: Mapping[str, object], root: str) -> dict[str, object]:
-    """A provenance whose files are named with the tree, as the user writes it."""
+    """Return a provenance in which the paths of the recordings begin with the path of the tree."""
     files = origin["files"]
     assert isinstance(files, list)
     above = os.fsencode(root).decode(errors="backslashreplace")
@@ -161,15 +165,15 @@ def _with_folder(origin: Mapping[str, object], root: str) -> dict[str, object]:
 
 
 def counts(results: Iterable[MaterialResult]) -> dict[Quality, int]:
-    """How many materials there are of each verdict."""
-    found: dict[Quality, int] = dict.fromkeys(ORDER, 0)
+    """Return the number of materials with each verdict."""
+    found: dict[Quality, int] = dict.fromkeys(QUALITY_ORDER, 0)
     for each in results:
         found[each.quality] += 1
     return found
 
 
 def result_dict(rank: int, result: MaterialResult, file: str | None) -> dict[str, Json]:
-    """What --json says of a material; `file` is where it was written."""
+    """Return a material as JSON data for --json; `file` is the path of its YAML file."""
     return {
         "rank": rank,
         "material": result.name,
@@ -183,7 +187,7 @@ def result_dict(rank: int, result: MaterialResult, file: str | None) -> dict[str
                 "verdict": fit.verdict,
                 "reasons": list(fit.reasons),
                 "warnings": list(fit.warnings),
-                "recordings": len(fit.asked.files),
+                "recordings": len(fit.recordings.files),
                 "left_out": fit.left_out,
                 "figures": {
                     name: [_or_none(each.value), _or_none(each.low), _or_none(each.high)]

@@ -1,12 +1,13 @@
-"""The recordings of a tree, by material and kind of fit, with every fault of the tree before anything is fitted.
+"""Reads a tree of recordings, by material and kind of fit, and finds all its faults before anything is fitted.
 
-    TREE/fit.yaml                  for all materials; each fit.yaml may be left out
-    TREE/MATERIAL/fit.yaml         for one
-    TREE/MATERIAL/*.npz            recordings of the `kind` in one of these files
+    TREE/fit.yaml                  options of all materials; each fit.yaml may be left out
+    TREE/MATERIAL/fit.yaml         options of one material
+    TREE/MATERIAL/*.npz            recordings of the `kind` that one of these two files sets
     TREE/MATERIAL/KIND/*.npz       recordings of that kind: tap, grooves, texture, puncture
-    TREE/MATERIAL/KIND/fit.yaml    for one fit
+    TREE/MATERIAL/KIND/fit.yaml    options of one fit
 
-Beside a recording stands its own YAML, as `hapticd fit` has it. Names that begin with a dot are left alone.
+A recording may have a YAML file that describes it, as in `hapticd fit`: tap1.csv.yaml for tap1.csv. Names that begin
+with a dot are ignored.
 """
 
 from __future__ import annotations
@@ -26,32 +27,42 @@ from hapticd.base.yaml_source import one_line
 from hapticd.config.materials import MAX_PROVENANCE_FILES, validate_materials
 from hapticd.fit.options import KEY_OF, FitOptions
 from hapticd.fit.recording import Kind
-from hapticd.sweeps.batches.folder_yaml import NAME, TAKEN_BY, BatchFolder, FolderYaml, key_of, merged, options_of
+from hapticd.sweeps.batches.folder_yaml import (
+    FIT_YAML,
+    KINDS_OF_KEY,
+    BatchFolder,
+    FolderYaml,
+    key_of,
+    merged,
+    options_of,
+)
 
-KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-_YAML: Final = (".yaml", ".yml")
-_KNOWN: Final = ", ".join(KINDS[:-1]) + " or " + KINDS[-1]
+FIT_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+"""All kinds of fits."""
+_KINDS_TEXT: Final = ", ".join(FIT_KINDS[:-1]) + " or " + FIT_KINDS[-1]
+"""All kinds of fits, as text for errors."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingFile:
-    """A recording: its name in the tree, and what it holds."""
+    """A recording: its path in the tree, and the hashes of its content."""
 
     name: str
+    """Path of the file, relative to the tree."""
     sha256: str
-    """Of the file."""
-    beside: str
-    """SHA-256 of the YAML beside it; empty: there is none."""
+    """SHA-256 of the file."""
+    yaml_sha256: str
+    """SHA-256 of the YAML file that describes the recording; empty without one."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingSet:
-    """The recordings of one fit, and how they are fitted."""
+    """The recordings of one fit, and its options."""
 
     material: str
     kind: Kind
     folder: str
-    """In the tree."""
+    """Path of their folder, relative to the tree."""
     files: tuple[RecordingFile, ...]
     options: FitOptions
     strict: bool
@@ -63,38 +74,40 @@ class Tree:
     """A tree of recordings."""
 
     path: str
-    """As the user wrote it."""
+    """Path as the user wrote it."""
     sets: tuple[RecordingSet, ...]
-    """By material, then by kind: a puncture comes last, since it measures the stiffness."""
+    """The fits, by material, then by kind: a puncture comes last, since it measures the stiffness."""
     others: tuple[str, ...]
-    """Files that are no recordings, by their names in the tree."""
+    """Paths of files that are not recordings, relative to the tree."""
 
 
 def read_tree(path: str) -> Tree:
-    """Raises HapticdError where there is no such folder, InvalidError with every fault."""
+    """Read a tree. Raises HapticdError if it is not a folder, InvalidError with all faults of the tree."""
     if not os.path.isdir(path):
-        why = "is no folder" if os.path.exists(path) else "there is no such folder"
+        why = "not a folder" if os.path.exists(path) else "no such folder"
         raise HapticdError(f"{one_line(path)}: {why}; a batch needs a folder with a folder for each material")
     reader = _Reader(path)
     sets = tuple(reader.read())
     if not reader.problems and not sets:
-        reader.fault("", f"holds no material: each has a folder with folders {_KNOWN}, or with recordings and {NAME}")
+        reader.fault(
+            "", f"holds no material: each has a folder with folders {_KINDS_TEXT}, or with recordings and {FIT_YAML}"
+        )
     if reader.problems:
         raise InvalidError(reader.problems)
     return Tree(path, sets, tuple(reader.others))
 
 
 def fingerprint(path: str, name: str) -> RecordingFile:
-    """What the recording at a path holds. Raises HapticdError where it cannot be read."""
-    beside = f"{path}.yaml"
-    return RecordingFile(name, _sha256(path), _sha256(beside) if os.path.lexists(beside) else "")
+    """Return a recording with the hashes of its content. Raises HapticdError if it cannot be read."""
+    yaml = f"{path}.yaml"
+    return RecordingFile(name, _sha256(path), _sha256(yaml) if os.path.lexists(yaml) else "")
 
 
 def _sha256(path: str) -> str:
     try:
-        # A pipe would be waited for.
+        # Opening a pipe would block.
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise HapticdError(f"{one_line(path)}: is no file")
+            raise HapticdError(f"{one_line(path)}: not a regular file")
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
@@ -103,26 +116,31 @@ def _sha256(path: str) -> str:
 
 @dataclass(slots=True)
 class _Level:
-    """A folder: what is in it."""
+    """A folder and its content."""
 
     name: str
-    """In the tree."""
+    """Path of the folder, relative to the tree."""
     yaml: FolderYaml | None = None
+    """Its fit.yaml; None without one, or if it has faults."""
     faulty: bool = False
-    """There is a fit.yaml that says nothing, since it has faults."""
+    """Whether its fit.yaml has faults."""
     recordings: list[str] = field(default_factory=list)
+    """Paths of the recordings in the folder, relative to the tree."""
     folders: list[str] = field(default_factory=list)
+    """Paths of the folders in the folder, relative to the tree."""
 
 
 @dataclass(slots=True)
 class _Reader:
+    """Reads a tree and collects its faults."""
+
     root: str
     problems: list[Problem] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
     taken: dict[str, set[Kind]] = field(default_factory=lambda: defaultdict(set))
-    """By folder: the kinds that are fitted in it and below."""
+    """For each folder, the kinds that are fitted in it and below."""
     loose: set[str] = field(default_factory=set)
-    """Folders in which, or right below which, recordings stand that have their kind from a fit.yaml."""
+    """Folders whose fit.yaml may set `kind`: a material's folder that holds recordings itself, and the tree."""
 
     def fault(self, name: str, text: str) -> None:
         self.problems.append(Problem(one_line(os.path.join(self.root, name) if name else self.root), text))
@@ -132,7 +150,7 @@ class _Reader:
     def read(self) -> Iterator[RecordingSet]:
         root = self.level("")
         for name in root.recordings:
-            self.fault(name, "stands beside the folders of the materials: put it into that of its own")
+            self.fault(name, "recording outside of a material's folder; move it into the folder of its material")
         levels, sets = [root], []
         for name in root.folders:
             found, below = self.material(name, root)
@@ -144,7 +162,7 @@ class _Reader:
         return iter(sets)
 
     def level(self, name: str) -> _Level:
-        """Reads a folder."""
+        """Read a folder, and its fit.yaml if it has one."""
         level = _Level(name)
         folder = Path(self.root, name)
         try:
@@ -158,16 +176,16 @@ class _Reader:
                 level.folders.append(inside)
             elif ending_of(entry) in TABLE_READERS:
                 level.recordings.append(inside)
-            elif ending_of(entry) in _YAML:
+            elif ending_of(entry) in (".yaml", ".yml"):
                 self.yaml(level, entry, entries)
             else:
                 self.others.append(inside)
         return level
 
     def yaml(self, level: _Level, entry: str, entries: list[str]) -> None:
-        """A YAML file is of the folder, or of a recording."""
+        """Read a fit.yaml into `level`, or check that a YAML file describes a recording of the folder."""
         name, described = os.path.join(level.name, entry), os.path.splitext(entry)[0]
-        if entry == NAME:
+        if entry == FIT_YAML:
             level.faulty = True
             try:
                 level.yaml = FolderYaml(os.path.join(self.root, name), os.path.join(self.root, name))
@@ -176,59 +194,64 @@ class _Reader:
                 self.problems += error.problems
             except HapticdError as error:
                 self.problems.append(Problem("", str(error)))
-        elif described == os.path.splitext(NAME)[0]:
-            self.fault(name, f"must be called {NAME}")
+        elif described == os.path.splitext(FIT_YAML)[0]:
+            self.fault(name, f"must be named {FIT_YAML}")
         elif ending_of(described) not in TABLE_READERS:
-            self.fault(name, f"is no YAML of a batch: that of a folder is {NAME}, that of tap1.csv is tap1.csv.yaml")
+            self.fault(
+                name, f"unexpected YAML file; options of a folder are in {FIT_YAML}, tap1.csv.yaml describes tap1.csv"
+            )
         elif described not in entries:
-            self.fault(name, f"describes {one_line(described)}, which is not there")
+            self.fault(name, f"describes {one_line(described)}, which does not exist")
         elif not entry.endswith(".yaml"):
-            self.fault(name, f"must be called {one_line(described)}.yaml")
+            self.fault(name, f"must be named {one_line(described)}.yaml")
 
     def material(self, name: str, root: _Level) -> tuple[list[RecordingSet], list[_Level]]:
-        """The fits of a material, and its folders."""
+        """Return the fits of a material, and its folders."""
         try:
             validate_materials({name: {"stiffness_n_per_m": 0.0}})
         except InvalidError as error:
-            self.fault(name, f"is no name of a material: {error.problems[0].problem}")
+            self.fault(name, f"invalid name of a material: {error.problems[0].problem}")
         own = self.level(name)
         kinds: dict[Kind, _Level] = {}
         if own.recordings:
             kind = _merged(root, own).kind
             self.loose |= {"", name}
             if kind is None and not (own.faulty or root.faulty):
-                self.fault(name, f"holds recordings of no kind: put them into a folder {_KNOWN}, or kind into {NAME}")
+                self.fault(
+                    name,
+                    f"holds recordings without a kind; put them into a folder {_KINDS_TEXT} or set kind in {FIT_YAML}",
+                )
             if kind is not None:
                 kinds[kind] = own
         levels = [own]
         for folder in own.folders:
             last = os.path.basename(folder)
-            if last not in KINDS:
-                self.fault(folder, f"unknown kind {quoted(last)}; {known_names(last, KINDS)}")
+            if last not in FIT_KINDS:
+                self.fault(folder, f"unknown kind {quoted(last)}; {known_names(last, FIT_KINDS)}")
                 continue
             below = self.level(folder)
             levels.append(below)
             for deeper in below.folders:
-                self.fault(deeper, f"is too deep: recordings stand in {one_line(folder)} itself")
+                self.fault(deeper, f"too deep; recordings must be in {one_line(folder)} itself")
             if not below.recordings:
                 self.fault(folder, f"holds no recordings ({', '.join(TABLE_READERS)})")
             elif last in kinds:
                 self.fault(
-                    folder, f"is of the same kind as the recordings in {one_line(name)} itself: put them together"
+                    folder, f"has the same kind as the recordings in {one_line(name)} itself; put them into one folder"
                 )
             else:
                 kinds[last] = below
         self.check_kinds(name, kinds, levels)
-        sets = [self.recording_set(name, kind, kinds[kind], root, own) for kind in KINDS if kind in kinds]
+        sets = [self.recording_set(name, kind, kinds[kind], root, own) for kind in FIT_KINDS if kind in kinds]
         return sets, levels
 
     def recording_set(self, material: str, kind: Kind, level: _Level, root: _Level, own: _Level) -> RecordingSet:
-        """One fit."""
+        """Return the recordings and options of one fit."""
         above = [root, own] if level is own else [root, own, level]
         for each in above:
             self.taken[each.name].add(kind)
-        said = _merged(*above)
-        options = options_of(said, kind)
+        given = _merged(*above)
+        options = options_of(given, kind)
         self.check_options(options, above)
         files = []
         for name in level.recordings:
@@ -236,23 +259,25 @@ class _Reader:
                 files.append(fingerprint(os.path.join(self.root, name), name))
             except HapticdError as error:
                 self.problems.append(Problem("", str(error)))
-        strict = said.strict is True
-        return RecordingSet(material, kind, level.name, tuple(files), options, strict, said.stiffness_n_per_m)
+        strict = given.strict is True
+        return RecordingSet(material, kind, level.name, tuple(files), options, strict, given.stiffness_n_per_m)
 
     # ---- Faults ------------------------------------------------------------------------------------------------------
 
     def check_kinds(self, name: str, kinds: dict[Kind, _Level], levels: list[_Level]) -> None:
-        """What one material may have."""
+        """Check number and kinds of the recordings of a material."""
         if not kinds and len(levels) == 1 and not levels[0].recordings and not levels[0].folders:
-            self.fault(name, f"holds no recordings: they stand in a folder {_KNOWN}, or in it with kind in {NAME}")
+            self.fault(
+                name, f"holds no recordings; put them into a folder {_KINDS_TEXT}, or here with kind in {FIT_YAML}"
+            )
         if len({KEY_OF[kind] for kind in kinds}) < len(kinds):
-            self.fault(name, "has grooves and a texture, and a material has one of them: leave out one folder")
+            self.fault(name, "has grooves and a texture; a material can have only one of them")
         count = sum(len(level.recordings) for level in kinds.values())
         if count > MAX_PROVENANCE_FILES:
-            self.fault(name, f"holds {count} recordings: {MAX_PROVENANCE_FILES} are the most of one material")
+            self.fault(name, f"holds {count} recordings, at most {MAX_PROVENANCE_FILES} are allowed for a material")
 
     def check_options(self, options: FitOptions, above: list[_Level]) -> None:
-        """Options that do not go together; the fault stands at the innermost."""
+        """Check for options that exclude one another; the fault is reported in the innermost fit.yaml."""
         spelled = {"form": "as:", "law": "law", "two_modes": "two_modes", "mode_table": "mode_table"}
         fault = options.fault(lambda option: spelled.get(option, option))
         if fault is None:
@@ -264,34 +289,34 @@ class _Reader:
             self.problems.append(problem)
 
     def check_yaml(self, level: _Level) -> None:
-        """Keys that no fit takes."""
+        """Check the fit.yaml of a folder for keys that no fit below the folder uses."""
         if level.yaml is None:
             return
         taken = self.taken[level.name]
         for key in level.yaml.keys:
-            kinds = TAKEN_BY.get(key)
+            kinds = KINDS_OF_KEY.get(key)
             if kinds is not None and not taken & {*kinds}:
-                has = ", ".join(kind for kind in KINDS if kind in taken) or "nothing"
-                self.problems.append(level.yaml.problem(key, f"is of {kinds[0]}, and here is fitted: {has}"))
+                has = ", ".join(kind for kind in FIT_KINDS if kind in taken) or "nothing"
+                self.problems.append(level.yaml.problem(key, f"only for {kinds[0]}; fitted here: {has}"))
             if key != "kind":
                 continue
             last = os.path.basename(level.name)
             if level.name.count(os.sep) == 1:
                 if level.yaml.folder.kind not in (None, last):
-                    self.problems.append(level.yaml.problem(key, f"the folder says {last}: leave out one"))
+                    self.problems.append(level.yaml.problem(key, f"must be {last}, the name of the folder"))
             elif level.name not in self.loose:
-                text = "is of recordings that stand in the folder of a material itself, and there are none"
+                text = "only for recordings directly in the folder of a material, which do not exist here"
                 self.problems.append(level.yaml.problem(key, text))
 
     def check_duplicates(self, sets: list[RecordingSet]) -> None:
-        """One recording is of one material. Within a fit, the fit refuses them."""
+        """Check that no two materials have the same recording; duplicates within a fit are refused by the fit."""
         first: dict[str, tuple[str, str]] = {}
         for each in sets:
             for file in each.files:
                 material, name = first.setdefault(file.sha256, (each.material, file.name))
                 if material != each.material:
                     other = one_line(os.path.join(self.root, name))
-                    self.fault(file.name, f"holds the same as {other}: a recording is of one material")
+                    self.fault(file.name, f"same content as {other}; a recording must belong to one material")
 
 
 def _merged(*levels: _Level) -> BatchFolder:

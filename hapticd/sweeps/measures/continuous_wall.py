@@ -1,15 +1,16 @@
-"""The continuous loop of a hand, a handle and one wall, in closed form: what a servo of infinite rate would do.
+"""The continuous loop of a hand, a handle and one wall, in closed form: the limit of a servo with infinite rate.
 
-Along the wall's normal, y the handle's height above the surface and w that of the hand's reference,
+With the height y of the handle above the surface, along the wall's normal, and the height w of the hand's reference,
 
-    M y'' = k (w - y) + c (w' - y') - b y' + P + F,    F = max(0, -K y - D y') while y < 0, else 0,
+    M y'' = k (w - y) + c (w' - y') - b y' + P + F,    F = max(0, -K y - D y') if y < 0, else 0.
 
-with M, b of handle and hand together, the hand's k and c, and a constant push P. The reference is a polynomial of time
-between two waypoints. So between two events (a waypoint, a touch, a release) the equation is linear, and
+M is the mass of handle and hand, b the damping of the handle, k and c are stiffness and damping of the hand, K and D
+those of the wall, and P is a constant push. Between two waypoints the reference is a polynomial in time. So between two
+events (waypoint, touch or release) the equation is linear, and its solution is
 
     y(t) = polynomial(t) + exp(-a t) (A cos(q t) + B sin(q t)/q),    a = R/2M,  q^2 = S/M - a^2,
 
-R and S being all damping and all stiffness; q may be imaginary, or 0. Events are found by bisection.
+where R and S are the sums of all damping and all stiffness; q may be imaginary or 0. Events are found by bisection.
 """
 
 from __future__ import annotations
@@ -24,51 +25,58 @@ import numpy.typing as npt
 from numpy.polynomial import Polynomial
 
 Floats = npt.NDArray[np.float64]
-_HALVINGS: Final = 80
-_MOST_STRETCHES: Final = 100_000
-_MINIMUM_JERK: Final = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
-"""Of the part of the way by the part of the time (Flash and Hogan 1985)."""
+_MAX_BISECTIONS: Final = 80
+"""Bisections until the time of an event is exact to the last bit of a float."""
+_MAX_STRETCHES: Final = 100_000
+"""Number of stretches at which a motion is refused that touches and leaves the wall without end."""
+_MINIMUM_JERK_COEFFICIENTS: Final = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
+"""Coefficients, from the lowest power up, of the fraction of the path over the fraction of the time between waypoints
+(Flash and Hogan 1985)."""
 
 
 @dataclass(frozen=True, slots=True)
 class WallLoop:
-    """Hand, handle and wall, in SI units."""
+    """Parameters of hand, handle and wall."""
 
     mass_kg: float
-    """Handle and hand."""
+    """Mass of handle and hand."""
     damping_n_s_per_m: float
-    """The handle's."""
+    """Damping of the handle."""
     hand_stiffness_n_per_m: float
     hand_damping_n_s_per_m: float
     wall_stiffness_n_per_m: float
     wall_damping_n_s_per_m: float
     push_n: float
-    """A constant force along the normal; below 0 into the wall."""
+    """Constant force along the normal; negative if it points into the wall."""
 
 
 @dataclass(frozen=True)
 class _Stretch:
-    """From `begin_s` on, with a force of the wall or without one."""
+    """The motion between two events, in which the wall either exerts a force or does not."""
 
     begin_s: float
     pressed: bool
+    """Whether the wall exerts a force."""
     forced: Polynomial
+    """The polynomial part of the height, in m, over the time since `begin_s`."""
     decay_per_s: float
+    """a, in 1/s."""
     square: float
-    """q^2, 1/s^2."""
+    """q^2, in 1/s^2."""
     first: float
+    """A, in m."""
     second: float
-    """A, m, and B, m/s."""
+    """B, in m/s."""
 
     def at(self, time_s: Floats) -> tuple[Floats, Floats]:
-        """Height and its speed, each of the shape of `time_s`."""
+        """Return height in m and speed in m/s, each of the shape of `time_s`."""
         t = time_s - self.begin_s
         a, q = self.decay_per_s, math.sqrt(abs(self.square))
         if self.square > 0.0:
             fade = np.exp(-a * t)
             cosine, sine = fade * np.cos(q * t), fade * np.sin(q * t) / q
         elif self.square < 0.0:
-            # Of two exponentials neither of which grows: cosh and sinh alone may overflow.
+            # Two exponentials that do not grow; cosh and sinh might overflow.
             slow, fast = np.exp((q - a) * t), np.exp((-q - a) * t)
             cosine, sine = 0.5 * (slow + fast), 0.5 * (slow - fast) / q
         else:
@@ -79,19 +87,22 @@ class _Stretch:
 
 
 class ContinuousWall:
-    """The motion from rest at the hand's first waypoint, which is above the wall."""
+    """The motion that begins at rest at the hand's first waypoint, which is above the wall."""
 
     def __init__(self, loop: WallLoop, waypoints: Floats, minimum_jerk: bool, end_s: float, step_s: float) -> None:
-        """`waypoints`: rows [t_s, height_m] of the reference, (n, 2), from 0 s on. Until `end_s`. A touch and a release
-        less than `step_s` apart may not be seen."""
+        """Compute the motion from 0 s to `end_s`.
+
+        `waypoints` are rows [t_s, height_m] of the hand's reference, (n, 2), which begin at 0 s. If a touch and its
+        release are separated by less than `step_s`, both may be missed.
+        """
         self._loop = loop
         self._minimum_jerk = minimum_jerk
         self._way = waypoints
         self._stretches: list[_Stretch] = []
-        self._go_on(end_s, step_s)
+        self._compute(end_s, step_s)
 
     def at(self, time_s: Floats) -> tuple[Floats, Floats]:
-        """Height above the surface, m, and the wall's force along the normal, N, at times [n]."""
+        """Return the height above the surface in m and the normal force of the wall in N at times (n,), each (n,)."""
         loop = self._loop
         height, force = np.empty_like(time_s), np.zeros_like(time_s)
         begins = [stretch.begin_s for stretch in self._stretches]
@@ -104,18 +115,18 @@ class ContinuousWall:
                 force[here] = np.maximum(pressed, 0.0)
         return height, force
 
-    def _go_on(self, end_s: float, step_s: float) -> None:
+    def _compute(self, end_s: float, step_s: float) -> None:
         loop = self._loop
         now, height, speed, pressed = 0.0, float(self._way[0, 1]), 0.0, False
         while now < end_s:
-            if len(self._stretches) == _MOST_STRETCHES:
+            if len(self._stretches) == _MAX_STRETCHES:
                 raise ArithmeticError("the continuous loop touches and leaves the wall without end")
             until = min(end_s, self._next_waypoint(now))
             stretch = self._stretch(now, height, speed, pressed)
             self._stretches.append(stretch)
 
             def changes(y: Floats, v: Floats, pressed: bool = pressed) -> npt.NDArray[np.bool_]:
-                """Where it is pressed and was not, or the other way round."""
+                """Return where the wall exerts a force and did not at the begin of the stretch, or vice versa."""
                 force = -loop.wall_stiffness_n_per_m * y - loop.wall_damping_n_s_per_m * v
                 found: npt.NDArray[np.bool_] = ((y < 0.0) & (force > 0.0)) != pressed
                 return found
@@ -125,7 +136,7 @@ class ContinuousWall:
             if len(changed):
                 low = now if changed[0] == 0 else float(times[changed[0] - 1])
                 high = float(times[changed[0]])
-                for _ in range(_HALVINGS):
+                for _ in range(_MAX_BISECTIONS):
                     middle = 0.5 * (low + high)
                     if middle in (low, high):
                         break
@@ -140,14 +151,14 @@ class ContinuousWall:
         return float(later[0]) if len(later) else math.inf
 
     def _reference(self, now_s: float) -> Polynomial:
-        """Of the time since `now_s`, until the next waypoint."""
+        """Return the height of the reference as a polynomial in the time since `now_s`, up to the next waypoint."""
         way = self._way
         index = int(np.searchsorted(way[:, 0], now_s, side="right")) - 1
         if index < 0 or index + 1 >= len(way):
             return Polynomial([way[max(index, 0), 1]])
         (begin_s, begin), (end_s, end) = way[index], way[index + 1]
         part = Polynomial([(now_s - begin_s) / (end_s - begin_s), 1.0 / (end_s - begin_s)])
-        gone = Polynomial(_MINIMUM_JERK)(part) if self._minimum_jerk else part
+        gone = Polynomial(_MINIMUM_JERK_COEFFICIENTS)(part) if self._minimum_jerk else part
         found: Polynomial = begin + (end - begin) * gone
         return found
 
@@ -169,9 +180,9 @@ class ContinuousWall:
 
 
 def _particular(mass: float, damping: float, stiffness: float, drive: Sequence[float]) -> list[float]:
-    """The coefficients of a polynomial y with M y'' + R y' + S y = drive, from the highest power down.
+    """Return the coefficients of a polynomial y with M y'' + R y' + S y = drive, from the lowest power up.
 
-    Without stiffness y is one power higher than the drive, without damping, too, two; y(0) is then 0.
+    Without stiffness its degree is one higher than that of the drive, without damping, too, two higher; then y(0) = 0.
     """
     if stiffness == 0.0:
         if damping == 0.0:

@@ -1,4 +1,4 @@
-"""Displayed error of a material's tap: what handle and hand make of the waveform, in closed form, without a run."""
+"""Displayed error of a material's tap: how handle and hand distort its waveform, in closed form, without a run."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from hapticd.sweeps.point import Point
 
 
 class DisplayedErrorOptions(Model):
-    """Which material."""
+    """Options of the measure `displayed_error`."""
 
     material: Name = Field(description="A material with a tap of one mode.")
     name: Name = Field(default="displayed_error", description="Name of the column.")
 
 
 class DisplayedError:
-    """RMS difference of the handle's acceleration and the tap's waveform over the RMS of the waveform, 30 Hz to 0.4 of
-    the rate (docs/accuracy.md), for a tap that begins at a tick and touches nothing; 0.1 is 10 %. None: the rate,
-    or the link's, does not carry the mode."""
+    """RMS difference of the handle's acceleration and the tap's waveform, relative to the RMS of the waveform.
+
+    It is computed from 30 Hz to 0.4 of the rate (docs/accuracy.md) for a tap that begins at a tick and touches nothing.
+    A value of 0.1 is 10 %. It is None if the frequency of the mode is too high for the rate of servo or link.
+    """
 
     needs_run = False
 
@@ -32,13 +34,16 @@ class DisplayedError:
         self.columns = (Column(options.name, "number", "measured", "", what),)
 
     def of(self, point: Point) -> Row:
-        """With the configured handle, hand, rate, actuator and compensation. Raises HapticdError without a tap."""
+        """Measure with the configured handle, hand, rate, actuator and compensation.
+
+        Raises HapticdError if the material has no tap of one mode, or the handle is unknown.
+        """
         config, name = point.config, self._options.material
         material, output = config.materials.get(name), output_of(config, config.servo.rate_hz)
         if material is None or material.tap is None:
-            raise HapticdError(f"{name} is no material with a tap")
+            raise HapticdError(f"displayed_error: {name} is not a material with a tap")
         if output.dynamics is None:
-            raise HapticdError("the displayed error is not known for a real joystick without device.handle")
+            raise HapticdError("displayed_error: a real joystick needs device.handle")
         if material.tap.waveform is not None:
-            raise HapticdError(f"the tap of {name} is a waveform, which has no mode")
+            raise HapticdError(f"displayed_error: the tap of {name} is a waveform, must be a mode")
         return {self._options.name: strike_error(material.tap.mode, output)}

@@ -1,4 +1,4 @@
-"""Which of some materials a design of a joystick displays, without a run: the question of whoever chooses its parts."""
+"""Which of the given materials a joystick design can display, without a run: for choosing the parts of a joystick."""
 
 from __future__ import annotations
 
@@ -20,31 +20,33 @@ from hapticd.sweeps.point import Point
 
 
 class DisplayedMaterialsOptions(Model):
-    """Which materials, and what counts as displayed."""
+    """Options of the measure `displayed_materials`."""
 
     materials: Annotated[tuple[Name, ...], Strict(False), Field(min_length=1, max_length=100)] = Field(
         description="Materials with a tap of one mode."
     )
     error_at_most: Annotated[float, Field(gt=0, le=10)] = Field(
-        default=0.2, description="A tap's displayed error is at most this; 0.2 is 20 %."
+        default=0.2, description="Largest displayed error of a tap; 0.2 is 20 %."
     )
     speed_m_per_s: Annotated[float, Field(gt=0, le=10)] = Field(
-        default=0.1, description="Speed of a tap that is not to reach the force limit."
+        default=0.1, description="Speed of a tap whose force must stay below the force limit."
     )
 
 
 class DisplayedMaterials:
-    """A material is displayed if a wall of it comes to rest in every hand (docs/stability.md), the rate carries its
-    tap, the tap's displayed error (docs/accuracy.md) is small enough, and device.max_force_n is not reached by the
-    vibration of a tap at the given speed. `suffices` is true where all materials are displayed; `not_displayed` says
-    of each other one the first reason."""
+    """Counts the materials that are displayed, and gives a reason for each other one.
+
+    A material is displayed if a wall of it comes to rest in every hand (docs/stability.md), the rate is high enough for
+    its tap, the displayed error of the tap (docs/accuracy.md) is at most `error_at_most`, and the vibration of a tap
+    at `speed_m_per_s` does not exceed device.max_force_n.
+    """
 
     columns = (
         Column("suffices", "boolean", "measured", "", "Whether every material is displayed."),
-        Column("displayed", "integer", "measured", "", "How many of the materials are displayed."),
-        Column("worst_error", "number", "measured", "", "Largest displayed error of those taps that the rate carries."),
-        Column("needed_force_n", "number", "measured", "N", "Largest force of the taps that the rate carries."),
-        Column("not_displayed", "text", "measured", "", "Materials that are not displayed, each with its reason."),
+        Column("displayed", "integer", "measured", "", "Number of materials that are displayed."),
+        Column("worst_error", "number", "measured", "", "Largest displayed error of the taps that the rate allows."),
+        Column("needed_force_n", "number", "measured", "N", "Largest force of the taps that the rate allows."),
+        Column("not_displayed", "text", "measured", "", "Materials that are not displayed, by their first reason."),
     )
     needs_run = False
 
@@ -52,24 +54,24 @@ class DisplayedMaterials:
         self._options = options
 
     def of(self, point: Point) -> Row:
-        """With the configured handle, hand, rate, encoder, actuator, force limit and compensation.
+        """Measure with the configured handle, hand, rate, encoder, actuator, force limit and compensation.
 
-        Raises HapticdError for a material without such a tap, and for a device whose handle is not known.
+        Raises HapticdError for a material without a tap of one mode, and for a device with an unknown handle.
         """
         config = point.config
         output = output_of(config, config.servo.rate_hz)
         if output.dynamics is None:
-            raise HapticdError("what is displayed is not known for a real joystick without device.handle")
+            raise HapticdError("displayed_materials: a real joystick needs device.handle")
         errors: list[float] = []
         forces: list[float] = []
         missing: dict[str, list[str]] = {}
         walls: dict[str, bool] = {}
-        """Whether a wall is stable, by its material without the tap: many differ in their tap alone."""
+        """Whether a wall is stable, by its material without the tap, since many materials differ only in the tap."""
         for name in self._options.materials:
             material = config.materials.get(name)
             mode = None if material is None or material.tap is None else material.tap.one_mode
             if material is None or mode is None:
-                raise HapticdError(f"{name} is no material with a tap of one mode")
+                raise HapticdError(f"displayed_materials: {name} is not a material with a tap of one mode")
             shown = _shown(material, mode, output, self._options.speed_m_per_s)
             if shown is not None:
                 errors.append(shown[0])
@@ -90,7 +92,7 @@ class DisplayedMaterials:
         }
 
     def _fault(self, max_force_n: float, is_stable: bool, shown: tuple[float, float] | None) -> tuple[str, str] | None:
-        """Why a material is not displayed: reason and figure; None: it is."""
+        """Return the reason why a material is not displayed and its value; None if it is displayed."""
         if not is_stable:
             return "may oscillate", ""
         if shown is None:
@@ -102,7 +104,7 @@ class DisplayedMaterials:
 
 
 def _shown(material: Material, mode: Mode, output: Output, speed_m_per_s: float) -> tuple[float, float] | None:
-    """Displayed error of a tap and its largest force in N; None where the rate does not carry it."""
+    """Return displayed error and largest force in N of a tap; None if its frequency is too high for the rate."""
     error = strike_error(mode, output)
     if error is None:
         return None
@@ -115,7 +117,7 @@ def _shown(material: Material, mode: Mode, output: Output, speed_m_per_s: float)
 
 
 def _is_stable(config: Config, name: str) -> bool:
-    """Whether a wall of a material comes to rest in every hand."""
+    """Return whether a wall of a material comes to rest in every hand."""
     wall = Wall(kind="wall", point_m=(0.0, 0.0), normal=(0.0, 1.0), material=name)
     sets = sets_of(config.model_copy(update={"scene": Scene(objects={"wall": wall})}))
     assert sets is not None  # the handle is known

@@ -1,4 +1,4 @@
-"""The energy that touched surfaces gave to the hand, as docs/passivity.md counts it."""
+"""The energy that touched surfaces gave to the hand, by the definition of docs/passivity.md."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from hapticd.sweeps.measures.measure import NoOptions
 from hapticd.sweeps.point import Point
 
 Floats = npt.NDArray[np.float64]
-_SAME_PERIOD: Final = 1e-9
-"""An age of so little more than a whole number of periods is that number."""
+_PERIOD_TOLERANCE: Final = 1e-9
+"""Rounding tolerance, in periods, for an age that is an integer number of periods."""
 
 
 def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], together: int = 0) -> float:
-    """The largest sum of f.(x' - x) over one contact, J; 0 where no sum is ever above 0.
+    """Return the largest partial sum of f.(x' - x) over one contact, in J, at least 0.
 
-    A force f acts while the position goes from x to x', also after the last tick of the contact. `force_n` and
-    `position_m` have shape (n, 2), `touched` (n,). Contacts that are no more than `together` ticks apart are one.
+    A force f acts while the position changes from x to x', also after the last tick of the contact. `force_n` and
+    `position_m` have shape (n, 2), `touched` (n,). Contacts with at most `together` ticks between them count as one.
     """
     steps = np.zeros(len(force_n))
     steps[1:] = (force_n[:-1] * np.diff(position_m, axis=0)).sum(1)
     largest = 0.0
     edges = np.flatnonzero(np.diff(np.concatenate(([0], touched.astype(np.int8), [0]))))
-    apart = np.flatnonzero(edges[2::2] - edges[1:-1:2] > together) if len(edges) else edges
-    edges = np.concatenate((edges[:1], np.stack((edges[1 + 2 * apart], edges[2 + 2 * apart]), 1).ravel(), edges[-1:]))
+    gaps = np.flatnonzero(edges[2::2] - edges[1:-1:2] > together) if len(edges) else edges
+    edges = np.concatenate((edges[:1], np.stack((edges[1 + 2 * gaps], edges[2 + 2 * gaps]), 1).ravel(), edges[-1:]))
     for begin, end in edges.reshape(-1, 2):
         sums = np.cumsum(steps[begin + 1 : end + 1])
         if len(sums):
@@ -41,10 +41,10 @@ def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_],
 
 
 class EnergyGiven:
-    """The most that the surfaces had given to the hand, less what they had taken, at any time of one contact.
+    """The largest net energy that the surfaces had given to the hand at any time of one contact.
 
-    The sum of f.(x' - x), f the force of the touched objects as it is commanded (after the limit, without vibration)
-    and x the handle's own position; of the open loop, x is the position on the hand's way.
+    It is the sum of f.(x' - x), where f is the commanded force of the touched objects (after the limit, without
+    vibration) and x the true position of the handle; in the open loop x is the position on the path of the hand.
     """
 
     columns = (
@@ -53,7 +53,7 @@ class EnergyGiven:
             "number",
             "measured",
             "J",
-            "Most energy that the touched surfaces gave to the hand beyond what they took, in one contact.",
+            "Largest net energy that the touched surfaces gave to the hand in one contact.",
         ),
     )
     needs_run = True
@@ -61,21 +61,24 @@ class EnergyGiven:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Of all contacts of the run. Raises HapticdError where fields act, whose force the samples do not tell."""
+        """Measure over all contacts of the run. Raises HapticdError if the scene has fields.
+
+        The samples have only the sum of the forces of surfaces and fields.
+        """
         config, run = point.config, point.run
         fields = field_ids(config.scene.objects)
         if fields:
             raise HapticdError(
-                f"energy_given is of surfaces: the force of the field {fields[0]} is in the same sum, leave it out"
+                f"energy_given: the scene must not have fields, has {fields[0]}: samples have only the total force"
             )
-        whole = run.samples["contact_force_n"]
+        contact = run.samples["contact_force_n"]
         pushes = [each.force_n for each in config.scene.objects.values() if isinstance(each, Constant)]
-        force = whole - np.sum(pushes, axis=0) if pushes else whole.copy()
-        size = np.hypot(*whole.T)
+        force = contact - np.sum(pushes, axis=0) if pushes else contact.copy()
+        size = np.hypot(*contact.T)
         over = size > config.device.max_force_n
         force[over] *= (config.device.max_force_n / size[over])[:, np.newaxis]
         position = run.samples["position_m"] if run.truth is None else run.truth[:, :2]
-        # What a late position hides: a contact of the handle's own that the reports see later.
+        # Reported positions are late: a true contact of the handle may continue while the reports show a gap.
         age = 0 if run.truth is None else output_of(config, run.rate_hz).age_s * run.rate_hz
         touched = (run.samples["flags"] & Flag.CONTACT) != 0
-        return {"energy_given_j": given_j(force, position, touched, math.ceil(age - _SAME_PERIOD))}
+        return {"energy_given_j": given_j(force, position, touched, math.ceil(age - _PERIOD_TOLERANCE))}

@@ -1,4 +1,4 @@
-"""What runs in the process of a user's function (function_process)."""
+"""The program that runs in the process of a user's function, started by function_process."""
 
 from __future__ import annotations
 
@@ -20,15 +20,20 @@ from hapticd.sweeps.measures.function_values import values_of
 from hapticd.sweeps.measures.sweep_point import SweepPoint
 
 _PR_SET_PDEATHSIG: Final = 1
-_LONGEST_REASON: Final = 500
+"""Option of prctl(2): the signal that a process gets when the thread that started it ends."""
+_MAX_ERROR_CHARACTERS: Final = 500
+"""Length at which error texts of a function are cut."""
 
 
 def serve() -> None:
-    """Answers until nobody asks any more. Ends with the thread that started it, also in the midst of a call."""
+    """Load the function, then call it for each point from the pipe until the pipe is closed.
+
+    The process is killed when the thread that started it ends, also during a call.
+    """
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != int(sys.argv[1]):
         return
-    # A terminal sends its interrupt to all; whoever asks decides.
+    # A terminal sends SIGINT to all processes; the process that sends the points handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe = Connection(os.dup(0))
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
@@ -45,7 +50,7 @@ def serve() -> None:
 
 
 def loaded(function: Function) -> Callable[[SweepPoint], object]:
-    """The function of a module that is made of its source. Raises HapticdError (one line)."""
+    """Create a module from its source and return the function. Raises HapticdError (one line)."""
     name = function.module
     if function.folder:
         sys.path.insert(0, function.folder)
@@ -66,7 +71,7 @@ def loaded(function: Function) -> Callable[[SweepPoint], object]:
             raise HapticdError(f"{name} has no function {function.name}; {known_names(function.name, known)}")
         found = getattr(found, part)
     if not callable(found):
-        raise HapticdError(f"{function.call} is no function, but a {type(found).__name__}")
+        raise HapticdError(f"{function.call} is not a function, but a {type(found).__name__}")
     return found  # type: ignore[no-any-return]
 
 
@@ -76,15 +81,15 @@ def _answer(
     try:
         return values_of(called(point), dict(function.kinds)), None
     except HapticdError as error:
-        return None, on_one_line(str(error))[:_LONGEST_REASON]
-    except BaseException as error:  # also SystemExit: nothing of a function ends a study
+        return None, on_one_line(str(error))[:_MAX_ERROR_CHARACTERS]
+    except BaseException as error:  # including SystemExit, so that a function cannot end a study
         return None, f"raised {_reason(error, function)}"
 
 
 def _reason(error: BaseException, function: Function) -> str:
-    """What was raised, and the line of the module where."""
+    """Return type and text of an exception, and the line of the module in which it was raised."""
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == function.file]
     where = f" ({os.path.basename(function.file)}, line {lines[-1]})" if lines else ""
-    text = on_one_line(str(error))[:_LONGEST_REASON]
+    text = on_one_line(str(error))[:_MAX_ERROR_CHARACTERS]
     return f"{type(error).__name__}{f': {text}' if text else ''}{where}"

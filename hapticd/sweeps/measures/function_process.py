@@ -1,11 +1,11 @@
-"""A process that calls a user's function, so that it can be ended whatever it does.
+"""The process that calls a user's function, and that can be killed at any moment.
 
-A thread cannot be ended, and an alarm is the main thread's: code that never returns to Python would keep a worker for
-ever. So each thread of a worker has a process for a function, which loads the module once, and is killed where an
-answer is late, or with the thread.
+Threads cannot be killed, and alarms interrupt only the main thread: a function that never returns to Python would block
+a worker for ever. So each thread of a worker has a process for each function. It loads the module once, and is killed
+after a time-out or when the thread ends.
 
-    to the process      a Function; then one SweepPoint after the other
-    from the process    a text that says why the module cannot be used, or None; then (values, None) or (None, why)
+    to the process      a Function, then a SweepPoint for each call
+    from the process    None or the reason why the module cannot be used; then (values, None) or (None, reason)
 """
 
 from __future__ import annotations
@@ -28,90 +28,95 @@ from hapticd.base.wording import duration
 from hapticd.sweeps.columns import Kind, Row
 from hapticd.sweeps.measures.sweep_point import SweepPoint
 
-LOAD_S: Final = 60.0
-"""To start Python and to load the module."""
-_MOST: Final = 4
-"""Functions that a thread has processes for."""
+MODULE_LOAD_TIMEOUT_S: Final = 60.0
+"""Time in s to start Python and load the module."""
+_MAX_PROCESSES_PER_THREAD: Final = 4
+"""Number of function processes that a thread keeps; that of the function used longest ago is ended first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Function:
-    """A function, as a process needs it."""
+    """A user's function with the source of its module."""
 
     module: str
     name: str
     source: str
     file: str
-    """Where the source was found; on another machine it may not be there."""
+    """Path at which the source was found; it may not exist on another machine."""
     folder: str
-    """Of the study: what the module imports may stand there."""
+    """Folder of the study, from which the module can import others."""
     kinds: tuple[tuple[str, Kind], ...]
+    """Name and kind of each column."""
 
     @property
     def call(self) -> str:
-        """As the study writes it."""
+        """The function as `module:name`."""
         return f"{self.module}:{self.name}"
 
 
 class FunctionProcess:
-    """For the thread that makes it."""
+    """A process for one function. Only the thread that created it may use it."""
 
     def __init__(self, function: Function) -> None:
-        """Raises HapticdError (one line) where the module cannot be loaded or has no such function."""
+        """Start the process. Raises HapticdError (one line) if the module cannot be loaded or lacks the function."""
         self.function = function
         program = (
             f"import sys; sys.path[:] = {sys.path!r}; from hapticd.sweeps.measures.function_host import serve; serve()"
         )
         try:
-            ours, its = socket.socketpair()
-            with its:
-                self._pipe = Connection(ours.detach())
-                # A session of its own: what the function has started is ended with it.
+            near, far = socket.socketpair()
+            with far:
+                self._pipe = Connection(near.detach())
+                # In a new session, so that processes that the function starts are killed with it.
                 self._process = subprocess.Popen(
                     [sys.executable, "-I", "-c", program, str(os.getpid())],
-                    stdin=its.fileno(),
+                    stdin=far.fileno(),
                     stdout=subprocess.DEVNULL,
                     start_new_session=True,
                 )
         except OSError as error:
-            raise HapticdError(f"no process for a function: {os.strerror(error.errno or 0)}") from None
+            raise HapticdError(f"cannot start a process for {function.call}: {os.strerror(error.errno or 0)}") from None
         self._end = weakref.finalize(self, _end, self._process, self._pipe)
-        why = self._asked(function, LOAD_S, f"its module was not loaded within {duration(LOAD_S)}")
+        late = f"its module was not loaded within {duration(MODULE_LOAD_TIMEOUT_S)}"
+        why = self._exchange(function, MODULE_LOAD_TIMEOUT_S, late)
         if why is not None:
             self.end()
             raise HapticdError(why)
 
     @property
     def alive(self) -> bool:
-        """Whether it can be asked."""
+        """Whether the process is running."""
         return self._end.alive and self._process.poll() is None
 
     def values(self, point: SweepPoint, timeout_s: float) -> Row:
-        """What the function gives for a point, by column. Raises HapticdError (one line)."""
-        late = f"gave nothing within {duration(timeout_s)}, and was ended (timeout_s)"
-        values, why = self._asked(point, timeout_s, late)
+        """Call the function for a point and return its values by column. Raises HapticdError (one line)."""
+        late = f"timed out after {duration(timeout_s)} and was killed (timeout_s)"
+        values, why = self._exchange(point, timeout_s, late)
         if why is not None:
             raise HapticdError(f"{self.function.call}: {why}")
         found: Row = values
         return found
 
     def end(self) -> None:
-        """Ends it, whatever it does."""
+        """Kill the process."""
         self._end()
 
-    def _asked(self, question: object, most_s: float, late: str) -> Any:
-        """The answer; a process that gives none in time is ended, and so is one that lost its own."""
+    def _exchange(self, message: object, timeout_s: float, late: str) -> Any:
+        """Send a message and return the answer; kill the process after `timeout_s` without one.
+
+        Raises HapticdError with the text `late` after a time-out, or with the exit status if the process has ended.
+        """
         is_late = threading.Event()
 
         def stop() -> None:
             is_late.set()
             _kill(self._process)
 
-        timer = threading.Timer(most_s, stop)
+        timer = threading.Timer(timeout_s, stop)
         timer.daemon = True
         timer.start()
         try:
-            self._pipe.send(question)
+            self._pipe.send(message)
             return self._pipe.recv()
         except (EOFError, OSError):
             pass
@@ -137,13 +142,13 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 def _end(process: subprocess.Popen[bytes], pipe: Connection) -> None:
     pipe.close()
-    if process.returncode is None:  # else its number may be another's by now
+    if process.returncode is None:  # otherwise the process id may already belong to another process
         _kill(process)
     process.wait()
 
 
 class _Thread(threading.local):
-    """The processes of a thread, the one used last at the end."""
+    """The processes of a thread, ordered by their last use."""
 
     def __init__(self) -> None:
         self.processes: OrderedDict[Function, FunctionProcess] = OrderedDict()
@@ -153,12 +158,12 @@ _thread: Final = _Thread()
 
 
 def process_of(function: Function) -> FunctionProcess:
-    """This thread's process for a function, which is kept for the next point. Raises HapticdError."""
+    """Return this thread's process for a function, and keep it for the next point. Raises HapticdError."""
     processes = _thread.processes
     known = processes.pop(function, None)
     if known is None or not known.alive:
         known = FunctionProcess(function)
     processes[function] = known
-    while len(processes) > _MOST:
+    while len(processes) > _MAX_PROCESSES_PER_THREAD:
         processes.popitem(last=False)[1].end()
     return known

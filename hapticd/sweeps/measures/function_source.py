@@ -1,4 +1,4 @@
-"""Where a user's function comes from: the source of its module, beside the study or on Python's path."""
+"""The source of the module of a user's function, in the folder of the study or on Python's path."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError, on_one_line
 
-_LARGEST: Final = 4 << 20
+_MAX_SOURCE_BYTES: Final = 4 << 20
+"""Largest size of a module that is sent to workers."""
 
 
 @dataclass(frozen=True, slots=True)
 class FunctionSource:
-    """A module as text, so that it can go to a worker that does not have it."""
+    """A module as text, which is sent to workers that do not have the file."""
 
     file: str
     text: str
 
 
 def source_of(module: str, folder: str) -> FunctionSource:
-    """The source of a module: of the file in `folder`, else of what Python would import under this name.
+    """Read the source of a module from `folder`, or else from the file that Python would import.
 
     Raises HapticdError (one line).
     """
@@ -31,20 +32,20 @@ def source_of(module: str, folder: str) -> FunctionSource:
             return _read(str(file))
     try:
         spec = find_spec(module)
-    except Exception as error:  # the packages around it are imported, which may raise anything
+    except Exception as error:  # parent packages are imported, which may raise any exception
         raise HapticdError(f"{module} cannot be found: {on_one_line(f'{type(error).__name__}: {error}')}") from None
     if spec is None:
-        raise HapticdError(f"there is no module {module}, neither as {module}.py in {folder} nor on Python's path")
+        raise HapticdError(f"no module {module}, neither as {module}.py in {folder} nor on Python's path")
     if spec.origin is None or not spec.origin.endswith(".py"):
-        raise HapticdError(f"{module} is no Python file, whose source could go to workers")
+        raise HapticdError(f"{module} is not a Python file; workers need its source")
     return _read(spec.origin)
 
 
 def _read(file: str) -> FunctionSource:
     try:
         content = Path(file).read_bytes()
-        if len(content) > _LARGEST:
-            raise HapticdError(f"{file} is larger than {_LARGEST >> 20} MiB")
+        if len(content) > _MAX_SOURCE_BYTES:
+            raise HapticdError(f"{file} is larger than {_MAX_SOURCE_BYTES >> 20} MiB")
         return FunctionSource(file, content.decode())
     except OSError as error:
         raise HapticdError(f"{file} cannot be read: {error.strerror}") from None

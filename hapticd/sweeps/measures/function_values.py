@@ -1,4 +1,4 @@
-"""What a user's function returned, checked against the columns that the study declares."""
+"""Checks the return value of a user's function against the columns that the study declares."""
 
 from __future__ import annotations
 
@@ -11,29 +11,31 @@ import numpy as np
 from hapticd.base.errors import HapticdError, shown
 from hapticd.sweeps.columns import Kind, Value
 
-_WANTED: Final[Mapping[Kind, str]] = {
+_KIND_TEXTS: Final[Mapping[Kind, str]] = {
     "number": "a finite number",
-    "integer": "a whole number of 64 bits",
+    "integer": "an integer of 64 bits",
     "boolean": "true or false",
-    "text": "a text",
+    "text": "a string",
 }
+"""The valid values of each kind of column, as text for errors."""
 
 
 def values_of(returned: object, kinds: Mapping[str, Kind]) -> dict[str, Value]:
-    """The values by column, none of them numpy's. A single column's value may come without its name; None: it has none.
+    """Return the values by column as plain Python objects.
 
-    Raises HapticdError for columns that are missing or not declared, and for what is not of a column's kind.
+    A function with a single column may return the value itself instead of a mapping. None is a missing value. Raises
+    HapticdError for columns that are missing or not declared, and for values of another kind.
     """
     if not isinstance(returned, Mapping):
         if len(kinds) != 1:
-            raise HapticdError(f"returned {_type(returned)}: must be a mapping of the columns {', '.join(kinds)}")
+            raise HapticdError(f"must return a mapping of the columns {', '.join(kinds)}, returned {_type(returned)}")
         returned = dict.fromkeys(kinds, returned)
     missing = [name for name in kinds if name not in returned]
     if missing:
-        raise HapticdError(f"returned no column {missing[0]}: None where there is no value")
+        raise HapticdError(f"returned no column {missing[0]}; return None if it has no value")
     strange = [name for name in returned if name not in kinds]
     if strange:
-        raise HapticdError(f"returned a column {shown(strange[0])} that the study does not declare")
+        raise HapticdError(f"returned unknown column {shown(strange[0])}; declared: {', '.join(kinds)}")
     return {name: _value(name, returned[name], kind) for name, kind in kinds.items()}
 
 
@@ -52,7 +54,7 @@ def _value(name: str, given: Any, kind: Kind) -> Value:
         case "text" if isinstance(given, str):
             return given.encode(errors="replace").decode()
     known = given is None or isinstance(given, bool | int | float | str)
-    raise HapticdError(f"column {name} must be {_WANTED[kind]}, is {shown(given) if known else _type(given)}")
+    raise HapticdError(f"column {name} must be {_KIND_TEXTS[kind]}, is {shown(given) if known else _type(given)}")
 
 
 def _type(value: object) -> str:

@@ -1,4 +1,4 @@
-"""The error of the closed loop against the continuous loop's closed form (docs/accuracy.md, The closed loop)."""
+"""The error of the closed loop relative to the continuous loop in closed form (docs/accuracy.md, The closed loop)."""
 
 from __future__ import annotations
 
@@ -14,32 +14,31 @@ from hapticd.sweeps.point import Point
 
 
 class LoopError:
-    """What the servo makes wrong of a hand that presses on one wall: rate, hold, encoder, delay, limit and actuator
-    against a servo of infinite rate with exact and prompt positions."""
+    """Largest errors of force and penetration of a hand that presses on one wall.
+
+    They are due to rate, hold, encoder, delay, limit and actuator. The reference is a servo of infinite rate with exact
+    positions and no delay.
+    """
 
     columns = (
-        Column(
-            "loop_force_error_n", "number", "measured", "N", "Largest difference at a tick of the force on the wall."
-        ),
-        Column(
-            "loop_penetration_error_m", "number", "measured", "m", "Largest difference at a tick of the penetration."
-        ),
+        Column("loop_force_error_n", "number", "measured", "N", "Largest error of the force of the wall at a tick."),
+        Column("loop_penetration_error_m", "number", "measured", "m", "Largest error of the penetration at a tick."),
     )
     needs_run = True
 
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Over all ticks. Raises HapticdError for a loop that has no such closed form, with what is in the way."""
+        """Measure over all ticks. Raises HapticdError if the continuous loop has no closed form, with the reason."""
         if point.run_kind != "simulate":
-            raise HapticdError("loop_error is of the closed loop: run: simulate")
+            raise HapticdError("loop_error needs the closed loop: set run: simulate")
         wall, material, push = _the_wall(point)
         sim, run, operator = point.config.device.sim, point.run, point.operator
         assert run.truth is not None and operator is not None
         if sim.coulomb_friction_n:
-            raise HapticdError("loop_error needs a handle without dry friction: device.sim.coulomb_friction_n: 0")
+            raise HapticdError("loop_error needs a handle without dry friction: set device.sim.coulomb_friction_n: 0")
         if np.any(run.samples["vibration_force_n"]):
-            raise HapticdError("loop_error needs a wall that does not vibrate: scene.display.vibration: false")
+            raise HapticdError("loop_error needs a wall that does not vibrate: set scene.display.vibration: false")
         normal, surface = np.array(wall.normal), np.array(wall.point_m)
         way = point.waypoints
         heights = (way[:, 1:] - surface) @ normal
@@ -73,7 +72,7 @@ class LoopError:
 
 
 def _the_wall(point: Point) -> tuple[Wall, Material, np.ndarray[tuple[int], np.dtype[np.float64]]]:
-    """The only surface, what it is made of, and the sum of all constant forces, N."""
+    """Return the only wall of the scene, its material, and the sum of all constant forces in N."""
     config = point.config
     walls: list[Wall] = []
     push = np.zeros(2)
@@ -84,10 +83,10 @@ def _the_wall(point: Point) -> tuple[Wall, Material, np.ndarray[tuple[int], np.d
             walls.append(each)
         else:
             raise HapticdError(
-                f"loop_error has a closed form for one wall without patches, and constant forces: {name} is neither"
+                f"loop_error: the scene may have one wall without patches, and constant forces; {name} is neither"
             )
     if len(walls) != 1:
-        raise HapticdError(f"loop_error has a closed form for one wall, the scene has {len(walls)}")
+        raise HapticdError(f"loop_error: the scene must have one wall, has {len(walls)}")
     material = config.materials[walls[0].material]
     for key in ("friction", "texture"):
         if getattr(material, key) is not None:

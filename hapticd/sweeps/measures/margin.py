@@ -1,4 +1,4 @@
-"""How far the objects of a scene are from instability: the margin of docs/stability.md, without a run."""
+"""The margin of a scene to instability (docs/stability.md), without a run."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from hapticd.sweeps.point import Point
 
 
 class StabilityFactor:
-    """The least factor by which all stiffnesses of a contact set may be multiplied while it stays safe: below 1 it is
-    not proved to be stable in any hand. None: nothing can be touched."""
+    """The largest factor by which all stiffnesses may grow while each contact set stays proved stable in every hand.
+
+    Below 1 the scene itself is not proved stable. The value is None if the scene has no surfaces.
+    """
 
     columns = (
         Column(
@@ -19,7 +21,7 @@ class StabilityFactor:
             "number",
             "measured",
             "",
-            "Stiffnesses may be so many times as large in any passive hand.",
+            "Factor by which stiffnesses may grow with stability in any passive hand.",
         ),
     )
     needs_run = False
@@ -27,8 +29,8 @@ class StabilityFactor:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Of the scene, with the simulated joystick or with `device.handle`."""
+        """Measure with the simulated joystick or with `device.handle`. Raises HapticdError if the handle is unknown."""
         sets = sets_of(point.config)
         if sets is None:
-            raise HapticdError("stability is not known for a real joystick without device.handle")
+            raise HapticdError("stability_factor: a real joystick needs device.handle")
         return {"stability_factor": float(sets.factor.min()) if len(sets) else None}

@@ -1,4 +1,4 @@
-"""What a measure is."""
+"""The interface of a measure."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from hapticd.sweeps.point import Point
 
 
 class Measure(Protocol):
-    """Something that is measured of a point."""
+    """A quantity, or several, that is measured at a point."""
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """What it fills."""
+        """The columns that the measure fills."""
 
     @property
     def needs_run(self) -> bool:
-        """Whether the point has to be run for it."""
+        """Whether the measure needs the run of the point."""
 
     def of(self, point: Point) -> Row:
-        """Its own columns. Raises HapticdError for what cannot be measured."""
+        """Measure a point and return the values of `columns`. Raises HapticdError if it cannot be measured."""
 
 
 class NoOptions(Model):
-    """A measure without options."""
+    """Options of a measure that has none."""

@@ -1,4 +1,4 @@
-"""How far the time that is told of a touch is from the touch itself."""
+"""The error of the reported time of a touch."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from hapticd.sweeps.point import Point
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Way: TypeAlias = Callable[[Floats], Floats]
-"""Positions (n, 2) at times (n,)."""
-_HALVINGS: Final = 60
+"""A function that returns positions, (n, 2), at times, (n,)."""
+_CROSSING_BISECTIONS: Final = 60
+"""Bisections of a tick until the time of a crossing is exact to the last bit of a float."""
 
 
 class OnsetError:
-    """The time of a touch as its event tells it, less the time at which the probe crosses the surface.
+    """The time of a touch as reported by its event, minus the time at which the probe crosses the surface.
 
-    In the open loop the crossing is the root of the hand's way. In the closed loop it is that of the handle's own
-    motion, a cubic between two ticks through its positions and speeds. A touch is compared with the crossing of the
-    same object that is nearest in time.
+    In the open loop the probe moves along the path of the hand. In the closed loop its true motion is interpolated
+    between two ticks by a cubic through positions and velocities. A touch is compared with the crossing of the same
+    object that is nearest in time.
     """
 
     columns = (
@@ -36,41 +37,44 @@ class OnsetError:
             "number",
             "measured",
             "s",
-            "Told time of a touch less that of the crossing, of the touch where it is largest; above 0: told late.",
+            "Reported time of a touch minus true time, of the touch with the largest error; above 0 is late.",
         ),
-        Column("onsets", "integer", "measured", "", "Touches that were told."),
+        Column("onsets", "integer", "measured", "", "Number of touches that were reported."),
     )
     needs_run = True
 
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Over all touches of the run; None: there was none. Raises HapticdError for a touch without a crossing."""
+        """Measure over all touches of the run; the error is None without a touch.
+
+        Raises HapticdError if an object was touched and its surface is never crossed.
+        """
         run, objects = point.run, point.config.scene.objects
         touched = run.events[run.events["kind"] == EventKind.CONTACT]
-        told = touched[(touched["code"] & lib.HD_CONTACT_SILENT) == 0]
+        reported = touched[(touched["code"] & lib.HD_CONTACT_SILENT) == 0]
         time_s = np.arange(len(run.samples)) / run.rate_hz
         way: Way = point.hand_at if run.truth is None else _cubic(run.truth, run.rate_hz)
         positions = way(time_s) if run.truth is None else run.truth[:, :2]
         crossings: dict[str, Floats] = {}
         errors = []
-        for event in told:
+        for event in reported:
             name = run.objects[int(event["slot"]), int(event["generation"])]
             if name not in crossings:
                 crossings[name] = _crossings(objects[name], time_s, positions, way)
             if not len(crossings[name]):
-                raise HapticdError(f"a touch of {name} is told, and nothing crosses its surface")
-            away = float(event["tick"]) / run.rate_hz - float(event["before_tick_s"]) - crossings[name]
-            errors.append(float(away[np.argmin(np.abs(away))]))
+                raise HapticdError(f"onset_error: a touch of {name} is reported, but its surface is never crossed")
+            late_s = float(event["tick"]) / run.rate_hz - float(event["before_tick_s"]) - crossings[name]
+            errors.append(float(late_s[np.argmin(np.abs(late_s))]))
         return {"onset_error_s": max(errors, key=abs, default=None), "onsets": len(errors)}
 
 
 def _crossings(item: SceneObject, time_s: Floats, positions: Floats, way: Way) -> Floats:
-    """When the probe goes into an object, s: between two ticks of which the second alone is inside."""
+    """Return the times in s at which the probe enters an object, each between a tick outside and a tick inside."""
     height = _height_of(item, positions)
     into = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0))
     low, high = time_s[into], time_s[into + 1]
-    for _ in range(_HALVINGS):
+    for _ in range(_CROSSING_BISECTIONS):
         middle = 0.5 * (low + high)
         above = _height_of(item, way(middle)) > 0.0
         low, high = np.where(above, middle, low), np.where(above, high, middle)
@@ -78,7 +82,10 @@ def _crossings(item: SceneObject, time_s: Floats, positions: Floats, way: Way) -
 
 
 def _height_of(item: SceneObject, position: Floats) -> Floats:
-    """Above the surface, below 0 inside, (n,); of a box the larger of the two distances of its faces."""
+    """Return the heights above the surface of an object in m, (n,), negative inside.
+
+    In a box it is the larger of the distances along its two axes.
+    """
     if not isinstance(item, SURFACE_MODELS):
         raise HapticdError(f"onset_error: a {item.kind} has no surface")
     if isinstance(item, Wall):
@@ -94,11 +101,11 @@ def _height_of(item: SceneObject, position: Floats) -> Floats:
             ]
         )
         return np.asarray((np.abs(away @ turn) - 0.5 * np.array(item.size_m)).max(axis=1))
-    raise HapticdError("onset_error is of walls, discs and boxes: a membrane is met from both sides")
+    raise HapticdError("onset_error needs walls, discs or boxes: a membrane can be touched from both sides")
 
 
 def _cubic(truth: Floats, rate_hz: float) -> Way:
-    """The cubic through positions and speeds (n, 4) at ticks."""
+    """Return the path that interpolates positions and velocities at ticks, (n, 4), by cubics."""
 
     def at(time_s: Floats) -> Floats:
         index = np.clip((time_s * rate_hz).astype(np.int64), 0, len(truth) - 2)

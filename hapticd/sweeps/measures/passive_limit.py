@@ -12,17 +12,18 @@ from hapticd.sweeps.point import Point
 
 
 class PassiveLimitOptions(Model):
-    """Of which wall."""
+    """Options of the measure `passive_limit`."""
 
-    material: Name = Field(description="The wall's material: its damping counts.")
+    material: Name = Field(description="Material of the wall; its damping lowers the limit.")
 
 
 class PassiveLimit:
-    """K = (b - |D|) / (T/2 + t_d), N/m: handle damping b, the wall's damping D, period T and age t_d of the positions.
+    """The stiffness K = (b - |D|) / (T/2 + t_d) in N/m.
 
-    No passive hand makes a wall oscillate whose stiffness is below (Colgate and Schenkel, J. Robotic Systems 14, 1997),
-    with exact positions. 0: no stiffness is passive, because D takes all of b. Where reports, ticks and frames beat
-    against each other, the reach of docs/stability.md stands in the place of T/2 + t_d.
+    b is the damping of the handle, D that of the wall, T the period and t_d the age of the positions. With exact
+    positions, no passive hand makes a wall of a lower stiffness oscillate (Colgate and Schenkel, J. Robotic Systems 14,
+    1997). The limit is 0 if |D| is at least b. If reports, ticks and frames have different rates, T/2 + t_d is replaced
+    by the reach of docs/stability.md.
     """
 
     columns = (
@@ -34,11 +35,14 @@ class PassiveLimit:
         self._material = options.material
 
     def of(self, point: Point) -> Row:
-        """With the simulated joystick or with `device.handle`. Raises HapticdError without a handle or material."""
+        """Measure with the simulated joystick or with `device.handle`.
+
+        Raises HapticdError if the material is unknown, or the joystick has no known handle.
+        """
         config = point.config
         material, loop = config.materials.get(self._material), loop_of(config, config.servo.rate_hz)
         if material is None:
-            raise HapticdError(f"no material is called {self._material}")
+            raise HapticdError(f"passive_limit: unknown material {self._material}")
         if loop is None:
             raise HapticdError(UNKNOWN_HANDLE)
         left = loop.dynamics.handle_damping_n_s_per_m - abs(material.damping_n_s_per_m)

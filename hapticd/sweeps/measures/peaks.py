@@ -10,7 +10,7 @@ from hapticd.sweeps.point import Point
 
 
 class PeakForce:
-    """The largest magnitude of the commanded force, max |f|, N."""
+    """The largest magnitude of the commanded force, max |f|, in N."""
 
     columns = (Column("peak_force_n", "number", "measured", "N", "Largest magnitude of the commanded force."),)
     needs_run = True
@@ -18,12 +18,12 @@ class PeakForce:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Of all ticks of the run."""
+        """Measure over all ticks of the run."""
         return {"peak_force_n": float(np.hypot(*point.run.samples["force_n"].T).max())}
 
 
 class PeakSpeed:
-    """The largest speed of the handle, max |v|, m/s: its own in the closed loop, as it is estimated in the open one."""
+    """The largest speed of the handle, max |v|, in m/s: its true speed, or in the open loop the estimated one."""
 
     columns = (Column("peak_speed_m_per_s", "number", "measured", "m/s", "Largest speed of the handle."),)
     needs_run = True
@@ -31,7 +31,7 @@ class PeakSpeed:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Of all ticks of the run."""
+        """Measure over all ticks of the run."""
         run = point.run
         velocity = run.samples["velocity_m_per_s"] if run.truth is None else run.truth[:, 2:]
         return {"peak_speed_m_per_s": float(np.hypot(*velocity.T).max())}

@@ -14,20 +14,22 @@ from hapticd.sweeps.point import Point
 
 
 class QuantileOptions(CheckedTogether):
-    """Which field, and which of its quantiles."""
+    """Options of the measure `quantile`."""
 
     field: Literal["position_m", "velocity_m_per_s", "contact_force_n", "vibration_force_n", "force_n"] = Field(
         description="A field of the samples of telemetry."
     )
-    axis: Literal["x", "y", "magnitude"] = Field(default="magnitude", description="Which part of it.")
-    q: float = Field(ge=0, le=1, description="0: the smallest; 0.5: the median; 1: the largest.")
+    axis: Literal["x", "y", "magnitude"] = Field(
+        default="magnitude", description="Component of the field, or its magnitude."
+    )
+    q: float = Field(ge=0, le=1, description="Quantile from 0 (smallest) over 0.5 (median) to 1 (largest).")
     name: Annotated[str, StringConstraints(min_length=1, max_length=64)] | None = Field(
         default=None, description="Name of the column; by default made of the options."
     )
 
 
 class Quantile:
-    """The quantile q of a field over the ticks of a run, between two values by linear interpolation."""
+    """The quantile q of a field over the ticks of a run, with linear interpolation between two values."""
 
     needs_run = True
 
@@ -38,7 +40,7 @@ class Quantile:
         self.columns = (Column(self._name, "number", "measured", unit_of(options.field) or "", what),)
 
     def of(self, point: Point) -> Row:
-        """Over all ticks of the run."""
+        """Measure over all ticks of the run."""
         values = point.run.samples[self._options.field]
         axis = self._options.axis
         taken = np.hypot(*values.T) if axis == "magnitude" else values[:, "xy".index(axis)]

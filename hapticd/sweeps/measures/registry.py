@@ -1,4 +1,4 @@
-"""Measures by the names that a study's `measure` takes."""
+"""The measures by their names in `measure` of a study."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from hapticd.sweeps.measures.passive_limit import PassiveLimit, PassiveLimitOpti
 from hapticd.sweeps.measures.peaks import PeakForce, PeakSpeed
 from hapticd.sweeps.measures.quantile import Quantile, QuantileOptions
 from hapticd.sweeps.measures.rest import Rest, RestOptions
-from hapticd.sweeps.measures.user_function import FUNCTION, FunctionOptions, UserFunction, known_by
+from hapticd.sweeps.measures.user_function import FUNCTION_MEASURE, FunctionOptions, UserFunction, identity_options
 
-_KNOWN: Final[Mapping[str, tuple[type[Model], Callable[[Any], Measure]]]] = {
+_MEASURE_CLASSES: Final[Mapping[str, tuple[type[Model], Callable[[Any], Measure]]]] = {
     "end": (RestOptions, Rest),
     "peak_force_n": (NoOptions, PeakForce),
     "peak_speed_m_per_s": (NoOptions, PeakSpeed),
@@ -35,17 +35,21 @@ _KNOWN: Final[Mapping[str, tuple[type[Model], Callable[[Any], Measure]]]] = {
     "displayed_error": (DisplayedErrorOptions, DisplayedError),
     "passive_limit": (PassiveLimitOptions, PassiveLimit),
     "displayed_materials": (DisplayedMaterialsOptions, DisplayedMaterials),
-    FUNCTION: (FunctionOptions, UserFunction),
+    FUNCTION_MEASURE: (FunctionOptions, UserFunction),
 }
+"""Options and class of each measure, by its name."""
 
 
 def known_measures() -> tuple[str, ...]:
-    """The names."""
-    return tuple(_KNOWN)
+    """Return the names of all measures."""
+    return tuple(_MEASURE_CLASSES)
 
 
 def parse_measure(given: str | Mapping[str, Json]) -> Measure:
-    """A measure by its name, or from `{name: options}`. Raises InvalidError, with paths relative to the measure."""
+    """Return a measure from its name, or from `{name: options}`.
+
+    Raises InvalidError, with paths relative to the measure.
+    """
     if isinstance(given, str):
         name, options = given, {}
     elif len(given) == 1:
@@ -55,9 +59,9 @@ def parse_measure(given: str | Mapping[str, Json]) -> Measure:
         options = found
     else:
         raise InvalidError([Problem("", f"must be a name, or one name with its options, has {len(given)} keys")])
-    if name not in _KNOWN:
-        raise InvalidError([Problem("", f"nothing that can be measured is called {name}; {known_names(name, _KNOWN)}")])
-    model, made = _KNOWN[name]
+    if name not in _MEASURE_CLASSES:
+        raise InvalidError([Problem("", f"unknown measure {name}; {known_names(name, _MEASURE_CLASSES)}")])
+    model, made = _MEASURE_CLASSES[name]
     try:
         return made(model.parsed(options))
     except ValidationError as error:
@@ -65,10 +69,10 @@ def parse_measure(given: str | Mapping[str, Json]) -> Measure:
 
 
 def identity_of(given: str | Mapping[str, Json]) -> Json:
-    """What of a measure a result depends on: a function's source, not where it was found."""
+    """Return the part of a measure that its results depend on, such as the source of a function but not its path."""
     if isinstance(given, str):
         return given
     return {
-        name: known_by(options) if name == FUNCTION and isinstance(options, dict) else options
+        name: identity_options(options) if name == FUNCTION_MEASURE and isinstance(options, dict) else options
         for name, options in given.items()
     }

@@ -1,4 +1,4 @@
-"""Whether the handle comes to rest once the hand does, as docs/stability.md judges it."""
+"""How the motion of the handle ends after the last waypoint of the hand, by the criteria of docs/stability.md."""
 
 from __future__ import annotations
 
@@ -12,20 +12,23 @@ from hapticd.sweeps.point import Point
 
 
 class RestOptions(Model):
-    """How long is waited."""
+    """Options of the measure `end`."""
 
     longest_s: float = Field(
         default=40.0,
         ge=0.5,
         le=3600,
-        description="A motion that is neither at rest nor in a regular cycle is followed for so long.",
+        description="Longest time that a motion is followed which is neither at rest nor in a regular cycle.",
     )
 
 
 class Rest:
-    """How the motion of the closed loop ends, without vibration: `end` is rests, cycles, grows, or falls (its energy
-    still fell after `longest_s`). `rests` is true of the first alone; `decays`, of the last too, is what a boundary of
-    stability is searched by, since close to it a motion takes long to rest (hapticd.rendering.end_state)."""
+    """How the motion of the closed loop ends, without vibration (hapticd.rendering.end_state).
+
+    `end` is `rests`, `cycles`, `grows`, or `falls` if its energy still fell after `longest_s`. `rests` is true only of
+    the first; `decays` is true of `rests` and `falls`. Search the boundary of stability with `decays`, since a motion
+    close to it takes long to come to rest.
+    """
 
     columns = (
         Column("rests", "boolean", "measured", "", "Whether the handle comes to rest."),
@@ -38,9 +41,9 @@ class Rest:
         self._longest_s = options.longest_s
 
     def of(self, point: Point) -> Row:
-        """From the hand's last waypoint on, whatever the study's duration is."""
+        """Measure from the last waypoint of the hand on; the duration of the study is ignored."""
         if point.run_kind != "simulate":
-            raise HapticdError("rest is judged of the closed loop: run: simulate")
+            raise HapticdError("end needs the closed loop: set run: simulate")
         config, operator = point.config, point.operator
         assert operator is not None
         quiet = config.scene.display.model_copy(update={"vibration": False})

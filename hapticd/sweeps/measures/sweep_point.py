@@ -1,4 +1,4 @@
-"""What a user's function is given of a point. These names stay; others may be added."""
+"""The argument of a user's function. Its members are a stable interface; others may be added."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy.typing as npt
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """One point of a sweep, as a measure of a user's sees it."""
+    """One point of a sweep, as a user's function gets it."""
 
     config: dict[str, Any]
-    """The configuration with this point's values, as a YAML file has it: for `hapticd.render`, `hapticd.simulate`."""
+    """The configuration with this point's values, for `hapticd.render` and `hapticd.simulate`."""
     operator: dict[str, Any] | None
-    """What the hand does, with this point's values."""
+    """The operator, which is the motion of the hand, with this point's values; None without one."""
     parameters: dict[str, Any]
     """`parameters` of the study, with this point's values."""
     duration_s: float | None
-    """The study's; None: as long as the operator's way."""
+    """`duration_s` of the study; None if the run lasts as long as the operator's path."""
     rate_hz: float
     """Ticks per second."""
     samples: npt.NDArray[np.void] | None
-    """(n,) records of `hapticd.SAMPLE_DTYPE`, one a tick; None where the study runs nothing."""
+    """The samples of the run, one for each tick, (n,) of `hapticd.SAMPLE_DTYPE`; None without a run."""
     truth: npt.NDArray[np.float64] | None
-    """(n, 4) the handle's own position, m, and velocity, m/s, at each tick; None without a closed loop."""
+    """The true position in m and velocity in m/s of the handle at each tick, (n, 4); None without the closed loop."""

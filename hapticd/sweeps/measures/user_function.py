@@ -1,4 +1,4 @@
-"""A measure of the user's: a function of a module beside the study, called in a process of its own."""
+"""The measure `function`: a user's function in a module next to the study, called in a separate process."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from hapticd.sweeps.measures.function_source import source_of
 from hapticd.sweeps.measures.sweep_point import SweepPoint
 from hapticd.sweeps.point import Point
 
-FUNCTION: Final = "function"
-"""The measure's name."""
-_KINDS: Final[Mapping[str, Kind]] = {"integer": "integer", "boolean": "boolean", "text": "text"}
-_FOUND: Final = ("source", "file", "folder")
-"""Options that are set when a study is read."""
-_BESIDE: Final = ("file", "folder", "timeout_s")
-"""Options that change no value."""
+FUNCTION_MEASURE: Final = "function"
+"""Name of the measure."""
+_KIND_OF_UNIT: Final[Mapping[str, Kind]] = {"integer": "integer", "boolean": "boolean", "text": "text"}
+"""Kinds that `columns` names instead of a unit; any other text is the unit of a number."""
+_ADDED_OPTIONS: Final = ("source", "file", "folder")
+"""Options that are not set by the user, but when a study is read."""
+_NON_IDENTITY_OPTIONS: Final = ("file", "folder", "timeout_s")
+"""Options that results do not depend on."""
 
 
 class FunctionOptions(Model):
-    """Which function, and what it gives."""
+    """Options of the measure `function`."""
 
     call: Annotated[str, StringConstraints(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*$")] = Field(
-        description="module:name. The module is a file beside the study, or one that Python finds."
+        description="module:name. The module is a file next to the study, or one that Python finds."
     )
     columns: Annotated[
         dict[
@@ -37,17 +38,17 @@ class FunctionOptions(Model):
             Annotated[str, StringConstraints(max_length=32)],
         ],
         Field(min_length=1, max_length=256),
-    ] = Field(description="By name: the unit of what the function gives, empty for none; or integer, boolean, text.")
+    ] = Field(description="For each column its unit, empty for a number without one; or integer, boolean or text.")
     timeout_s: float = Field(
-        default=60.0, gt=0, le=86_400, description="Without an answer for so long the function is ended."
+        default=60.0, gt=0, le=86_400, description="Time after which a call of the function is killed."
     )
     source: str = Field(default="", description="The module's source; set when a study is read.")
-    file: str = Field(default="", description="Where it was found; set when a study is read.")
+    file: str = Field(default="", description="The module's path; set when a study is read.")
     folder: str = Field(default="", description="The study's folder; set when a study is read.")
 
 
 class UserFunction:
-    """What a function of the user's gives for the point, by column."""
+    """The values that a user's function returns for a point."""
 
     needs_run = False
 
@@ -59,7 +60,7 @@ class UserFunction:
         self._function = Function(module, name, options.source, options.file, options.folder, kinds)
 
     def of(self, point: Point) -> Row:
-        """Of the point and, where the study runs something, of its samples. Raises HapticdError."""
+        """Call the function with the point and, if the study has a run, its samples. Raises HapticdError."""
         run = None if point.run_kind == "none" or point.operator is None else point.run
         given = SweepPoint(
             config=point.source,
@@ -73,32 +74,32 @@ class UserFunction:
         return process_of(self._function).values(given, self._timeout_s)
 
     def check(self) -> None:
-        """Loads the module. Raises HapticdError (one line)."""
+        """Raise HapticdError (one line) if the module cannot be loaded or lacks the function."""
         FunctionProcess(self._function).end()
 
 
 def _column(call: str, name: str, unit: str) -> Column:
-    kind = _KINDS.get(unit)
-    return Column(name, kind or "number", "measured", "" if kind else unit, f"By the function {call}.")
+    kind = _KIND_OF_UNIT.get(unit)
+    return Column(name, kind or "number", "measured", "" if kind else unit, f"Value of the function {call}.")
 
 
 def with_source(options: Mapping[str, Json], folder: str) -> dict[str, Json]:
-    """The options with the source of the module, so that they are all that a worker needs.
+    """Return the options with the source of the module, so that a worker needs no other file.
 
-    `folder`: where the study is. Raises InvalidError, with paths relative to the options.
+    `folder` is that of the study. Raises InvalidError, with paths relative to the options.
     """
-    given = {key: value for key, value in options.items() if key not in _FOUND}
+    given = {key: value for key, value in options.items() if key not in _ADDED_OPTIONS}
     parsed = FunctionOptions.model_validate(given)
     module = parsed.call.partition(":")[0]
     try:
         found = source_of(module, folder)
-        whole: dict[str, Json] = {**given, "source": found.text, "file": found.file, "folder": folder}
-        UserFunction(FunctionOptions.model_validate(whole)).check()
+        complete: dict[str, Json] = {**given, "source": found.text, "file": found.file, "folder": folder}
+        UserFunction(FunctionOptions.model_validate(complete)).check()
     except HapticdError as error:
         raise InvalidError([Problem("call", str(error))]) from None
-    return whole
+    return complete
 
 
-def known_by(options: Mapping[str, Json]) -> dict[str, Json]:
-    """What of the options a result depends on."""
-    return {key: value for key, value in options.items() if key not in _BESIDE}
+def identity_options(options: Mapping[str, Json]) -> dict[str, Json]:
+    """Return the options that results depend on."""
+    return {key: value for key, value in options.items() if key not in _NON_IDENTITY_OPTIONS}

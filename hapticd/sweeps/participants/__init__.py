@@ -1,6 +1,6 @@
-"""Many simulated participants of an experiment, each a point that is known by what it computes.
+"""Many simulated participants of an experiment, each a point with an identity.
 
-bulk              the participants of a study, as the engine takes them
-one_session       the session of one of them, as a row
-session_folders   rows as the folders that `hapticd experiment analyze` reads
+bulk              the participants as work of the engine
+one_session       runs the session of one participant and returns it as a row
+session_folders   writes rows as session folders, which `hapticd experiment analyze` reads
 """

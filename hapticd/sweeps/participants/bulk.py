@@ -1,4 +1,4 @@
-"""The participants of a study as the engine takes them."""
+"""The simulated participants of a study as work of the engine."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ import numpy.typing as npt
 from hapticd.base.errors import HapticdError, on_one_line
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.keys import Study
-from hapticd.sweeps.columns import ERROR, POINT, Column, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
 from hapticd.sweeps.identity import sum_of, sums_at
-from hapticd.sweeps.participants.one_session import COLUMNS, row_of
+from hapticd.sweeps.participants.one_session import SESSION_COLUMNS, row_of
 from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
 
-PARTICIPANT: Final = Column("participant", "text", "varied", description="Label of the participant.")
+PARTICIPANT_COLUMN: Final = Column("participant", "text", "varied", description="Label of the participant.")
+"""The varied column of every row."""
 
 
 @dataclass(frozen=True)
 class Sessions:
-    """The sessions of some participants: a piece."""
+    """A piece of a study: the sessions of some participants."""
 
     study: Study
     session: int
@@ -35,43 +36,47 @@ class Sessions:
         return len(self.labels)
 
     def rows(self) -> list[Row]:
-        """One row a participant."""
+        """Run the session of each participant and return one row for each."""
         return [self._row(point, label) for point, label in zip(self.ids, self.labels, strict=True)]
 
     def _row(self, point: str, label: str) -> Row:
-        row: Row = {POINT.name: point, PARTICIPANT.name: label, **dict.fromkeys(column.name for column in COLUMNS)}
-        row[ERROR.name] = None
+        row: Row = {
+            POINT_COLUMN.name: point,
+            PARTICIPANT_COLUMN.name: label,
+            **dict.fromkeys(column.name for column in SESSION_COLUMNS),
+        }
+        row[ERROR_COLUMN.name] = None
         try:
             row |= row_of(self.study, label, self.session, self.seed)
         except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR.name] = on_one_line(str(error)) or type(error).__name__
+            row[ERROR_COLUMN.name] = on_one_line(str(error)) or type(error).__name__
         return row
 
 
 @dataclass(frozen=True)
 class Participants:
-    """Simulated participants, each with one session of the same study."""
+    """Simulated participants, each with one session of the same study: work of the engine."""
 
     study: Study
     session: int
     seed: int
     labels: tuple[str, ...]
-    """Each different."""
+    """Labels of the participants, all different."""
     ids: npt.NDArray[np.void] = field(init=False, repr=False)
-    """(n,) ID_DTYPE."""
+    """Identities of the participants, (n,) ID_DTYPE."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", _ids(self.study, self.session, self.seed, self.labels))
 
     @property
     def title(self) -> str:
-        """The study's."""
+        """Title of the study."""
         return self.study.title
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of every row, in order."""
-        return (POINT, PARTICIPANT, *COLUMNS, ERROR)
+        """The columns of every row, in order."""
+        return (POINT_COLUMN, PARTICIPANT_COLUMN, *SESSION_COLUMNS, ERROR_COLUMN)
 
     @property
     def points(self) -> dict[str, str]:
@@ -79,13 +84,13 @@ class Participants:
         return {label: each.tobytes().hex() for label, each in zip(self.labels, self.ids, strict=True)}
 
     def piece(self, indices: npt.NDArray[np.int64]) -> Sessions:
-        """The participants with these indices."""
+        """Return the participants with these indices."""
         ids = tuple(each.tobytes().hex() for each in self.ids[indices])
         labels = tuple(self.labels[index] for index in indices.tolist())
         return Sessions(self.study, self.session, self.seed, ids, labels)
 
     def manifest(self) -> dict[str, Json]:
-        """What study.json says besides title and columns."""
+        """Return the members of study.json besides title and columns."""
         return {
             "kind": "participants",
             "study": self.study.to_dict(),
@@ -102,5 +107,5 @@ def _ids(study: Study, session: int, seed: int, labels: Sequence[str]) -> npt.ND
         "seed": seed,
         "code": code_version(),
     }
-    sums = sum_of(shared) + sums_at((PARTICIPANT.name,), labels)
+    sums = sum_of(shared) + sums_at((PARTICIPANT_COLUMN.name,), labels)
     return np.ascontiguousarray(sums).view(ID_DTYPE).reshape(-1)

@@ -1,4 +1,4 @@
-"""The whole session of a simulated participant, in memory: nothing is written, nothing has a time of day."""
+"""Runs the complete session of a simulated participant in memory, without files and without the time of day."""
 
 from __future__ import annotations
 
@@ -20,19 +20,25 @@ from hapticd.experiment.session_log import LogInMemory, Record
 from hapticd.experiment.stimuli import at_level
 from hapticd.sweeps.columns import Column, Row
 
-CLOCK: Final = "clock"
-"""Member of the first record that is of the machine, not of the session."""
-COLUMNS: Final = (
-    Column("trials", "integer", "measured", "", "Trials of the plan."),
-    Column("answered", "integer", "measured", "", "Trials with an answer."),
-    Column("correct", "number", "measured", "", "Part of the test's answers that are right; absent: none can be."),
-    Column("duration_s", "number", "measured", "s", "How long the session took the participant."),
+CLOCK_KEY: Final = "clock"
+"""Member of the first record of a log with the time of day, which is left out of a row."""
+SESSION_COLUMNS: Final = (
+    Column("trials", "integer", "measured", "", "Number of trials of the plan."),
+    Column("answered", "integer", "measured", "", "Number of trials with an answer."),
+    Column(
+        "correct", "number", "measured", "", "Fraction of correct answers in the test; null if it has no right answers."
+    ),
+    Column("duration_s", "number", "measured", "s", "Duration of the session for the participant."),
     Column("log", "text", "measured", "", "The records of the session's log, as JSON."),
 )
+"""The measured columns of the row of a session."""
 
 
 def row_of(study: Study, participant: str, session: int, seed: int) -> Row:
-    """COLUMNS of a session. The same study, participant, session and seed give the same bits. Raises HapticdError."""
+    """Run a session and return the values of SESSION_COLUMNS. Raises HapticdError.
+
+    The same study, participant, session and seed give the same bits.
+    """
     made = plan(study, participant, session, seed)
     records, duration_s = _run(made)
     answers = [each for each in records if each["kind"] == "answer"]
@@ -47,13 +53,13 @@ def row_of(study: Study, participant: str, session: int, seed: int) -> Row:
 
 
 def records_of(row: Row) -> list[Record]:
-    """The records of a row's log."""
+    """Return the records of the log in a row."""
     found: list[Record] = json.loads(str(row["log"]))
     return found
 
 
 def stage_of(point: str) -> dict[str, Json]:
-    """What session.json says of the stage of a participant that is known by this point."""
+    """Return the member `stage` of session.json of the participant with this identity."""
     return {**OfflineStage().describe(), "simulated": True, "telemetry": False, "point": point}
 
 
@@ -73,4 +79,4 @@ def _run(made: Plan) -> tuple[list[Record], float]:
     if session.run() != "ended":
         raise HapticdError("the session was aborted")
     first, *others = log.appended
-    return [{key: value for key, value in first.items() if key != CLOCK}, *others], stage.now_s()
+    return [{key: value for key, value in first.items() if key != CLOCK_KEY}, *others], stage.now_s()

@@ -1,8 +1,8 @@
-"""Rows of simulated participants as session folders, which `hapticd experiment analyze` reads.
+"""Writes rows of simulated participants as session folders, which `hapticd experiment analyze` reads.
 
-To wait for the disk after each of some ten files of a session would take longer than all else. So it is waited for once
-in AT_ONCE sessions, and WRITTEN names those that are on disk: after a loss of power the others are written again, from
-their rows.
+Syncing each of about ten files of a session to disk would take longer than everything else. So the disk is synced only
+once in SESSIONS_PER_SYNC sessions, and WRITTEN_FILE lists the sessions that are on disk. After a power failure the
+others are written again from their rows.
 """
 
 from __future__ import annotations
@@ -20,27 +20,31 @@ from hapticd.experiment.plan import plan
 from hapticd.experiment.session import about_of, plan_document
 from hapticd.experiment.session_folder import LOG_FILE_NAME, SessionFolder, folder_of
 from hapticd.experiment.session_log import lines_of
-from hapticd.sweeps.columns import ERROR, POINT, Row
-from hapticd.sweeps.participants.bulk import PARTICIPANT, Participants
-from hapticd.sweeps.participants.one_session import CLOCK, records_of, stage_of
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Row
+from hapticd.sweeps.participants.bulk import PARTICIPANT_COLUMN, Participants
+from hapticd.sweeps.participants.one_session import CLOCK_KEY, records_of, stage_of
 
-WRITTEN: Final = "written.txt"
-"""Beside the rows: the identities of the participants whose folders are on disk, a line each."""
-AT_ONCE: Final = 500
+WRITTEN_FILE: Final = "written.txt"
+"""Name of the file in the result folder with the identities of participants whose folders are on disk, one a line."""
+SESSIONS_PER_SYNC: Final = 500
+"""Number of sessions after which the disk is synced."""
 
 
 class SessionFolders:
-    """The folders of a bulk in a data set."""
+    """The session folders of simulated participants in a data set."""
 
     def __init__(self, root: Path, rows_folder: Path, source: bytes, work: Participants) -> None:
-        """`source` is the study's YAML. Raises HapticdError where the data set has a session of another study, or
-        another one under the label and number of one of these."""
+        """Check the data set; `source` is the YAML text of the study, `rows_folder` the folder of rows.
+
+        Raises HapticdError if the data set has a session of another study, or another session with the label and number
+        of one of these.
+        """
         check_one_study(root, work.title)
         self._root, self._work, self._source = root, work, source
-        self._file = rows_folder / WRITTEN
+        self._file = rows_folder / WRITTEN_FILE
         self._on_disk = set(self._file.read_text().split()) if self._file.is_file() else set()
         self.present = frozenset(label for label, point in work.points.items() if self._has(label, point))
-        """Labels whose folders are there."""
+        """Labels of the participants whose folders are on disk."""
 
     def _has(self, label: str, point: str) -> bool:
         path = folder_of(self._root, label, self._work.session)
@@ -53,36 +57,36 @@ class SessionFolders:
         if isinstance(stage, Mapping) and stage.get("point") == point:
             return True
         raise HapticdError(
-            f"{path}: is of another study, seed or version: give another --output, --session or name, or remove it"
+            f"{path}: belongs to another study, seed or version; give another --output, --session or name, or remove it"
         )
 
     def write(self, rows: Iterable[Row]) -> int:
-        """Writes the folders of rows without an error that are not there; how many. Raises HapticdError."""
+        """Write the missing folders of all rows without an error, and return their number. Raises HapticdError."""
         fresh: list[str] = []
         count = 0
         for row in rows:
-            if row[ERROR.name] is None and row[PARTICIPANT.name] not in self.present:
+            if row[ERROR_COLUMN.name] is None and row[PARTICIPANT_COLUMN.name] not in self.present:
                 self._write(row)
-                fresh.append(str(row[POINT.name]))
+                fresh.append(str(row[POINT_COLUMN.name]))
                 count += 1
-            if len(fresh) == AT_ONCE:
-                self._settle(fresh)
-        self._settle(fresh)
+            if len(fresh) == SESSIONS_PER_SYNC:
+                self._sync(fresh)
+        self._sync(fresh)
         if count or self.present:
             write_data_set(self._root, self._work.title)
         return count
 
     def _write(self, row: Row) -> None:
-        work, label = self._work, str(row[PARTICIPANT.name])
+        work, label = self._work, str(row[PARTICIPANT_COLUMN.name])
         made = plan(work.study, label, work.session, work.seed)
-        about = about_of(made, stage_of(str(row[POINT.name])), clock.read())
+        about = about_of(made, stage_of(str(row[POINT_COLUMN.name])), clock.read())
         folder = SessionFolder(folder_of(self._root, label, work.session), self._source, plan_document(made), about)
         first, *others = records_of(row)
-        folder.write_with(lines_of([{**first, CLOCK: about[CLOCK]}, *others]))
+        folder.write_with(lines_of([{**first, CLOCK_KEY: about[CLOCK_KEY]}, *others]))
         write_session_tables(folder, synced=False)
 
-    def _settle(self, fresh: list[str]) -> None:
-        """What was written is on disk, and is known to be."""
+    def _sync(self, fresh: list[str]) -> None:
+        """Sync the disk, then add the identities `fresh` to WRITTEN_FILE and clear the list."""
         if not fresh:
             return
         os.sync()
