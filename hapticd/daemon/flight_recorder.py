@@ -2,8 +2,8 @@
 
 The telemetry thread leaves here what it sends: samples go round in one array that never grows (1.1 MB a second at
 10 kHz); flight_scene.py keeps what they were rendered with, so that a file can be rendered again. A separate thread
-writes files; what it writes is a copy of that array, so that nobody waits for the disk. A fault's file is begun FAULT_AFTERMATH_S
-after the fault, so that it shows what became of it.
+writes files; what it writes is a copy of that array, so that nobody waits for the disk. A fault's file is begun
+FAULT_AFTERMATH_S after the fault, so that it shows what became of it.
 """
 
 from __future__ import annotations

@@ -156,8 +156,8 @@ def test_numbers_that_are_none_are_refused(
     [
         (("-o", "none/found.yaml"), "none/found.yaml: cannot be written: the folder none does not exist"),
         (("--plot", "none/response.png"), "none/response.png: cannot be written: the folder none does not exist"),
-        (("--plot", "response.foo"), "response.foo: cannot be drawn: must end in .png or another of "),
-        (("--accelerometer", "felt.wav"), "felt.wav: a recording ends in .npz or .csv"),
+        (("--plot", "response.foo"), "response.foo: unknown picture format: the name must end in .png or another of "),
+        (("--accelerometer", "felt.wav"), "felt.wav: the name of a recording must end in .npz or .csv"),
     ],
 )
 def test_what_cannot_be_written_is_told_before_anything_moves(

@@ -133,7 +133,7 @@ def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     monkeypatch.setattr(sources, "open_hid", lambda hid: pytest.fail("a handle would move"))
     for place, told in (
         (tmp_path / "none" / "a.yaml", "cannot be written: the folder"),
-        (tmp_path / "folder", "already exists"),
+        (tmp_path / "folder", "not a regular file but a directory"),
         (out, "already exists; give another name, or --overwrite"),
     ):
         assert main(["devices", "calibrate", "-c", str(config), "-o", str(place), "--yes"]) == 1

@@ -21,7 +21,7 @@ MISTAKES = {
     "unknown version": (PAIRS, "experiment: 1", "experiment: 2", "experiment: 2", "should be 1, is 2"),
     "no title": (PAIRS, "title: Which is stiffer?\n", "", "experiment: 1", "title: Field required"),
     "unknown key": (PAIRS, "places: [", "place: [", "place: [", "did you mean places?"),
-    "unknown base": (PAIRS, "base:\n", "base: nowhere\nbase_:\n", "base: nowhere", "no shipped scene"),
+    "unknown base": (PAIRS, "base:\n", "base: nowhere\nbase_:\n", "base: nowhere", "nor a shipped scene"),
     "device in the base": (
         PAIRS,
         "  scene:\n",

@@ -23,17 +23,11 @@ CHECKED_PATHS: Final = ("hapticd",)
 """Files and folders that are checked by default."""
 
 EXEMPT_PATHS: Final = (
-    "hapticd/analysis",
     "hapticd/cli",
     "hapticd/client",
     "hapticd/daemon",
-    "hapticd/doctor",
-    "hapticd/experiment",
     "hapticd/fit",
-    "hapticd/hid",
     "hapticd/protocol",
-    "hapticd/sweeps",
-    "hapticd/system",
     "hapticd/web",
 )
 """Rooms that are still to be reworded. pyproject.toml exempts the same from ruff's D rules."""

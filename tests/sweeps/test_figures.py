@@ -289,7 +289,8 @@ def test_without_a_number_that_is_varied_nothing_is_drawn() -> None:
         ),
         (
             {"kind": "line", "x": RATE, "y": ["stability_factor", "passive_limit_n_per_m"], "where": {STIFFNESS: 100}},
-            "figures[0].y: columns of one figure must have the same unit, have: stability_factor (no unit), passive_limit_n_per_m",
+            "figures[0].y: columns of one figure must have the same unit, have: stability_factor (no unit), "
+            "passive_limit_n_per_m",
         ),
         (
             {"kind": "line", "x": RATE, "y": "stability_factor"},

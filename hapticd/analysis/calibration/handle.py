@@ -125,7 +125,8 @@ class Calibration:
     def _of_actuator(self) -> str:
         least_hz = self.bandwidth_at_least_hz
         if least_hz >= MAX_BANDWIDTH_HZ:
-            return f"actuator: its bandwidth is above {MAX_BANDWIDTH_HZ:g} Hz, so the configuration needs no device.actuator"
+            limit = f"{MAX_BANDWIDTH_HZ:g} Hz"
+            return f"actuator: its bandwidth is above {limit}, so the configuration needs no device.actuator"
         return (
             f"actuator: its bandwidth is {least_hz:.0f} Hz or more (of second order: with a damping ratio of at least "
             f"{MIN_LAG_DAMPING_RATIO:g}), even if all of the delay is its lag; a lag cannot be distinguished from a "

@@ -1,9 +1,9 @@
 """`hapticd verify`: strike each mode of the library, and compare the handle's acceleration with the library's waveform.
 
-With the simulated joystick, the acceleration is that of the handle: it is driven again by the commanded forces at PARTS_PER_PERIOD
-times the rate, and the differences of its exact velocities are means of its acceleration. The library's waveform is
-averaged over the same times. A link delays the force without changing its shape: the onset is the time at which the
-force begins at the actuator.
+With the simulated joystick, the acceleration is that of the handle: it is driven again by the commanded forces at
+PARTS_PER_PERIOD times the rate, and the differences of its exact velocities are means of its acceleration. The
+library's waveform is averaged over the same times. A link delays the force without changing its shape: the onset is
+the time at which the force begins at the actuator.
 
 With a recording, the complete sequence is found in it by cross-correlation. Each onset is then the time of the least
 error within 3 ms of its expected time.
@@ -298,8 +298,9 @@ def tap_force(
 
 
 def acceleration_on(sim: Sim, force_n: Floats, rate_hz: float, stiffness_n_per_m: float, axis: Axis = "y") -> Floats:
-    """Return the acceleration of the simulated handle on a wall, (n * PARTS_PER_PERIOD, 2) in m/s^2, as means over 1/PARTS_PER_PERIOD period.
+    """Return the acceleration of the simulated handle on a wall, shape (n * PARTS_PER_PERIOD, 2), in m/s^2.
 
+    Each row is a mean over 1/PARTS_PER_PERIOD of a period.
     Forces (n, 2) are held for 1/rate_hz each; the wall's normal is `axis`, and its stiffness acts in both directions
     from the rest position. Encoder steps and the age of positions have no effect.
     """
