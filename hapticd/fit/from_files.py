@@ -16,12 +16,13 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import load_path, one_line
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
+from hapticd.fit.limits import WAVEFORM_LIMITS
 from hapticd.fit.options import FitOptions, TapKind
 from hapticd.fit.preparation import refuse_duplicates
 from hapticd.fit.recording import Kind, NoRecordingError, Recording, RecordingError, load
 from hapticd.fit.result import Fit, estimates
 from hapticd.fit.tap import TapFit, fit_tap
-from hapticd.fit.verdict import AT_LEAST, Exclusions
+from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
 from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of
 
 AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
@@ -186,17 +187,17 @@ def _better_waveform(
         pulses = pulses_of(recordings, warnings, excluded)
         if isinstance(ringing, FitError):
             found = fit_waveform(pulses, warnings, excluded)
-            explains = found.variance_accounted_for >= AT_LEAST["variance that a waveform explains"].poor
-            resolved = found.samples_a_period >= AT_LEAST["samples in a period of a waveform"].poor
+            explains = found.variance_accounted_for >= LOWER_LIMITS["variance that a waveform explains"].poor
+            resolved = found.samples_a_period >= LOWER_LIMITS["samples in a period of a waveform"].poor
             return found if explains and resolved else None
         by_mode = ringing.variance_accounted_for
-        rings = ringing.decay_time_s.value * ringing.frequency_hz.value >= 0.3
+        rings = ringing.decay_time_s.value * ringing.frequency_hz.value >= WAVEFORM_LIMITS.min_mode_periods
         if ringing.second is not None and rings:
             by_mode = max(by_mode, ringing.second.variance_accounted_for)
         by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
-        if rings and by_mode >= 0.95:
+        if rings and by_mode >= WAVEFORM_LIMITS.min_mode_explained:
             return None
         found = fit_waveform(pulses, warnings, excluded)
     except FitError:
         return None
-    return found if 1 - found.variance_accounted_for < 0.5 * (1 - by_mode) else None
+    return found if 1 - found.variance_accounted_for < WAVEFORM_LIMITS.max_left_ratio * (1 - by_mode) else None

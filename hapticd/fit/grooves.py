@@ -20,7 +20,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -29,27 +29,14 @@ from hapticd.analysis.recordings.spans import Bools
 from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, Robust, common, robust, well_conditioned
 from hapticd.config.modes import Mode
 from hapticd.fit import preparation
+from hapticd.fit.limits import GROOVE_LIMITS
 from hapticd.fit.preparation import Stroke, stroke_of
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.spectral_lines import lines_in_residual, report_lines
-from hapticd.fit.verdict import AT_LEAST, Doubts, Exclusions
+from hapticd.fit.verdict import LOWER_LIMITS, Doubts, Exclusions
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
-
-LEAST_STRIKES: Final = 8
-FAINT_STEP: Final = 0.3
-"""Steps smaller than this part of the strong ones are not strikes."""
-WINDOW_CYCLES: Final = 1.25
-"""Ringing on either side of a sample that is searched for a strike."""
-STRIKES_IN_GROUP: Final = 8
-"""Strikes in a group whose frequency is fitted."""
-EVEN_ROW_PART: Final = 0.05
-"""Where strikes lie off a regular row by less, no other damping is tried."""
-LEAST_ACCOUNTED: Final = 0.5
-"""Less of the variance than this is not one mode struck again and again."""
-AMPLITUDES_M_PER_S2: Final = (0.1, 5000.0)
-"""Of a usual strike; less is not felt."""
 
 
 # ---- Onsets: where strikes are, and the regular row that they lie in -------------------------------------------------
@@ -70,7 +57,7 @@ def _ringing_steps(seen: Floats, rate_hz: float, mode: Mode) -> Complexes:
     """By how much z differs between the windows after and before each sample."""
     from scipy.signal import fftconvolve
 
-    length = max(6, round(WINDOW_CYCLES * rate_hz / mode.frequency_hz))
+    length = max(6, round(GROOVE_LIMITS.window_cycles * rate_hz / mode.frequency_hz))
     count = len(seen)
     if count < 4 * length:
         raise FitError("a recording of a few cycles holds no grooves")
@@ -91,7 +78,7 @@ def _pole(mode: Mode) -> complex:
 
 def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
     """A strike of 1 in the middle of silence, as long as its ringing."""
-    half = math.ceil(max(6 * mode.decay_time_s, 4 * WINDOW_CYCLES / mode.frequency_hz) * rate_hz)
+    half = math.ceil(max(6 * mode.decay_time_s, 4 * GROOVE_LIMITS.window_cycles / mode.frequency_hz) * rate_hz)
     time = np.arange(-half, half + 1) / rate_hz
     ring = np.exp(-mode.decay_rate_per_s * np.maximum(time, 0.0)) * np.sin(mode.angular_frequency_rad_per_s * time)
     return np.asarray(np.where(time >= 0, ring, 0.0))
@@ -111,15 +98,15 @@ def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
         k = int(np.argmax(np.where(free, np.abs(left), 0.0)))
         size = float(left[k]) / float(unit[middle])
         # A knock or two must not hide strikes.
-        usual = strong() if len(sizes) >= LEAST_STRIKES else 0.0
-        if abs(size) <= max(FAINT_STEP * usual, min(4 * noise, 0.5 * usual)):
+        usual = strong() if len(sizes) >= GROOVE_LIMITS.min_strikes else 0.0
+        if abs(size) <= max(GROOVE_LIMITS.min_strike * usual, min(4 * noise, 0.5 * usual)):
             break
         low, high = max(0, k - middle), min(len(left), k + middle + 1)
         left[low:high] -= size * unit[low - k + middle : high - k + middle]
         # What is left about a strike is the error of its time and of the mode.
         free[max(0, k - reach) : k + reach + 1] = False
         sizes[k] = size
-    least = FAINT_STEP * strong()
+    least = GROOVE_LIMITS.min_strike * strong()
     return np.array(sorted(k for k, size in sizes.items() if abs(size) > least), dtype=np.int64)
 
 
@@ -293,10 +280,10 @@ class StrokeFit:
         if slow := preparation.undersampled(self._rate_hz, rough):
             raise FitError(f"{self.name}: {slow}")
         mode, onsets = self._settled(*self._begun(2 * math.pi * rough))
-        if self._uneven(onsets) > EVEN_ROW_PART:
+        if self._uneven(onsets) > GROOVE_LIMITS.even_row:
             # What is no strike followed from the mode that they were looked for with.
             again = self._found(mode)
-            if len(again) >= LEAST_STRIKES and self._uneven(again) < self._uneven(onsets):
+            if len(again) >= GROOVE_LIMITS.min_strikes and self._uneven(again) < self._uneven(onsets):
                 mode, onsets = self._settled(mode, again)
         self._onsets = self._without_echoes(mode, self._regular(mode, onsets))
         better = self._searched(mode, self._onsets, wide=True)
@@ -318,22 +305,24 @@ class StrokeFit:
             mode = Mode(damping * angular, angular)
             onsets = self._found(mode)
             most = max(most, len(onsets))
-            if len(onsets) < LEAST_STRIKES:
+            if len(onsets) < GROOVE_LIMITS.min_strikes:
                 continue
             mode = self._searched(mode, onsets)
             onsets = self._found(mode)
             most = max(most, len(onsets))
-            if len(onsets) < LEAST_STRIKES:
+            if len(onsets) < GROOVE_LIMITS.min_strikes:
                 continue
             uneven = self._uneven(onsets)
             if best is None or uneven < best[0]:
                 best = uneven, mode, onsets
-            if uneven < EVEN_ROW_PART:
+            if uneven < GROOVE_LIMITS.even_row:
                 break
         if best is None:
-            raise FitError(f"{self.name}: {most} strikes, at least {LEAST_STRIKES} are needed: no grooves here")
+            raise FitError(
+                f"{self.name}: {most} strikes, at least {GROOVE_LIMITS.min_strikes} are needed: no grooves here"
+            )
         # Places at random are off by 0.29.
-        if best[0] > 0.22:
+        if best[0] > GROOVE_LIMITS.max_first_unevenness:
             raise FitError(self._scattered(*best))
         return best[1], best[2]
 
@@ -350,7 +339,7 @@ class StrokeFit:
 
     def _scattered(self, uneven: float, mode: Mode, onsets: Floats) -> str:
         cycles = float(np.median(np.diff(onsets))) * mode.frequency_hz
-        few = cycles < AT_LEAST["cycles from strike to strike"].fair
+        few = cycles < LOWER_LIMITS["cycles from strike to strike"].fair
         near = f"; they follow within {cycles:.1f} cycles: stroke more slowly" if few else ""
         return (
             f"{self.name}: the strikes are not at equal distances (off by {100 * uneven:.0f} % of the spacing): "
@@ -380,13 +369,16 @@ class StrokeFit:
         place = self._places(onsets)
         row = row_of(place)
         number, off = row.number, np.abs(row.offsets(place))
-        sound = off < 0.25
+        sound = off < GROOVE_LIMITS.max_offset
         # Of several on one groove in one pass (an echo), the one nearest to its place stays.
         for k in range(len(place) - 1):
             if number[k] == number[k + 1] and sound[k] and sound[k + 1]:
                 sound[k if off[k] > off[k + 1] else k + 1] = False
         spread = float(np.sqrt(np.mean(off[sound] ** 2))) if sound.any() else 1.0
-        if np.count_nonzero(sound) < max(LEAST_STRIKES, 0.7 * len(place)) or spread > 0.12:
+        if (
+            np.count_nonzero(sound) < max(GROOVE_LIMITS.min_strikes, GROOVE_LIMITS.min_regular * len(place))
+            or spread > GROOVE_LIMITS.max_unevenness
+        ):
             raise FitError(self._scattered(spread, mode, onsets))
         return onsets[sound]
 
@@ -400,7 +392,7 @@ class StrokeFit:
         as strong as its neighbours, or weaker."""
         sizes = np.abs(self._jumps(mode, onsets)[0])
         odd = row_of(self._places(onsets)).number % 2 == 1
-        if len(onsets) < 2 * LEAST_STRIKES or not 0 < np.count_nonzero(odd) < len(odd):
+        if len(onsets) < 2 * GROOVE_LIMITS.min_strikes or not 0 < np.count_nonzero(odd) < len(odd):
             return onsets
         one, other = float(np.median(sizes[odd])), float(np.median(sizes[~odd]))
         if max(one, other) < 2.0 * min(one, other):
@@ -456,7 +448,7 @@ class StrokeFit:
         """The best of a grid of modes about this one, of the same intervals for all."""
         w = mode.angular_frequency_rad_per_s
         reach = min(0.3 * w, 2 * math.pi / float(np.median(np.diff(onsets))))
-        windows = self._windows(Mode(0.05 * w, w), onsets[: 2 * STRIKES_IN_GROUP])
+        windows = self._windows(Mode(0.05 * w, w), onsets[: 2 * GROOVE_LIMITS.strikes_in_group])
         if len(windows.used) == 0:
             return mode
         tried = [
@@ -489,7 +481,7 @@ class StrokeFit:
     # ---- What comes of it
 
     def _grouped(self) -> list[Group]:
-        count = max(1, len(self._onsets) // STRIKES_IN_GROUP)
+        count = max(1, len(self._onsets) // GROOVE_LIMITS.strikes_in_group)
         found = []
         for low, high in pairwise(np.linspace(0, len(self._onsets), count + 1).round().astype(int)):
             speed, force = self._moved(self._onsets[low:high])
@@ -545,10 +537,10 @@ class StrokeFit:
         here = windows.index[windows.held]
         model[here] = self._seen[here] - left[windows.held]
         accounted = 1 - float(np.sum(left**2)) / float(np.sum(windows.flat**2))
-        if accounted < LEAST_ACCOUNTED:
+        if accounted < GROOVE_LIMITS.min_explained:
             raise FitError(
                 f"{self.name}: a mode struck by grooves accounts for {100 * accounted:.0f} % of the variance, "
-                f"at least {100 * LEAST_ACCOUNTED:.0f} % is needed: no grooves here"
+                f"at least {100 * GROOVE_LIMITS.min_explained:.0f} % is needed: no grooves here"
             )
         return ModelledStroke(self.name, self._rate_hz, self._seen, model, accounted, self.spacing_m)
 
@@ -661,7 +653,7 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     excluded = Exclusions() if excluded is None else excluded
     doubts = Doubts()
     preparation.refuse_duplicates(recordings)
-    stretches = preparation.stretches_of(recordings, 0.1, excluded)
+    stretches = preparation.stretches_of(recordings, GROOVE_LIMITS.min_stretch_s, excluded)
     fits = excluded.each(stretches, lambda each: StrokeFit(stroke_of(each, "grooves")))
     if not fits:
         raise excluded.refused(f"none of {len(recordings)} recordings can be used")
@@ -672,7 +664,9 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     modes = [_mean_mode(each.groups) for each in fits]
     groups = [group for each in fits for group in each.groups]
     if len(groups) < 2:
-        raise excluded.refused(f"{len(groups)} group of strikes has no interval: needs {2 * STRIKES_IN_GROUP} strikes")
+        raise excluded.refused(
+            f"{len(groups)} group of strikes has no interval: needs {2 * GROOVE_LIMITS.strikes_in_group} strikes"
+        )
     frequencies = np.array([group.mode.frequency_hz for group in groups])
     frequency = common(frequencies)
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
@@ -684,7 +678,13 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     columns = np.array([(abs(strike.speed_m_per_s), strike.force_n) for strike in strikes])
     amplitude = np.array([strike.amplitude_m_per_s2 for strike in strikes])
     usual = float(np.median(np.abs(amplitude)))
-    preparation.check_range(usual, *AMPLITUDES_M_PER_S2, f"strikes of {usual:.3g} m/s^2 are", "grooves'")
+    preparation.check_range(
+        usual,
+        GROOVE_LIMITS.min_amplitude_m_per_s2,
+        GROOVE_LIMITS.max_amplitude_m_per_s2,
+        f"strikes of {usual:.3g} m/s^2 are",
+        "grooves'",
+    )
     preparation.check_force_varies(recordings, columns[:, 1], doubts)
     preparation.check_apart(columns[:, 0], columns[:, 1])
     law = robust(columns, amplitude, shifts)
@@ -701,8 +701,8 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
         np.array([group.force_n for group in groups]),
         frequencies,
         "frequency",
-        0.02,
-        0.95,
+        GROOVE_LIMITS.min_frequency_change,
+        GROOVE_LIMITS.change_confidence,
         doubts,
     )
     accounted = float(np.mean([stroke.variance_accounted_for for stroke in strokes]))
@@ -736,8 +736,8 @@ def _refuse_others(fits: Sequence[StrokeFit]) -> None:
     spacings = np.array([abs(each.spacing_m) for each in fits])
     frequencies = np.array([each.mode.frequency_hz for each in fits])
     for values, most, what, unit, scale in (
-        (spacings, 0.03, "grooves", "mm apart", 1e3),
-        (frequencies, 0.25, "ringing at", "Hz", 1.0),
+        (spacings, GROOVE_LIMITS.max_spacing_difference, "grooves", "mm apart", 1e3),
+        (frequencies, GROOVE_LIMITS.max_frequency_difference, "ringing at", "Hz", 1.0),
     ):
         middle = float(np.median(values))
         off = np.abs(values / middle - 1)

@@ -25,18 +25,10 @@ from hapticd.analysis import statistics
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.recordings.spans import Bools, Spans, spans_of
 from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, UnitError
+from hapticd.fit.limits import PREPARATION_LIMITS, SPEED_LAW_LIMITS
 from hapticd.fit.recording import Kind, Recording
 from hapticd.fit.verdict import ONE_PART, Doubts, Exclusions
 
-MOST_BEYOND_LIMIT: Final = 0.01
-"""Part of the samples of a column beyond its limit that is a wrong unit or column, and no fault of single samples."""
-MOST_FINDINGS: Final = 50
-"""In one column; more are no faults of single samples either."""
-SPIKE_TO_NOISE: Final = 15.0
-"""A spike is so many standard deviations of the noise away from what is about it."""
-SPIKE_RATIO: Final = 8.0
-"""A spike of acceleration is so many times larger than the samples beside it."""
-SPIKE_SAMPLES: Final = 3
 WORDS_OF_COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "acceleration_m_per_s2": ("the acceleration", "m/s^2"),
     "force_n": ("the force", "N"),
@@ -45,13 +37,6 @@ WORDS_OF_COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "tangential_position_m": ("the position along the surface", "m"),
 }
 """What they are called, and their units."""
-FASTEST_M_PER_S: Final = 5.0
-"""Of a stroke."""
-TAP_ACCELERATION_M_PER_S2: Final = 1e6
-LEAST_WHOLE: Final = 0.5
-"""Part of a recording; one of which less is whole is left out altogether."""
-LEAST_RATE: Final = 2.5
-"""Samples in a cycle, below which nothing is fitted."""
 
 
 def refuse_duplicates(recordings: Sequence[Recording]) -> None:
@@ -127,17 +112,21 @@ class _Column:
         """A force that breaks off and a speed of taps come and go as spikes do. Of taps the position matters only just
         before each, and where the way is uneven there, the tap is left out."""
         tap, stroke = kind == "tap", kind in ("grooves", "texture")
-        fastest = 10.0 if tap else FASTEST_M_PER_S
+        fastest = SPEED_LAW_LIMITS.max_speed_m_per_s if tap else PREPARATION_LIMITS.max_stroke_speed_m_per_s
         match self._name:
             case "acceleration_m_per_s2":
-                most = TAP_ACCELERATION_M_PER_S2 if tap else 1e5
+                most = (
+                    PREPARATION_LIMITS.max_tap_acceleration_m_per_s2
+                    if tap
+                    else PREPARATION_LIMITS.max_acceleration_m_per_s2
+                )
                 self._replace_beyond(most, "is it in another unit, or another column?")
                 if kind == "texture":
                     self._replace_stuck()
                 else:
                     self._replace_short(above_all=True)
             case "force_n":
-                self._replace_beyond(200.0, "is it in mN, or swapped with the acceleration?")
+                self._replace_beyond(PREPARATION_LIMITS.max_force_n, "is it in mN, or swapped with the acceleration?")
                 if kind == "puncture":
                     self._replace_short(above_all=False)
             case "speed_m_per_s":
@@ -159,7 +148,7 @@ class _Column:
         spans, first = spans_of(over), int(np.argmax(over))
         value = f"{self._what} of {self._value(first)}"
         bound = f" (at most {most:g})" if ask else ""
-        if np.mean(over) > MOST_BEYOND_LIMIT or len(spans) > MOST_FINDINGS:
+        if np.mean(over) > PREPARATION_LIMITS.max_beyond_limit or len(spans) > PREPARATION_LIMITS.max_findings:
             raise UnitError(
                 f"{self._file}: {value} is not a hand's{bound}, nor is that of {100 * np.mean(over):.3g} % of the "
                 f"samples{f': {ask}' if ask else ''}"
@@ -171,11 +160,11 @@ class _Column:
         """What comes and goes within 10 ms, far beyond the usual values."""
         values = self.values
         noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
-        far = max(2.0 * float(np.percentile(np.abs(values), 95)), SPIKE_TO_NOISE * noise)
-        half = max(SPIKE_SAMPLES, round(0.02 * self._rate_hz))
+        far = max(2.0 * float(np.percentile(np.abs(values), 95)), PREPARATION_LIMITS.spike_to_noise * noise)
+        half = max(PREPARATION_LIMITS.max_spike_samples, round(2 * PREPARATION_LIMITS.max_spike_s * self._rate_hz))
         found: Spans = []
         near = spans_of(np.abs(values - float(np.median(values))) > 0.75 * far)
-        for low, high in near if len(near) <= 10 * MOST_FINDINGS else ():
+        for low, high in near if len(near) <= 10 * PREPARATION_LIMITS.max_findings else ():
             if high - low > 2 * half:
                 continue
             about = float(np.median(values[max(0, low - half) : high + half]))
@@ -184,16 +173,23 @@ class _Column:
         self._replace_leaping(found)
 
     def _replace_short(self, above_all: bool) -> None:
-        """Up to SPIKE_SAMPLES far above the samples beside them and, with `above_all`, far above everything else: a tap
+        """Up to PREPARATION_LIMITS.max_spike_samples far above the samples beside them and, with `above_all`, far above everything else: a tap
         that is sampled slowly may be that short, too."""
         size = np.abs(self.values - np.median(self.values))
-        loud = SPIKE_TO_NOISE * 1.4826 * float(np.median(size))
+        loud = PREPARATION_LIMITS.spike_to_noise * 1.4826 * float(np.median(size))
         if not size.max() > loud:
             return
         found: Spans = []
-        for low, high in spans_of(size > max(loud, size.max() / SPIKE_RATIO**2)):
-            around = np.concatenate((size[max(0, low - SPIKE_SAMPLES) : low], size[high : high + SPIKE_SAMPLES]))
-            if high - low <= SPIKE_SAMPLES and size[low:high].max() > SPIKE_RATIO * around.max(initial=0.0):
+        for low, high in spans_of(size > max(loud, size.max() / PREPARATION_LIMITS.spike_ratio**2)):
+            around = np.concatenate(
+                (
+                    size[max(0, low - PREPARATION_LIMITS.max_spike_samples) : low],
+                    size[high : high + PREPARATION_LIMITS.max_spike_samples],
+                )
+            )
+            if high - low <= PREPARATION_LIMITS.max_spike_samples and size[
+                low:high
+            ].max() > PREPARATION_LIMITS.spike_ratio * around.max(initial=0.0):
                 found.append((low, high))
         if above_all and found:
             rest = size.copy()
@@ -201,7 +197,11 @@ class _Column:
                 rest[low:high] = 0.0
             # Beside nothing that stands out of the noise there is nothing that it hides.
             hides = float(rest.max()) > loud / 2
-            found = [(low, high) for low, high in found if hides and size[low:high].max() > SPIKE_RATIO * rest.max()]
+            found = [
+                (low, high)
+                for low, high in found
+                if hides and size[low:high].max() > PREPARATION_LIMITS.spike_ratio * rest.max()
+            ]
         self._replace_leaping(found)
 
     def _replace_stuck(self) -> None:
@@ -209,13 +209,17 @@ class _Column:
         edges = np.flatnonzero(np.diff(self.values)) + 1
         starts, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(self.values)]))
         runs = ends - starts
-        least = max(0.05 * self._rate_hz, 20.0 * float(np.percentile(runs, 99)), 16.0)
+        least = max(
+            PREPARATION_LIMITS.min_standstill_s * self._rate_hz,
+            PREPARATION_LIMITS.standstill_ratio * float(np.percentile(runs, 99)),
+            16.0,
+        )
         found = [
             (int(low), int(high))
             for low, high in zip(starts[runs >= least], ends[runs >= least], strict=True)
             if self.values[low] != 0 or not (low == 0 or high == len(self.values))
         ]
-        if not found or len(found) > MOST_FINDINGS:
+        if not found or len(found) > PREPARATION_LIMITS.max_findings:
             return
         low, high = found[0]
         value = f"{self.values[low]:.6g} {self._unit}"
@@ -230,15 +234,20 @@ class _Column:
         moved = size[size > 0]
         if len(moved) < 8:
             return
-        usual = 5.0 * float(np.percentile(moved, 99))
+        usual = PREPARATION_LIMITS.leap_ratio * float(np.percentile(moved, 99))
         leaps = []
         for k in np.flatnonzero(size > usual):
-            beside = np.concatenate((size[max(0, k - SPIKE_SAMPLES) : k], size[k + 1 : k + 1 + SPIKE_SAMPLES]))
+            beside = np.concatenate(
+                (
+                    size[max(0, k - PREPARATION_LIMITS.max_spike_samples) : k],
+                    size[k + 1 : k + 1 + PREPARATION_LIMITS.max_spike_samples],
+                )
+            )
             if size[k] * self._rate_hz > fastest or size[k] > 3.0 * np.median(beside):
                 leaps.append(int(k))
         if not leaps:
             return
-        if len(leaps) > MOST_FINDINGS:
+        if len(leaps) > PREPARATION_LIMITS.max_findings:
             raise FitError(
                 f"{self._file}: {self._what} leaps in {len(leaps)} places, first by {steps[leaps[0]]:.4g} "
                 f"{self._unit} at {self._at(leaps[0] + 1)}: is it the right column, or was the encoder disturbed?"
@@ -246,9 +255,9 @@ class _Column:
         spikes: Spans = []
         lost: Spans = []
         values, shift = self.values, np.zeros(len(self.values))
-        back = max(2, round(0.02 * self._rate_hz))
+        back = max(2, round(PREPARATION_LIMITS.max_leap_return_s * self._rate_hz))
         # A position usually stands still for so many samples.
-        run = max(SPIKE_SAMPLES, 4 * len(values) / max(1, int(np.count_nonzero(steps))))
+        run = max(PREPARATION_LIMITS.max_spike_samples, 4 * len(values) / max(1, int(np.count_nonzero(steps))))
         while leaps:
             at = leaps[0]
             drift = float(np.median(steps[max(0, at - back) : at])) if at > 0 else 0.0
@@ -280,7 +289,7 @@ class _Column:
             self.values = self.values - np.cumsum(shift)
 
     def _replace_leaping(self, found: Spans) -> None:
-        if not found or len(found) > MOST_FINDINGS:
+        if not found or len(found) > PREPARATION_LIMITS.max_findings:
             # So many are how it is.
             return
         low, high = found[0]
@@ -349,10 +358,10 @@ def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) 
     kept = [(begin, end) for begin, end in spans_of(~bad) if end - begin >= least_s * rate_hz]
     there = sum(end - begin for begin, end in kept)
     reason = ", ".join(reasons)
-    if there < LEAST_WHOLE * samples:
+    if there < PREPARATION_LIMITS.min_complete * samples:
         raise FitError(
             f"{recording.name}: {reason}: {100 * there / samples:.0f} % of it is whole in stretches of {least_s:g} s, "
-            f"{100 * LEAST_WHOLE:.0f} % are wanted"
+            f"{100 * PREPARATION_LIMITS.min_complete:.0f} % are wanted"
         )
     excluded.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", ONE_PART)
     found = []
@@ -382,7 +391,7 @@ def acceleration_of(recording: Recording) -> Floats:
         raise FitError(
             f"{recording.name}: the acceleration is {values[0]:g} m/s^2 throughout: was the sensor connected?"
         )
-    if np.ptp(values) < 0.02:
+    if np.ptp(values) < PREPARATION_LIMITS.min_acceleration_span_m_per_s2:
         raise FitError(
             f"{recording.name}: the acceleration moves by {np.ptp(values):.2g} m/s^2 in all, which is not felt: is its "
             "unit another one?"
@@ -398,7 +407,7 @@ def force_of(recording: Recording) -> Floats:
     if not np.any(values):
         raise FitError(f"{recording.name}: the force is 0 throughout: was the sensor connected?")
     largest = float(np.percentile(np.abs(values), 99.9))
-    if largest < 1e-3:
+    if largest < PREPARATION_LIMITS.min_force_n:
         raise UnitError(f"{recording.name}: a force of {largest:.2g} N at most is too small to be felt: is it in kN?")
     return values
 
@@ -419,7 +428,7 @@ def check_force_varies(recordings: Sequence[Recording], force: Floats, doubts: D
     every = np.concatenate([recording.force_n for recording in recordings if recording.force_n is not None])
     if not np.ptp(every) > 0:
         raise FitError(f"the force is {every[0]:g} N in every sample: was the sensor connected?")
-    if float(np.ptp(force)) < 0.2 * abs(float(np.mean(force))):
+    if float(np.ptp(force)) < PREPARATION_LIMITS.min_force_variation * abs(float(np.mean(force))):
         doubts.doubt(
             f"the force hardly varies ({force.min():.3g} to {force.max():.3g} N): its gain takes in all that does not "
             "go with speed"
@@ -477,7 +486,7 @@ def gravity_of(recordings: Sequence[Recording]) -> list[str]:
             continue
         rest = abs(float(np.median(recording.acceleration_m_per_s2)))
         for usual, unit in ((1.0, "g"), (9.80665**2, "m/s^2 already, and multiplied by 9.80665 again")):
-            if abs(rest / usual - 1) < 0.02:
+            if abs(rest / usual - 1) < PREPARATION_LIMITS.gravity_tolerance:
                 found.append(f"{recording.name}: rests at {rest:.3g} m/s^2: is the acceleration in {unit}?")
     return found
 
@@ -488,7 +497,7 @@ def report_gravity(recordings: Sequence[Recording], doubts: Doubts) -> None:
         doubts.doubt(line)
 
 
-def undersampled(rate_hz: float, frequency_hz: float, least: float = LEAST_RATE) -> str:
+def undersampled(rate_hz: float, frequency_hz: float, least: float = PREPARATION_LIMITS.min_samples_per_cycle) -> str:
     """Why what rings at a frequency is not fitted at a rate, with fewer than `least` samples in a cycle; empty where it
     is."""
     if rate_hz >= least * frequency_hz:
@@ -545,7 +554,7 @@ def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
             raise FitError(f"{name}: a stroke needs the position along the surface, or the speed")
         _refuse_speed(recording, column)
         return np.concatenate(([0.0], np.cumsum((column[1:] + column[:-1]) / 2))) / recording.rate_hz, column
-    if np.ptp(position) > 5.0:
+    if np.ptp(position) > PREPARATION_LIMITS.max_stroke_m:
         raise UnitError(f"{name}: a stroke of {np.ptp(position):.4g} m is not a hand's: is it in mm?")
     if not np.ptp(position) > 0:
         raise FitError(f"{name}: the position along the surface never moves: is it the wrong column?")
@@ -553,7 +562,8 @@ def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
     _refuse_speed(recording, found)
     if column is not None:
         usual, said = float(np.median(np.abs(found))), float(np.median(np.abs(column)))
-        if not 0.5 * usual <= said <= 2 * usual:
+        ratio = PREPARATION_LIMITS.max_speed_ratio
+        if not usual / ratio <= said <= ratio * usual:
             raise UnitError(
                 f"{name}: the position moves at {usual:.3g} m/s, the speed says {said:.3g} m/s: one of them has the "
                 "wrong unit or column"
@@ -563,16 +573,16 @@ def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
 
 def _refuse_speed(recording: Recording, speed: Floats) -> None:
     usual = float(np.percentile(np.abs(speed), 90))
-    if usual > FASTEST_M_PER_S:
+    if usual > PREPARATION_LIMITS.max_stroke_speed_m_per_s:
         raise UnitError(f"{recording.name}: a speed of {usual:.4g} m/s is not a hand's: is it in mm/s?")
     fastest = int(np.argmax(np.abs(speed)))
-    if not abs(speed[fastest]) <= FASTEST_M_PER_S:
+    if not abs(speed[fastest]) <= PREPARATION_LIMITS.max_stroke_speed_m_per_s:
         at_s = fastest / recording.rate_hz
         raise FitError(
             f"{recording.name}: a speed of {abs(speed[fastest]):.4g} m/s at {at_s:.6g} s is not a hand's (at most "
-            f"{FASTEST_M_PER_S:g}): what is the position there?"
+            f"{PREPARATION_LIMITS.max_stroke_speed_m_per_s:g}): what is the position there?"
         )
-    if usual < 1e-4:
+    if usual < PREPARATION_LIMITS.min_stroke_speed_m_per_s:
         raise UnitError(f"{recording.name}: a speed of {usual:.2g} m/s is none: is it in km/s, or of another column?")
 
 

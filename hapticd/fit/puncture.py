@@ -10,29 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.statistics import Estimate, FitError, Floats, UnitError, common, with_offset
 from hapticd.fit import preparation
+from hapticd.fit.limits import PUNCTURE_LIMITS
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
 from hapticd.fit.verdict import Doubts, Exclusions
-
-DROP_S: Final = 0.002
-"""A rupture takes less than this."""
-LOAD_PARTS: Final = (0.25, 0.98)
-"""Parts of the rupture force between which stiffness is fitted."""
-BEFORE_S: Final = 0.01
-AMPLITUDES_M_PER_S2: Final = (0.1, 3000.0)
-"""Of a rupture; less is not felt."""
-LEAST_ACCOUNTED: Final = 0.7
-"""A ringing of which one mode explains less is none."""
-STIFFNESS_N_PER_M: Final = (1.0, 1e5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +55,7 @@ class _Puncture:
         force, place = preparation.force_of(recording), recording.position_m
         if place is None:
             raise FitError(f"{name}: has no position along the normal, which this fit needs")
-        if np.ptp(place) > 1.0:
+        if np.ptp(place) > PUNCTURE_LIMITS.max_way_m:
             raise UnitError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
         if not np.ptp(place) > 0:
             raise FitError(f"{name}: the position never moves: is it the wrong column?")
@@ -78,10 +67,10 @@ class _Puncture:
         self._name, self._rate_hz, self._force, self._place = name, rate_hz, force, place
         self._at = at
         """The last sample before the force falls to nothing."""
-        self._half = max(1, round(DROP_S * rate_hz / 2))
+        self._half = max(1, round(PUNCTURE_LIMITS.max_drop_s * rate_hz / 2))
         self._smooth = preparation.running_mean(force, self._half)
-        """The force, without what is faster than DROP_S."""
-        self._speed = preparation.slope_of(place, rate_hz, 8 * DROP_S)
+        """The force, without what is faster than PUNCTURE_LIMITS.max_drop_s."""
+        self._speed = preparation.slope_of(place, rate_hz, 8 * PUNCTURE_LIMITS.max_drop_s)
         self._seen = preparation.acceleration_of(recording)
         self._load()
         self._doubt_the_touch()
@@ -93,27 +82,27 @@ class _Puncture:
         at, half, smooth, name = self._at, self._half, self._smooth, self._name
         least = max(0, at - 2 * half)
         highest = float(np.median(self._force[least : max(at - half, least + 1)]))
-        early = np.flatnonzero(smooth[: at - half] < LOAD_PARTS[0] * highest)
+        early = np.flatnonzero(smooth[: at - half] < PUNCTURE_LIMITS.min_load * highest)
         self._begin = int(early[-1]) + 1 if len(early) else 0
         loaded = np.arange(self._begin, at - half)
-        loaded = loaded[smooth[loaded] < LOAD_PARTS[1] * highest]
-        if len(loaded) < 20:
+        loaded = loaded[smooth[loaded] < PUNCTURE_LIMITS.max_load * highest]
+        if len(loaded) < PUNCTURE_LIMITS.min_loaded_samples:
             raise FitError(f"{name}: force rises within {len(loaded)} samples: too few for a stiffness")
         way, pressed = self._place[loaded], self._force[loaded]
         level, stiffness = map(float, np.polynomial.polynomial.polyfit(way - way.mean(), pressed, 1))
-        if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < 0.7:
+        if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < PUNCTURE_LIMITS.min_r_squared:
             raise FitError(f"{name}: force does not go with position before it falls: are columns swapped?")
         if stiffness < 0:
             raise UnitError(
                 f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)"
             )
-        if not STIFFNESS_N_PER_M[0] <= stiffness <= STIFFNESS_N_PER_M[1]:
+        if not PUNCTURE_LIMITS.min_stiffness_n_per_m <= stiffness <= PUNCTURE_LIMITS.max_stiffness_n_per_m:
             raise UnitError(
                 f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?"
             )
         near = way < np.median(way)
         below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
-        if abs(above - below) > 0.1 * stiffness:
+        if abs(above - below) > PUNCTURE_LIMITS.max_stiffness_change * stiffness:
             self._doubt(
                 "the stiffness changes on the way",
                 f"stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in",
@@ -136,13 +125,13 @@ class _Puncture:
         """Whether it is softer at first: then the line begins behind the touch. A fiftieth of the load, or six standard
         errors of the force, is met a thirtieth of the depth before it is due on the line."""
         half = self._half
-        soft = max(0.02 * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
+        soft = max(PUNCTURE_LIMITS.soft_load * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
         touched = np.flatnonzero(self._smooth[: self._at - half] - self._rest_n > soft)
         if not len(touched):
             return
         due = self._surface_m + soft / self._stiffness_n_per_m
         early_m = due - float(np.mean(self._place[max(0, touched[0] - half) : touched[0] + half + 1]))
-        if early_m > 0.03 * self._load_n / self._stiffness_n_per_m:
+        if early_m > PUNCTURE_LIMITS.max_soft_depth * self._load_n / self._stiffness_n_per_m:
             self._doubt(
                 "softer at first",
                 f"it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more behind the "
@@ -161,7 +150,7 @@ class _Puncture:
         depth = float(fitted[0] + 0.5 * fitted[1]) - self._surface_m
         ringing = self._ringing()
         left = float(np.median(force[at + 2 * half : at + 6 * half])) - self._rest_n
-        if left > 0.1 * self._load_n:
+        if left > PUNCTURE_LIMITS.max_force_left * self._load_n:
             self._doubt(
                 "force is left after the rupture",
                 f"{100 * left / self._load_n:.0f} % of the force is left after the rupture: something holds what went "
@@ -170,14 +159,14 @@ class _Puncture:
         # The force drops again, before or after, from 0.3 of the load, while the stylus goes on.
         for start, part in ((0, force[: max(0, at - 4 * half)]), (at + 4 * half, force[at + 4 * half :])):
             other = _drop(part, self._rate_hz)
-            if other is None or not part[other] - self._rest_n > 0.3 * self._load_n:
+            if other is None or not part[other] - self._rest_n > PUNCTURE_LIMITS.second_rupture * self._load_n:
                 continue
             if self._speed[start + other] > 0:
                 early, late = sorted((at, start + other))
                 places = f"{early / self._rate_hz:.4g} s and at {late / self._rate_hz:.4g} s"
                 raise FitError(f"{self._name}: ruptures at {places}: give each puncture its own file")
         share = ringing.variance_accounted_for
-        if share < 0.8:
+        if share < PUNCTURE_LIMITS.well_explained:
             self.doubts.warn(f"{self._name}: one mode accounts for {100 * share:.0f} % of the ringing")
         return Rupture(
             recording=self._name,
@@ -195,9 +184,9 @@ class _Puncture:
     def _ringing(self) -> Ringing:
         """The mode that the rupture strikes. FitError where it was not measured, or does not ring with one mode."""
         name, at, rate_hz, begin, seen = self._name, self._at, self._rate_hz, self._begin, self._seen
-        first = max(0, at - round(BEFORE_S * rate_hz))
-        end = min(len(seen), at + round(0.08 * rate_hz))
-        if np.mean(self._kept.replaced[begin:end]) > 0.02:
+        first = max(0, at - round(PUNCTURE_LIMITS.before_rupture_s * rate_hz))
+        end = min(len(seen), at + round(PUNCTURE_LIMITS.after_rupture_s * rate_hz))
+        if np.mean(self._kept.replaced[begin:end]) > PUNCTURE_LIMITS.max_replaced:
             raise FitError(f"{name}: much of the puncture was not measured")
         if clipped(seen)[first:end].any():
             raise FitError(
@@ -218,10 +207,10 @@ class _Puncture:
         hertz = float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)
         if slow := preparation.undersampled(rate_hz, hertz):
             raise FitError(f"{name}: {slow}")
-        if ringing.variance_accounted_for < LEAST_ACCOUNTED:
+        if ringing.variance_accounted_for < PUNCTURE_LIMITS.min_explained:
             raise FitError(
                 f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
-                f"{100 * LEAST_ACCOUNTED:.0f} % are wanted"
+                f"{100 * PUNCTURE_LIMITS.min_explained:.0f} % are wanted"
             )
         return ringing
 
@@ -232,7 +221,7 @@ def _no_puncture(name: str) -> FitError:
 
 def _drop(force: Floats, rate_hz: float) -> int | None:
     """The last sample before the force falls to nothing: by half of it and more."""
-    half = max(1, round(DROP_S * rate_hz / 2))
+    half = max(1, round(PUNCTURE_LIMITS.max_drop_s * rate_hz / 2))
     if len(force) < 20 * half:
         return None
     mean = preparation.running_mean(force, half)
@@ -240,7 +229,7 @@ def _drop(force: Floats, rate_hz: float) -> int | None:
     middle = int(np.argmax(fall)) + 2 * half
     before, after = float(mean[middle - 2 * half]), float(mean[middle + 2 * half])
     rest = float(np.median(force[: len(force) // 20]))
-    if before - rest < 5 * _noise(force) or before - after < 0.5 * (before - min(rest, 0.0)):
+    if before - rest < 5 * _noise(force) or before - after < PUNCTURE_LIMITS.min_drop * (before - min(rest, 0.0)):
         return None
     held = np.flatnonzero(force[middle - 2 * half : middle + 2 * half] > (before + after) / 2)
     return middle - 2 * half + int(held[-1]) if len(held) else None
@@ -293,7 +282,7 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
         seen = recording.acceleration_m_per_s2
         assert seen is not None
         model = np.full(len(seen), math.nan)
-        until = max(0, round((rupture.time_s - BEFORE_S) * recording.rate_hz))
+        until = max(0, round((rupture.time_s - PUNCTURE_LIMITS.before_rupture_s) * recording.rate_hz))
         model[:until] = np.median(seen[:until]) if until else 0.0
         return lines_in_residual(seen, model, recording.rate_hz, needed)
 
@@ -301,7 +290,13 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
     doubts.check("punctures", len(ruptures))
 
     usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
-    preparation.check_range(usual, *AMPLITUDES_M_PER_S2, f"a rupture of {usual:.3g} m/s^2 is", "membrane's")
+    preparation.check_range(
+        usual,
+        PUNCTURE_LIMITS.min_amplitude_m_per_s2,
+        PUNCTURE_LIMITS.max_amplitude_m_per_s2,
+        f"a rupture of {usual:.3g} m/s^2 is",
+        "membrane's",
+    )
     named = {
         "depth_m": "rupture depth",
         "stiffness_n_per_m": "stiffness",
@@ -349,7 +344,7 @@ def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, doubts: Dou
     if not found:
         raise excluded.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
     ruptures = _without_outliers([each.rupture for each in found], excluded)
-    if len(ruptures) < 2:
+    if len(ruptures) < PUNCTURE_LIMITS.min_punctures:
         raise excluded.refused("one puncture has no interval: needs two recordings of a puncture at least")
     used = {each.recording for each in ruptures}
     for each in found:
@@ -364,8 +359,8 @@ def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rup
     in `excluded`."""
     ringing = np.array([[each.amplitude_m_per_s2, each.frequency_hz, each.decay_rate_per_s] for each in ruptures])
     usual = np.median(ringing, axis=0)
-    off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > 3.0
-    if np.count_nonzero(off) > 0.25 * len(ruptures):
+    off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > PUNCTURE_LIMITS.max_outlier_ratio
+    if np.count_nonzero(off) > PUNCTURE_LIMITS.max_outliers * len(ruptures):
         return ruptures
     for each, far in zip(ruptures, off, strict=True):
         if far:
@@ -380,11 +375,14 @@ def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rup
 def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, doubts: Doubts) -> Estimate | None:
     """The slope, which the model does not have; None for fewer than four punctures, or all at one speed."""
     speed = np.array([each.speed_m_per_s for each in ruptures])
-    if len(ruptures) < 4 or not np.ptp(speed) > 0.2 * speed.mean():
+    if (
+        len(ruptures) < PUNCTURE_LIMITS.min_trend_punctures
+        or not np.ptp(speed) > PUNCTURE_LIMITS.min_speed_span * speed.mean()
+    ):
         return None
     by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
     change = by_speed.value * float(np.ptp(speed))
-    if by_speed.excludes_zero and abs(change) > 0.1 * amplitude.value:
+    if by_speed.excludes_zero and abs(change) > PUNCTURE_LIMITS.min_amplitude_change * amplitude.value:
         doubts.doubt(
             f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to {speed.max():.3g} m/s; "
             "the material has the mean"

@@ -21,9 +21,8 @@ import numpy as np
 
 from hapticd.analysis.recordings.sensor import Complexes, Sensor
 from hapticd.analysis.statistics import FitError, Floats
+from hapticd.fit.limits import RINGING_LIMITS
 
-LEAST_SAMPLES: Final = 16
-"""Samples."""
 OTHER_SHAPES: Final = ((2.0, 1.0), (0.5, 1.0), (1.0, 2.0), (2.0, 0.0), (0.5, 0.0))
 """Shapes beside a mode, times its B and w: of another decay, twice as fast, and pushes."""
 
@@ -88,7 +87,7 @@ def fit_ringing(
     begun from instead, without a search. The result is of the modes before the `sensor`. Raises FitError where
     nothing rings, or where the samples are too few.
     """
-    least = max(LEAST_SAMPLES, 2 * (3 * modes + 3))
+    least = max(RINGING_LIMITS.min_samples, 2 * (3 * modes + 3))
     if len(acceleration) < least:
         raise FitError(f"{len(acceleration)} samples are too few for {modes} modes: needs {least}")
     search = _Search(acceleration, rate_hz, sensor if sensor is not None and sensor.poles else None)
@@ -134,7 +133,7 @@ class _Search:
 
     def _best(self, signal: Floats, onset_s: float, beside: Floats) -> Floats:
         """The best place of the grid for one mode more, `beside` those of a place."""
-        first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - LEAST_SAMPLES // 2)
+        first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - RINGING_LIMITS.min_samples // 2)
         rings = signal[first:] - signal[first:].mean()
         power = np.abs(np.fft.rfft(rings, 8 * len(rings))) ** 2
         highest = 1 + int(np.argmax(power[1:]))
@@ -272,7 +271,9 @@ class _Search:
         spread /= np.outer(norms, norms)
         by_share = np.argsort(-np.abs(coefficients[:modes]) / np.sqrt(decay))
         order = np.concatenate((by_share, modes + by_share, 2 * modes + by_share, [3 * modes]))
-        rings = (self._time_s >= place[-1]) & (self._time_s <= place[-1] + 5.0 / decay.min())
+        rings = (self._time_s >= place[-1]) & (
+            self._time_s <= place[-1] + RINGING_LIMITS.judged_decay_times / decay.min()
+        )
         above = self._measured[rings] - columns[rings][:, modes:] @ coefficients[modes:]
         heard = float(above @ above)
         return Ringing(

@@ -6,7 +6,7 @@ The one with the lowest AICc (Akaike's criterion, corrected for few points; Burn
 
 S the weighted squares that it leaves over of n taps, k its parameters and the scale of the scatter. All have the same
 weights: of the noise, and of a scatter in proportion to the amplitude. A law that is lower than the line by less than
-BETTER_BY_AICC, or differs from it by less than BENT_PART, is a line.
+SPEED_LAW_LIMITS.min_aicc_gain, or differs from it by less than SPEED_LAW_LIMITS.min_bend, is a line.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 
@@ -31,21 +31,12 @@ from hapticd.analysis.statistics import (
     with_offset,
 )
 from hapticd.base.yaml_source import Json
+from hapticd.fit.limits import SPEED_LAW_LIMITS
 from hapticd.fit.verdict import Doubts
 
 LawKind: TypeAlias = Literal["line", "power", "table"]
 Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
 """Speeds in m/s, rising, and m/s^2."""
-
-LEAST_TAPS: Final = 3
-SPEEDS_M_PER_S: Final = (1e-3, 10.0)
-SIGNIFICANCE_LEVEL: Final = 0.01
-BENT_PART: Final = 0.05
-"""A(v) is reported to be no line through the origin where that is less likely by chance, and matters more than this."""
-MOST_TABLE_SPEEDS: Final = 8
-"""Speeds of a table of amplitudes, at most."""
-BETTER_BY_AICC: Final = 2.0
-"""Of AICc."""
 
 
 class Tap(Protocol):
@@ -64,7 +55,7 @@ class Tap(Protocol):
 
 def check_speeds(taps: Sequence[Tap]) -> None:
     """Raises FitError for speeds that cannot be, or where the fastest is less than 1.2 times the slowest."""
-    low, high = SPEEDS_M_PER_S
+    low, high = SPEED_LAW_LIMITS.min_speed_m_per_s, SPEED_LAW_LIMITS.max_speed_m_per_s
     slowest, fastest = min(taps, key=lambda tap: tap.speed_m_per_s), max(taps, key=lambda tap: tap.speed_m_per_s)
     for tap, allowed, unit in (
         (fastest, fastest.speed_m_per_s <= high, "is it in mm/s, or are columns swapped?"),
@@ -75,7 +66,7 @@ def check_speeds(taps: Sequence[Tap]) -> None:
                 f"{tap.recording}: the tap at {tap.onset_s:.4g} s has a speed of {tap.speed_m_per_s:.4g} m/s, taps "
                 f"have {low:g} to {high:g}: {unit}"
             )
-    if fastest.speed_m_per_s < 1.2 * slowest.speed_m_per_s:
+    if fastest.speed_m_per_s < SPEED_LAW_LIMITS.min_speed_ratio * slowest.speed_m_per_s:
         raise FitError(
             f"all {len(taps)} taps have about one speed ({slowest.speed_m_per_s:.4g} to "
             f"{fastest.speed_m_per_s:.4g} m/s): a slope over speed needs slow ones and fast ones"
@@ -94,7 +85,7 @@ def check_slope(slope: Estimate) -> None:
 def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
     """Raises FitError where the slope is none of a touch at an angular frequency, which is `named` so: their ratio is 1
     where a mass at this speed rings elastically; the paper's seven are 0.07 to 0.87."""
-    softest, hardest = 0.003, 10.0
+    softest, hardest = SPEED_LAW_LIMITS.min_slope_to_angular, SPEED_LAW_LIMITS.max_slope_to_angular
     ratio = slope_per_s / angular
     if not softest <= ratio <= hardest:
         raise FitError(
@@ -164,8 +155,8 @@ class Law:
         others = " and ".join(f"{above:.1f} for {names[kind]}" for kind, above in self.above.items() if above > 0)
         if self.kind == "line" and self.above.get("line", 0.0) > 0:
             return (
-                f"AICc of another law is lower by less than {BETTER_BY_AICC:g}, "
-                f"or it differs by less than {100 * BENT_PART:.0f} %"
+                f"AICc of another law is lower by less than {SPEED_LAW_LIMITS.min_aicc_gain:g}, "
+                f"or it differs by less than {100 * SPEED_LAW_LIMITS.min_bend:.0f} %"
             )
         return f"AICc is higher by {others}" if others else "the taps are too few to tell"
 
@@ -199,7 +190,7 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
         curve = power.coefficient_m_per_s2.value * speeds**power.exponent.value
         laid["power"] = (curve, criterion(curve, 2))
     # Of few taps, and of speeds that are hardly apart, some tables have fewer speeds than were asked for.
-    tried = (table(speeds, amplitudes, variances, count) for count in range(2, MOST_TABLE_SPEEDS + 1))
+    tried = (table(speeds, amplitudes, variances, count) for count in range(2, SPEED_LAW_LIMITS.max_table_speeds + 1))
     tables = list({len(points): points for points in tried}.values())
     chosen_table, least = tables[-1], math.inf
     for points in tables:
@@ -212,7 +203,7 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
     kind: LawKind = min(known, key=lambda each: known[each])
     size = np.maximum(line, np.finfo(np.float64).tiny)
     bent = float(np.sqrt(np.mean(((laid[kind][0] - line) / size) ** 2)))
-    if bent < BENT_PART or known.get("line", math.inf) < known[kind] + BETTER_BY_AICC:
+    if bent < SPEED_LAW_LIMITS.min_bend or known.get("line", math.inf) < known[kind] + SPEED_LAW_LIMITS.min_aicc_gain:
         kind = "line"
     kind = only or kind
     model = laid[kind][0]
@@ -234,7 +225,7 @@ def doubt_the_law(doubts: Doubts, law: Law, r_squared: float) -> None:
     if law.kind != "line":
         doubts.warn(f"A(v) is {law.named}, no line through the origin: {law.why}")
     # Where the amplitude hardly depends on the speed, r^2 says nothing: what counts is how far taps are from it.
-    if law.kind == "line" or law.left > 0.15:
+    if law.kind == "line" or law.left > SPEED_LAW_LIMITS.max_scatter:
         doubts.check("r^2 of the law of taps", r_squared if law.kind == "line" else law.r_squared)
 
 
@@ -261,12 +252,14 @@ def knots_of(speeds: Floats, count: int) -> Floats:
     order = np.sort(speeds)
     found: list[float] = []
     for speed in order[np.linspace(0, len(order) - 1, count).round().astype(int)]:
-        if not found or speed > 1.02 * found[-1]:
+        if not found or speed > SPEED_LAW_LIMITS.min_table_step * found[-1]:
             found.append(float(speed))
     return np.array(found)
 
 
-def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = MOST_TABLE_SPEEDS) -> Amplitudes:
+def table(
+    speeds: Floats, amplitudes: Floats, variances: Floats, most: int = SPEED_LAW_LIMITS.max_table_speeds
+) -> Amplitudes:
     """The straight lines between so many of the speeds that are nearest to the amplitudes, none below 0."""
     knots = knots_of(speeds, min(most, max(2, len(speeds) - 2)))
     nodes = np.concatenate(([0.0], knots))
@@ -348,7 +341,7 @@ def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, nois
     """The one tap, a quarter and more off, without which A(v) is a line through the origin; empty where there is
     none."""
     count = len(speeds)
-    if count < LEAST_TAPS + 3:
+    if count < SPEED_LAW_LIMITS.min_taps + 3:
         return ""
     scale = np.sqrt(np.mean(noise) / noise)
     x, y = speeds * scale, amplitudes * scale
@@ -360,7 +353,11 @@ def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, nois
     # n ways to be the farthest by chance.
     chance = count * improbable(line.squares, line.freedom, line.squares - float(added[index]), line.freedom - 1)
     off = float(amplitudes[index] / speeds[index] * (x[others] @ x[others]) / (x[others] @ y[others])) - 1
-    if chance > SIGNIFICANCE_LEVEL or abs(off) < 0.25 or _bends(speeds[others], amplitudes[others], noise[others]):
+    if (
+        chance > SPEED_LAW_LIMITS.significance
+        or abs(off) < SPEED_LAW_LIMITS.min_outlier_distance
+        or _bends(speeds[others], amplitudes[others], noise[others])
+    ):
         return ""
     side = "above" if off > 0 else "below"
     return (
@@ -384,7 +381,10 @@ def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
     curve, curved = laid(speeds, speeds**2, ones)
     for less, more, apart in ((offset, curve, curved - shifted), (origin, offset, shifted - straight)):
         part = float(np.sqrt(np.mean(apart**2))) / size
-        if part > BENT_PART and improbable(less.squares, less.freedom, more.squares, more.freedom) < SIGNIFICANCE_LEVEL:
+        if (
+            part > SPEED_LAW_LIMITS.min_bend
+            and improbable(less.squares, less.freedom, more.squares, more.freedom) < SPEED_LAW_LIMITS.significance
+        ):
             return True
     return False
 
@@ -392,12 +392,12 @@ def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
 def moves(speeds: Floats, logs: Floats, variances: Floats, what: str, least: float) -> str:
     """Whether a figure changes with the speed by `least` from the slowest tap to the fastest; empty where it does
     not."""
-    if len(speeds) < LEAST_TAPS + 2:
+    if len(speeds) < SPEED_LAW_LIMITS.min_taps + 2:
         return ""
     slope = with_offset(speeds, logs, variances).coefficients[0]
     freedom = len(speeds) - 2
-    # As many standard errors as t has at SIGNIFICANCE_LEVEL.
-    wide = (slope.high - slope.value) * student_t(freedom, 1 - SIGNIFICANCE_LEVEL) / student_t(freedom)
+    # As many standard errors as t has at SPEED_LAW_LIMITS.significance.
+    wide = (slope.high - slope.value) * student_t(freedom, 1 - SPEED_LAW_LIMITS.significance) / student_t(freedom)
     change = math.expm1(slope.value * float(np.ptp(speeds)))
     if not slope.value or abs(slope.value) < wide or abs(change) < least:
         return ""

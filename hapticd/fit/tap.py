@@ -12,7 +12,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -23,46 +23,13 @@ from hapticd.analysis.statistics import Estimate, FitError, Floats, Regression, 
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Attack, Mode
 from hapticd.fit import preparation, speed_law
+from hapticd.fit.limits import PREPARATION_LIMITS, SPEED_LAW_LIMITS, TAP_LIMITS
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit, fields_of
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.speed_law import LEAST_TAPS, SIGNIFICANCE_LEVEL, Amplitudes, Law, LawKind, Power
+from hapticd.fit.speed_law import Amplitudes, Law, LawKind, Power
 from hapticd.fit.verdict import Doubts, Exclusions
-
-LEAST_PEAK_TO_NOISE: Final = 8.0
-"""A tap's peak is at least so many times the noise."""
-SHORT_S: Final = 0.5
-REST_PART: Final = 0.1
-"""Of its largest change: what a recording changes less before is its rest."""
-APPROACH_S: Final = 0.01
-"""Speed is a position's over so long before the onset."""
-LEAST_WAY: Final = 4
-"""And over so many samples at least."""
-LEAST_RATE: Final = 2.05
-"""Samples in a cycle. So few are enough where the onset is known; at 2 amplitude and onset cannot be separated."""
-LEAST_REST: Final = 2
-"""Samples of rest before a tap,"""
-LEAST_REST_SAMPLES: Final = 8
-"""with which its onset is never asked for."""
-CLEAR_ONSET_SAMPLES: Final = 1.0
-"""With fewer, the onset lies behind the first of them, and is uncertain by less samples than this (one standard
-error)."""
-MOST_RELATIVE_ERROR: Final = 0.5
-"""A tap whose amplitude, decay or frequency is known less than this, one standard error, is not used."""
-LEAST_EXPLAINED: Final = 0.5
-"""A tap of whose variance less is explained is not used."""
-WELL_EXPLAINED: Final = 0.95
-"""Of the variance of the median tap: what explains less is reported."""
-SAME_FREQUENCY: Final = 0.1
-"""Frequencies within so much of one another are the same."""
-MOST_RESIDUAL_TO_NOISE: Final = 1.3
-"""A residual so many times the noise before the onset has more in it than noise."""
-REPORTED_SHAPE: Final = 0.02
-"""RMS over that of the ringing, from which on a shape of what is left over is reported."""
-LEAST_HZ: Final = 15.0
-"""What is slower than this is a hand's motion."""
-
 
 # ---- Onsets: what is loud in a recording -----------------------------------------------------------------------------
 
@@ -133,8 +100,8 @@ class Events:
             if low <= first < high:
                 begin, end = max(begin, low), min(end, high)
                 break
-        if first - begin < LEAST_REST:
-            raise Unusable(f"{first - begin} samples of rest before it, {LEAST_REST} are wanted")
+        if first - begin < TAP_LIMITS.min_rest_samples:
+            raise Unusable(f"{first - begin} samples of rest before it, {TAP_LIMITS.min_rest_samples} are wanted")
         return begin, end
 
     def check(self, begin: int, end: int) -> None:
@@ -155,20 +122,22 @@ class Events:
             return abs(given)
         assert position is not None
         end = max(0, math.floor(onset_s * rate_hz))
-        begin = max(self.room(index)[0], end - _samples(APPROACH_S, rate_hz, LEAST_WAY))
-        if end - begin < LEAST_WAY:
+        begin = max(
+            self.room(index)[0], end - _samples(TAP_LIMITS.approach_s, rate_hz, TAP_LIMITS.min_approach_samples)
+        )
+        if end - begin < TAP_LIMITS.min_approach_samples:
             raise Unusable(
-                f"its speed is not seen: {end - begin} samples of the position before it, {LEAST_WAY} are wanted"
+                f"its speed is not seen: {end - begin} samples of the position before it, {TAP_LIMITS.min_approach_samples} are wanted"
             )
         way = position[begin:end]
         time_s = np.arange(len(way)) / rate_hz
         line = np.polyfit(time_s, way - way[0], 1)
         off = way - way[0] - np.polyval(line, time_s)
-        left, whole, uneven = float(off @ off), float(np.sum((way - way.mean()) ** 2)), 0.5
-        if left > uneven * whole:
+        left, total = float(off @ off), float(np.sum((way - way.mean()) ** 2))
+        if left > TAP_LIMITS.max_approach_residual * total:
             raise Unusable(
-                f"it has no even way before it to tell its speed: a straight line leaves {100 * left / whole:.0f} % of "
-                f"the position's variance, {100 * uneven:.0f} % is the most",
+                f"it has no even way before it to tell its speed: a straight line leaves {100 * left / total:.0f} % of "
+                f"the position's variance, {100 * TAP_LIMITS.max_approach_residual:.0f} % is the most",
                 "approach",
             )
         return abs(float(line[0]))
@@ -179,11 +148,11 @@ def _checked(recording: Recording) -> Floats:
     name, acceleration, position = recording.name, recording.acceleration_m_per_s2, recording.position_m
     if acceleration is None:
         raise FitError(f"{name}: has no acceleration, which taps are fitted to")
-    largest, least = float(np.abs(acceleration).max()), 1e-3
+    largest, least = float(np.abs(acceleration).max()), TAP_LIMITS.min_acceleration_m_per_s2
     if 0 < largest < least:
         raise FitError(
             f"{name}: an acceleration of {largest:.3g} m/s^2 is none of a stylus ({least:g} to "
-            f"{preparation.TAP_ACCELERATION_M_PER_S2:g}): is it in another unit, or another column?"
+            f"{PREPARATION_LIMITS.max_tap_acceleration_m_per_s2:g}): is it in another unit, or another column?"
         )
     if recording.force_n is not None:
         force = preparation.force_of(recording)
@@ -202,10 +171,10 @@ def _checked(recording: Recording) -> Floats:
 def _base(acceleration: Floats, rate_hz: float) -> Floats:
     """Gravity and drift: medians over blocks of 50 ms, and straight lines between them; of a short recording that
     begins at rest the level of that rest, which slow ringing does not move."""
-    if len(acceleration) < SHORT_S * rate_hz:
+    if len(acceleration) < TAP_LIMITS.short_recording_s * rate_hz:
         off = np.abs(acceleration - acceleration[0])
-        rest = int(np.argmax(off > REST_PART * off.max()))
-        if rest >= LEAST_REST:
+        rest = int(np.argmax(off > TAP_LIMITS.max_rest_change * off.max()))
+        if rest >= TAP_LIMITS.min_rest_samples:
             return np.full(len(acceleration), np.median(acceleration[:rest]))
     blocks = np.array_split(acceleration, max(1, len(acceleration) // _samples(0.05, rate_hz, 32)))
     lengths = np.array([len(block) for block in blocks])
@@ -231,24 +200,24 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
         noise = float(np.percentile(blocks.std(axis=1), 20.0)) if len(blocks) else 0.0
         noise /= 1 - 0.842 / math.sqrt(2 * length)
         highest = float(size.max())
-        rest = int(np.argmax(size > REST_PART * highest))
-        if len(size) < SHORT_S * rate_hz and rest >= 5:
+        rest = int(np.argmax(size > TAP_LIMITS.max_rest_change * highest))
+        if len(size) < TAP_LIMITS.short_recording_s * rate_hz and rest >= 5:
             # A short recording may ring to its end. So few samples may be quieter than noise is, by chance.
             noise = min(noise, 2.0 * float(np.std(above[begin : begin + rest], ddof=1)))
-        if not highest > LEAST_PEAK_TO_NOISE * noise:
+        if not highest > TAP_LIMITS.min_peak_to_noise * noise:
             quiet.append("nothing" if highest == 0 else f"{highest / noise:.1f} times its noise")
             continue
         # A bound of the normal distribution's tail.
         loud_noise = math.sqrt(2 * math.log(len(size) / 0.01))
-        loud = np.flatnonzero(size > max(loud_noise * noise, 0.05 * highest))
+        loud = np.flatnonzero(size > max(loud_noise * noise, TAP_LIMITS.min_loud * highest))
         # Taps are apart by 20 ms without a loud sample.
-        for part in np.split(loud, np.flatnonzero(np.diff(loud) > 0.02 * rate_hz) + 1):
+        for part in np.split(loud, np.flatnonzero(np.diff(loud) > TAP_LIMITS.min_quiet_s * rate_hz) + 1):
             first, last = int(part[0]), int(part[-1])
             found.append(Event(begin + first, begin + last, noise, float(size[first : last + 1].max())))
     if not found:
         raise FitError(
             f"{recording.name}: no onset: its largest acceleration is {quiet[0]}, "
-            f"a tap has {LEAST_PEAK_TO_NOISE:g} times at least"
+            f"a tap has {TAP_LIMITS.min_peak_to_noise:g} times at least"
         )
     return found
 
@@ -260,7 +229,7 @@ def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) 
         return None
     if len(speed) != len(above):
         return np.abs(speed)
-    back = _samples(0.5 * APPROACH_S, recording.rate_hz, 4)
+    back = _samples(0.5 * TAP_LIMITS.approach_s, recording.rate_hz, 4)
     return np.array([np.median(np.abs(speed[max(0, each.first - back) : each.first + 1])) for each in events])
 
 
@@ -270,8 +239,12 @@ def _without_bounces(recording: Recording, events: Sequence[Event]) -> list[Even
     size_before, before = 0.0, 0
     for event in events:
         first, size = event.first, event.peak
-        soon = bool(kept) and first - kept[-1].first < 0.15 * recording.rate_hz
-        if soon and size < 0.8 * size_before and not _comes_by_itself(recording, kept[-1].first, before, first):
+        soon = bool(kept) and first - kept[-1].first < TAP_LIMITS.max_bounce_s * recording.rate_hz
+        if (
+            soon
+            and size < TAP_LIMITS.max_bounce_size * size_before
+            and not _comes_by_itself(recording, kept[-1].first, before, first)
+        ):
             before = first
             continue
         kept.append(event)
@@ -285,7 +258,7 @@ def _comes_by_itself(recording: Recording, touched: int, before: int, first: int
     speed and come back at it by a steady push."""
     if recording.speed_m_per_s is not None or recording.position_m is None:
         return False
-    half = _samples(0.5 * APPROACH_S, recording.rate_hz, 4)
+    half = _samples(0.5 * TAP_LIMITS.approach_s, recording.rate_hz, 4)
     if first - 2 * half <= before:
         return False
     way = recording.position_m[first - 2 * half : first]
@@ -295,7 +268,7 @@ def _comes_by_itself(recording: Recording, touched: int, before: int, first: int
     passed = half / recording.rate_hz
     ahead = (float(recording.position_m[touched]) - float(way.mean())) * math.copysign(1.0, speed)
     steady = abs(late - early) * (first - before) / recording.rate_hz < abs(speed) * passed
-    return abs(speed) >= speed_law.SPEEDS_M_PER_S[0] and ahead > 0.5 * abs(speed) * passed and steady
+    return abs(speed) >= SPEED_LAW_LIMITS.min_speed_m_per_s and ahead > 0.5 * abs(speed) * passed and steady
 
 
 def _samples(time_s: float, rate_hz: float, least: int) -> int:
@@ -402,7 +375,7 @@ def hits_of(recording: Recording, warnings: list[str], excluded: Exclusions) -> 
             raise FitError(f"{name}: most of what stands out is no tap, {first}")
     for fault, least, hint in (
         ("rate", 1, "record faster."),
-        ("approach", LEAST_TAPS, "is the position the right column?"),
+        ("approach", SPEED_LAW_LIMITS.min_taps, "is the position the right column?"),
     ):
         alike = [no for _, no in refused if no.fault == fault]
         if len(alike) >= least and len(alike) > len(found):
@@ -425,25 +398,25 @@ def _hit_of(loud: Events, index: int) -> TapHit:
     measured = loud.acceleration[begin:end]
     share = ringing.variance_accounted_for
     fault: Unusable | None
-    if share < LEAST_EXPLAINED:
-        wanted = f"{100 * LEAST_EXPLAINED:.0f} % are wanted"
+    if share < TAP_LIMITS.min_explained:
+        wanted = f"{100 * TAP_LIMITS.min_explained:.0f} % are wanted"
         fault = Unusable(f"a decaying sinusoid explains {100 * share:.0f} % of it, {wanted}", "shape")
     else:
         fault = _fault_of(rate_hz, event, ringing)
-    pair = pair_of(measured, rate_hz, ringing, sensor) if share < WELL_EXPLAINED else None
-    if pair and (pair.variance_accounted_for < LEAST_EXPLAINED or _fault_of(rate_hz, event, pair) is not None):
+    pair = pair_of(measured, rate_hz, ringing, sensor) if share < TAP_LIMITS.well_explained else None
+    if pair and (pair.variance_accounted_for < TAP_LIMITS.min_explained or _fault_of(rate_hz, event, pair) is not None):
         pair = None
     if fault is not None and pair is None:
         raise fault
     rest = event.first - room[0]
-    if rest < LEAST_REST_SAMPLES:
+    if rest < TAP_LIMITS.certain_rest_samples:
         off = math.sqrt(float(ringing.covariance[-1, -1])) * rate_hz
         place = begin - room[0] + ringing.onset_s * rate_hz
-        if place < 0 or off > CLEAR_ONSET_SAMPLES:
+        if place < 0 or off > TAP_LIMITS.max_onset_error_samples:
             raise Unusable(
                 f"{rest} samples of rest before it, and its onset is {place:.1f} samples behind the first of them, "
-                f"give or take {off:.2g}: {LEAST_REST_SAMPLES} samples are wanted, "
-                f"or an onset that is uncertain by {CLEAR_ONSET_SAMPLES:g} at most"
+                f"give or take {off:.2g}: {TAP_LIMITS.certain_rest_samples} samples are wanted, "
+                f"or an onset that is uncertain by {TAP_LIMITS.max_onset_error_samples:g} at most"
             )
     return TapHit(
         recording=recording.name,
@@ -472,7 +445,7 @@ def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing,
         onset = begin + ringing.onset_s * rate_hz
         decay = float(rate_hz / ringing.decay_rate_per_s[0])
         again = max(least, math.floor(onset - max(before, min(decay, 5 * before))))
-        end = min(most, max(math.ceil(onset + 7.0 * decay), math.ceil(onset) + 24))
+        end = min(most, max(math.ceil(onset + TAP_LIMITS.fit_decay_times * decay), math.ceil(onset) + 24))
         start = dataclasses.replace(ringing, onset_s=ringing.onset_s + (begin - again) / rate_hz)
         return fit_ringing(loud.acceleration[again:end], rate_hz, start=start, sensor=sensor), again
     except FitError as error:
@@ -482,14 +455,14 @@ def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing,
 def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None:
     """Why the modes are none that a tap could have."""
     for angular in ringing.angular_frequency_rad_per_s:
-        if slow := preparation.undersampled(rate_hz, float(angular) / (2 * math.pi), LEAST_RATE):
+        if slow := preparation.undersampled(rate_hz, float(angular) / (2 * math.pi), TAP_LIMITS.min_samples_per_cycle):
             return Unusable(f"it {slow}", "rate")
     uncertain, figure = _uncertainty(ringing)
-    if not uncertain < MOST_RELATIVE_ERROR:
+    if not uncertain < TAP_LIMITS.max_relative_error:
         times = event.peak / event.noise if event.noise > 0 else math.inf
-        known = f"its {figure} is uncertain by {100 * uncertain:.0f} %, {100 * MOST_RELATIVE_ERROR:.0f} % is the most"
+        known = f"its {figure} is uncertain by {100 * uncertain:.0f} %, {100 * TAP_LIMITS.max_relative_error:.0f} % is the most"
         # What stands out more, and still cannot be fitted, has another shape.
-        strong = 2.0 * LEAST_PEAK_TO_NOISE
+        strong = TAP_LIMITS.min_shapeless_peak_to_noise
         if times > strong:
             return Unusable(
                 f"its shape is no ringing: it stands {times:.0f} times out of the noise, but {known}", "shape"
@@ -497,9 +470,11 @@ def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None
         return Unusable(
             f"it is too weak for its noise: it stands {times:.1f} times out of it, {strong:g} are wanted, and {known}"
         )
-    lasts, glitch = rate_hz / float(ringing.decay_rate_per_s.max()), 2.0
-    if lasts < glitch:
-        return Unusable(f"a glitch: it falls to 1/e within {lasts:.2g} samples, {glitch:g} are wanted")
+    lasts = rate_hz / float(ringing.decay_rate_per_s.max())
+    if lasts < TAP_LIMITS.min_decay_samples:
+        return Unusable(
+            f"a glitch: it falls to 1/e within {lasts:.2g} samples, {TAP_LIMITS.min_decay_samples:g} are wanted"
+        )
     return None
 
 
@@ -558,7 +533,7 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
     one, two = float(left @ left), float(pair.residual @ pair.residual)
     turns = float(pair.angular_frequency_rad_per_s.min()) * len(head) / rate_hz
     chance = statistics.improbable(one, freedom, two, freedom - 3)
-    return pair if chance < SIGNIFICANCE_LEVEL and turns > math.pi else None
+    return pair if chance < SPEED_LAW_LIMITS.significance and turns > math.pi else None
 
 
 def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], SecondMode | None]:
@@ -566,7 +541,7 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
     them, the louder one first, and what they have in common. Elsewhere those taps that one mode does for."""
     alone = float(np.median([tap.variance_accounted_for for tap in taps])) if taps else 1.0
     pairs = [tap.pair for tap in taps if tap.pair is not None]
-    usual = None if alone >= WELL_EXPLAINED or len(pairs) < len(taps) / 2 else _usual_pair(pairs)
+    usual = None if alone >= TAP_LIMITS.well_explained or len(pairs) < len(taps) / 2 else _usual_pair(pairs)
     if usual is not None:
         used: list[TapHit] = []
         struck: list[tuple[TapHit, Ringing]] = []
@@ -579,7 +554,7 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
                 first = pair.of_modes([0])
                 used.append(dataclasses.replace(tap, ringing=first, measured=tap.measured[: len(first.residual)]))
                 struck.append((used[-1], pair))
-            elif tap.variance_accounted_for >= WELL_EXPLAINED and off < SAME_FREQUENCY:
+            elif tap.variance_accounted_for >= TAP_LIMITS.well_explained and off < TAP_LIMITS.max_frequency_difference:
                 used.append(tap)
             else:
                 others.append(tap)
@@ -589,7 +564,11 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
             for tap, pair in struck
             if np.sign(tap.coefficient_m_per_s2) == usual_sign
         ]
-        second = _common_pair(upright, _explained_by(upright), alone, True) if len(upright) >= LEAST_TAPS else None
+        second = (
+            _common_pair(upright, _explained_by(upright), alone, True)
+            if len(upright) >= SPEED_LAW_LIMITS.min_taps
+            else None
+        )
         if second is not None:
             for tap in others:
                 excluded.add(tap.recording, "it has not the two modes of the others", "tap", tap.onset_s)
@@ -605,15 +584,15 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
 def second_mode(taps: list[TapHit], explained: float) -> SecondMode | None:
     """A mode that most of the 12 loudest taps have besides, at one frequency, where one explains so much."""
     loudest = sorted(taps, key=lambda tap: tap.noise_m_per_s2 / tap.coefficient_m_per_s2)[:12]
-    coloured = [tap for tap in loudest if tap.colour > MOST_RESIDUAL_TO_NOISE]
-    enough = max(LEAST_TAPS, len(loudest) / 2)
+    coloured = [tap for tap in loudest if tap.colour > TAP_LIMITS.max_residual_to_noise]
+    enough = max(SPEED_LAW_LIMITS.min_taps, len(loudest) / 2)
     if len(coloured) < enough:
         return None
     tried = ((tap, pair_of(tap.measured, tap.rate_hz, tap.ringing, tap.sensor)) for tap in coloured)
     both = [(tap, pair) for tap, pair in tried if pair is not None]
     usual = _usual_pair([pair for _, pair in both]) if len(both) >= enough else None
     # A second mode explains a hundredth of the variance besides, at least.
-    if usual is None or _explained_by(both) < explained + 0.01:
+    if usual is None or _explained_by(both) < explained + TAP_LIMITS.min_second_gain:
         return None
     ordered = [(tap, same) for tap, pair in both if (same := _in_order(pair, usual)) is not None]
     return _common_pair(ordered, _explained_by(both), explained, False)
@@ -626,14 +605,14 @@ def _explained_by(both: Sequence[tuple[TapHit, Ringing]]) -> float:
 def _usual_pair(pairs: Sequence[Ringing]) -> Floats | None:
     """Logarithms of the two angular frequencies that most pairs have, of the louder one first; None where they do not
     agree."""
-    if len(pairs) < LEAST_TAPS:
+    if len(pairs) < SPEED_LAW_LIMITS.min_taps:
         return None
     # By frequency: which of them is louder may change from tap to tap.
     rising = [pair.of_modes(np.argsort(pair.angular_frequency_rad_per_s).tolist()) for pair in pairs]
     logs = np.log([pair.angular_frequency_rad_per_s for pair in rising])
     usual = np.median(logs, axis=0)
-    alike = np.all(np.abs(logs - usual) < SAME_FREQUENCY, axis=1)
-    if np.sum(alike) < max(LEAST_TAPS, 0.7 * len(pairs)):
+    alike = np.all(np.abs(logs - usual) < TAP_LIMITS.max_frequency_difference, axis=1)
+    if np.sum(alike) < max(SPEED_LAW_LIMITS.min_taps, TAP_LIMITS.min_same_pairs * len(pairs)):
         return None
     sizes = np.array([np.abs(pair.coefficients) / np.sqrt(pair.decay_rate_per_s) for pair in rising])[alike]
     return np.asarray(usual if np.median(sizes[:, 0] / sizes[:, 1]) >= 1 else usual[::-1])
@@ -642,7 +621,9 @@ def _usual_pair(pairs: Sequence[Ringing]) -> Floats | None:
 def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
     """With the modes in the order of these; None where they are others."""
     for order in ([0, 1], [1, 0]):
-        if np.all(np.abs(np.log(pair.angular_frequency_rad_per_s[order]) - usual) < SAME_FREQUENCY):
+        if np.all(
+            np.abs(np.log(pair.angular_frequency_rad_per_s[order]) - usual) < TAP_LIMITS.max_frequency_difference
+        ):
             return pair.of_modes(order)
     return None
 
@@ -669,10 +650,15 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: flo
     slope = through_origin(speeds, coefficients[:, 0], of_first, speeds**2).coefficients[0]
     ratio = common(ratios, _levelled(of_ratio, relative))
     decay, angular = shared("decay_rate_per_s", 2), shared("angular_frequency_rad_per_s", 4)
-    same = abs(angular[1].value - angular[0].value) < SAME_FREQUENCY
+    same = abs(angular[1].value - angular[0].value) < TAP_LIMITS.max_frequency_difference
     # In periods of its own; what falls to 1/e sooner is a pulse.
     lasts = math.exp(angular[1].value - decay[1].value) / (2 * math.pi)
-    if slope.value <= 0 or abs(ratio.value) > 10.0 or same or lasts < 0.3:
+    if (
+        slope.value <= 0
+        or abs(ratio.value) > TAP_LIMITS.max_second_ratio
+        or same
+        or lasts < TAP_LIMITS.min_second_periods
+    ):
         return None
     return SecondMode(
         frequency_hz=angular[1].mapped(_hertz),
@@ -792,8 +778,8 @@ def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -
     matter (2 % and 10 %); the other stays the common one. Else None."""
     speeds, (angulars, of_angular), (decays, of_decay) = figures.speeds, figures.angular, figures.decay
     moved = (
-        speed_law.moves(speeds, angulars, of_angular, "frequency", 0.02),
-        speed_law.moves(speeds, -decays, of_decay, "decay time", 0.1),
+        speed_law.moves(speeds, angulars, of_angular, "frequency", TAP_LIMITS.min_frequency_change),
+        speed_law.moves(speeds, -decays, of_decay, "decay time", TAP_LIMITS.min_decay_change),
     )
     if not any(moved):
         return None
@@ -958,8 +944,10 @@ def fit_tap(
         return found
 
     hits, second = as_pairs([hit for found in excluded.each(recordings, hits_in) for hit in found], excluded)
-    if len(hits) < LEAST_TAPS:
-        raise excluded.refused(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds")
+    if len(hits) < SPEED_LAW_LIMITS.min_taps:
+        raise excluded.refused(
+            f"{len(hits)} taps are too few: needs {SPEED_LAW_LIMITS.min_taps}, better ten, at different speeds"
+        )
     taps = _of_one_sign(hits, warnings, excluded)
     warnings = excluded.lines() + warnings
     speed_law.check_speeds(taps)
@@ -1027,7 +1015,7 @@ def _of_one_sign(hits: list[TapHit], warnings: list[str], excluded: Exclusions) 
         found.append(tap if usual > 0 else tap.turned())
     other = len(hits) - len(found)
     # One, or a quarter of them, is left out.
-    if len(found) < LEAST_TAPS or (other > 1 and other > 0.25 * len(hits)):
+    if len(found) < SPEED_LAW_LIMITS.min_taps or (other > 1 and other > TAP_LIMITS.max_other_sign * len(hits)):
         raise FitError(
             f"{other} of {len(hits)} taps begin the other way: a surface pushes one way; is there something else among "
             "them, or is the rate too low?"
@@ -1036,13 +1024,13 @@ def _of_one_sign(hits: list[TapHit], warnings: list[str], excluded: Exclusions) 
 
 
 def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapHit]) -> None:
-    if frequency_hz < LEAST_HZ:
+    if frequency_hz < TAP_LIMITS.min_frequency_hz:
         raise FitError(
-            f"what follows the onsets is of {frequency_hz:.3g} Hz, slower than {LEAST_HZ:g} Hz: a hand's motion, no tap"
+            f"what follows the onsets is of {frequency_hz:.3g} Hz, slower than {TAP_LIMITS.min_frequency_hz:g} Hz: a hand's motion, no tap"
         )
     longest_s = max(len(tap.measured) / tap.rate_hz for tap in taps)
     # A stretch is of seven decay times, where there is room.
-    if decay_time_s > 0.5 * longest_s:
+    if decay_time_s > TAP_LIMITS.max_decay * longest_s:
         raise FitError(
             f"what follows the onsets does not decay: by {decay_time_s:.3g} s to 1/e, and {longest_s:.3g} s were seen"
         )
@@ -1084,10 +1072,10 @@ def _doubt_the_mode(
             f"{1e3 * second.decay_time_s.value:.3g} ms and {second.ratio.value:.2g} times as strong explains "
             f"{together:.1f} % together with the first, which alone explains {100 * second.alone:.1f} %"
         )
-        poor = second.variance_accounted_for < WELL_EXPLAINED
+        poor = second.variance_accounted_for < TAP_LIMITS.well_explained
         if poor or not second.kept:
             doubts.add(poor, f"two explain {together:.1f} %")
-    elif explained < WELL_EXPLAINED:
+    elif explained < TAP_LIMITS.well_explained:
         doubts.add(True, "the rest is of another kind")
     else:
         doubts.add(False, _lack_of_fit(taps), "the figures may be farther off than their intervals say")
@@ -1110,9 +1098,11 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
     taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
     share = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
     chance = statistics.improbable(float(samples), samples, max(0.0, samples - taken), samples - size)
-    if share > REPORTED_SHAPE and (chance < SIGNIFICANCE_LEVEL or coloured > MOST_RESIDUAL_TO_NOISE):
+    if share > TAP_LIMITS.min_pattern and (
+        chance < SPEED_LAW_LIMITS.significance or coloured > TAP_LIMITS.max_residual_to_noise
+    ):
         return f"what is left over has a shape, {100 * share:.0f} % of the ringing"
-    if coloured > MOST_RESIDUAL_TO_NOISE and math.sqrt(left / heard) > REPORTED_SHAPE:
+    if coloured > TAP_LIMITS.max_residual_to_noise and math.sqrt(left / heard) > TAP_LIMITS.min_pattern:
         return f"what is left over is {coloured:.1f} times the noise before the taps"
     return ""
 

@@ -1,14 +1,14 @@
 """Textures from recorded strokes: peak and mean frequency, and how loud they are over speed and force.
 
 A stroke is cut into blocks of half a second, each with its own periodograms, speed and force. What the sensor hisses is
-read off the top of the spectrum and taken away; below LOW_HZ, where a hand trembles, the density goes on as it is just
+read off the top of the spectrum and taken away; below TEXTURE_LIMITS.min_frequency_hz, where a hand trembles, the density goes on as it is just
 above, and where it sinks into the hiss it goes on falling as it does in the octave before.
 
 The mean frequency is the power's centroid. The peak is that of a parabola in 1/density over the squared frequency
 within the half-power band, by Whittle's likelihood: a single resonance has just this shape. Intervals are jackknifed
 over groups of blocks, or over strokes where they differ by more than the blocks do by chance. Where the parabola of the
 upper quarter of the power has its peak elsewhere, the spectrum is no single resonance, and the interval takes in both.
-A peak is resolved where the density is lower on both sides: the spectrum ends below LOW_HZ, so that one which is as
+A peak is resolved where the density is lower on both sides: the spectrum ends below TEXTURE_LIMITS.min_frequency_hz, so that one which is as
 high there has its peak anywhere below. Then the interval begins at 0; it ends where the parabola's does, within the
 half-power band, or where the highest point lies in 97.5 % of resampled groups (Efron's bootstrap, 1979), if that is
 more.
@@ -27,38 +27,20 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, jackknife_error, least_squares
 from hapticd.base.lattice import coefficients_of
 from hapticd.fit import preparation
+from hapticd.fit.limits import PREPARATION_LIMITS, TEXTURE_LIMITS
 from hapticd.fit.preparation import Stroke, stroke_of
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit, fields_of
 from hapticd.fit.spectral_lines import report_lines, spectral_lines
 from hapticd.fit.verdict import Doubts, Exclusions
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
-
-LOW_HZ: Final = 20.0
-BLOCK_S: Final = 0.5
-LEAST_BLOCKS: Final = 8
-LEAST_FALL_OF_DENSITY: Final = 1.78
-"""From 0.325 to 0.445 of the rate, the density of noise with two poles at low frequency, filtered at this very rate;
-the samples of a continuous one fall by more."""
-JACKKNIFE_GROUPS: Final = 20
-"""Of blocks, at most, that the jackknife leaves out one at a time."""
-WIDE_TOP, NARROW_TOP = 0.5, 0.75
-"""Parts of the highest density: the peak is the top of a parabola through what is above the first, and checked by one
-through what is above the second."""
-SMOOTH_HZ: Final = 15.0
-"""Densities are means over so much to either side."""
-RMS_M_PER_S2: Final = (0.03, 300.0)
-"""Of a usual block; less is not felt."""
-MAX_ORDER: Final = 32
-"""Of autoregressive models."""
-
 
 # ---- Blocks: strokes in halves of a second ---------------------------------------------------------------------------
 
@@ -79,7 +61,7 @@ class StrokeBlocks:
 
 
 def _frequencies(rate_hz: float) -> Floats:
-    return np.asarray(np.fft.rfftfreq(round(BLOCK_S * rate_hz / 2), 1 / rate_hz), dtype=np.float64)
+    return np.asarray(np.fft.rfftfreq(round(TEXTURE_LIMITS.block_s * rate_hz / 2), 1 / rate_hz), dtype=np.float64)
 
 
 def _blocks_of(stroke: Stroke, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
@@ -92,7 +74,7 @@ def _blocks_of(stroke: Stroke, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
             f"{name}: sampled at {rate_hz:g} Hz, most others at {usual_hz:g} Hz: strokes of one texture need one rate"
         )
     # Three windows of Hann's in each block: at both ends, and half-way over the first.
-    block, length = round(BLOCK_S * rate_hz), round(BLOCK_S * rate_hz / 2)
+    block, length = round(TEXTURE_LIMITS.block_s * rate_hz), round(TEXTURE_LIMITS.block_s * rate_hz / 2)
     window = np.hanning(length + 1)[:-1]
     weights = np.zeros(block)
     firsts = (0, length // 2, block - length)
@@ -100,7 +82,7 @@ def _blocks_of(stroke: Stroke, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
         weights[first : first + length] += window**2
     weights /= weights.sum()
     speed, force = np.abs(stroke.speed), np.maximum(stroke.force, 0.0)
-    slowest = 0.2 * float(np.median(speed))
+    slowest = TEXTURE_LIMITS.min_block_speed * float(np.median(speed))
     spoilt = _spoilt(stroke, block, doubts)
     found, means = [], []
     for start in range(0, len(speed) - block + 1, block):
@@ -120,8 +102,8 @@ def _blocks_of(stroke: Stroke, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
     frequency = _frequencies(rate_hz)
     density, floor = _without_hiss(name, frequency, density, rate_hz)
     _refuse_motion(name, frequency, density.mean(axis=0))
-    just = (frequency >= LOW_HZ) & (frequency < 2 * LOW_HZ)
-    density[:, frequency < LOW_HZ] = density[:, just].mean(axis=1)[:, None]
+    just = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & (frequency < 2 * TEXTURE_LIMITS.min_frequency_hz)
+    density[:, frequency < TEXTURE_LIMITS.min_frequency_hz] = density[:, just].mean(axis=1)[:, None]
     # A sum over the bins is then the integral from 0 on.
     density[:, 0] /= 2
     return StrokeBlocks(stroke, density, np.array(means), floor, len(spoilt))
@@ -132,14 +114,18 @@ def _without_hiss(name: str, frequency: Floats, density: Floats, rate_hz: float)
     rate: where between 0.4 and 0.49 of the rate it is more than a twentieth of its highest."""
     hiss = (frequency > 0.4 * rate_hz) & (frequency < 0.49 * rate_hz)
     floor = float(np.mean(density[:, hiss]))
-    if floor > 0.05 * float(density[:, (frequency >= LOW_HZ) & ~hiss].mean(axis=0).max(initial=0.0)):
+    if floor > TEXTURE_LIMITS.max_floor * float(
+        density[:, (frequency >= TEXTURE_LIMITS.min_frequency_hz) & ~hiss].mean(axis=0).max(initial=0.0)
+    ):
         raise FitError(
             f"{name}: the spectrum goes on beyond half the rate of {rate_hz:g} Hz, or is the sensor's hiss "
             "alone: record at a higher rate, or with less noise"
         )
-    # A texture's own density falls there, by LEAST_FALL_OF_DENSITY at least; only what does not is the sensor's.
+    # A texture's own density falls there, by TEXTURE_LIMITS.min_density_fall at least; only what does not is the sensor's.
     nearer = float(np.mean(density[:, (frequency > 0.3 * rate_hz) & (frequency < 0.35 * rate_hz)]))
-    floor = min(max(0.0, (LEAST_FALL_OF_DENSITY * floor - nearer) / (LEAST_FALL_OF_DENSITY - 1)), floor)
+    floor = min(
+        max(0.0, (TEXTURE_LIMITS.min_density_fall * floor - nearer) / (TEXTURE_LIMITS.min_density_fall - 1)), floor
+    )
     return density - floor, floor
 
 
@@ -148,18 +134,18 @@ def _spoilt(stroke: Stroke, block: int, doubts: Doubts) -> set[int]:
     standard deviations of a block, which noise does not reach."""
     seen = stroke.acceleration
     starts = range(0, len(seen) - block + 1, block)
-    lost = {start for start in starts if np.mean(stroke.replaced[start : start + block]) > 0.02}
+    lost = {start for start in starts if np.mean(stroke.replaced[start : start + block]) > TEXTURE_LIMITS.max_replaced}
     knocks = []
     for start in starts:
         part = np.abs(seen[start : start + block] - np.median(seen[start : start + block]))
-        if part.max() > 15.0 * 1.4826 * np.median(part):
+        if part.max() > TEXTURE_LIMITS.knock_to_noise * 1.4826 * np.median(part):
             knocks.append(start)
     # Where more than a tenth of the blocks have them, it is a texture of knocks.
-    if 0 < len(knocks) <= max(1, 0.1 * len(starts)):
+    if 0 < len(knocks) <= max(1, TEXTURE_LIMITS.max_knock_blocks * len(starts)):
         at = knocks[0] + int(np.argmax(np.abs(seen[knocks[0] : knocks[0] + block])))
         doubts.warn(
             f"{stroke.recording.name}: the acceleration of {seen[at]:.4g} m/s^2 at "
-            f"{at / stroke.recording.rate_hz:.6g} s is a knock: {len(knocks) * BLOCK_S:g} s about such are left out"
+            f"{at / stroke.recording.rate_hz:.6g} s is a knock: {len(knocks) * TEXTURE_LIMITS.block_s:g} s about such are left out"
         )
         lost |= set(knocks)
     return lost
@@ -167,14 +153,14 @@ def _spoilt(stroke: Stroke, block: int, doubts: Doubts) -> set[int]:
 
 def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
     """FitError where most of the power is the hand's, or tones."""
-    low, whole = frequency < LOW_HZ, frequency >= LOW_HZ
+    low, whole = frequency < TEXTURE_LIMITS.min_frequency_hz, frequency >= TEXTURE_LIMITS.min_frequency_hz
     lowest = float(frequency[whole][np.argmax(smoothed(density, 2)[whole])])
-    if density[low].sum() > density[whole].sum() and lowest < 2 * LOW_HZ:
+    if density[low].sum() > density[whole].sum() and lowest < 2 * TEXTURE_LIMITS.min_frequency_hz:
         raise FitError(
-            f"{name}: most of it is below {LOW_HZ:g} Hz, and above it falls: a hand that moves, and no texture"
+            f"{name}: most of it is below {TEXTURE_LIMITS.min_frequency_hz:g} Hz, and above it falls: a hand that moves, and no texture"
         )
     loudest = np.sort(density[whole])[-3:]
-    if loudest.sum() > 0.5 * density[whole].sum():
+    if loudest.sum() > TEXTURE_LIMITS.max_tone * density[whole].sum():
         raise FitError(
             f"{name}: a tone at {frequency[whole][np.argmax(density[whole])]:.4g} Hz holds most of the power: hum, or "
             "something that rings, and no texture"
@@ -236,9 +222,9 @@ class _Blocks:
     def of(cls, cut: Sequence[StrokeBlocks], excluded: Exclusions) -> _Blocks:
         """FitError for too few of them, and for an RMS that is no texture's."""
         density = np.concatenate([each.density for each in cut])
-        if len(density) < LEAST_BLOCKS:
+        if len(density) < TEXTURE_LIMITS.min_blocks:
             raise excluded.refused(
-                f"{len(density) * BLOCK_S:g} s of strokes are too few: at least {LEAST_BLOCKS * BLOCK_S:g} s are needed"
+                f"{len(density) * TEXTURE_LIMITS.block_s:g} s of strokes are too few: at least {TEXTURE_LIMITS.min_blocks * TEXTURE_LIMITS.block_s:g} s are needed"
             )
         strokes = tuple(each.stroke for each in cut)
         stroke = np.repeat(np.arange(len(cut)), [len(each.density) for each in cut])
@@ -254,7 +240,13 @@ class _Blocks:
             raise FitError(f"{name}: what is there is no more than the sensor's hiss")
         rms = np.sqrt(power)
         usual = float(np.median(rms))
-        preparation.check_range(usual, *RMS_M_PER_S2, f"an RMS of {usual:.3g} m/s^2 is", "texture's")
+        preparation.check_range(
+            usual,
+            TEXTURE_LIMITS.min_rms_m_per_s2,
+            TEXTURE_LIMITS.max_rms_m_per_s2,
+            f"an RMS of {usual:.3g} m/s^2 is",
+            "texture's",
+        )
         return cls(strokes, stroke, frequency, density, tail, np.concatenate([each.means for each in cut]), rms)
 
     @property
@@ -289,7 +281,7 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
         return _parabola_peak(frequency, density)
 
     def upper(density: Floats) -> float:
-        return _parabola_peak(frequency, density, NARROW_TOP)
+        return _parabola_peak(frequency, density, TEXTURE_LIMITS.narrow_top)
 
     found = jackknifed(parabola, shape, strokes)
     top = jackknifed(upper, shape, strokes)
@@ -299,7 +291,7 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
         return Peak(found, True)
     # An interval may have run away, but nothing with less than half of the highest density is the peak.
     smooth, place = _highest(frequency, shape.mean(axis=0))
-    below = np.flatnonzero(smooth[place:] < WIDE_TOP * smooth[place])
+    below = np.flatnonzero(smooth[place:] < TEXTURE_LIMITS.wide_top * smooth[place])
     reach = min(found.high, float(frequency[place + below[0]] if len(below) else frequency[-1]))
     return Peak(Estimate(found.value, 0.0, max(_highest_resampled(frequency, shape), reach, found.value)), False)
 
@@ -312,7 +304,7 @@ def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) 
     value = figure(shape.mean(axis=0))
     error, freedom = _left_out(figure, shape, _groups_of(len(shape)))
     by_stroke = [np.flatnonzero(strokes == each) for each in np.unique(strokes)]
-    if 3 <= len(by_stroke) <= JACKKNIFE_GROUPS:
+    if 3 <= len(by_stroke) <= TEXTURE_LIMITS.jackknife_groups:
         wider, fewer = _left_out(figure, shape, by_stroke)
         if wider > error * math.sqrt(float(fdtri(fewer, freedom, 0.95))):
             error, freedom = wider, fewer
@@ -321,7 +313,7 @@ def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) 
 
 def _groups_of(blocks: int) -> list[Ints]:
     """Blocks in a row, by their numbers."""
-    edges = np.linspace(0, blocks, min(JACKKNIFE_GROUPS, blocks) + 1).round().astype(np.int64)
+    edges = np.linspace(0, blocks, min(TEXTURE_LIMITS.jackknife_groups, blocks) + 1).round().astype(np.int64)
     return [np.arange(low, high) for low, high in pairwise(edges)]
 
 
@@ -340,15 +332,15 @@ def smoothed(values: Floats, half: int) -> Floats:
 
 
 def _highest(frequency: Floats, density: Floats) -> tuple[Floats, int]:
-    """The density smoothed, and where it is highest above LOW_HZ."""
-    smooth = smoothed(density, max(1, round(SMOOTH_HZ / frequency[1])))
-    return smooth, int(np.argmax(np.where(frequency >= LOW_HZ, smooth, 0.0)))
+    """The density smoothed, and where it is highest above TEXTURE_LIMITS.min_frequency_hz."""
+    smooth = smoothed(density, max(1, round(TEXTURE_LIMITS.smoothing_hz / frequency[1])))
+    return smooth, int(np.argmax(np.where(frequency >= TEXTURE_LIMITS.min_frequency_hz, smooth, 0.0)))
 
 
-def _parabola_peak(frequency: Floats, shape: Floats, part: float = WIDE_TOP) -> float:
+def _parabola_peak(frequency: Floats, shape: Floats, part: float = TEXTURE_LIMITS.wide_top) -> float:
     """Of the band in which the density (frequencies,) is more than this part of its highest."""
     smooth, place = _highest(frequency, shape)
-    outside = (smooth <= part * smooth[place]) | (frequency < LOW_HZ)
+    outside = (smooth <= part * smooth[place]) | (frequency < TEXTURE_LIMITS.min_frequency_hz)
     low = int(np.flatnonzero(outside[:place])[-1]) + 1 if outside[:place].any() else 0
     high = place + int(np.argmax(outside[place:])) - 1 if outside[place:].any() else len(smooth) - 1
     band = slice(low, high + 1)
@@ -386,10 +378,13 @@ def _parabola_peak(frequency: Floats, shape: Floats, part: float = WIDE_TOP) -> 
 
 
 def _falls_below(frequency: Floats, shape: Floats, peak_hz: float) -> bool:
-    """Whether the density near LOW_HZ is less than within a fifth of the peak by more than chance."""
-    if peak_hz < 1.3 * LOW_HZ:
+    """Whether the density near TEXTURE_LIMITS.min_frequency_hz is less than within a fifth of the peak by more than chance."""
+    if peak_hz < 1.3 * TEXTURE_LIMITS.min_frequency_hz:
         return False
-    low = (frequency >= LOW_HZ) & (frequency <= LOW_HZ + max(frequency[1] * 2, (peak_hz - LOW_HZ) / 3))
+    low = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & (
+        frequency
+        <= TEXTURE_LIMITS.min_frequency_hz + max(frequency[1] * 2, (peak_hz - TEXTURE_LIMITS.min_frequency_hz) / 3)
+    )
     high = (frequency >= 0.8 * peak_hz) & (frequency <= 1.2 * peak_hz) & ~low
     if not low.any() or not high.any():
         return False
@@ -413,7 +408,7 @@ def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> flo
     """RMS difference of two densities (n,) over bands of a twelfth of an octave, as a periodogram itself scatters,
     where the second is within 20 dB of its peak."""
     smooth = smoothed(power, 2)
-    loud = (frequency >= LOW_HZ) & (smooth > 0.01 * smooth.max())
+    loud = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & (smooth > 0.01 * smooth.max())
     band = np.round(12 * np.log2(np.maximum(frequency, 1.0))).astype(int)
     differences = [
         10 * math.log10(float(model[here].mean() / power[here].mean()))
@@ -490,7 +485,7 @@ class ArModel:
 def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
     """A whole number of hertz, at most the recording's rate, 0.4 of which holds 0.995 of the power."""
     below = np.cumsum(np.maximum(shape, 0.0))
-    top = float(frequency[min(int(np.searchsorted(below, 0.995 * below[-1])), len(frequency) - 1)])
+    top = float(frequency[min(int(np.searchsorted(below, TEXTURE_LIMITS.model_power * below[-1])), len(frequency) - 1)])
     return min(rate_hz, 2 * float(frequency[-1]), float(math.ceil(max(top / 0.4, 100.0))))
 
 
@@ -504,12 +499,15 @@ def _models_of(blocks: _Blocks, rate_hz: float) -> tuple[ArModel, ...]:
         steady = max(float(np.ptp(values[here]) / np.mean(values[here])) for values in columns) < 0.5
         for part in [here.tolist()] if steady else [[member] for member in here.tolist()]:
             for place in places:
-                if all(abs(np.mean(values[part]) / np.mean(values[place]) - 1) < 0.1 for values in columns):
+                if all(
+                    abs(np.mean(values[part]) / np.mean(values[place]) - 1) < TEXTURE_LIMITS.max_model_difference
+                    for values in columns
+                ):
                     place += part
                     break
             else:
                 places.append(part)
-    kept = [place for place in places if len(place) >= 4]
+    kept = [place for place in places if len(place) >= TEXTURE_LIMITS.min_model_blocks]
     if not kept:
         raise FitError("no speed and force was held for 2 s: autoregressive models need steady strokes")
     return tuple(_model(blocks, place, rate_hz) for place in kept)
@@ -523,12 +521,12 @@ def _model(blocks: _Blocks, place: list[int], rate_hz: float) -> ArModel:
     frequency, power = blocks.frequency[below], np.maximum(density[below], 1e-6 * density.max())
     weights = np.full(len(frequency), frequency[1])
     weights[-1] /= 2
-    lags = np.arange(MAX_ORDER + 1)
+    lags = np.arange(TEXTURE_LIMITS.max_order + 1)
     correlation = np.cos(2 * math.pi * np.outer(lags, frequency) / rate_hz) @ (power * weights)
     # Of every order the last coefficient is the reflection, in the convention of hapticd.rendering.filter_design.
     stages = [-float(solve_toeplitz(correlation[:m], correlation[1 : m + 1])[-1]) for m in lags[1:]]
     errors = np.cumprod(1 - np.square(stages))
-    count = len(place) * BLOCK_S * rate_hz
+    count = len(place) * TEXTURE_LIMITS.block_s * rate_hz
     criteria = [count * math.log(errors[p - 1]) + 2 * (p + 1) * count / (count - p - 2) for p in lags[1:]]
     reflection = stages[: 1 + int(np.argmin(criteria))]
     model = float(correlation[0]) * power_spectrum((reflection, None), frequency, rate_hz)
@@ -606,7 +604,7 @@ def fit_texture(
     if not rates:
         raise FitError("no recordings")
     usual_hz = max(rates, key=rates.count)
-    stretches = preparation.stretches_of(recordings, BLOCK_S, excluded)
+    stretches = preparation.stretches_of(recordings, TEXTURE_LIMITS.block_s, excluded)
     while True:
         try:
             return _fitted(stretches, usual_hz, autoregressive, excluded)
@@ -630,14 +628,20 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
     centroid = np.array([blocks.centroid(each) for each in shape])
     peak = peak_of(blocks.frequency, shape, blocks.stroke)
     mean = jackknifed(blocks.centroid, shape, blocks.stroke)
-    if rate_hz < preparation.LEAST_RATE * mean.value:
+    if rate_hz < PREPARATION_LIMITS.min_samples_per_cycle * mean.value:
         raise FitError(f"the mean frequency is {mean.value:.4g} Hz, sampled at {rate_hz:g} Hz: the rate is too low")
     for place, recording in enumerate(recordings):
         here = blocks.stroke == place
         _refuse_two(recording.name, np.log(np.maximum(centroid[here], 1.0)), np.log(blocks.rms[here] / law[here]))
     # So seldom by chance that a good fit is not called fair for it.
     by_speed, by_force = preparation.moved_with(
-        blocks.speed, blocks.force, centroid, "mean frequency", 0.05, 0.99, doubts
+        blocks.speed,
+        blocks.force,
+        centroid,
+        "mean frequency",
+        TEXTURE_LIMITS.min_frequency_change,
+        TEXTURE_LIMITS.change_confidence,
+        doubts,
     )
     ar_rate: float | None = None
     models: tuple[ArModel, ...] = ()
@@ -669,7 +673,7 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
         blocks=tuple(Block(name, *map(float, each)) for name, each in zip(names, figures, strict=True)),
         warnings=tuple(doubts.warnings),
         judged=doubts.judged(
-            f"{len(centroid) * BLOCK_S:g} s of noise with its {found} and its mean at {mean.value:.4g} Hz"
+            f"{len(centroid) * TEXTURE_LIMITS.block_s:g} s of noise with its {found} and its mean at {mean.value:.4g} Hz"
             + (f", {len(models)} autoregressive models" if models else "")
         ),
         left_out=tuple(excluded.items),
@@ -700,7 +704,7 @@ class _TwoTextures(FitError):
 def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
     """_TwoTextures where a recording changes its pitch or loudness at once, by much."""
     count = len(pitch)
-    if count > 3 and float(np.std(pitch)) > 0.3:
+    if count > 3 and float(np.std(pitch)) > TEXTURE_LIMITS.max_pitch_scatter:
         raise _TwoTextures(
             name,
             f"two textures in one file, or none: the mean frequency goes from {math.exp(pitch.min()):.3g} to "
@@ -708,15 +712,20 @@ def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
         )
     for k in range(3, count - 2):
         # Steps in the logarithms that are two textures, where they are six standard errors.
-        for values, apart, what in ((pitch, 0.15, "mean frequency"), (loudness, 0.4, "loudness")):
+        for values, apart, what in (
+            (pitch, TEXTURE_LIMITS.min_pitch_step, "mean frequency"),
+            (loudness, TEXTURE_LIMITS.min_loudness_step, "loudness"),
+        ):
             one, other = values[:k], values[k:]
             step = float(other.mean() - one.mean())
             within = math.sqrt((k * float(np.var(one)) + (count - k) * float(np.var(other))) / (count - 2))
-            if abs(step) > apart and abs(step) > 6.0 * within * math.sqrt(1 / k + 1 / (count - k)):
+            if abs(step) > apart and abs(step) > TEXTURE_LIMITS.step_to_error * within * math.sqrt(
+                1 / k + 1 / (count - k)
+            ):
                 raise _TwoTextures(
                     name,
                     f"two textures in one file: the {what} changes {math.exp(step):.2f}-fold at about "
-                    f"{k * BLOCK_S:g} s; give each its own file",
+                    f"{k * TEXTURE_LIMITS.block_s:g} s; give each its own file",
                 )
 
 
@@ -725,7 +734,7 @@ def _doubt_the_peak(peak: Peak, autoregressive: bool, doubts: Doubts) -> None:
     if not peak.resolved:
         tell = doubts.warn if autoregressive else doubts.doubt
         tell(
-            f"the peak is not resolved: the spectrum is broad, or highest below {LOW_HZ:g} Hz; it lies between 0 and "
+            f"the peak is not resolved: the spectrum is broad, or highest below {TEXTURE_LIMITS.min_frequency_hz:g} Hz; it lies between 0 and "
             f"{peak.hz.high:.3g} Hz, and {peak.hz.value:.3g} Hz is a guess (--ar needs no peak)"
         )
     elif not autoregressive:

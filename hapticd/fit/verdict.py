@@ -1,7 +1,7 @@
 """The verdict on a fit: what is left out and why, and good, fair or poor, with the reasons.
 
 A fit collects its doubts in `Doubts`. Without one it is good; with one it is fair, and poor where a doubt says that
-the figures should not be used. AT_LEAST and AT_MOST have every threshold that a single value decides, of all kinds of
+the figures should not be used. LOWER_LIMITS and UPPER_LIMITS have every threshold that a single value decides, of all kinds of
 fits, with its reason; docs/fit.md has the same table, and a test compares them.
 """
 
@@ -34,7 +34,7 @@ class Rule(NamedTuple):
     """Of the warning, which there is besides the reason unless this is empty."""
 
 
-AT_LEAST: Final[Mapping[str, Rule]] = {
+LOWER_LIMITS: Final[Mapping[str, Rule]] = {
     "correlation of the law": Rule(
         0.7,
         0.5,
@@ -73,7 +73,7 @@ AT_LEAST: Final[Mapping[str, Rule]] = {
     "punctures": Rule(3.0, 2.0, "{value:.0f} punctures are few", "ten are better"),
 }
 """What is less than these is a doubt."""
-AT_MOST: Final[Mapping[str, Rule]] = {
+UPPER_LIMITS: Final[Mapping[str, Rule]] = {
     "half of a figure's interval": Rule(0.25, 0.5, "the {what} is uncertain: {within}"),
     "part of the loudness that is uncertain": Rule(
         0.25, 0.5, "the {what} gain is uncertain: {gain.low:.3g} to {gain.high:.3g}"
@@ -155,8 +155,8 @@ class Doubts:
         self.cases += other.cases
 
     def check(self, rule: str, value: float, **said: object) -> None:
-        """A reason where the value is beyond the rule's of AT_LEAST or AT_MOST. A value that is no number is poor."""
-        sign, bound = (1.0, AT_LEAST[rule]) if rule in AT_LEAST else (-1.0, AT_MOST[rule])
+        """A reason where the value is beyond the rule's of LOWER_LIMITS or UPPER_LIMITS. A value that is no number is poor."""
+        sign, bound = (1.0, LOWER_LIMITS[rule]) if rule in LOWER_LIMITS else (-1.0, UPPER_LIMITS[rule])
         if sign * value >= sign * bound.fair:
             return
         said |= {"value": value, "percent": 100 * value}

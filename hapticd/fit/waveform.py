@@ -17,7 +17,6 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 
@@ -25,25 +24,12 @@ from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_er
 from hapticd.base.yaml_source import Json
 from hapticd.config.waveform import LONGEST_S, MOST_SAMPLES, Curve
 from hapticd.fit import speed_law
+from hapticd.fit.limits import TAP_LIMITS, WAVEFORM_LIMITS
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.speed_law import Amplitudes
-from hapticd.fit.tap import LEAST_REST, Events, Unusable
+from hapticd.fit.tap import Events, Unusable
 from hapticd.fit.verdict import Doubts, Exclusions
-
-LEAST_PULSES: Final = 3
-LARGE_PART: Final = 0.6
-"""Of the peak."""
-CROSSING_PART: Final = 0.25
-"""Pulses begin to be laid over each other where they cross this part of their peak."""
-FAINT_ENERGY: Final = 5e-4
-"""What of the shape lies before its beginning, and what after its end, has at most this part of its energy."""
-ERROR_OVER_CHANGE: Final = 4 / 3
-"""How far samples are off, over what twice as many change: for errors that fall with the square of their distance."""
-LEAST_SAMPLES: Final = 8
-FADED_PART: Final = 0.2
-"""A shape that does not end is faded out over this part of its length."""
-
 
 # ---- Onsets: the pulses of recordings --------------------------------------------------------------------------------
 
@@ -84,10 +70,13 @@ class Pulse:
         return float(np.median(self.measured[:first]))
 
     def crossing_s(self) -> float:
-        """When the pulse, on its way to its first large value, passes CROSSING_PART of its peak; after the beginning of
+        """When the pulse, on its way to its first large value, passes WAVEFORM_LIMITS.crossing of its peak; after the beginning of
         the stretch."""
         size = np.abs(self.measured - self.rest)
-        level, peak = CROSSING_PART * float(size.max()), int(np.argmax(size >= LARGE_PART * size.max()))
+        level, peak = (
+            WAVEFORM_LIMITS.crossing * float(size.max()),
+            int(np.argmax(size >= WAVEFORM_LIMITS.large * size.max())),
+        )
         below = np.flatnonzero(size[:peak] < level)
         if not len(below):
             return 0.0
@@ -118,7 +107,7 @@ def _pulse(loud: Events, index: int) -> Pulse:
     """With 20 ms of rest before it, where there is so much. Raises Unusable."""
     first, (before, after) = loud.events[index].first, loud.room(index)
     name, rate_hz = loud.recording.name, loud.recording.rate_hz
-    begin = max(before, first - max(LEAST_REST, round(0.02 * rate_hz)))
+    begin = max(before, first - max(TAP_LIMITS.min_rest_samples, round(0.02 * rate_hz)))
     end = min(after, first + round(LONGEST_S * rate_hz))
     loud.check(begin, end)
     speed = loud.speed(index, first / rate_hz)
@@ -292,7 +281,7 @@ class Shape:
         whether it is faded out. Its first `rest` samples are before the contact.
 
         It begins at the last sample before its rise that is within three standard errors of the rest, and ends where no
-        more stands out of twice the standard errors than FAINT_ENERGY.
+        more stands out of twice the standard errors than WAVEFORM_LIMITS.max_faint_energy.
         """
         samples, rate_hz, equations = self.samples, self.rate_hz, self.equations
         quiet = samples[1 : 1 + rest]
@@ -303,27 +292,30 @@ class Shape:
         total = float(energy.sum())
         if not total > 0:
             raise FitError("the taps have no shape in common that stands out of what differs between them")
-        ahead = np.flatnonzero(np.cumsum(energy) <= FAINT_ENERGY * total)
-        rise = int(np.argmax(np.abs(samples) >= LARGE_PART * np.abs(samples).max()))
+        ahead = np.flatnonzero(np.cumsum(energy) <= WAVEFORM_LIMITS.max_faint_energy * total)
+        rise = int(np.argmax(np.abs(samples) >= WAVEFORM_LIMITS.large * np.abs(samples).max()))
         at_rest = np.flatnonzero(np.abs(samples - level)[:rise] <= 3.0 * noise[:rise])
         begin = max(int(steps[-1]) if len(steps) else 0 for steps in (ahead, at_rest))
         left, end = 0.0, len(samples) - 1
         while end > rise:
             left = max(0.0, left + samples[end] ** 2 - (2.0 * noise[end]) ** 2)
-            if left > FAINT_ENERGY * total:
+            if left > WAVEFORM_LIMITS.max_faint_energy * total:
                 break
             end -= 1
         end = min(len(samples) - 1, end + 1)
-        faded = end == len(samples) - 1 and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > 0.05
+        faded = (
+            end == len(samples) - 1
+            and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > WAVEFORM_LIMITS.max_end
+        )
         length_s = (end - begin) / rate_hz
         finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MOST_SAMPLES - 1) / max(length_s, 1e-9))
-        count = max(LEAST_SAMPLES, math.floor(length_s * finer_hz + 1e-9) + 1)
+        count = max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * finer_hz + 1e-9) + 1)
         moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in self.placed]
         # A pulse is evaluated for 1.3 times its length.
         pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(self.pulses, moved, strict=True)]
         found = Shape.of(pulses, moved, finer_hz, count, turns=4)
         if faded:
-            over = max(2, round(FADED_PART * count))
+            over = max(2, round(WAVEFORM_LIMITS.fade * count))
             found.samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
             found.samples[-1] = 0.0
         return found, faded
@@ -331,10 +323,10 @@ class Shape:
     def coarser(self) -> Shape:
         """The same with as few samples as do: the rate is halved as long as the shape explains a ten-thousandth less at
         most."""
-        least, shape = float(np.median(self.explained()[1])) - 1e-4, self
+        least, shape = float(np.median(self.explained()[1])) - WAVEFORM_LIMITS.max_coarse_loss, self
         while True:
             count = math.ceil((len(shape.samples) - 1) / 2) + 1
-            if count < LEAST_SAMPLES or shape.rate_hz < 200:
+            if count < WAVEFORM_LIMITS.min_samples or shape.rate_hz < 200:
                 return shape
             tried = Shape.of(self.pulses, shape.placed, shape.rate_hz / 2, count, turns=2)
             if float(np.median(tried.explained()[1])) < least:
@@ -363,7 +355,7 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
         above = pulse.measured - pulse.rest
         peak = float(above[np.argmax(np.abs(above))])
         placed.append(Placed(peak, pulse.rest, crossing - before_s, 0.0))
-    shape = Shape.of(pulses, placed, rate_hz, max(LEAST_SAMPLES, math.floor(length_s * rate_hz) + 1))
+    shape = Shape.of(pulses, placed, rate_hz, max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * rate_hz) + 1))
     found, faded = shape.trimmed(math.floor(rest_s * rate_hz))
     return found.coarser(), faded
 
@@ -380,7 +372,7 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
     half a sample behind (RMS); of the amplitudes theirs and that of the whole curve, as a peak between samples is
     missed by no less than the curve is.
     """
-    count, groups = len(shape.samples), min(len(shape.pulses), 16)
+    count, groups = len(shape.samples), min(len(shape.pulses), WAVEFORM_LIMITS.max_groups)
     samples, sizes = [], []
     for group in range(groups):
         kept = [index for index in range(len(shape.pulses)) if index % groups != group]
@@ -390,10 +382,10 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
         sizes.append(_ratio(found.placed, some))
     finer = Shape.of(shape.pulses, shape.placed, 2 * shape.rate_hz, 2 * count - 1, turns=2)
     between_s = np.arange(2 * count - 1) / (2 * shape.rate_hz)
-    changes = (ERROR_OVER_CHANGE * (finer.samples - shape.curve.at(between_s))) ** 2
+    changes = (WAVEFORM_LIMITS.error_to_change * (finer.samples - shape.curve.at(between_s))) ** 2
     # That a shape is faded out says nothing of the amplitudes.
-    whole = changes[: math.floor((1 - FADED_PART) * len(changes))] if faded else changes
-    off = ERROR_OVER_CHANGE * (_ratio(finer.placed, shape.placed) - 1.0)
+    whole = changes[: math.floor((1 - WAVEFORM_LIMITS.fade) * len(changes))] if faded else changes
+    off = WAVEFORM_LIMITS.error_to_change * (_ratio(finer.placed, shape.placed) - 1.0)
     # Squares in the mean over five neighbours, fewer near the ends: with few taps some are small by luck.
     squares = jackknife_error(np.array(samples))[1:-1] ** 2
     mean = np.convolve(squares, np.ones(5))[2:-2] / np.convolve(np.ones(count - 2), np.ones(5))[2:-2]
@@ -527,7 +519,7 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     doubts.check("variance that a waveform explains", share)
     if faded:
         reason = f"the pulses are not over after {1e3 * curve.length_s:.3g} ms"
-        doubts.add(False, reason, f"the waveform is faded out over its last {100 * FADED_PART:.0f} %")
+        doubts.add(False, reason, f"the waveform is faded out over its last {100 * WAVEFORM_LIMITS.fade:.0f} %")
     doubts.check("samples in a period of a waveform", resolved)
     speed_law.doubt_the_law(doubts, law, line.r_squared)
     excluded.report_taps(len(hits), doubts)
@@ -559,16 +551,18 @@ def _alike(
 ) -> tuple[Sequence[Pulse], Shape, bool, Floats]:
     """The pulses that have a shape in common, their shape, whether it is faded out, and what it explains of each of
     them without it; the other pulses are reported in `excluded`."""
-    if len(pulses) < LEAST_PULSES:
+    if len(pulses) < WAVEFORM_LIMITS.min_pulses:
         reasons = [*excluded.lines(), *earlier]
         why = f" ({'; '.join(reasons[:3])})" if reasons else ""
-        raise FitError(f"{len(pulses)} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{why}")
+        raise FitError(
+            f"{len(pulses)} taps are too few: needs {WAVEFORM_LIMITS.min_pulses}, better ten, at different speeds{why}"
+        )
     shape, faded = shape_of(pulses)
     explained, beside_noise = shape.explained()
     usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
     kept = []
     for pulse, placed, share in zip(pulses, shape.placed, beside_noise, strict=True):
-        if share < 0.5:
+        if share < WAVEFORM_LIMITS.min_explained:
             reason = f"the waveform of the others explains {100 * share:.0f} % of it"
         elif placed.amplitude * usual <= 0:
             reason = "it pushes the other way"
@@ -578,7 +572,7 @@ def _alike(
         excluded.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
     if len(kept) == len(pulses):
         return pulses, shape, faded, explained
-    if len(kept) < max(LEAST_PULSES, len(pulses) / 2):
+    if len(kept) < max(WAVEFORM_LIMITS.min_pulses, len(pulses) / 2):
         raise FitError(
             f"{len(pulses) - len(kept)} of {len(pulses)} taps have no waveform in common with the others: is it one "
             "material, tapped alike?"
