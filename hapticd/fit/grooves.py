@@ -34,7 +34,7 @@ from hapticd.fit.preparation import Stroke, stroke_of
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.spectral_lines import lines_in_residual, report_lines
-from hapticd.fit.verdict import LOWER_LIMITS, Doubts, Exclusions
+from hapticd.fit.verdict import LOWER_LIMITS, Warnings, Exclusions
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
 
@@ -554,7 +554,7 @@ def _late(jump: Complexes, mode: Mode) -> Floats:
 
 
 def _gains(
-    columns: Floats, amplitude: Floats, shifts: Floats, law: Robust, doubts: Doubts
+    columns: Floats, amplitude: Floats, shifts: Floats, law: Robust, warnings: Warnings
 ) -> tuple[list[Estimate], float]:
     """Of speed and of force, none below 0, of the law of both, whatever their signs; and the correlation. `columns` are
     speed and force (n, 2), `shifts` as of StrokeFit. FitError where a gain is negative beyond doubt."""
@@ -567,7 +567,7 @@ def _gains(
                 f"the {name} gain comes out negative ({gain.low:.3g} to {gain.high:.3g}): "
                 "strikes that weaken are not of this model; is a column swapped?"
             )
-        doubts.check_gain(name, gain, float(np.median(columns[:, which])), usual)
+        warnings.check_gain(name, gain, float(np.median(columns[:, which])), usual)
         if gain.value < 0:
             alone = robust(columns[:, [1 - which]], amplitude, shifts)
             gains[which], gains[1 - which] = Estimate(0.0, 0.0, max(0.0, gain.high)), alone.coefficients[0]
@@ -575,14 +575,14 @@ def _gains(
     return gains, correlation
 
 
-def _offset(columns: Floats, amplitude: Floats, shifts: Floats, doubts: Doubts) -> Estimate | None:
+def _offset(columns: Floats, amplitude: Floats, shifts: Floats, warnings: Warnings) -> Estimate | None:
     """A constant beside the two gains, which the model does not have; None where it cannot be separated from them."""
     columns = np.column_stack((columns, np.ones_like(amplitude)))
     if len(columns) <= 3 or not well_conditioned(columns):
         return None
     offset = robust(columns, amplitude, shifts).coefficients[2]
     if offset.excludes_zero:
-        doubts.check("offset", abs(offset.value) / float(amplitude.mean()), offset=offset)
+        warnings.check("offset", abs(offset.value) / float(amplitude.mean()), offset=offset)
     return offset
 
 
@@ -651,14 +651,14 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     Recordings, and stretches of them (of 0.1 s and more), that cannot be used are reported in `excluded`.
     """
     excluded = Exclusions() if excluded is None else excluded
-    doubts = Doubts()
+    warnings = Warnings()
     preparation.refuse_duplicates(recordings)
     stretches = preparation.stretches_of(recordings, GROOVE_LIMITS.min_stretch_s, excluded)
     fits = excluded.each(stretches, lambda each: StrokeFit(stroke_of(each, "grooves")))
     if not fits:
         raise excluded.refused(f"none of {len(recordings)} recordings can be used")
-    preparation.report_cleaning([each.stroke for each in fits], doubts)
-    excluded.report(recordings, doubts)
+    preparation.report_cleaning([each.stroke for each in fits], warnings)
+    excluded.report(recordings, warnings)
     _refuse_others(fits)
     recordings = [each.stroke.recording for each in fits]
     modes = [_mean_mode(each.groups) for each in fits]
@@ -673,7 +673,7 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     strikes = tuple(strike for each, mode in zip(fits, modes, strict=True) for strike in each.strikes(mode))
     strokes = tuple(each.modelled(mode) for each, mode in zip(fits, modes, strict=True))
     shifts = np.concatenate([each.shifts(mode) for each, mode in zip(fits, modes, strict=True)], 1)
-    _doubt_the_recordings(recordings, fits, strokes, frequency, doubts)
+    _check_recordings(recordings, fits, strokes, frequency, warnings)
     spacing = _spacing(fits)
     columns = np.array([(abs(strike.speed_m_per_s), strike.force_n) for strike in strikes])
     amplitude = np.array([strike.amplitude_m_per_s2 for strike in strikes])
@@ -685,17 +685,17 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
         f"strikes of {usual:.3g} m/s^2 are",
         "grooves'",
     )
-    preparation.check_force_varies(recordings, columns[:, 1], doubts)
+    preparation.check_force_varies(recordings, columns[:, 1], warnings)
     preparation.check_apart(columns[:, 0], columns[:, 1])
     law = robust(columns, amplitude, shifts)
-    (by_velocity, by_press), correlation = _gains(columns, amplitude, shifts, law, doubts)
+    (by_velocity, by_press), correlation = _gains(columns, amplitude, shifts, law, warnings)
     if law.outliers:
         first = strikes[law.outliers[0]]
         reason = f"{len(law.outliers)} of {len(strikes)} strikes are far off the others and do not count"
-        doubts.warn(f"{reason}; the first: {first.recording} at {first.time_s:.4g} s")
-        doubts.check("part left out", len(law.outliers) / len(strikes), left=reason)
-    offset = _offset(columns, amplitude, shifts, doubts)
-    doubts.check("correlation of the law", correlation, what="amplitudes")
+        warnings.note(f"{reason}; the first: {first.recording} at {first.time_s:.4g} s")
+        warnings.check("part left out", len(law.outliers) / len(strikes), left=reason)
+    offset = _offset(columns, amplitude, shifts, warnings)
+    warnings.check("correlation of the law", correlation, what="amplitudes")
     by_speed, by_force = preparation.moved_with(
         np.array([group.speed_m_per_s for group in groups]),
         np.array([group.force_n for group in groups]),
@@ -703,12 +703,12 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
         "frequency",
         GROOVE_LIMITS.min_frequency_change,
         GROOVE_LIMITS.change_confidence,
-        doubts,
+        warnings,
     )
     accounted = float(np.mean([stroke.variance_accounted_for for stroke in strokes]))
-    doubts.check("variance that grooves explain", accounted)
+    warnings.check("variance that grooves explain", accounted)
     for what, figure in (("spacing", spacing), ("frequency", frequency), ("decay time", decay)):
-        doubts.check_interval(what, figure)
+        warnings.check_interval(what, figure)
     return GroovesFit(
         spacing_m=spacing,
         frequency_hz=frequency,
@@ -722,8 +722,8 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
         variance_accounted_for=accounted,
         strikes=strikes,
         strokes=strokes,
-        warnings=tuple(doubts.warnings),
-        judged=doubts.judged(
+        warnings=tuple(warnings.lines),
+        judged=warnings.verdict(
             f"{len(strikes)} strikes {1e3 * spacing.value:.4g} mm apart, {frequency.value:.4g} Hz, decay time "
             f"{1e3 * decay.value:.3g} ms, amplitudes with a correlation of {correlation:.2f}"
         ),
@@ -749,20 +749,20 @@ def _refuse_others(fits: Sequence[StrokeFit]) -> None:
             )
 
 
-def _doubt_the_recordings(
+def _check_recordings(
     recordings: Sequence[Recording],
     fits: Sequence[StrokeFit],
     strokes: Sequence[ModelledStroke],
     frequency: Estimate,
-    doubts: Doubts,
+    warnings: Warnings,
 ) -> None:
     """Wrong units, hum, strikes that follow one another too soon, and a rate that is too low."""
-    preparation.report_gravity(recordings, doubts)
+    preparation.report_gravity(recordings, warnings)
     report_lines(
         strokes,
         lambda each, needed: lines_in_residual(each.acceleration_m_per_s2, each.model_m_per_s2, each.rate_hz, needed),
-        doubts,
+        warnings,
     )
     for each in fits:
-        doubts.check("cycles from strike to strike", each.cycles, name=each.name)
-    preparation.report_sampling(recordings, frequency.value, doubts)
+        warnings.check("cycles from strike to strike", each.cycles, name=each.name)
+    preparation.report_sampling(recordings, frequency.value, warnings)

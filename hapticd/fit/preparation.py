@@ -27,7 +27,7 @@ from hapticd.analysis.recordings.spans import Bools, Spans, spans_of
 from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, UnitError
 from hapticd.fit.limits import PREPARATION_LIMITS, SPEED_LAW_LIMITS
 from hapticd.fit.recording import Kind, Recording
-from hapticd.fit.verdict import ONE_PART, Doubts, Exclusions
+from hapticd.fit.verdict import ONE_PART, Warnings, Exclusions
 
 WORDS_OF_COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "acceleration_m_per_s2": ("the acceleration", "m/s^2"),
@@ -90,12 +90,12 @@ def _columns(recording: Recording) -> dict[str, Floats]:
     return {name: each for name in WORDS_OF_COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
 
 
-def report_cleaning(kept: Sequence[Cleaned], doubts: Doubts) -> None:
+def report_cleaning(kept: Sequence[Cleaned], warnings: Warnings) -> None:
     """What was left out of recordings, and where that is a doubt."""
-    doubts.warnings += [line for each in kept for line in each.warnings]
+    warnings.lines += [line for each in kept for line in each.warnings]
     count = sum(each.replaced.size for each in kept)
     part = sum(int(np.count_nonzero(each.replaced)) for each in kept) / max(1, count)
-    doubts.check("part left out", part, left=f"{100 * part:.0f} % of the samples are left out")
+    warnings.check("part left out", part, left=f"{100 * part:.0f} % of the samples are left out")
 
 
 class _Column:
@@ -361,7 +361,7 @@ def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) 
     if there < PREPARATION_LIMITS.min_complete * samples:
         raise FitError(
             f"{recording.name}: {reason}: {100 * there / samples:.0f} % of it is whole in stretches of {least_s:g} s, "
-            f"{100 * PREPARATION_LIMITS.min_complete:.0f} % are wanted"
+            f"{100 * PREPARATION_LIMITS.min_complete:.0f} % are needed"
         )
     excluded.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", ONE_PART)
     found = []
@@ -422,14 +422,14 @@ def pressed(recording: Recording) -> Floats:
     return values
 
 
-def check_force_varies(recordings: Sequence[Recording], force: Floats, doubts: Doubts) -> None:
+def check_force_varies(recordings: Sequence[Recording], force: Floats, warnings: Warnings) -> None:
     """FitError where every sample of all recordings has the same force; reported where they differ by less than a fifth
     of their mean."""
     every = np.concatenate([recording.force_n for recording in recordings if recording.force_n is not None])
     if not np.ptp(every) > 0:
         raise FitError(f"the force is {every[0]:g} N in every sample: was the sensor connected?")
     if float(np.ptp(force)) < PREPARATION_LIMITS.min_force_variation * abs(float(np.mean(force))):
-        doubts.doubt(
+        warnings.add_fair(
             f"the force hardly varies ({force.min():.3g} to {force.max():.3g} N): its gain takes in all that does not "
             "go with speed"
         )
@@ -456,13 +456,13 @@ def check_apart(speed: Floats, force: Floats) -> None:
 
 
 def moved_with(
-    speed: Floats, force: Floats, frequencies: Floats, named: str, least: float, level: float, doubts: Doubts
+    speed: Floats, force: Floats, frequencies: Floats, named: str, least: float, level: float, warnings: Warnings
 ) -> tuple[Estimate | None, Estimate | None]:
     """Slopes of frequencies (n,) over speed and force, where both vary apart from each other and from a constant. A
     doubt where one moves by this part of the mean at least, and more than chance makes of it at this level."""
     columns = np.column_stack((speed, force, np.ones_like(speed)))
     if len(speed) < 6 or not statistics.well_conditioned(columns):
-        doubts.warn(f"too few strokes at different speeds and forces to tell whether the {named} moves with them")
+        warnings.note(f"too few strokes at different speeds and forces to tell whether the {named} moves with them")
         return None, None
     line = statistics.least_squares(columns, frequencies)
     wider = statistics.student_t(line.freedom, level) / statistics.student_t(line.freedom)
@@ -471,7 +471,7 @@ def moved_with(
     ):
         change = slope.value * float(np.ptp(values))
         if abs(slope.value) > wider * (slope.high - slope.value) and abs(change) > least * float(frequencies.mean()):
-            doubts.doubt(
+            warnings.add_fair(
                 f"the {named} moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to {values.max():.3g} "
                 f"{unit}; the material has the mean"
             )
@@ -491,10 +491,10 @@ def gravity_of(recordings: Sequence[Recording]) -> list[str]:
     return found
 
 
-def report_gravity(recordings: Sequence[Recording], doubts: Doubts) -> None:
+def report_gravity(recordings: Sequence[Recording], warnings: Warnings) -> None:
     """A doubt for each recording whose rest value tells of another unit."""
     for line in gravity_of(recordings):
-        doubts.doubt(line)
+        warnings.add_fair(line)
 
 
 def undersampled(rate_hz: float, frequency_hz: float, least: float = PREPARATION_LIMITS.min_samples_per_cycle) -> str:
@@ -504,14 +504,14 @@ def undersampled(rate_hz: float, frequency_hz: float, least: float = PREPARATION
         return ""
     return (
         f"rings at {frequency_hz:.4g} Hz, and is sampled at {rate_hz:g} Hz, which is too low: less than "
-        f"{least:g} times that; {math.ceil(least * frequency_hz)} Hz are wanted"
+        f"{least:g} times that; {math.ceil(least * frequency_hz)} Hz are needed"
     )
 
 
-def report_sampling(recordings: Sequence[Recording], frequency_hz: float, doubts: Doubts) -> None:
+def report_sampling(recordings: Sequence[Recording], frequency_hz: float, warnings: Warnings) -> None:
     """Where the slowest recording has few samples in a cycle."""
     slowest = min(recording.rate_hz for recording in recordings)
-    doubts.check("samples in a cycle", slowest / frequency_hz, rate_hz=slowest, hz=frequency_hz)
+    warnings.check("samples in a cycle", slowest / frequency_hz, rate_hz=slowest, hz=frequency_hz)
 
 
 # ---- Strokes along the surface ---------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.verdict import Doubts, Exclusions
+from hapticd.fit.verdict import Warnings, Exclusions
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,8 @@ class _Puncture:
 
     def __init__(self, recording: Recording) -> None:
         self._kept = preparation.without_invalid_samples(recording, "puncture")
-        self.doubts = Doubts()
-        preparation.report_cleaning([self._kept], self.doubts)
+        self.warnings = Warnings()
+        preparation.report_cleaning([self._kept], self.warnings)
         recording = self._kept.recording
         name, rate_hz = recording.name, recording.rate_hz
         force, place = preparation.force_of(recording), recording.position_m
@@ -73,7 +73,7 @@ class _Puncture:
         self._speed = preparation.slope_of(place, rate_hz, 8 * PUNCTURE_LIMITS.max_drop_s)
         self._seen = preparation.acceleration_of(recording)
         self._load()
-        self._doubt_the_touch()
+        self._check_touch()
         self.rupture = self._ruptured()
 
     def _load(self) -> None:
@@ -103,7 +103,7 @@ class _Puncture:
         near = way < np.median(way)
         below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
         if abs(above - below) > PUNCTURE_LIMITS.max_stiffness_change * stiffness:
-            self._doubt(
+            self._warn(
                 "the stiffness changes on the way",
                 f"stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in",
             )
@@ -115,13 +115,13 @@ class _Puncture:
             quiet = self._force[: max(0, int(free[-1]) - 2 * half if len(free) else 0)]
             rest = float(np.median(quiet)) if len(quiet) >= 20 else 0.0
         if len(quiet) < 20:
-            self._doubt("begun in contact", "begins in contact: what the sensor reads without force is taken to be 0")
+            self._warn("begun in contact", "begins in contact: what the sensor reads without force is taken to be 0")
         self._load_n, self._stiffness_n_per_m, self._surface_m, self._rest_n = highest - rest, stiffness, surface, rest
 
-    def _doubt(self, what: str, text: str) -> None:
-        self.doubts.doubt_recording(what, f"{self._name}: {text}")
+    def _warn(self, what: str, text: str) -> None:
+        self.warnings.add_for_recording(what, f"{self._name}: {text}")
 
-    def _doubt_the_touch(self) -> None:
+    def _check_touch(self) -> None:
         """Whether it is softer at first: then the line begins behind the touch. A fiftieth of the load, or six standard
         errors of the force, is met a thirtieth of the depth before it is due on the line."""
         half = self._half
@@ -132,7 +132,7 @@ class _Puncture:
         due = self._surface_m + soft / self._stiffness_n_per_m
         early_m = due - float(np.mean(self._place[max(0, touched[0] - half) : touched[0] + half + 1]))
         if early_m > PUNCTURE_LIMITS.max_soft_depth * self._load_n / self._stiffness_n_per_m:
-            self._doubt(
+            self._warn(
                 "softer at first",
                 f"it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more behind the "
                 "touch, and depth is counted from there",
@@ -151,7 +151,7 @@ class _Puncture:
         ringing = self._ringing()
         left = float(np.median(force[at + 2 * half : at + 6 * half])) - self._rest_n
         if left > PUNCTURE_LIMITS.max_force_left * self._load_n:
-            self._doubt(
+            self._warn(
                 "force is left after the rupture",
                 f"{100 * left / self._load_n:.0f} % of the force is left after the rupture: something holds what went "
                 "in; the model has none of it",
@@ -167,7 +167,7 @@ class _Puncture:
                 raise FitError(f"{self._name}: ruptures at {places}: give each puncture its own file")
         share = ringing.variance_accounted_for
         if share < PUNCTURE_LIMITS.well_explained:
-            self.doubts.warn(f"{self._name}: one mode accounts for {100 * share:.0f} % of the ringing")
+            self.warnings.note(f"{self._name}: one mode accounts for {100 * share:.0f} % of the ringing")
         return Rupture(
             recording=self._name,
             time_s=(at + 0.5) / self._rate_hz,
@@ -210,7 +210,7 @@ class _Puncture:
         if ringing.variance_accounted_for < PUNCTURE_LIMITS.min_explained:
             raise FitError(
                 f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
-                f"{100 * PUNCTURE_LIMITS.min_explained:.0f} % are wanted"
+                f"{100 * PUNCTURE_LIMITS.min_explained:.0f} % are needed"
             )
         return ringing
 
@@ -270,11 +270,11 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
     Recordings that cannot be used, as those without a puncture, are reported in `excluded`.
     """
     excluded = Exclusions() if excluded is None else excluded
-    doubts = Doubts()
-    ruptures = _ruptures(recordings, excluded, doubts)
+    warnings = Warnings()
+    ruptures = _ruptures(recordings, excluded, warnings)
     by_name = {recording.name: recording for recording in recordings}
     used = [each for each in recordings if each.name in {rupture.recording for rupture in ruptures}]
-    preparation.report_gravity(used, doubts)
+    preparation.report_gravity(used, warnings)
 
     def lines(rupture: Rupture, needed: int) -> list[SpectralLine]:
         """Of the acceleration before the rupture."""
@@ -286,8 +286,8 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
         model[:until] = np.median(seen[:until]) if until else 0.0
         return lines_in_residual(seen, model, recording.rate_hz, needed)
 
-    report_lines(ruptures, lines, doubts)
-    doubts.check("punctures", len(ruptures))
+    report_lines(ruptures, lines, warnings)
+    warnings.check("punctures", len(ruptures))
 
     usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
     preparation.check_range(
@@ -307,29 +307,29 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
     }
     figures = {name: common(np.array([getattr(each, name) for each in ruptures])) for name in named}
     depth, frequency = figures["depth_m"], figures["frequency_hz"]
-    preparation.report_sampling(used, frequency.value, doubts)
-    by_speed = _amplitude_over_speed(ruptures, figures["amplitude_m_per_s2"], doubts)
+    preparation.report_sampling(used, frequency.value, warnings)
+    by_speed = _amplitude_over_speed(ruptures, figures["amplitude_m_per_s2"], warnings)
     for name in ("stiffness_n_per_m", "amplitude_m_per_s2", "decay_rate_per_s"):
         figure = figures[name]
         if figure.low <= 0:
             within = f"{figure.value:.3g} ({figure.low:.3g} to {figure.high:.3g})"
             raise FitError(f"the punctures do not agree on the {named[name]}: {within}")
     if depth.low <= 0 or depth.high - depth.low > depth.value:
-        doubts.warn(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
+        warnings.note(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
     for name, figure in figures.items():
         # The force is that of stiffness and depth.
         if name != "force_n":
-            doubts.check_interval(named[name], figure)
+            warnings.check_interval(named[name], figure)
     scatter = float(np.std([math.log(each.frequency_hz) for each in ruptures]))
-    doubts.check("scatter of the frequency", scatter, events="punctures", one="membrane")
+    warnings.check("scatter of the frequency", scatter, events="punctures", one="membrane")
     explained = float(np.median([each.variance_accounted_for for each in ruptures]))
-    doubts.check("variance that a rupture's mode explains", explained)
+    warnings.check("variance that a rupture's mode explains", explained)
     return PunctureFit(
         **figures,
         amplitude_per_speed_per_s=by_speed,
         ruptures=tuple(ruptures),
-        warnings=tuple(doubts.warnings),
-        judged=doubts.judged(
+        warnings=tuple(warnings.lines),
+        judged=warnings.verdict(
             f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, "
             f"{figures['stiffness_n_per_m'].value:.4g} N/m, ringing at {frequency.value:.4g} Hz"
         ),
@@ -337,8 +337,8 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
     )
 
 
-def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, doubts: Doubts) -> list[Rupture]:
-    """Two or more, each fitted alone; doubts are of those that are used. FitError where there are fewer."""
+def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, warnings: Warnings) -> list[Rupture]:
+    """Two or more, each fitted alone; warnings are of those that are used. FitError where there are fewer."""
     preparation.refuse_duplicates(recordings)
     found = excluded.each(recordings, _Puncture)
     if not found:
@@ -349,8 +349,8 @@ def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, doubts: Dou
     used = {each.recording for each in ruptures}
     for each in found:
         if each.rupture.recording in used:
-            doubts.merge(each.doubts)
-    excluded.report(recordings, doubts)
+            warnings.merge(each.warnings)
+    excluded.report(recordings, warnings)
     return ruptures
 
 
@@ -372,7 +372,7 @@ def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rup
     return [each for each, far in zip(ruptures, off, strict=True) if not far]
 
 
-def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, doubts: Doubts) -> Estimate | None:
+def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, warnings: Warnings) -> Estimate | None:
     """The slope, which the model does not have; None for fewer than four punctures, or all at one speed."""
     speed = np.array([each.speed_m_per_s for each in ruptures])
     if (
@@ -383,7 +383,7 @@ def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, doub
     by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
     change = by_speed.value * float(np.ptp(speed))
     if by_speed.excludes_zero and abs(change) > PUNCTURE_LIMITS.min_amplitude_change * amplitude.value:
-        doubts.doubt(
+        warnings.add_fair(
             f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to {speed.max():.3g} m/s; "
             "the material has the mean"
         )

@@ -17,7 +17,7 @@ import numpy as np
 
 from hapticd.analysis.statistics import Floats
 from hapticd.fit.limits import LINE_LIMITS
-from hapticd.fit.verdict import Doubts
+from hapticd.fit.verdict import Warnings
 
 _T = TypeVar("_T")
 
@@ -106,10 +106,12 @@ def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[Sp
     return found
 
 
-def report_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]], doubts: Doubts) -> None:
+def report_lines(
+    recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]], warnings: Warnings
+) -> None:
     """A doubt where there are lines, as of `common_lines`."""
     if hum := common_lines(recordings, lines_in):
-        doubts.doubt(described(hum))
+        warnings.add_fair(described(hum))
 
 
 def described(lines: Sequence[SpectralLine]) -> str:

@@ -32,7 +32,7 @@ from hapticd.analysis.statistics import (
 )
 from hapticd.base.yaml_source import Json
 from hapticd.fit.limits import SPEED_LAW_LIMITS
-from hapticd.fit.verdict import Doubts
+from hapticd.fit.verdict import Warnings
 
 LawKind: TypeAlias = Literal["line", "power", "table"]
 Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
@@ -220,13 +220,13 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
     )
 
 
-def doubt_the_law(doubts: Doubts, law: Law, r_squared: float) -> None:
+def check_law(warnings: Warnings, law: Law, r_squared: float) -> None:
     """Whether the speed says what the amplitude is; `r_squared` of the line."""
     if law.kind != "line":
-        doubts.warn(f"A(v) is {law.named}, no line through the origin: {law.why}")
+        warnings.note(f"A(v) is {law.named}, no line through the origin: {law.why}")
     # Where the amplitude hardly depends on the speed, r^2 says nothing: what counts is how far taps are from it.
     if law.kind == "line" or law.left > SPEED_LAW_LIMITS.max_scatter:
-        doubts.check("r^2 of the law of taps", r_squared if law.kind == "line" else law.r_squared)
+        warnings.check("r^2 of the law of taps", r_squared if law.kind == "line" else law.r_squared)
 
 
 def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:

@@ -39,7 +39,7 @@ from hapticd.fit.preparation import Stroke, stroke_of
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit, fields_of
 from hapticd.fit.spectral_lines import report_lines, spectral_lines
-from hapticd.fit.verdict import Doubts, Exclusions
+from hapticd.fit.verdict import Warnings, Exclusions
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
 # ---- Blocks: strokes in halves of a second ---------------------------------------------------------------------------
@@ -64,7 +64,7 @@ def _frequencies(rate_hz: float) -> Floats:
     return np.asarray(np.fft.rfftfreq(round(TEXTURE_LIMITS.block_s * rate_hz / 2), 1 / rate_hz), dtype=np.float64)
 
 
-def _blocks_of(stroke: Stroke, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
+def _blocks_of(stroke: Stroke, usual_hz: float, warnings: Warnings) -> StrokeBlocks:
     """A recording in blocks. FitError where its rate is another one, and where it is no texture."""
     from scipy.signal import periodogram
 
@@ -83,7 +83,7 @@ def _blocks_of(stroke: Stroke, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
     weights /= weights.sum()
     speed, force = np.abs(stroke.speed), np.maximum(stroke.force, 0.0)
     slowest = TEXTURE_LIMITS.min_block_speed * float(np.median(speed))
-    spoilt = _spoilt(stroke, block, doubts)
+    spoilt = _spoilt(stroke, block, warnings)
     found, means = [], []
     for start in range(0, len(speed) - block + 1, block):
         here = slice(start, start + block)
@@ -129,7 +129,7 @@ def _without_hiss(name: str, frequency: Floats, density: Floats, rate_hz: float)
     return density - floor, floor
 
 
-def _spoilt(stroke: Stroke, block: int, doubts: Doubts) -> set[int]:
+def _spoilt(stroke: Stroke, block: int, warnings: Warnings) -> set[int]:
     """First samples of the blocks that do not count: more than 2 % was not measured so, or something knocked: 15
     standard deviations of a block, which noise does not reach."""
     seen = stroke.acceleration
@@ -143,7 +143,7 @@ def _spoilt(stroke: Stroke, block: int, doubts: Doubts) -> set[int]:
     # Where more than a tenth of the blocks have them, it is a texture of knocks.
     if 0 < len(knocks) <= max(1, TEXTURE_LIMITS.max_knock_blocks * len(starts)):
         at = knocks[0] + int(np.argmax(np.abs(seen[knocks[0] : knocks[0] + block])))
-        doubts.warn(
+        warnings.note(
             f"{stroke.recording.name}: the acceleration of {seen[at]:.4g} m/s^2 at "
             f"{at / stroke.recording.rate_hz:.6g} s is a knock: {len(knocks) * TEXTURE_LIMITS.block_s:g} s about such are left out"
         )
@@ -423,19 +423,19 @@ def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> flo
 Gains: TypeAlias = tuple[Estimate, Estimate] | tuple[None, None]
 
 
-def _loudness(blocks: _Blocks, autoregressive: bool, doubts: Doubts) -> tuple[Floats, Gains, float]:
+def _loudness(blocks: _Blocks, autoregressive: bool, warnings: Warnings) -> tuple[Floats, Gains, float]:
     """RMS of each block as its law has it (blocks,), the gains of the law over speed and force, and its correlation;
     where these do not vary apart, the mean of each stroke, if models need no law."""
     if not autoregressive:
         preparation.check_apart(blocks.speed, blocks.force)
     if preparation.vary_apart(blocks.speed, blocks.force):
-        return _law(blocks.means[:, 2:], blocks.rms, doubts)
-    doubts.warn("speed and force vary too little, or together: no gains")
+        return _law(blocks.means[:, 2:], blocks.rms, warnings)
+    warnings.note("speed and force vary too little, or together: no gains")
     means = np.array([np.mean(blocks.rms[blocks.stroke == each]) for each in range(len(blocks.strokes))])
     return means[blocks.stroke], (None, None), math.nan
 
 
-def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, Gains, float]:
+def _law(moments: Floats, rms: Floats, warnings: Warnings) -> tuple[Floats, Gains, float]:
     """As of `_loudness`. The mean power of a block is g' M g, with the gains g and the block's moments M; its
     derivative 2 M g, relative to the power, gives the columns."""
     squares = moments[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
@@ -456,14 +456,14 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, Gains, f
     law = np.sqrt(np.einsum("i,kij,j->k", gains, squares, gains))
     for name, gain, square in (("velocity", velocity_gain, moments[:, 0]), ("force", force_gain, moments[:, 2])):
         if gain.high < 0:
-            doubts.doubt(f"the {name} gain is negative: {gain.low:.3g} to {gain.high:.3g}")
+            warnings.add_fair(f"the {name} gain is negative: {gain.low:.3g} to {gain.high:.3g}")
         else:
-            doubts.check_gain(name, gain, float(np.sqrt(np.median(square))), float(np.median(rms)))
+            warnings.check_gain(name, gain, float(np.sqrt(np.median(square))), float(np.median(rms)))
     if max(velocity_gain.value, force_gain.value) <= 0:
         raise FitError("neither speed nor force makes it louder: is a column swapped?")
     correlation = float(np.corrcoef(law, rms)[0, 1]) if np.ptp(law) > 0 and np.ptp(rms) > 0 else math.nan
-    doubts.check("distance from the law", float(np.std(np.log(rms / law))))
-    doubts.check("correlation of the law", correlation, what="loudness")
+    warnings.check("distance from the law", float(np.std(np.log(rms / law))))
+    warnings.check("correlation of the law", correlation, what="loudness")
     return law, (velocity_gain, force_gain), correlation
 
 
@@ -616,13 +616,13 @@ def fit_texture(
 
 def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
     """Of stretches of strokes. _TwoTextures where one of them is of more than one."""
-    doubts = Doubts()
-    blocks = _Blocks.of(_cut(stretches, rate_hz, excluded, doubts), excluded)
+    warnings = Warnings()
+    blocks = _Blocks.of(_cut(stretches, rate_hz, excluded, warnings), excluded)
     recordings = [each.recording for each in blocks.strokes]
-    preparation.report_gravity(recordings, doubts)
-    report_lines(blocks.strokes, lambda each, needed: spectral_lines(each.acceleration, rate_hz, needed), doubts)
-    preparation.check_force_varies(recordings, blocks.force, doubts)
-    law, (velocity_gain, force_gain), correlation = _loudness(blocks, autoregressive, doubts)
+    preparation.report_gravity(recordings, warnings)
+    report_lines(blocks.strokes, lambda each, needed: spectral_lines(each.acceleration, rate_hz, needed), warnings)
+    preparation.check_force_varies(recordings, blocks.force, warnings)
+    law, (velocity_gain, force_gain), correlation = _loudness(blocks, autoregressive, warnings)
     # Not by each block's own power, which goes with its peak.
     shape = blocks.density / (law**2)[:, None]
     centroid = np.array([blocks.centroid(each) for each in shape])
@@ -641,21 +641,21 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
         "mean frequency",
         TEXTURE_LIMITS.min_frequency_change,
         TEXTURE_LIMITS.change_confidence,
-        doubts,
+        warnings,
     )
     ar_rate: float | None = None
     models: tuple[ArModel, ...] = ()
     if autoregressive:
         ar_rate = _model_rate(blocks.frequency, shape.mean(axis=0), rate_hz)
         models = _models_of(blocks, ar_rate)
-    _doubt_the_peak(peak, autoregressive, doubts)
-    doubts.check_interval("mean frequency", mean)
+    _check_peak(peak, autoregressive, warnings)
+    warnings.check_interval("mean frequency", mean)
     if peak.resolved and not autoregressive:
         # The spectrum of the material knows peak and mean alone.
         power = shape.mean(axis=0) / (shape.mean(axis=0).sum() * blocks.frequency[1])
         model = power_spectrum(stochastic_filter(peak.hz.value, mean.value, rate_hz), blocks.frequency, rate_hz)
         apart = spectral_distance_db(blocks.frequency, model, np.maximum(power, 1e-6 * power.max()))
-        doubts.check("decibels between the spectra", apart)
+        warnings.check("decibels between the spectra", apart)
     found = f"peak at {peak.hz.value:.4g} Hz" if peak.resolved else f"peak below {peak.hz.high:.3g} Hz"
     names = [recordings[place].name for place in blocks.stroke]
     figures = zip(blocks.speed, blocks.force, blocks.rms, centroid, strict=True)
@@ -671,8 +671,8 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
         ar_rate_hz=ar_rate,
         ar_models=models,
         blocks=tuple(Block(name, *map(float, each)) for name, each in zip(names, figures, strict=True)),
-        warnings=tuple(doubts.warnings),
-        judged=doubts.judged(
+        warnings=tuple(warnings.lines),
+        judged=warnings.verdict(
             f"{len(centroid) * TEXTURE_LIMITS.block_s:g} s of noise with its {found} and its mean at {mean.value:.4g} Hz"
             + (f", {len(models)} autoregressive models" if models else "")
         ),
@@ -680,16 +680,18 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
     )
 
 
-def _cut(stretches: Sequence[Recording], rate_hz: float, excluded: Exclusions, doubts: Doubts) -> list[StrokeBlocks]:
+def _cut(
+    stretches: Sequence[Recording], rate_hz: float, excluded: Exclusions, warnings: Warnings
+) -> list[StrokeBlocks]:
     """Every stretch in blocks. FitError where none can be used."""
-    found = excluded.each(stretches, lambda each: _blocks_of(stroke_of(each, "texture"), rate_hz, doubts))
+    found = excluded.each(stretches, lambda each: _blocks_of(stroke_of(each, "texture"), rate_hz, warnings))
     if not found:
         raise excluded.refused("none of the recordings can be used")
-    preparation.report_cleaning([each.stroke for each in found], doubts)
-    excluded.report([each.stroke.recording for each in found], doubts)
+    preparation.report_cleaning([each.stroke for each in found], warnings)
+    excluded.report([each.stroke.recording for each in found], warnings)
     dropped = sum(each.lost for each in found)
     lost = dropped / (dropped + sum(len(each.density) for each in found))
-    doubts.check("part left out", lost, left=f"{100 * lost:.0f} % of the strokes are left out")
+    warnings.check("part left out", lost, left=f"{100 * lost:.0f} % of the strokes are left out")
     return found
 
 
@@ -729,13 +731,13 @@ def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
                 )
 
 
-def _doubt_the_peak(peak: Peak, autoregressive: bool, doubts: Doubts) -> None:
+def _check_peak(peak: Peak, autoregressive: bool, warnings: Warnings) -> None:
     """Whether there is one; autoregressive models have the spectrum as it is."""
     if not peak.resolved:
-        tell = doubts.warn if autoregressive else doubts.doubt
+        tell = warnings.note if autoregressive else warnings.add_fair
         tell(
             f"the peak is not resolved: the spectrum is broad, or highest below {TEXTURE_LIMITS.min_frequency_hz:g} Hz; it lies between 0 and "
             f"{peak.hz.high:.3g} Hz, and {peak.hz.value:.3g} Hz is a guess (--ar needs no peak)"
         )
     elif not autoregressive:
-        doubts.check_interval("peak frequency", peak.hz)
+        warnings.check_interval("peak frequency", peak.hz)

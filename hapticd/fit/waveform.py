@@ -29,7 +29,7 @@ from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.speed_law import Amplitudes
 from hapticd.fit.tap import Events, Unusable
-from hapticd.fit.verdict import Doubts, Exclusions
+from hapticd.fit.verdict import Warnings, Exclusions
 
 # ---- Onsets: the pulses of recordings --------------------------------------------------------------------------------
 
@@ -85,11 +85,11 @@ class Pulse:
         return (before + (level - low) / (high - low)) / self.rate_hz
 
 
-def pulses_of(recordings: Sequence[Recording], warnings: list[str], excluded: Exclusions) -> list[Pulse]:
+def pulses_of(recordings: Sequence[Recording], lines: list[str], excluded: Exclusions) -> list[Pulse]:
     """The taps of recordings, each with the rest before it; what cannot be used is reported in `excluded`."""
 
     def pulses_in(recording: Recording) -> list[Pulse]:
-        loud = Events(recording, warnings)
+        loud = Events(recording, lines)
         found = []
         for index, event in enumerate(loud.events):
             try:
@@ -487,10 +487,10 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     with the speed.
     """
     pulses, shape, faded, explained = _alike(pulses, earlier, excluded)
-    warnings = [*excluded.lines(), *earlier]
+    lines = [*excluded.lines(), *earlier]
     peaks = np.array([each.amplitude for each in shape.placed])
     if float(np.median(peaks)) < 0:
-        warnings.append("the taps push downwards: the acceleration is taken with its sign turned")
+        lines.append("the taps push downwards: the acceleration is taken with its sign turned")
         peaks = -peaks
     curve, (halves, of_amplitudes) = shape.curve, _uncertain(shape, faded)
     hits = tuple(
@@ -515,14 +515,14 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     share = float(np.median(explained))
     resolved = min(pulse.rate_hz for pulse in pulses) / curve.middle_hz
     law = speed_law.law_of(speeds, peaks, variances)
-    doubts = Doubts()
-    doubts.check("variance that a waveform explains", share)
+    warnings = Warnings()
+    warnings.check("variance that a waveform explains", share)
     if faded:
         reason = f"the pulses are not over after {1e3 * curve.length_s:.3g} ms"
-        doubts.add(False, reason, f"the waveform is faded out over its last {100 * WAVEFORM_LIMITS.fade:.0f} %")
-    doubts.check("samples in a period of a waveform", resolved)
-    speed_law.doubt_the_law(doubts, law, line.r_squared)
-    excluded.report_taps(len(hits), doubts)
+        warnings.add(False, reason, f"the waveform is faded out over its last {100 * WAVEFORM_LIMITS.fade:.0f} %")
+    warnings.check("samples in a period of a waveform", resolved)
+    speed_law.check_law(warnings, law, line.r_squared)
+    excluded.report_taps(len(hits), warnings)
     speed_law.check_hardness(slope.value, 2.0 * math.pi * curve.middle_hz, "the angular frequency of the pulses")
     r_squared = line.r_squared if law.kind == "line" else law.r_squared
     points = () if law.kind == "line" else law.points
@@ -537,8 +537,8 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
         samples_a_period=resolved,
         r_squared=line.r_squared,
         variance_accounted_for=share,
-        warnings=tuple(warnings + doubts.warnings),
-        judged=doubts.judged(
+        warnings=tuple(lines + warnings.lines),
+        judged=warnings.verdict(
             f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
             f"A(v) is {law.named} (r^2 {r_squared:.3f})",
         ),
