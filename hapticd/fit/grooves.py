@@ -34,7 +34,7 @@ from hapticd.fit.preparation import Stroke, stroke_of
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.spectral_lines import lines_in_residual, report_lines
-from hapticd.fit.verdict import LOWER_LIMITS, Warnings, Exclusions
+from hapticd.fit.verdict import LOWER_LIMITS, Exclusions, Warnings
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
 

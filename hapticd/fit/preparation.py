@@ -27,7 +27,7 @@ from hapticd.analysis.recordings.spans import Bools, Spans, spans_of
 from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, UnitError
 from hapticd.fit.limits import PREPARATION_LIMITS, SPEED_LAW_LIMITS
 from hapticd.fit.recording import Kind, Recording
-from hapticd.fit.verdict import ONE_PART, Warnings, Exclusions
+from hapticd.fit.verdict import ONE_PART, Exclusions, Warnings
 
 WORDS_OF_COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "acceleration_m_per_s2": ("the acceleration", "m/s^2"),

@@ -21,7 +21,7 @@ from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.verdict import Warnings, Exclusions
+from hapticd.fit.verdict import Exclusions, Warnings
 
 
 @dataclass(frozen=True, slots=True)

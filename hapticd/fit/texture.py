@@ -39,7 +39,7 @@ from hapticd.fit.preparation import Stroke, stroke_of
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit, fields_of
 from hapticd.fit.spectral_lines import report_lines, spectral_lines
-from hapticd.fit.verdict import Warnings, Exclusions
+from hapticd.fit.verdict import Exclusions, Warnings
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
 # ---- Blocks: strokes in halves of a second ---------------------------------------------------------------------------
