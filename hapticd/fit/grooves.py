@@ -682,8 +682,7 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
         usual,
         GROOVE_LIMITS.min_amplitude_m_per_s2,
         GROOVE_LIMITS.max_amplitude_m_per_s2,
-        f"strikes of {usual:.3g} m/s^2 are",
-        "grooves'",
+        "usual amplitude of the strikes",
     )
     preparation.check_force_varies(recordings, columns[:, 1], warnings)
     preparation.check_apart(columns[:, 0], columns[:, 1])

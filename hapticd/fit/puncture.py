@@ -294,8 +294,7 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
         usual,
         PUNCTURE_LIMITS.min_amplitude_m_per_s2,
         PUNCTURE_LIMITS.max_amplitude_m_per_s2,
-        f"a rupture of {usual:.3g} m/s^2 is",
-        "membrane's",
+        "usual amplitude of the ruptures",
     )
     named = {
         "depth_m": "rupture depth",

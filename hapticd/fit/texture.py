@@ -244,8 +244,7 @@ class _Blocks:
             usual,
             TEXTURE_LIMITS.min_rms_m_per_s2,
             TEXTURE_LIMITS.max_rms_m_per_s2,
-            f"an RMS of {usual:.3g} m/s^2 is",
-            "texture's",
+            "usual RMS",
         )
         return cls(strokes, stroke, frequency, density, tail, np.concatenate([each.means for each in cut]), rms)
 

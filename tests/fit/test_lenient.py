@@ -84,13 +84,13 @@ def fitted(folder: Path, capsys: pytest.CaptureFixture[str], kind: str, files: l
 BAD: Final = (
     ("tap", clip, "it is clipped at"),
     ("tap", silent, "no onset: its largest acceleration is"),
-    ("tap", too_fast, "is sampled at 10000 Hz, which is too low"),
+    ("tap", too_fast, "sampling rate of 10000 Hz is too low"),
     ("puncture", clip, "the ringing of the rupture is clipped at"),
     ("puncture", silent, "the acceleration moves by"),
-    ("puncture", too_fast, "Hz, and is sampled at 10000 Hz, which is too low"),
+    ("puncture", too_fast, "Hz, and its sampling rate of 10000 Hz is too low"),
     ("grooves", clip, "clipped at"),
     ("grooves", silent, "the acceleration moves by"),
-    ("grooves", too_fast, "Hz, and is sampled at 10000 Hz, which is too low"),
+    ("grooves", too_fast, "Hz, and its sampling rate of 10000 Hz is too low"),
     ("texture", clip, "clipped at"),
     ("texture", silent, "the acceleration moves by"),
     ("texture", too_fast, "left out: "),
@@ -260,7 +260,7 @@ def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
     (told,) = excluded.items
     assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in told.reason
     assert "0.214 of 10 s" in told.reason
-    with pytest.raises(FitError, match=r"0 % of it is whole in stretches of 5 s, 50 % are needed"):
+    with pytest.raises(FitError, match=r"0 % of it is in complete sections of 5 s, 50 % are needed"):
         whole_stretches(recording, 5.0, Exclusions())
 
 
@@ -268,5 +268,5 @@ def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
 def test_the_same_file_twice_is_refused_by_every_fit(fit: object) -> None:
     one = dataclasses.replace(taps_of([0.1, 0.2]), source=Source("a", "ab"), name="a")
     assert callable(fit)
-    with pytest.raises(FitError, match="b: holds the same as a, and would count twice; leave out one"):
+    with pytest.raises(FitError, match="b: duplicate of a, which would count twice; leave out one"):
         fit([one, dataclasses.replace(one, name="b")])

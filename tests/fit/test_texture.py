@@ -74,7 +74,7 @@ def test_a_frequency_that_moves_with_speed_is_told() -> None:
         for k, (speed, force) in enumerate(PLACES[:4])
     ]
     fit = fit_texture(recordings)
-    assert any("moves with speed" in warning for warning in fit.warnings)
+    assert any("changes with speed" in warning for warning in fit.warnings)
     assert fit.mean_per_speed_hz_s_per_m is not None
     assert fit.mean_per_speed_hz_s_per_m.low > 0
 
@@ -161,7 +161,7 @@ SPOILT: list[tuple[Callable[[Recording], dict[str, object]], str]] = [
             "speed_m_per_s": 0.05,
             "force_n": each.force_n / each.force_n.mean(),
         },
-        "told apart",
+        "be separated",
     ),
     (lambda each: {"acceleration_m_per_s2": 1e3 * each.acceleration_m_per_s2}, "unit"),
     (lambda each: {"acceleration_m_per_s2": 1e-3 * each.acceleration_m_per_s2}, "unit"),

@@ -50,7 +50,9 @@ def test_a_verdict_in_words() -> None:
     for name in "ab":
         warnings.add_for_recording("softer at first", f"{name}: softer by 1 mm")
     warnings.add_fair("hum")
-    assert str(warnings.verdict("ten taps", "on a line")) == "fair: ten taps, but hum; softer at first (in 2 recordings)"
+    assert (
+        str(warnings.verdict("ten taps", "on a line")) == "fair: ten taps, but hum; softer at first (in 2 recordings)"
+    )
     assert warnings.lines == ["as good with it", "a: softer by 1 mm", "b: softer by 1 mm", "hum"]
 
 
