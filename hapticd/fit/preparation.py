@@ -459,21 +459,21 @@ def check_range(usual: float, least: float, most: float, figure: str) -> None:
         )
 
 
-def vary_apart(speed: Floats, force: Floats) -> bool:
+def vary_independently(speed: Floats, force: Floats) -> bool:
     """Return whether speed and force (n,) vary independently."""
     return statistics.well_conditioned(np.column_stack((speed, force)), 20)
 
 
-def check_apart(speed: Floats, force: Floats) -> None:
+def check_independent(speed: Floats, force: Floats) -> None:
     """Raise FitError if speed and force (n,) do not vary independently."""
-    if not vary_apart(speed, force):
+    if not vary_independently(speed, force):
         raise FitError(
             f"speed ({speed.min():.3g} to {speed.max():.3g} m/s) and force ({force.min():.3g} to {force.max():.3g} N) "
             "rise and fall together or not at all, so that their gains cannot be separated: vary them independently"
         )
 
 
-def moved_with(
+def changes_with(
     speed: Floats, force: Floats, frequencies: Floats, named: str, least: float, level: float, warnings: Warnings
 ) -> tuple[Estimate | None, Estimate | None]:
     """Return the slopes of frequencies (n,) over speed and over force, or None if these do not vary independently.

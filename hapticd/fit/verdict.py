@@ -45,7 +45,7 @@ LOWER_LIMITS: Final[Mapping[str, Rule]] = {
         "the gains in the material say little",
     ),
     "variance that grooves explain": Rule(
-        0.8, 0.6, "one mode accounts for {percent:.0f} % of the variance", "grooves ring with more"
+        0.8, 0.6, "one mode explains {percent:.0f} % of the variance", "grooves ring with more"
     ),
     "variance that a rupture's mode explains": Rule(
         0.9, 0.8, "one mode explains {percent:.0f} % of the ringing", "membranes ring with more"
