@@ -183,13 +183,13 @@ def noises() -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]]:
     random, time = np.random.default_rng(1), np.arange(40_000) / 10_000
     white = random.standard_normal(len(time))
     return {
-        "hiss": white,
+        "the sensor's noise": white,
         "tone": 5 * np.sin(2 * np.pi * 200 * time) + 0.02 * white,
-        "moves": np.cumsum(random.standard_normal(len(time))) * 0.02,
+        "motion of a hand": np.cumsum(random.standard_normal(len(time))) * 0.02,
     }
 
 
-@pytest.mark.parametrize("what", ["hiss", "tone", "moves"])
+@pytest.mark.parametrize("what", ["the sensor's noise", "tone", "motion of a hand"])
 def test_what_is_no_texture(what: str) -> None:
     one = texture(sandpaper(160.0, 210.0), 0.1, 1.0, Stylus(rate_hz=10_000.0), Hand(duration_s=4.0))
     spoilt = dataclasses.replace(one, acceleration_m_per_s2=noises()[what], source=Source("noise", ""))
