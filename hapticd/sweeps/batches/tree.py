@@ -24,7 +24,7 @@ from hapticd.analysis.recordings.files import TABLE_READERS, ending_of
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names, quoted
 from hapticd.base.yaml_source import one_line
 from hapticd.config.materials import MAX_PROVENANCE_FILES, validate_materials
-from hapticd.fit.options import KEY_OF, FitOptions
+from hapticd.fit.options import MATERIAL_KEYS, FitOptions
 from hapticd.fit.recording import Kind
 from hapticd.sweeps.batches.folder_yaml import NAME, TAKEN_BY, BatchFolder, FolderYaml, key_of, merged, options_of
 
@@ -245,7 +245,7 @@ class _Reader:
         """What one material may have."""
         if not kinds and len(levels) == 1 and not levels[0].recordings and not levels[0].folders:
             self.fault(name, f"holds no recordings: they stand in a folder {_KNOWN}, or in it with kind in {NAME}")
-        if len({KEY_OF[kind] for kind in kinds}) < len(kinds):
+        if len({MATERIAL_KEYS[kind] for kind in kinds}) < len(kinds):
             self.fault(name, "has grooves and a texture, and a material has one of them: leave out one folder")
         count = sum(len(level.recordings) for level in kinds.values())
         if count > MAX_PROVENANCE_FILES:
