@@ -335,8 +335,8 @@ class StrokeFit:
         """Return mode and onsets, refined three times in turn; an onset moves by at most a sixth of a cycle."""
         for _ in range(3):
             mode = self._refined(mode, self._windows(mode, onsets))
-            jump, whole = self._jumps(mode, onsets)
-            late = np.where(whole, _late(jump, mode), 0.0)
+            jump, complete = self._jumps(mode, onsets)
+            late = np.where(complete, _late(jump, mode), 0.0)
             limit = 1 / (6 * mode.frequency_hz)
             onsets = np.sort(onsets + np.clip(late, -limit, limit))
         return mode, onsets
@@ -410,8 +410,8 @@ class StrokeFit:
     def row(self) -> tuple[Floats, Ints]:
         """Places of the strikes and numbers of their grooves, without the first: its time is not refined."""
         place = self._places(self._onsets)
-        whole = self._jumps(self.mode, self._onsets)[1]
-        return place[whole], row_of(place).number[whole]
+        complete = self._jumps(self.mode, self._onsets)[1]
+        return place[complete], row_of(place).number[complete]
 
     @property
     def spacing_m(self) -> float:
@@ -433,16 +433,16 @@ class StrokeFit:
         """Return the step in z at each strike, and whether it has a fitted ringing on either side."""
         windows = self._windows(mode, onsets)
         z = np.zeros(len(onsets), dtype=np.complex128)
-        whole = np.zeros(len(onsets), dtype=np.bool_)
+        complete = np.zeros(len(onsets), dtype=np.bool_)
         if len(windows.used) == 0:
-            return z, whole
+            return z, complete
         z[windows.used] = windows.solved(mode)[0]
-        whole[windows.used] = True
+        complete[windows.used] = True
         jump = z.copy()
         jump[1:] -= z[:-1] * np.exp(_pole(mode) * np.diff(onsets))
-        whole[1:] &= whole[:-1].copy()
-        whole[0] = False
-        return jump, whole
+        complete[1:] &= complete[:-1].copy()
+        complete[0] = False
+        return jump, complete
 
     def _left(self, mode: Mode) -> float:
         """Return the sum of squared residuals of a mode after refinement."""
@@ -505,35 +505,35 @@ class StrokeFit:
 
     def _sizes(self, mode: Mode) -> tuple[Floats, Bools]:
         """Return the amplitudes of all strikes, positive along the motion, and which have a ringing on either side."""
-        jump, whole = self._jumps(mode, self._onsets)
+        jump, complete = self._jumps(mode, self._onsets)
         # Strikes near replaced samples are not used.
         at = np.round(self._onsets * self._rate_hz).astype(np.int64)
         reach = max(1, round(self._rate_hz / mode.frequency_hz))
         low, high = np.maximum(at - reach, 0), np.minimum(at + reach + 1, len(self._seen))
         replaced = np.concatenate(([0], np.cumsum(self.stroke.replaced)))
-        whole &= replaced[high] == replaced[low]
+        complete &= replaced[high] == replaced[low]
         along = jump * np.sign(self._moved(self._onsets)[0])
-        along *= np.sign(np.sum(along.real[whole])) or 1.0
-        return np.abs(along) * np.exp(-mode.decay_rate_per_s * _late(along, mode)) * np.sign(along.real), whole
+        along *= np.sign(np.sum(along.real[complete])) or 1.0
+        return np.abs(along) * np.exp(-mode.decay_rate_per_s * _late(along, mode)) * np.sign(along.real), complete
 
     def strikes(self, mode: Mode) -> list[Strike]:
         """Return the strikes with a ringing on either side; amplitudes are positive along the motion."""
-        size, whole = self._sizes(mode)
-        onsets = self._onsets[whole]
-        figures = zip(onsets, self._places(onsets), *self._moved(onsets), size[whole], strict=True)
+        size, complete = self._sizes(mode)
+        onsets = self._onsets[complete]
+        figures = zip(onsets, self._places(onsets), *self._moved(onsets), size[complete], strict=True)
         return [Strike(self.name, *map(float, each)) for each in figures]
 
     def shifts(self, mode: Mode) -> Floats:
         """Return the common changes (2, strikes) of the amplitudes by one standard error of frequency and of decay."""
-        size, whole = self._sizes(mode)
-        found = np.zeros((2, int(np.count_nonzero(whole))))
+        size, complete = self._sizes(mode)
+        found = np.zeros((2, int(np.count_nonzero(complete))))
         count = len(self.groups)
         if count < 2:
             return found
         for k, name in enumerate(("angular_frequency_rad_per_s", "decay_rate_per_s")):
             values = np.array([getattr(group.mode, name) for group in self.groups])
             moved = dataclasses.replace(mode, **{name: getattr(mode, name) + values.std(ddof=1) / math.sqrt(count)})
-            found[k] = self._sizes(moved)[0][whole] - size[whole]
+            found[k] = self._sizes(moved)[0][complete] - size[complete]
         return found
 
     def modelled(self, mode: Mode) -> ModelledStroke:
@@ -671,8 +671,8 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     excluded = Exclusions() if excluded is None else excluded
     warnings = Warnings()
     preparation.refuse_duplicates(recordings)
-    stretches = preparation.stretches_of(recordings, GROOVE_LIMITS.min_stretch_s, excluded)
-    fits = excluded.each(stretches, lambda each: StrokeFit(stroke_of(each, "grooves")))
+    sections = preparation.sections_of(recordings, GROOVE_LIMITS.min_section_s, excluded)
+    fits = excluded.each(sections, lambda each: StrokeFit(stroke_of(each, "grooves")))
     if not fits:
         raise excluded.refused(f"none of {len(recordings)} recordings can be used")
     preparation.report_cleaning([each.stroke for each in fits], warnings)

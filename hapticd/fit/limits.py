@@ -198,7 +198,7 @@ class SpectralLineLimits:
 class GrooveLimits:
     """Thresholds of the fit of grooves."""
 
-    min_stretch_s: float = _limit(0.1, "s", "A shorter stretch between gaps and clipped samples is left out.")
+    min_section_s: float = _limit(0.1, "s", "A shorter section between gaps and clipped samples is left out.")
     min_strikes: int = _limit(8, "strikes", "Fewer show no row of grooves.")
     min_strike: float = _limit(0.3, "fraction of strong strikes", "Weaker steps of the ringing are not strikes.")
     window_cycles: float = _limit(1.25, "cycles", "Ringing on either side of a sample that is searched for a strike.")

@@ -82,18 +82,18 @@ def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
     modelled = np.flatnonzero(np.isfinite(model))
     if len(modelled) == 0:
         return ()
-    stretch = max(np.split(modelled, np.flatnonzero(np.diff(modelled) > 1) + 1), key=len)
-    around = max(0, round(0.15 * rate_hz) - len(stretch)) // 2
-    first, last = max(int(modelled[0]), int(stretch[0]) - around), min(int(modelled[-1]), int(stretch[-1]) + around)
+    section = max(np.split(modelled, np.flatnonzero(np.diff(modelled) > 1) + 1), key=len)
+    around = max(0, round(0.15 * rate_hz) - len(section)) // 2
+    first, last = max(int(modelled[0]), int(section[0]) - around), min(int(modelled[-1]), int(section[-1]) + around)
     here = slice(first, last + 1)
     ms: Floats = np.asarray(1e3 * np.arange(first, last + 1) / rate_hz, dtype=np.float64)
     lines = (Curve("recording", ms, recorded[here]), Curve("model", ms, model[here]))
     left = (Curve("recording less model", ms, recorded[here] - model[here]),)
     panels = (Panel(name, "ms", ACCELERATION_UNIT, lines), Panel("recording less model", "ms", ACCELERATION_UNIT, left))
-    if len(stretch) < 16:
+    if len(section) < 16:
         return panels
     parts = (("recording", recorded), ("model", model), ("residual", recorded - model))
-    spectra = tuple(Curve(label, *density(values[stretch], rate_hz)) for label, values in parts)
+    spectra = tuple(Curve(label, *density(values[section], rate_hz)) for label, values in parts)
     return (*panels, Panel("spectrum", "Hz", DENSITY_UNIT, spectra, logarithmic=True))
 
 

@@ -342,13 +342,13 @@ def between_gaps(recording: Recording, samples: int) -> list[tuple[int, int]]:
     return [(begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if end > begin]
 
 
-def stretches_of(recordings: Sequence[Recording], least_s: float, excluded: Exclusions) -> list[Recording]:
+def sections_of(recordings: Sequence[Recording], least_s: float, excluded: Exclusions) -> list[Recording]:
     """Return the complete sections of all recordings; a recording with too few samples in them is left out."""
-    parts = excluded.each(recordings, lambda one: whole_stretches(one, least_s, excluded))
+    parts = excluded.each(recordings, lambda one: complete_sections(one, least_s, excluded))
     return [part for each in parts for part in each]
 
 
-def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) -> list[Recording]:
+def complete_sections(recording: Recording, least_s: float, excluded: Exclusions) -> list[Recording]:
     """Return the recording, or its sections of at least `least_s` without gaps and clipped samples, as recordings.
 
     The remainder is added to `excluded`. Raises FitError if it is too large.
@@ -426,7 +426,7 @@ def force_of(recording: Recording) -> Floats:
     return values
 
 
-def pressed(recording: Recording) -> Floats:
+def pressing_force(recording: Recording) -> Floats:
     """Return the force, N; raise UnitError if it is mostly negative or oscillates about 0."""
     values = force_of(recording)
     if np.median(values) < 0:
@@ -554,7 +554,7 @@ class Stroke(Cleaned):
 def stroke_of(recording: Recording, kind: Kind) -> Stroke:
     """Return the stroke of a recording for a fit of this kind; raise FitError if it cannot be a stroke."""
     kept = without_invalid_samples(recording, kind)
-    acceleration, force = acceleration_of(kept.recording), pressed(kept.recording)
+    acceleration, force = acceleration_of(kept.recording), pressing_force(kept.recording)
     position, speed = _motion_of(kept.recording, len(acceleration))
     return Stroke(kept.recording, kept.replaced, kept.warnings, acceleration, force, position, speed)
 

@@ -121,8 +121,8 @@ def thinned(x: Floats, y: Floats, most: int = 4000) -> tuple[Floats, Floats]:
     """
     if len(x) <= most:
         return x, y
-    stretch = math.ceil(2 * len(x) / most)
-    pieces = [(start, y[start : start + stretch]) for start in range(0, len(x), stretch)]
+    section = math.ceil(2 * len(x) / most)
+    pieces = [(start, y[start : start + section]) for start in range(0, len(x), section)]
     kept = np.unique([start + end(piece) for start, piece in pieces for end in (np.argmin, np.argmax)])
     return x[kept], y[kept]
 

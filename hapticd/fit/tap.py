@@ -200,11 +200,11 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
     """
     rate_hz = recording.rate_hz
     length = _samples(0.002, rate_hz, 16)
-    stretches = preparation.between_gaps(recording, len(above))
-    longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+    sections = preparation.between_gaps(recording, len(above))
+    longest = max(sections, key=lambda section: section[1] - section[0])
     found: list[Event] = []
     quiet = []
-    for begin, end in stretches:
+    for begin, end in sections:
         if (begin, end) != longest and end - begin < 2 * length:
             continue
         size = np.abs(above[begin:end])

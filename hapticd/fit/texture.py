@@ -635,20 +635,20 @@ def fit_texture(
     if not rates:
         raise FitError("no recordings")
     usual_hz = max(rates, key=rates.count)
-    stretches = preparation.stretches_of(recordings, TEXTURE_LIMITS.block_s, excluded)
+    sections = preparation.sections_of(recordings, TEXTURE_LIMITS.block_s, excluded)
     while True:
         try:
-            return _fitted(stretches, usual_hz, autoregressive, excluded)
+            return _fitted(sections, usual_hz, autoregressive, excluded)
         except _TwoTextures as two:
             excluded.add(two.name, str(two))
             gone = {each.recording for each in excluded.items}
-            stretches = [recording for recording in stretches if recording.name not in gone]
+            sections = [recording for recording in sections if recording.name not in gone]
 
 
-def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
+def _fitted(sections: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
     """Fit these sections of strokes; raise _TwoTextures if one of them has more than one texture."""
     warnings = Warnings()
-    blocks = _Blocks.of(_cut(stretches, rate_hz, excluded, warnings), excluded)
+    blocks = _Blocks.of(_cut(sections, rate_hz, excluded, warnings), excluded)
     recordings = [each.recording for each in blocks.strokes]
     preparation.report_gravity(recordings, warnings)
     report_lines(blocks.strokes, lambda each, needed: spectral_lines(each.acceleration, rate_hz, needed), warnings)
@@ -710,11 +710,9 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
     )
 
 
-def _cut(
-    stretches: Sequence[Recording], rate_hz: float, excluded: Exclusions, warnings: Warnings
-) -> list[StrokeBlocks]:
+def _cut(sections: Sequence[Recording], rate_hz: float, excluded: Exclusions, warnings: Warnings) -> list[StrokeBlocks]:
     """Return each section cut into blocks; raise FitError if none can be used."""
-    found = excluded.each(stretches, lambda each: _blocks_of(stroke_of(each, "texture"), rate_hz, warnings))
+    found = excluded.each(sections, lambda each: _blocks_of(stroke_of(each, "texture"), rate_hz, warnings))
     if not found:
         raise excluded.refused("none of the recordings can be used")
     preparation.report_cleaning([each.stroke for each in found], warnings)

@@ -569,10 +569,10 @@ def _alike(
             f"{len(pulses)} taps are too few: needs {WAVEFORM_LIMITS.min_pulses}, better ten, at different speeds{why}"
         )
     shape, faded = shape_of(pulses)
-    explained, beside_noise = shape.explained()
+    explained, without_noise = shape.explained()
     usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
     kept = []
-    for pulse, placed, share in zip(pulses, shape.placed, beside_noise, strict=True):
+    for pulse, placed, share in zip(pulses, shape.placed, without_noise, strict=True):
         if share < WAVEFORM_LIMITS.min_explained:
             reason = f"the waveform of the others explains {100 * share:.0f} % of it"
         elif placed.amplitude * usual <= 0:

@@ -16,7 +16,7 @@ from hapticd.analysis.statistics import FitError
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.fit.grooves import fit_grooves
-from hapticd.fit.preparation import whole_stretches
+from hapticd.fit.preparation import complete_sections
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.tap import fit_tap
@@ -252,7 +252,7 @@ def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
         "one", 1e3, seen, np.arange(10_000.0), None, None, 0.1, Source("", ""), gaps=((6000, 6010), (9800, 9900))
     )
     excluded = Exclusions()
-    parts = whole_stretches(recording, 0.5, excluded)
+    parts = complete_sections(recording, 0.5, excluded)
     assert [part.name for part in parts] == ["one from 0 s", "one from 3.004 s", "one from 6.01 s"]
     lengths = [len(part.force_n) for part in parts if part.force_n is not None]
     assert lengths == [3000, 2996, 3790]
@@ -261,7 +261,7 @@ def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
     assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in told.reason
     assert "0.214 of 10 s" in told.reason
     with pytest.raises(FitError, match=r"0 % of it is in complete sections of 5 s, 50 % are needed"):
-        whole_stretches(recording, 5.0, Exclusions())
+        complete_sections(recording, 5.0, Exclusions())
 
 
 @pytest.mark.parametrize("fit", [fit_tap, fit_grooves, fit_texture, fit_puncture])

@@ -17,7 +17,7 @@ from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.synthesize import Stylus, puncture
-from hapticd.fit.verdict import Warnings, Verdict
+from hapticd.fit.verdict import Verdict, Warnings
 from tests.support.fitted import fitted_material
 
 RUPTURE = {"depth_m": 0.002, "amplitude_m_per_s2": 38.0, "frequency_hz": 200.0, "decay_rate_per_s": 330.0}
