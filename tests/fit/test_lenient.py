@@ -83,7 +83,7 @@ def fitted(folder: Path, capsys: pytest.CaptureFixture[str], kind: str, files: l
 
 BAD: Final = (
     ("tap", clip, "it is clipped at"),
-    ("tap", silent, "no onset: its largest acceleration is"),
+    ("tap", silent, "no onset: the largest acceleration is"),
     ("tap", too_fast, "sampling rate of 10000 Hz is too low"),
     ("puncture", clip, "the ringing of the rupture is clipped at"),
     ("puncture", silent, "the acceleration moves by"),

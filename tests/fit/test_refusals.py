@@ -169,14 +169,14 @@ def softer(columns: Columns) -> Columns:
 
 
 DAMAGED: Final[list[tuple[str, str, Damage, str]]] = [
-    ("tap", "no onset", noise, "no onset: its largest acceleration is"),
+    ("tap", "no onset", noise, "no onset: the largest acceleration is"),
     ("tap", "one speed", lambda each: {**without(NORMAL)(each), SPEED: np.full(6, 0.2)}, "have about one speed"),
     ("tap", "clipped", clipped, "clipped"),
     ("tap", "rate too low", every(17), "must be at least 2.05 times that"),
     ("tap", "acceleration in mm/s^2", times(SEEN, 1e3), "off by a thousand"),
     ("tap", "acceleration in km/s^2", times(SEEN, 1e-3), "off by a thousand"),
-    ("tap", "position in mm", times(NORMAL, 1e3), "m/s, taps have 0.001 to 10"),
-    ("tap", "position in km", times(NORMAL, 1e-3), "m/s, taps have 0.001 to 10"),
+    ("tap", "position in mm", times(NORMAL, 1e3), "must be between 0.001 and 10 m/s"),
+    ("tap", "position in km", times(NORMAL, 1e-3), "must be between 0.001 and 10 m/s"),
     ("tap", "time in ms", times(TIME, 1e3), "which unit is the time in?"),
     ("tap", "time and position", swapped(TIME, NORMAL), "is it the right column?"),
     ("tap", "time and acceleration", swapped(TIME, SEEN), "is it the right column?"),

@@ -783,7 +783,7 @@ def test_a_coarse_converter_is_not_taken_for_clipping() -> None:
 
 def test_a_rate_too_low_for_the_frequency_is_refused() -> None:
     recording, _ = made("steel", rate_hz=3600.0, noise_rms=0.005)
-    assert "less than 2.05 times" in refused(recording)
+    assert "at least 2.05 times" in refused(recording)
 
 
 @pytest.mark.long

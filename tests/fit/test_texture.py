@@ -151,7 +151,7 @@ SPOILT: list[tuple[Callable[[Recording], dict[str, object]], str]] = [
     (lambda each: {"force_n": 1e3 * each.force_n}, "in mN"),
     (lambda each: {"force_n": -each.force_n}, "mostly negative"),
     (lambda each: {"force_n": each.acceleration_m_per_s2 - 9.8}, "swapped"),
-    (lambda each: {"tangential_position_m": None}, "needs the position"),
+    (lambda each: {"tangential_position_m": None}, "a stroke needs one of them"),
     (lambda each: {"tangential_position_m": None, "speed_m_per_s": 60.0}, "in mm/s"),
     (lambda each: {"speed_m_per_s": 60.0}, "wrong unit"),
     (lambda each: {"acceleration_m_per_s2": np.clip(each.acceleration_m_per_s2, 0, 12)}, "clipped"),
