@@ -296,9 +296,7 @@ class _Column:
         if shift.any():
             slips = np.flatnonzero(shift).tolist()
             value = f"by {shift[slips[0]]:.4g} {self._unit} to {self._value(slips[0])}"
-            self.warnings.append(
-                f"{self._file}: {self._what} leaps {value}{_as_in_others(slips)}; the leap is taken out"
-            )
+            self.warnings.append(f"{self._file}: {self._what} leaps {value}{_as_in_others(slips)}; the leap is removed")
             self.bad[slips] = True
             self.values = self.values - np.cumsum(shift)
 

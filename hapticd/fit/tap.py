@@ -84,7 +84,7 @@ class Events:
             if self.speeds is not None and len(self.speeds) != len(kept):
                 raise FitError(
                     f"{recording.name}: has {len(self.speeds)} speeds for {len(kept)} taps"
-                    f"{f' and {bounces} bounces' if bounces else ''}: needs one a tap"
+                    f"{f' and {bounces} bounces' if bounces else ''}: needs one for each tap"
                 )
             if bounces:
                 lines.append(f"{recording.name}: {bounces} bounces after taps are left out")

@@ -42,18 +42,18 @@ LOWER_LIMITS: Final[Mapping[str, Rule]] = {
         0.7,
         0.5,
         "speed and force explain the {what} poorly: correlation {value:.2f}",
-        "the gains in the material say little",
+        "the gains of the material are unreliable",
     ),
     "variance that grooves explain": Rule(
-        0.8, 0.6, "one mode explains {percent:.0f} % of the variance", "grooves ring with more"
+        0.8, 0.6, "one mode explains {percent:.0f} % of the variance", "the grooves may have more modes"
     ),
     "variance that a rupture's mode explains": Rule(
-        0.9, 0.8, "one mode explains {percent:.0f} % of the ringing", "membranes ring with more"
+        0.9, 0.8, "one mode explains {percent:.0f} % of the ringing", "the membrane may have more modes"
     ),
     "variance that a waveform explains": Rule(
         0.95, 0.8, "a waveform explains {percent:.1f} % of a tap", "the taps differ in shape"
     ),
-    "r^2 of the law of taps": Rule(0.9, 0.9, "the speed says little of the amplitude (r^2 {value:.2f})"),
+    "r^2 of the law of taps": Rule(0.9, 0.9, "the speed explains the amplitude poorly (r^2 {value:.2f})"),
     "cycles from strike to strike": Rule(
         2.5,
         1.0,
@@ -63,14 +63,14 @@ LOWER_LIMITS: Final[Mapping[str, Rule]] = {
     "samples in a cycle": Rule(
         8.0,
         2.05,
-        "{rate_hz:g} Hz are {value:.1f} samples in a cycle of {hz:.4g} Hz: amplitude and decay are less certain than "
-        "their intervals say, and a filter of the sensor may have lowered them",
+        "{rate_hz:g} Hz are {value:.1f} samples in a cycle of {hz:.4g} Hz: the errors of amplitude and decay are "
+        "larger than their intervals, and a filter of the sensor may have lowered both",
         "record at a higher rate",
     ),
     "samples in a period of a waveform": Rule(
         4.0,
         4.0,
-        "{value:.1f} samples of the recordings are a period of its middle frequency",
+        "the recordings have {value:.1f} samples in a period of its middle frequency",
         "the waveform is not resolved: record faster",
     ),
     "punctures": Rule(3.0, 2.0, "{value:.0f} punctures are few", "ten are better"),
@@ -82,14 +82,14 @@ UPPER_LIMITS: Final[Mapping[str, Rule]] = {
         0.25, 0.5, "the {what} gain is uncertain: {gain.low:.3g} to {gain.high:.3g}"
     ),
     "distance from the law": Rule(
-        0.3, 0.6, "loudness is off the law by {percent:.0f} %", "it depends on more than speed and force"
+        0.3, 0.6, "loudness deviates from the law by {percent:.0f} %", "it depends on more than speed and force"
     ),
     "part left out": Rule(0.1, 0.3, "{left}"),
     "offset": Rule(
         0.1,
         0.5,
         "amplitudes have an offset of {offset.value:.3g} m/s^2 ({offset.low:.3g} to {offset.high:.3g})",
-        "the two gains do not have it",
+        "the two gains do not describe it",
     ),
     "scatter of the frequency": Rule(
         0.05, 0.1, "the frequency scatters by {percent:.0f} % between {events}", "is it one {one}?"
@@ -98,7 +98,7 @@ UPPER_LIMITS: Final[Mapping[str, Rule]] = {
         3.0,
         10.0,
         "noise with this peak and mean has another spectrum, {value:.1f} dB from the recorded one",
-        "--ar takes the spectrum as it is",
+        "--ar uses the recorded spectrum",
     ),
 }
 """Rules by the name of the value: a larger value is a reason against the fit. All but the decibels are fractions."""
