@@ -85,7 +85,7 @@ def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
 
 
 def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
-    """Return the samples of the strikes, rising. Strikes are found by falling step; each is subtracted before the next.
+    """Return the sorted sample indices of the strikes; the largest is found and subtracted first, then the next.
 
     `unit` is the step of a strike of amplitude 1. No other strike is found within `reach` samples of one.
     """
@@ -359,7 +359,7 @@ class StrokeFit:
         return row_of(place).unevenness(place)
 
     def _found(self, mode: Mode) -> Floats:
-        """Return the rising times of the strikes, s: steps of z while the stylus moves."""
+        """Return the times of the strikes, s, sorted: steps of z while the stylus moves."""
         step = _ringing_steps(self._seen, self._rate_hz, mode).real
         noise = 1.4826 * float(np.median(np.abs(step)))
         reach = max(2, round(0.5 * self._rate_hz / mode.frequency_hz))

@@ -209,13 +209,13 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
             continue
         size = np.abs(above[begin:end])
         blocks = above[begin : begin + len(size) // length * length].reshape(-1, length)
-        # Noise of the quiet blocks: the 20th percentile lies 0.842 standard deviations below the median.
+        # Noise of the quiet blocks; the 20th percentile of their deviations is 0.842 standard errors below the median.
         noise = float(np.percentile(blocks.std(axis=1), 20.0)) if len(blocks) else 0.0
         noise /= 1 - 0.842 / math.sqrt(2 * length)
         highest = float(size.max())
         rest = int(np.argmax(size > TAP_LIMITS.max_rest_change * highest))
         if len(size) < TAP_LIMITS.short_recording_s * rate_hz and rest >= 5:
-            # A short recording may ring to its end; then the noise is that of the rest, doubled as it has few samples.
+            # A short recording may ring to its end: its noise is at most twice that of the rest, which has few samples.
             noise = min(noise, 2.0 * float(np.std(above[begin : begin + rest], ddof=1)))
         if not highest > TAP_LIMITS.min_peak_to_noise * noise:
             quiet.append("nothing" if highest == 0 else f"{highest / noise:.1f} times its noise")
