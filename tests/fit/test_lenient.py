@@ -86,13 +86,13 @@ BAD: Final = (
     ("tap", silent, "no onset: the largest acceleration is"),
     ("tap", too_fast, "sampling rate of 10000 Hz is too low"),
     ("puncture", clip, "the ringing of the rupture is clipped at"),
-    ("puncture", silent, "the acceleration moves by"),
+    ("puncture", silent, "the acceleration changes by"),
     ("puncture", too_fast, "Hz, and its sampling rate of 10000 Hz is too low"),
     ("grooves", clip, "clipped at"),
-    ("grooves", silent, "the acceleration moves by"),
+    ("grooves", silent, "the acceleration changes by"),
     ("grooves", too_fast, "Hz, and its sampling rate of 10000 Hz is too low"),
     ("texture", clip, "clipped at"),
-    ("texture", silent, "the acceleration moves by"),
+    ("texture", silent, "the acceleration changes by"),
     ("texture", too_fast, "left out: "),
 )
 
