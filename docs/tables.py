@@ -7,6 +7,7 @@ explanations only the figures are written.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +18,8 @@ from hapticd.base.yaml_source import Json
 from hapticd.config.configuration import Device
 from hapticd.config.schema import config_schema, unit_of
 from hapticd.daemon import peers, publisher, router
-from hapticd.fit.verdict import AT_LEAST, AT_MOST
+from hapticd.fit import limits
+from hapticd.fit.verdict import LOWER_LIMITS, UPPER_LIMITS
 from hapticd.protocol import messages
 
 DOCS = Path(__file__).resolve().parent
@@ -27,9 +29,9 @@ Schema = dict[str, Json]
 # ---- The parts of a page ---------------------------------------------------------------------------------------------
 
 
-def block(page: str, name: str, rows: Sequence[tuple[str, object]]) -> str:
-    """The page with these rows as the table between the marks of that name."""
-    table = "\n".join(f"| {what} | {figure} |" for what, figure in (("what", "limit"), ("---", "---"), *rows))
+def block(page: str, name: str, rows: Sequence[Sequence[object]], heads: Sequence[str] = ("what", "limit")) -> str:
+    """Return the page with these rows as the table between the marks of that name."""
+    table = "\n".join(f"| {' | '.join(map(str, row))} |" for row in (heads, ["---"] * len(heads), *rows))
     begin, end = f"<!-- {name}: written by make docs-tables -->", "<!-- end -->"
     before, _, rest = page.partition(begin)
     if not rest:
@@ -167,9 +169,28 @@ def _keys(name: str, schema: Schema) -> str:
 # ---- Other pages -----------------------------------------------------------------------------------------------------
 
 
+FIT_LIMITS = {
+    "preparation": limits.PREPARATION_LIMITS,
+    "taps": limits.TAP_LIMITS,
+    "speed law": limits.SPEED_LAW_LIMITS,
+    "pulses": limits.WAVEFORM_LIMITS,
+    "ringing": limits.RINGING_LIMITS,
+    "spectral lines": limits.LINE_LIMITS,
+    "grooves": limits.GROOVE_LIMITS,
+    "textures": limits.TEXTURE_LIMITS,
+    "punctures": limits.PUNCTURE_LIMITS,
+}
+
+
 def fit(page: str) -> str:
-    """From where on a figure is a reason against a fit."""
-    for name, bound in {**AT_LEAST, **AT_MOST}.items():
+    """Return the page with the thresholds of all fits, and the limits from which on a value is a reason."""
+    for name, values in FIT_LIMITS.items():
+        rows = [
+            (f"`{each.name}`", f"{getattr(values, each.name):.6g}", each.metadata["unit"], each.metadata["reason"])
+            for each in dataclasses.fields(values)
+        ]
+        page = block(page, f"thresholds of {name}", rows, ("threshold", "value", "unit", "reason"))
+    for name, bound in {**LOWER_LIMITS, **UPPER_LIMITS}.items():
         page = filled(page, name, {2: f"{bound.fair:g}", 3: f"{bound.poor:g}"})
     return page
 

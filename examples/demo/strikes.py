@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from examples.demo.perform import Floats, Recorded
 from hapticd.base.core import Flag
-from hapticd.fit.ringing import LEAST_SAMPLES, Ringing, fit_ringing
+from hapticd.fit.limits import RINGING_LIMITS
+from hapticd.fit.ringing import Ringing, fit_ringing
 
 REST_BEFORE_ONSET_SAMPLES: Final = 8
 """Samples of silence that are fitted with an onset, where there are so many."""
@@ -89,7 +90,10 @@ def strikes_of(recorded: Recorded, axis: int, due_s: Sequence[float] | Floats) -
         begin = max(at - REST_BEFORE_ONSET_SAMPLES, 0, *gaps[gaps <= at][-1:].tolist())
         seen = min(end, _next(gaps, at + 1, end))
         # The first strike shows what mode it is; of the others fewer samples are enough.
-        enough = at - begin >= MIN_REST_BEFORE_ONSET_SAMPLES and seen - (begin if found else at) >= LEAST_SAMPLES
+        enough = (
+            at - begin >= MIN_REST_BEFORE_ONSET_SAMPLES
+            and seen - (begin if found else at) >= RINGING_LIMITS.min_samples
+        )
         if at < unknown_until or not enough:
             hidden, unknown_until, rest[at:end] = hidden + 1, group.stop, 0.0
             continue

@@ -1,9 +1,10 @@
-"""From recordings of an instrumented stylus to materials: what `hapticd fit` does.
+"""Fits of materials to recordings of an instrumented stylus: what `hapticd fit` does.
 
-    from_files      reads files, runs a fit, says what goes into the material: begin here
-    options         what may be asked of a fit
+    from_files      reads files, runs a fit, selects what goes into the material: begin here
+    options         options of a fit
     recording       reads recordings into SI units on a uniform clock; documented (`hapticd.fit.recording.save`)
-    preparation     what every fit does with a recording first: invalid samples, whole stretches, units, rate, motion
+    preparation     what every fit does with a recording first: impossible samples, gaps, units, rate, motion
+    limits          thresholds of all fits, with unit and reason
 
 The fits, each of one kind of recording, from onsets over the model and its intervals to the verdict:
 
@@ -15,18 +16,17 @@ The fits, each of one kind of recording, from onsets over the model and its inte
 
 What they share:
 
-    ringing         decaying sinusoids in a stretch of acceleration, by variable projection
+    ringing         decaying sinusoids in a section of acceleration, by variable projection
     speed_law       the amplitude of taps over the approach speed: a line, a power law or a table
     spectral_lines  hum and other tones
-    verdict         what is left out and why; good, fair or poor, with all thresholds and reasons
-    result          what every fit gives, and fits as plain data for JSON
+    verdict         exclusions with their reasons; good, fair or poor, with the reasons
+    result          base class of the results; fits as plain data for JSON
 
-What comes of a fit:
+What is made of a fit:
 
-    contribution    what a fit gives to a material, with its provenance, and the material as the loader takes it
-    report, panels  the report: an HTML page, and what it draws of each kind of fit
-    synthesize      recordings whose truth is known
+    contribution    what a fit adds to a material, with its provenance, and the material as the loader takes it
+    report, panels  the report: an HTML page, and the pictures of each kind of fit
+    synthesize      synthetic recordings with known parameters
 
-Least squares and robust regression are in analysis/, as are the
-files themselves (analysis/recordings/).
+Least squares and robust regression are in analysis/, and so is the reading of files (analysis/recordings/).
 """

@@ -1,6 +1,6 @@
-"""What a fit gives to a material, as plain data, and the material that has it.
+"""Contribution of a fit to a material, as plain data, and the material with it.
 
-Between the two lies no fit and no recording: a contribution can be kept, and added to a material later.
+A contribution needs neither the fit nor the recordings: it can be stored and added to a material later.
 """
 
 from __future__ import annotations
@@ -16,45 +16,45 @@ from hapticd._version import __version__
 from hapticd.base.errors import InvalidError, Problem
 from hapticd.config.materials import MAX_REASON_CHARACTERS, MAX_REASONS, Material, validate_materials
 from hapticd.fit.from_files import Fitted
-from hapticd.fit.options import KEY_OF, STIFFNESS_N_PER_M
+from hapticd.fit.options import MATERIAL_KEYS, STIFFNESS_N_PER_M
 from hapticd.fit.recording import Kind, Recording
 from hapticd.fit.result import estimates
 
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What one fit gives to a material."""
+    """Contribution of one fit to a material."""
 
     kind: Kind
     figures: Mapping[str, object]
-    """Members of the material."""
+    """Keys of the material."""
     origin: Mapping[str, object]
-    """Its `provenance`, but for the day."""
+    """`provenance` of the material, without the date."""
 
 
 @dataclass(frozen=True, slots=True)
 class Added:
-    """A material with a contribution."""
+    """A material to which a contribution was added."""
 
     material: Material
     assumed_n_per_m: float | None
-    """The stiffness, if nobody said it and no recording."""
+    """The default stiffness, if neither the user nor a recording determined it."""
     replaced: tuple[str, ...]
-    """Members that the material had before."""
+    """Keys of the contribution that the material had before."""
 
 
 def contribution_of(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> Contribution:
-    """What a fit of these recordings gives."""
+    """Return the contribution of a fit of these recordings."""
     return Contribution(kind, _rounded(fitted.figures), _provenance(kind, fitted, recordings))
 
 
 def added(
     part: Contribution, name: str, day: datetime.date, *, onto: Material | None, stiffness_n_per_m: float | None
 ) -> Added:
-    """The material of this name with a contribution. Everything else of `onto` is kept.
+    """Return the material `onto`, or a new one, with this name and a contribution.
 
-    `stiffness_n_per_m` is taken if the fit does not determine it; None: that of `onto`, or STIFFNESS_N_PER_M. Raises
-    InvalidError where a figure lies beyond what a material may have.
+    `stiffness_n_per_m` is used if the fit does not determine the stiffness; None means that of `onto`, or
+    STIFFNESS_N_PER_M. Raises InvalidError if a figure is out of the range of a material.
     """
     given, assumed = stiffness_n_per_m, None
     if given is None:
@@ -72,26 +72,26 @@ def added(
         made = validate_materials({name: data})[name]
     except InvalidError as error:
         problems = [
-            Problem(problem.where, f"{problem.problem}: no material has what was found") for problem in error.problems
+            Problem(problem.where, f"{problem.problem}: the fitted value is out of the range of a material")
+            for problem in error.problems
         ]
         raise InvalidError(problems) from None
     return Added(made, assumed, tuple(key for key in part.figures if key in before))
 
 
 def _provenance(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> dict[str, object]:
-    """But for the day: files, version of hapticd, intervals by kind and name, and the verdict.
+    """Return files, version of hapticd, intervals by kind and name, and verdict: the provenance without the date.
 
-    A figure whose interval has no end on one side is not among them, nor is what `fitted` is without.
+    Figures with an infinite interval, and those of `fitted.without`, are not included.
     """
     fit = fitted.fit
-    # A path as text, also where its bytes are none.
+    # Bytes of a path that are not text are escaped.
     files = {os.fsencode(each.source.path).decode(errors="backslashreplace"): each.source.sha256 for each in recordings}
     intervals = {
         f"{kind}.{name}": [_rounded(estimate.low), _rounded(estimate.high)]
         for name, estimate in estimates(fit).items()
         if name not in fitted.without and math.isfinite(estimate.low) and math.isfinite(estimate.high)
     }
-    # Fits that choose between models say why.
     choices = {f"{kind}.{name}": why[:MAX_REASON_CHARACTERS] for name, why in getattr(fit, "choices", {}).items()}
     reasons = [reason[:MAX_REASON_CHARACTERS] for reason in fit.judged.reasons[:MAX_REASONS]]
     return {
@@ -104,10 +104,10 @@ def _provenance(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> 
 
 
 def _joined(kind: Kind, before: object, origin: Mapping[str, object]) -> dict[str, object]:
-    """Two provenances as one: all files, and the intervals of what the material still has."""
+    """Return two provenances as one: all files, and the intervals of all figures that the material still has."""
     if not isinstance(before, Mapping):
         return dict(origin)
-    replaced = [other for other, key in KEY_OF.items() if key == KEY_OF[kind]]
+    replaced = [other for other, key in MATERIAL_KEYS.items() if key == MATERIAL_KEYS[kind]]
     files = origin["files"]
     assert isinstance(files, list)
     joined: dict[str, object] = {}
@@ -120,7 +120,7 @@ def _joined(kind: Kind, before: object, origin: Mapping[str, object]) -> dict[st
 
 
 def _rounded(value: Any) -> Any:
-    """With 7 digits; no recording has more. Poles near the unit circle are worth more."""
+    """Return a value rounded to 7 digits, the resolution of recordings; coefficients of filters are not rounded."""
     if isinstance(value, float):
         return float(f"{value:.7g}")
     if isinstance(value, Mapping):

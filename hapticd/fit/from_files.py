@@ -1,4 +1,4 @@
-"""A fit of files, and what of it goes into a material: what `hapticd fit` does."""
+"""Fit of recording files, and the figures for a material: the core of `hapticd fit`."""
 
 from __future__ import annotations
 
@@ -16,36 +16,40 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import load_path, one_line
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
+from hapticd.fit.limits import WAVEFORM_LIMITS
 from hapticd.fit.options import FitOptions, TapKind
 from hapticd.fit.preparation import refuse_duplicates
 from hapticd.fit.recording import Kind, NoRecordingError, Recording, RecordingError, load
 from hapticd.fit.result import Fit, estimates
 from hapticd.fit.tap import TapFit, fit_tap
-from hapticd.fit.verdict import AT_LEAST, Exclusions
+from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
 from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of
 
 AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
+"""Note for a fit whose kind of tap was chosen automatically."""
 Step: TypeAlias = Callable[[str], None]
-"""Called with what is being done."""
+"""Callback with a text about the current step."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A fit, and what of it goes into the material."""
+    """A fit, and the keys of the material that come from it."""
 
     fit: Fit
     figures: Mapping[str, object]
     notes: tuple[str, ...] = ()
-    """What a person may want to do about it."""
+    """Suggestions for the user."""
     without: Collection[str] = ()
-    """Figures that say nothing of the material, as it is taken."""
+    """Names of figures that do not describe the material with the chosen options."""
 
 
 def fitted_files(
     files: Sequence[str], kind: Kind, asked: FitOptions, step: Step, strict: bool, folder: str = ""
 ) -> tuple[list[Recording], list[Recording], Fitted]:
-    """The recordings that were used, those that were left out, and what was made of them. Files are known by their
-    names in the folder."""
+    """Return the recordings that were used, those that were left out, and the fit.
+
+    Names of files are relative to `folder`, and are the names of the recordings.
+    """
     excluded = Exclusions(strict)
     recordings: list[Recording] = []
     for file in files:
@@ -58,7 +62,7 @@ def fitted_files(
             excluded.add(error.name, error.reason)
     if not recordings:
         raise excluded.refused(f"none of {len(files)} recordings can be read")
-    # What comes of a division by zero and the like is no number, and no material takes one.
+    # A division by zero gives NaN, which no material accepts: no need to warn.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         fitted = _fitted(kind, asked, recordings, step, excluded)
@@ -70,10 +74,13 @@ def fitted_files(
 
 
 def materials_of(path: str) -> dict[str, Material]:
-    """The materials of a file that is added to. Raises InvalidError, or HapticdError where it holds more than these."""
+    """Return the materials of a file to which others are added.
+
+    Raises InvalidError, or HapticdError if it has other keys than `materials`.
+    """
     data = load_path(path).data
     if not isinstance(data, dict) or list(data) != ["materials"]:
-        raise HapticdError(f"{one_line(path)}: holds something else than materials, and is not added to")
+        raise HapticdError(f"{one_line(path)}: a file to which materials are added must have the key materials only")
     found = load_config(path).materials
     given = data["materials"]
     assert isinstance(given, dict)
@@ -112,16 +119,16 @@ def _fitted_taps(asked: FitOptions, recordings: Sequence[Recording], step: Step,
     kind = asked.law or found.law.kind
     two = asked.two_modes if asked.two_modes is not None else found.second is not None and found.second.kept
     figures = found.material(asked.attack or "coefficient", kind, two, asked.mode_table)
-    told = []
+    notes_of_mode = []
     if kind == "power" and found.law.power is not None:
         points = found.law.power.points
-        told.append(
+        notes_of_mode.append(
             f"the power law is written as {len(points)} amplitudes over speed, which are within "
             f"{100 * found.law.power.off:.2g} % of it from {points[0][0]:.3g} to {points[-1][0]:.3g} m/s"
         )
     if found.second is not None and not two:
-        told.append("--two-modes takes both modes into the material")
-    # Intervals of what the material does not have would mislead.
+        notes_of_mode.append("--two-modes takes both modes into the material")
+    # Intervals of figures that the material does not have would mislead.
     table = {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
     tap = figures["tap"]
     without = {
@@ -132,7 +139,7 @@ def _fitted_taps(asked: FitOptions, recordings: Sequence[Recording], step: Step,
         or (kind != "power" and name.startswith("power."))
         or (isinstance(tap, dict) and "mode_table" in tap and name in table)
     }
-    return Fitted(found, figures, tuple(told), without)
+    return Fitted(found, figures, tuple(notes_of_mode), without)
 
 
 def fit_taps(
@@ -141,9 +148,9 @@ def fit_taps(
     progress: Callable[[Recording], None] | None = None,
     excluded: Exclusions | None = None,
 ) -> TapFit | WaveformFit:
-    """Fits the taps of one material by modes or by a waveform; `progress` and `excluded` as of fit_tap.
+    """Fit the taps of one material by modes or by a waveform; `progress` and `excluded` are those of fit_tap.
 
-    Raises FitError (one line) for what they do not support; where neither fits, of the mode.
+    Raises FitError (one line) if the recordings do not support a fit; if neither fits, the error is that of the mode.
     """
     require_scipy()
     refuse_duplicates(recordings)
@@ -153,7 +160,7 @@ def fit_taps(
     if kind == "waveform":
         warnings: list[str] = []
         return fit_waveform(pulses_of(recordings, warnings, excluded), warnings, excluded)
-    # What the form that is not taken leaves out does not matter.
+    # Exclusions of the form that is not chosen are dropped.
     of_mode, of_waveform = excluded.copy(), excluded.copy()
     ringing: TapFit | FitError
     try:
@@ -172,12 +179,12 @@ def fit_taps(
 def _better_waveform(
     ringing: TapFit | FitError, recordings: Sequence[Recording], excluded: Exclusions
 ) -> WaveformFit | None:
-    """The waveform, where it says more of the taps than the modes do.
+    """Return the waveform if it explains the taps better than the modes do, else None.
 
-    A mode is taken where it rings, which is to fall to 1/e in 0.3 of its period or later, and where it, or two, explain
-    95 % of the taps' variance (the median; a tap that was left out counts as 0). Otherwise a waveform is taken if it
-    leaves less than half of what the mode leaves over. A mode may choose frequency and decay for each tap separately,
-    and a waveform is judged on each tap by the other taps: the comparison favours the mode.
+    A mode is taken if it rings, that is, falls to 1/e in 0.3 of its period or later, and if one or two modes explain
+    95 % of the taps' variance (the median; a tap that was left out counts as 0). Otherwise a waveform is taken if its
+    residual has less than half the variance of the mode's. The comparison favours the mode: each tap has a separate
+    frequency and decay, but is compared with the waveform of the other taps.
     """
     if isinstance(ringing, UnitError):
         return None
@@ -186,17 +193,17 @@ def _better_waveform(
         pulses = pulses_of(recordings, warnings, excluded)
         if isinstance(ringing, FitError):
             found = fit_waveform(pulses, warnings, excluded)
-            explains = found.variance_accounted_for >= AT_LEAST["variance that a waveform explains"].poor
-            resolved = found.samples_a_period >= AT_LEAST["samples in a period of a waveform"].poor
+            explains = found.variance_accounted_for >= LOWER_LIMITS["variance that a waveform explains"].poor
+            resolved = found.samples_a_period >= LOWER_LIMITS["samples in a period of a waveform"].poor
             return found if explains and resolved else None
         by_mode = ringing.variance_accounted_for
-        rings = ringing.decay_time_s.value * ringing.frequency_hz.value >= 0.3
+        rings = ringing.decay_time_s.value * ringing.frequency_hz.value >= WAVEFORM_LIMITS.min_mode_periods
         if ringing.second is not None and rings:
             by_mode = max(by_mode, ringing.second.variance_accounted_for)
         by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
-        if rings and by_mode >= 0.95:
+        if rings and by_mode >= WAVEFORM_LIMITS.min_mode_explained:
             return None
         found = fit_waveform(pulses, warnings, excluded)
     except FitError:
         return None
-    return found if 1 - found.variance_accounted_for < 0.5 * (1 - by_mode) else None
+    return found if 1 - found.variance_accounted_for < WAVEFORM_LIMITS.max_left_ratio * (1 - by_mode) else None

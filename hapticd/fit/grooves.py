@@ -1,16 +1,16 @@
-"""Grooves from recorded strokes: spacing, the mode of one groove, and how hard a groove strikes.
+"""Fit of grooves to recorded strokes: spacing, the mode of one groove, and the amplitude of its strikes.
 
 Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environments", ICRA 1998, eq. 2: each groove that
-passes strikes a mode with A(v, F) = velocity_gain |v| + force_gain F.
+the stylus passes strikes a mode with the amplitude A(v, F) = velocity_gain |v| + force_gain F.
 
-Between two strikes the acceleration is one free ringing, Im(z exp((-B + i w) t)), beside a drift. So, for each B and w,
-every interval is a separate linear fit, whatever came before it and however near the strikes are; B and w are
-those that leave the least (variable projection). A strike is the step in z from what is left of the ringing before
-it to the ringing after it: z' - z exp(p dt) = A exp(-p d), whose phase -w d tells how much later than assumed it
-struck, and whose size is A. Onsets are first found as steps of z in two windows, one on either side of each sample.
+Between two strikes the acceleration is one free ringing, Im(z exp(p t)) with p = -B + i w, plus a drift. For given B
+and w each interval is a separate linear fit, independent of earlier intervals and of their length. B and w are those
+with the smallest residual (variable projection). A strike is the step in z from the decayed ringing before it to the
+ringing after it: z' - z exp(p dt) = A exp(-p d). Its magnitude gives A. Its phase -w d gives the delay d of the strike
+after its assumed time. Onsets are first found as steps of z between two windows, before and after each sample.
 
-Frequency and decay are fitted over groups of strikes; their scatter gives the intervals, and shows whether they move
-with speed or force. The gains are an M-estimate, so that a few strikes of another kind do not pull them.
+Frequency and decay are fitted over groups of strikes. Their scatter gives the intervals, and shows whether they change
+with speed or force. The gains are an M-estimate, on which a few outliers have no influence.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -29,34 +29,21 @@ from hapticd.analysis.recordings.spans import Bools
 from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, Robust, common, robust, well_conditioned
 from hapticd.config.modes import Mode
 from hapticd.fit import preparation
+from hapticd.fit.limits import GROOVE_LIMITS
 from hapticd.fit.preparation import Stroke, stroke_of
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.spectral_lines import lines_in_residual, report_lines
-from hapticd.fit.verdict import AT_LEAST, Doubts, Exclusions
+from hapticd.fit.verdict import LOWER_LIMITS, Exclusions, Warnings
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
 
-LEAST_STRIKES: Final = 8
-FAINT_STEP: Final = 0.3
-"""Steps smaller than this part of the strong ones are not strikes."""
-WINDOW_CYCLES: Final = 1.25
-"""Ringing on either side of a sample that is searched for a strike."""
-STRIKES_IN_GROUP: Final = 8
-"""Strikes in a group whose frequency is fitted."""
-EVEN_ROW_PART: Final = 0.05
-"""Where strikes lie off a regular row by less, no other damping is tried."""
-LEAST_ACCOUNTED: Final = 0.5
-"""Less of the variance than this is not one mode struck again and again."""
-AMPLITUDES_M_PER_S2: Final = (0.1, 5000.0)
-"""Of a usual strike; less is not felt."""
 
-
-# ---- Onsets: where strikes are, and the regular row that they lie in -------------------------------------------------
+# ---- Onsets: positions of the strikes, and their regular row ---------------------------------------------------------
 
 
 def _loudest_frequency(seen: Floats, rate_hz: float) -> float:
-    """Where the mean spectrum of windows of 40 ms is largest, above 20 Hz."""
+    """Return the frequency above 20 Hz at which the mean spectrum of windows of 40 ms is largest."""
     from scipy.signal import welch
 
     length = min(len(seen), max(64, round(0.04 * rate_hz)))
@@ -67,13 +54,13 @@ def _loudest_frequency(seen: Floats, rate_hz: float) -> float:
 
 
 def _ringing_steps(seen: Floats, rate_hz: float, mode: Mode) -> Complexes:
-    """By how much z differs between the windows after and before each sample."""
+    """Return z (n,) of the window after each sample less z of the window before it."""
     from scipy.signal import fftconvolve
 
-    length = max(6, round(WINDOW_CYCLES * rate_hz / mode.frequency_hz))
+    length = max(6, round(GROOVE_LIMITS.window_cycles * rate_hz / mode.frequency_hz))
     count = len(seen)
     if count < 4 * length:
-        raise FitError("a recording of a few cycles holds no grooves")
+        raise FitError(f"too short: {count} samples, {4 * length} are needed for grooves")
     taps = np.zeros(2 * length, dtype=np.complex128)
     for index, sign in ((np.arange(length), 1.0), (np.arange(-length, 0), -1.0)):
         ring = np.exp(_pole(mode) * index / rate_hz)
@@ -90,15 +77,18 @@ def _pole(mode: Mode) -> complex:
 
 
 def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
-    """A strike of 1 in the middle of silence, as long as its ringing."""
-    half = math.ceil(max(6 * mode.decay_time_s, 4 * WINDOW_CYCLES / mode.frequency_hz) * rate_hz)
+    """Return the acceleration of a strike of amplitude 1 in the middle of silence."""
+    half = math.ceil(max(6 * mode.decay_time_s, 4 * GROOVE_LIMITS.window_cycles / mode.frequency_hz) * rate_hz)
     time = np.arange(-half, half + 1) / rate_hz
     ring = np.exp(-mode.decay_rate_per_s * np.maximum(time, 0.0)) * np.sin(mode.angular_frequency_rad_per_s * time)
     return np.asarray(np.where(time >= 0, ring, 0.0))
 
 
 def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
-    """Where strikes are, in order: the largest step first, and what it makes of its neighbourhood taken away."""
+    """Return the sorted sample indices of the strikes; the largest is found and subtracted first, then the next.
+
+    `unit` is the step of a strike of amplitude 1. No other strike is found within `reach` samples of one.
+    """
     left = step.copy()
     middle = len(unit) // 2
     free = np.ones(len(step), dtype=np.bool_)
@@ -110,56 +100,58 @@ def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
     while len(sizes) < 2000:
         k = int(np.argmax(np.where(free, np.abs(left), 0.0)))
         size = float(left[k]) / float(unit[middle])
-        # A knock or two must not hide strikes.
-        usual = strong() if len(sizes) >= LEAST_STRIKES else 0.0
-        if abs(size) <= max(FAINT_STEP * usual, min(4 * noise, 0.5 * usual)):
+        # One or two knocks must not hide strikes.
+        usual = strong() if len(sizes) >= GROOVE_LIMITS.min_strikes else 0.0
+        if abs(size) <= max(GROOVE_LIMITS.min_strike * usual, min(4 * noise, 0.5 * usual)):
             break
         low, high = max(0, k - middle), min(len(left), k + middle + 1)
         left[low:high] -= size * unit[low - k + middle : high - k + middle]
-        # What is left about a strike is the error of its time and of the mode.
+        # The remainder near a strike is due to errors of its time and of the mode.
         free[max(0, k - reach) : k + reach + 1] = False
         sizes[k] = size
-    least = FAINT_STEP * strong()
+    least = GROOVE_LIMITS.min_strike * strong()
     return np.array(sorted(k for k, size in sizes.items() if abs(size) > least), dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Groove numbers (n,), so that strike k lies at about `first_m + number[k] * spacing_m`."""
+    """A regular row: strike k lies at about `first_m + number[k] * spacing_m`; `number` is (n,)."""
 
     number: Ints
     spacing_m: float
     first_m: float
 
     def offsets(self, place: Floats) -> Floats:
-        """(n,) distances of strikes from their places in the row, as parts of the spacing, with their signs."""
+        """Return signed distances (n,) of strikes from their places in the row, as fractions of the spacing."""
         return np.asarray(place - self.first_m - self.number * self.spacing_m) / self.spacing_m
 
     def unevenness(self, place: Floats) -> float:
-        """RMS distance of strikes from their places in the row, as a part of the spacing."""
+        """Return the RMS distance of strikes from their places in the row, as a fraction of the spacing."""
         return float(np.sqrt(np.mean(self.offsets(place) ** 2)))
 
 
 def row_of(place: Floats) -> Row:
-    """The row of strikes at `place` (n,), in m. By where the strikes lie, or from strike to strike (a speed that was
-    integrated drifts), whichever is the more even."""
+    """Return the row of strikes at `place` (n,), in m: numbered by place or from strike to strike.
+
+    The more even of the two is taken. An integrated speed drifts, so then the steps are more even.
+    """
     steps = np.abs(np.diff(place))
     steps = steps[steps > 0]
     if len(steps) < 2:
-        raise FitError("the strikes are all at one place: is the position the wrong column?")
+        raise FitError("all strikes have the same position: is it the wrong column?")
     usual = float(np.median(steps))
     return min((_by_place(place, usual), _by_step(place, usual)), key=lambda row: row.unevenness(place))
 
 
 def _slope_of_row(number: Ints, place: Floats) -> float:
-    """The spacing, by least squares; negative where the places fall as the numbers rise."""
+    """Return the spacing by least squares; it is negative if the places fall while the numbers rise."""
     centred = number - number.mean()
     square = float(centred @ centred)
     return float(centred @ place) / square if square > 0 else 0.0
 
 
 def _by_step(place: Floats, spacing: float) -> Row:
-    """Each groove's number from the step to it."""
+    """Return the row numbered by the steps from strike to strike."""
     number = np.zeros(len(place), dtype=np.int64)
     for _ in range(4):
         number = np.concatenate(([0], np.cumsum(np.round(np.diff(place) / spacing).astype(np.int64))))
@@ -168,8 +160,10 @@ def _by_step(place: Floats, spacing: float) -> Row:
 
 
 def _by_place(place: Floats, usual: float) -> Row:
-    """The spacing is the one whose phases agree best, of half the usual step to two and a half of it; half of one that
-    agrees does as well, so the largest is taken."""
+    """Return the row numbered by place: the spacing whose phases agree best, of 0.5 to 2.5 times the usual step.
+
+    Half of a spacing agrees as well as the spacing, so the largest is taken.
+    """
     few = place[:300]
     waves = np.arange(0.4 / usual, 2.0 / usual, 0.2 / max(float(np.ptp(few)), usual))
     agree = np.abs(np.exp(2j * math.pi * np.outer(waves, few)).mean(axis=1))
@@ -178,7 +172,7 @@ def _by_place(place: Floats, usual: float) -> Row:
         best += 1
     spacing = 1 / float(waves[best])
     first = spacing * float(np.angle(np.exp(2j * math.pi * few / spacing).mean())) / (2 * math.pi)
-    # Of twice as many strikes each time, as an error of the spacing adds up.
+    # Refined on twice as many strikes each time, because an error of the spacing accumulates.
     counts = [min(len(few), 16)]
     while counts[-1] < len(place):
         counts.append(min(len(place), 2 * counts[-1]))
@@ -196,15 +190,14 @@ def _by_place(place: Floats, usual: float) -> Row:
 
 
 class _FreeRinging:
-    """Stretches of free ringing, fitted side by side: arrays (stretches, samples), 0 beyond a stretch's end.
+    """Intervals of free ringing, fitted in parallel: arrays (intervals, samples), 0 beyond the end of an interval.
 
-    Each is Im(z exp((-B + i w) t)) beside a level and a slope. For given B and w, z and the drift of each stretch are a
+    Each is Im(z exp((-B + i w) t)) plus a level and a slope. For given B and w, z and the drift of each interval are a
     separate linear fit.
     """
 
     def __init__(self, seen: Floats, rate_hz: float, low: Ints, high: Ints, onset_s: Floats, mode: Mode) -> None:
-        """From the samples `low` to the ones before `high`, after these onsets; only those that are long enough to say
-        anything are `used`."""
+        """Take the samples `low` to `high` - 1 after these onsets; intervals that are too short are not `used`."""
         least = max(5, math.ceil(0.4 * rate_hz / mode.frequency_hz))
         self.used: Ints = np.flatnonzero(high - low >= least)
         low, high, onset_s = low[self.used], high[self.used], onset_s[self.used]
@@ -215,7 +208,7 @@ class _FreeRinging:
         self.index: Ints = np.where(self.held, index, low[:, None])
         self._first_s = low / rate_hz - onset_s
         self._since_s = steps / rate_hz
-        # A level takes a cycle to tell from the ringing, a slope two.
+        # A level can be separated from the ringing after a cycle, a slope after two.
         cycles = count / rate_hz * mode.frequency_hz
         level = self.held / np.sqrt(count)[:, None] * (cycles > 0.9)[:, None]
         ramp = np.where(self.held, steps - (count[:, None] - 1) / 2, 0.0) * (cycles > 1.8)[:, None]
@@ -229,13 +222,13 @@ class _FreeRinging:
         return values
 
     def solved(self, mode: Mode) -> tuple[Complexes, Floats]:
-        """z at each onset, and what the ringing leaves, (stretches, samples)."""
+        """Return z at each onset, and the residual (intervals, samples)."""
         pole = _pole(mode)
         turned = np.exp(pole * self._first_s)[:, None] * np.exp(pole * self._since_s) * self.held
         sine, cosine = self._less_drift(turned.imag), self._less_drift(turned.real)
         ss, cc, sc = _products(sine, sine), _products(cosine, cosine), _products(sine, cosine)
         sa, ca = _products(sine, self.flat), _products(cosine, self.flat)
-        # Where both columns say the same, the stretch says nothing.
+        # If both columns are proportional, the interval does not determine z.
         inverse = 1 / np.maximum(ss * cc - sc**2, 1e-12 * ss * cc + 1e-300)
         by_sine, by_cosine = inverse * (cc * sa - sc * ca), inverse * (ss * ca - sc * sa)
         left = self.flat - by_sine[:, None] * sine - by_cosine[:, None] * cosine
@@ -248,7 +241,7 @@ def _products(one: Floats, other: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Strike:
-    """One groove passed: when and where, how fast and how hard pressed, and A of its ringing."""
+    """One passed groove: time, position, speed, force, and amplitude A of its ringing."""
 
     recording: str
     time_s: float
@@ -260,20 +253,20 @@ class Strike:
 
 @dataclass(frozen=True, slots=True)
 class ModelledStroke:
-    """One recording as fitted: time from its first sample, and the acceleration that the strikes make."""
+    """One fitted recording, with the acceleration of the model."""
 
     name: str
     rate_hz: float
     acceleration_m_per_s2: Floats = dataclasses.field(repr=False)
     model_m_per_s2: Floats = dataclasses.field(repr=False)
-    """NaN where no ringing was fitted."""
+    """(n,) NaN where no ringing was fitted."""
     variance_accounted_for: float
     spacing_m: float
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Intervals in a row, their mode, and the mean speed and force there."""
+    """The mode of consecutive intervals, and their mean speed and force."""
 
     mode: Mode
     speed_m_per_s: float
@@ -281,7 +274,7 @@ class Group:
 
 
 class StrokeFit:
-    """The strikes of one recording, and the mode that they ring with."""
+    """The strikes of one recording, and their mode."""
 
     def __init__(self, stroke: Stroke) -> None:
         self.stroke = stroke
@@ -293,10 +286,10 @@ class StrokeFit:
         if slow := preparation.undersampled(self._rate_hz, rough):
             raise FitError(f"{self.name}: {slow}")
         mode, onsets = self._settled(*self._begun(2 * math.pi * rough))
-        if self._uneven(onsets) > EVEN_ROW_PART:
-            # What is no strike followed from the mode that they were looked for with.
+        if self._uneven(onsets) > GROOVE_LIMITS.even_row:
+            # A wrong first mode makes false strikes.
             again = self._found(mode)
-            if len(again) >= LEAST_STRIKES and self._uneven(again) < self._uneven(onsets):
+            if len(again) >= GROOVE_LIMITS.min_strikes and self._uneven(again) < self._uneven(onsets):
                 mode, onsets = self._settled(mode, again)
         self._onsets = self._without_echoes(mode, self._regular(mode, onsets))
         better = self._searched(mode, self._onsets, wide=True)
@@ -310,50 +303,50 @@ class StrokeFit:
     # ---- Onsets
 
     def _begun(self, angular: float) -> tuple[Mode, Floats]:
-        """Mode and onsets, from several dampings: the ones whose strikes lie most evenly. What is no strike follows
-        from a wrong damping, and then lies anywhere."""
+        """Return mode and onsets for that of several dampings whose strikes are the most even.
+
+        A wrong damping makes false strikes, at random places.
+        """
         best: tuple[float, Mode, Floats] | None = None
         most = 0
         for damping in (0.15, 0.03, 0.4):
             mode = Mode(damping * angular, angular)
             onsets = self._found(mode)
             most = max(most, len(onsets))
-            if len(onsets) < LEAST_STRIKES:
+            if len(onsets) < GROOVE_LIMITS.min_strikes:
                 continue
             mode = self._searched(mode, onsets)
             onsets = self._found(mode)
             most = max(most, len(onsets))
-            if len(onsets) < LEAST_STRIKES:
+            if len(onsets) < GROOVE_LIMITS.min_strikes:
                 continue
             uneven = self._uneven(onsets)
             if best is None or uneven < best[0]:
                 best = uneven, mode, onsets
-            if uneven < EVEN_ROW_PART:
+            if uneven < GROOVE_LIMITS.even_row:
                 break
         if best is None:
-            raise FitError(f"{self.name}: {most} strikes, at least {LEAST_STRIKES} are needed: no grooves here")
-        # Places at random are off by 0.29.
-        if best[0] > 0.22:
+            raise FitError(f"{self.name}: {most} strikes, {GROOVE_LIMITS.min_strikes} are needed: no grooves here")
+        if best[0] > GROOVE_LIMITS.max_first_unevenness:
             raise FitError(self._scattered(*best))
         return best[1], best[2]
 
     def _settled(self, mode: Mode, onsets: Floats) -> tuple[Mode, Floats]:
-        """Mode and onsets, each refined three times in turn by the other; an onset is moved to where the phase of its
-        step says, by a sixth of a cycle at most."""
+        """Return mode and onsets, refined three times in turn; an onset moves by at most a sixth of a cycle."""
         for _ in range(3):
             mode = self._refined(mode, self._windows(mode, onsets))
-            jump, whole = self._jumps(mode, onsets)
-            late = np.where(whole, _late(jump, mode), 0.0)
+            jump, complete = self._jumps(mode, onsets)
+            late = np.where(complete, _late(jump, mode), 0.0)
             limit = 1 / (6 * mode.frequency_hz)
             onsets = np.sort(onsets + np.clip(late, -limit, limit))
         return mode, onsets
 
     def _scattered(self, uneven: float, mode: Mode, onsets: Floats) -> str:
         cycles = float(np.median(np.diff(onsets))) * mode.frequency_hz
-        few = cycles < AT_LEAST["cycles from strike to strike"].fair
+        few = cycles < LOWER_LIMITS["cycles from strike to strike"].fair
         near = f"; they follow within {cycles:.1f} cycles: stroke more slowly" if few else ""
         return (
-            f"{self.name}: the strikes are not at equal distances (off by {100 * uneven:.0f} % of the spacing): "
+            f"{self.name}: the strikes are not at equal distances (errors of {100 * uneven:.0f} % of the spacing): "
             f"no grooves here, or grooves of two spacings{near}"
         )
 
@@ -361,12 +354,12 @@ class StrokeFit:
         return np.interp(onsets, self._time_s, self.stroke.position)
 
     def _uneven(self, onsets: Floats) -> float:
-        """RMS distance from a regular row, as a part of its spacing."""
+        """Return the RMS distance of these onsets from a regular row, as a fraction of its spacing."""
         place = self._places(onsets)
         return row_of(place).unevenness(place)
 
     def _found(self, mode: Mode) -> Floats:
-        """Times of the strikes, s, in order: where z steps while the stylus moves."""
+        """Return the times of the strikes, s, sorted: steps of z while the stylus moves."""
         step = _ringing_steps(self._seen, self._rate_hz, mode).real
         noise = 1.4826 * float(np.median(np.abs(step)))
         reach = max(2, round(0.5 * self._rate_hz / mode.frequency_hz))
@@ -376,31 +369,36 @@ class StrokeFit:
         return np.asarray(kept[moving[kept] > 0.1 * np.percentile(moving, 90)] / self._rate_hz)
 
     def _regular(self, mode: Mode, onsets: Floats) -> Floats:
-        """The onsets that lie in one row of equal distances along the surface. FitError where most do not."""
+        """Return the onsets that lie in a row of equal distances along the surface; raise FitError if most do not."""
         place = self._places(onsets)
         row = row_of(place)
         number, off = row.number, np.abs(row.offsets(place))
-        sound = off < 0.25
-        # Of several on one groove in one pass (an echo), the one nearest to its place stays.
+        sound = off < GROOVE_LIMITS.max_offset
+        # If one groove has several strikes in a pass (an echo), the one nearest to its place is kept.
         for k in range(len(place) - 1):
             if number[k] == number[k + 1] and sound[k] and sound[k + 1]:
                 sound[k if off[k] > off[k + 1] else k + 1] = False
         spread = float(np.sqrt(np.mean(off[sound] ** 2))) if sound.any() else 1.0
-        if np.count_nonzero(sound) < max(LEAST_STRIKES, 0.7 * len(place)) or spread > 0.12:
+        if (
+            np.count_nonzero(sound) < max(GROOVE_LIMITS.min_strikes, GROOVE_LIMITS.min_regular * len(place))
+            or spread > GROOVE_LIMITS.max_unevenness
+        ):
             raise FitError(self._scattered(spread, mode, onsets))
         return onsets[sound]
 
     @property
     def cycles(self) -> float:
-        """From one strike to the next."""
+        """Cycles of the mode from one strike to the next."""
         return float(np.median(np.diff(self._onsets))) * self.mode.frequency_hz
 
     def _without_echoes(self, mode: Mode, onsets: Floats) -> Floats:
-        """Half-way between two strikes may be what a wrong damping leaves of the one before: every other strike is half
-        as strong as its neighbours, or weaker."""
+        """Return the onsets without echoes: every other strike, if these are at most half as strong as the others.
+
+        A wrong damping makes an echo of a strike half-way to the next.
+        """
         sizes = np.abs(self._jumps(mode, onsets)[0])
         odd = row_of(self._places(onsets)).number % 2 == 1
-        if len(onsets) < 2 * LEAST_STRIKES or not 0 < np.count_nonzero(odd) < len(odd):
+        if len(onsets) < 2 * GROOVE_LIMITS.min_strikes or not 0 < np.count_nonzero(odd) < len(odd):
             return onsets
         one, other = float(np.median(sizes[odd])), float(np.median(sizes[~odd]))
         if max(one, other) < 2.0 * min(one, other):
@@ -410,22 +408,21 @@ class StrokeFit:
 
     @property
     def row(self) -> tuple[Floats, Ints]:
-        """Places of the strikes and the numbers of their grooves. The first strike's time is not refined, as what
-        rang before it is not known: it has no place."""
+        """Places of the strikes and numbers of their grooves, without the first: its time is not refined."""
         place = self._places(self._onsets)
-        whole = self._jumps(self.mode, self._onsets)[1]
-        return place[whole], row_of(place).number[whole]
+        complete = self._jumps(self.mode, self._onsets)[1]
+        return place[complete], row_of(place).number[complete]
 
     @property
     def spacing_m(self) -> float:
-        """By its sign it says which way the strikes go."""
+        """Spacing; negative if the positions fall with time."""
         place, number = self.row
         return _slope_of_row(number, place)
 
     # ---- The ringing between strikes
 
     def _windows(self, mode: Mode, onsets: Floats, part: slice = slice(None)) -> _FreeRinging:
-        """What rings freely after each strike, or some of them."""
+        """Return the free ringing after each strike, or after those of the slice `part`."""
         guard = 0.1 / mode.frequency_hz
         ends = np.minimum(np.append(onsets[1:] - guard, self._time_s[-1]), onsets + 5 * mode.decay_time_s)
         low = np.maximum(np.ceil((onsets + guard) * self._rate_hz), 0).astype(np.int64)
@@ -433,30 +430,30 @@ class StrokeFit:
         return _FreeRinging(self._seen, self._rate_hz, low[part], high[part], onsets[part], mode)
 
     def _jumps(self, mode: Mode, onsets: Floats) -> tuple[Complexes, Bools]:
-        """The step in z at each strike, and which steps have a ringing on either side."""
+        """Return the step in z at each strike, and whether it has a fitted ringing on either side."""
         windows = self._windows(mode, onsets)
         z = np.zeros(len(onsets), dtype=np.complex128)
-        whole = np.zeros(len(onsets), dtype=np.bool_)
+        complete = np.zeros(len(onsets), dtype=np.bool_)
         if len(windows.used) == 0:
-            return z, whole
+            return z, complete
         z[windows.used] = windows.solved(mode)[0]
-        whole[windows.used] = True
+        complete[windows.used] = True
         jump = z.copy()
         jump[1:] -= z[:-1] * np.exp(_pole(mode) * np.diff(onsets))
-        whole[1:] &= whole[:-1].copy()
-        whole[0] = False
-        return jump, whole
+        complete[1:] &= complete[:-1].copy()
+        complete[0] = False
+        return jump, complete
 
     def _left(self, mode: Mode) -> float:
-        """Squares that a mode, refined, leaves."""
+        """Return the sum of squared residuals of a mode after refinement."""
         windows = self._windows(mode, self._onsets)
         return float(np.sum(windows.solved(self._refined(mode, windows))[1] ** 2))
 
     def _searched(self, mode: Mode, onsets: Floats, wide: bool = False) -> Mode:
-        """The best of a grid of modes about this one, of the same intervals for all."""
+        """Return the best of a grid of modes about this one, all fitted to the same intervals."""
         w = mode.angular_frequency_rad_per_s
         reach = min(0.3 * w, 2 * math.pi / float(np.median(np.diff(onsets))))
-        windows = self._windows(Mode(0.05 * w, w), onsets[: 2 * STRIKES_IN_GROUP])
+        windows = self._windows(Mode(0.05 * w, w), onsets[: 2 * GROOVE_LIMITS.strikes_in_group])
         if len(windows.used) == 0:
             return mode
         tried = [
@@ -467,8 +464,11 @@ class StrokeFit:
         return min(tried, key=lambda each: float(np.sum(windows.solved(each)[1] ** 2)))
 
     def _refined(self, mode: Mode, windows: _FreeRinging) -> Mode:
-        """Least squares in log B and log w over these intervals, which stay as they are while the mode moves, so that
-        sums of squares compare. FitError where no interval says anything."""
+        """Return the mode refined by least squares in log B and log w over these intervals.
+
+        The intervals stay the same while the mode changes, so that sums of squares are comparable. Raises FitError if
+        all intervals are too short.
+        """
         from scipy.optimize import least_squares
 
         self._check_rings(windows)
@@ -482,14 +482,14 @@ class StrokeFit:
         return Mode(math.exp(found[0]), math.exp(found[1]))
 
     def _check_rings(self, windows: _FreeRinging) -> None:
-        """FitError where no interval says anything."""
+        """Raise FitError if all intervals are too short."""
         if len(windows.used) == 0:
             raise FitError(f"{self.name}: the strikes follow one another within half a cycle: stroke more slowly")
 
-    # ---- What comes of it
+    # ---- Results
 
     def _grouped(self) -> list[Group]:
-        count = max(1, len(self._onsets) // STRIKES_IN_GROUP)
+        count = max(1, len(self._onsets) // GROOVE_LIMITS.strikes_in_group)
         found = []
         for low, high in pairwise(np.linspace(0, len(self._onsets), count + 1).round().astype(int)):
             speed, force = self._moved(self._onsets[low:high])
@@ -498,46 +498,46 @@ class StrokeFit:
         return found
 
     def _moved(self, onsets: Floats) -> tuple[Floats, Floats]:
-        """Speed and force at each."""
+        """Return speed and force at each onset."""
         columns = (self.stroke.speed, self._force_n)
         speed, force = (np.interp(onsets, self._time_s, column) for column in columns)
         return speed, force
 
     def _sizes(self, mode: Mode) -> tuple[Floats, Bools]:
-        """Amplitudes of all strikes, positive along the motion, and which of them have a ringing on either side."""
-        jump, whole = self._jumps(mode, self._onsets)
-        # What was not measured so about a strike says nothing of it.
+        """Return the amplitudes of all strikes, positive along the motion, and which have a ringing on either side."""
+        jump, complete = self._jumps(mode, self._onsets)
+        # Strikes near replaced samples are not used.
         at = np.round(self._onsets * self._rate_hz).astype(np.int64)
         reach = max(1, round(self._rate_hz / mode.frequency_hz))
         low, high = np.maximum(at - reach, 0), np.minimum(at + reach + 1, len(self._seen))
         replaced = np.concatenate(([0], np.cumsum(self.stroke.replaced)))
-        whole &= replaced[high] == replaced[low]
+        complete &= replaced[high] == replaced[low]
         along = jump * np.sign(self._moved(self._onsets)[0])
-        along *= np.sign(np.sum(along.real[whole])) or 1.0
-        return np.abs(along) * np.exp(-mode.decay_rate_per_s * _late(along, mode)) * np.sign(along.real), whole
+        along *= np.sign(np.sum(along.real[complete])) or 1.0
+        return np.abs(along) * np.exp(-mode.decay_rate_per_s * _late(along, mode)) * np.sign(along.real), complete
 
     def strikes(self, mode: Mode) -> list[Strike]:
-        """Those with a ringing on either side; amplitudes positive, along the motion."""
-        size, whole = self._sizes(mode)
-        onsets = self._onsets[whole]
-        figures = zip(onsets, self._places(onsets), *self._moved(onsets), size[whole], strict=True)
+        """Return the strikes with a ringing on either side; amplitudes are positive along the motion."""
+        size, complete = self._sizes(mode)
+        onsets = self._onsets[complete]
+        figures = zip(onsets, self._places(onsets), *self._moved(onsets), size[complete], strict=True)
         return [Strike(self.name, *map(float, each)) for each in figures]
 
     def shifts(self, mode: Mode) -> Floats:
-        """(2, strikes) what one standard error of frequency and of decay does to the amplitudes, all at once."""
-        size, whole = self._sizes(mode)
-        found = np.zeros((2, int(np.count_nonzero(whole))))
+        """Return the common changes (2, strikes) of the amplitudes by one standard error of frequency and of decay."""
+        size, complete = self._sizes(mode)
+        found = np.zeros((2, int(np.count_nonzero(complete))))
         count = len(self.groups)
         if count < 2:
             return found
         for k, name in enumerate(("angular_frequency_rad_per_s", "decay_rate_per_s")):
             values = np.array([getattr(group.mode, name) for group in self.groups])
             moved = dataclasses.replace(mode, **{name: getattr(mode, name) + values.std(ddof=1) / math.sqrt(count)})
-            found[k] = self._sizes(moved)[0][whole] - size[whole]
+            found[k] = self._sizes(moved)[0][complete] - size[complete]
         return found
 
     def modelled(self, mode: Mode) -> ModelledStroke:
-        """The stroke by a mode. FitError where that explains too little."""
+        """Return the stroke as modelled by a mode; raise FitError if the mode explains too little."""
         windows = self._windows(mode, self._onsets)
         self._check_rings(windows)
         left = windows.solved(mode)[1]
@@ -545,16 +545,16 @@ class StrokeFit:
         here = windows.index[windows.held]
         model[here] = self._seen[here] - left[windows.held]
         accounted = 1 - float(np.sum(left**2)) / float(np.sum(windows.flat**2))
-        if accounted < LEAST_ACCOUNTED:
+        if accounted < GROOVE_LIMITS.min_explained:
             raise FitError(
-                f"{self.name}: a mode struck by grooves accounts for {100 * accounted:.0f} % of the variance, "
-                f"at least {100 * LEAST_ACCOUNTED:.0f} % is needed: no grooves here"
+                f"{self.name}: a mode struck by grooves explains {100 * accounted:.0f} % of the variance, "
+                f"{100 * GROOVE_LIMITS.min_explained:.0f} % are needed: no grooves here"
             )
         return ModelledStroke(self.name, self._rate_hz, self._seen, model, accounted, self.spacing_m)
 
 
 def _late(jump: Complexes, mode: Mode) -> Floats:
-    """(n,) by how much later than assumed strikes struck, s, whichever way they push."""
+    """Return the delays (n,) of strikes after their assumed times, s, for either sign of the strike."""
     return np.asarray(-np.angle(np.where(jump.real < 0, -jump, jump)) / mode.angular_frequency_rad_per_s)
 
 
@@ -562,20 +562,23 @@ def _late(jump: Complexes, mode: Mode) -> Floats:
 
 
 def _gains(
-    columns: Floats, amplitude: Floats, shifts: Floats, law: Robust, doubts: Doubts
+    columns: Floats, amplitude: Floats, shifts: Floats, law: Robust, warnings: Warnings
 ) -> tuple[list[Estimate], float]:
-    """Of speed and of force, none below 0, of the law of both, whatever their signs; and the correlation. `columns` are
-    speed and force (n, 2), `shifts` as of StrokeFit. FitError where a gain is negative beyond doubt."""
+    """Return the gains of speed and of force, none below 0, and the correlation of the law.
+
+    `columns` are speed and force (n, 2), `shifts` those of StrokeFit, `law` the fit without a limit of the signs.
+    Raises FitError if a gain is significantly negative.
+    """
     gains, correlation = list(law.coefficients), law.correlation
     usual = float(np.median(np.abs(amplitude)))
     for which, name in enumerate(("velocity", "force")):
         gain = law.coefficients[which]
         if gain.high < 0:
             raise FitError(
-                f"the {name} gain comes out negative ({gain.low:.3g} to {gain.high:.3g}): "
-                "strikes that weaken are not of this model; is a column swapped?"
+                f"the {name} gain must be positive, is {gain.low:.3g} to {gain.high:.3g}: the model has no strikes "
+                "that weaken; is a column swapped?"
             )
-        doubts.check_gain(name, gain, float(np.median(columns[:, which])), usual)
+        warnings.check_gain(name, gain, float(np.median(columns[:, which])), usual)
         if gain.value < 0:
             alone = robust(columns[:, [1 - which]], amplitude, shifts)
             gains[which], gains[1 - which] = Estimate(0.0, 0.0, max(0.0, gain.high)), alone.coefficients[0]
@@ -583,31 +586,37 @@ def _gains(
     return gains, correlation
 
 
-def _offset(columns: Floats, amplitude: Floats, shifts: Floats, doubts: Doubts) -> Estimate | None:
-    """A constant beside the two gains, which the model does not have; None where it cannot be separated from them."""
+def _offset(columns: Floats, amplitude: Floats, shifts: Floats, warnings: Warnings) -> Estimate | None:
+    """Return a constant in addition to the two gains, or None if it cannot be separated from them.
+
+    The model has no such offset, so a significant one is added as a reason.
+    """
     columns = np.column_stack((columns, np.ones_like(amplitude)))
     if len(columns) <= 3 or not well_conditioned(columns):
         return None
     offset = robust(columns, amplitude, shifts).coefficients[2]
     if offset.excludes_zero:
-        doubts.check("offset", abs(offset.value) / float(amplitude.mean()), offset=offset)
+        warnings.check("offset", abs(offset.value) / float(amplitude.mean()), offset=offset)
     return offset
 
 
 def _spacing(fits: Sequence[StrokeFit]) -> Estimate:
-    """One spacing for all; where a row begins is its own. A strike whose ringing is cut short may lie anywhere."""
+    """Return the common spacing of all recordings; each row has a separate origin.
+
+    The estimate is robust, because a strike with a short ringing may have a wrong place.
+    """
     parts = [each.row for each in fits]
     place = np.concatenate([each - each.mean() for each, _ in parts])
     number = np.concatenate([each - each.mean() for _, each in parts])
     which = np.repeat(np.arange(len(parts)), [len(each) for each, _ in parts])
-    # Whichever way they were stroked.
+    # The sign of the direction of each stroke.
     turned = np.array([math.copysign(1.0, each.spacing_m) for each in fits])
     columns = np.column_stack((number * turned[which], which[:, None] == np.arange(len(parts))))
     return robust(columns, place, grows=False).coefficients[0]
 
 
 def _mean_mode(groups: Sequence[Group]) -> Mode:
-    """Of one stroke."""
+    """Return the mean mode of one stroke."""
     return Mode(
         1 / float(np.mean([group.mode.decay_time_s for group in groups])),
         float(np.mean([group.mode.angular_frequency_rad_per_s for group in groups])),
@@ -619,7 +628,7 @@ def _mean_mode(groups: Sequence[Group]) -> Mode:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroovesFit(Fit):
-    """What strokes over grooves say. All intervals are of 95 %."""
+    """Result of a fit of grooves. All intervals are of 95 %."""
 
     spacing_m: Estimate
     frequency_hz: Estimate
@@ -627,9 +636,9 @@ class GroovesFit(Fit):
     velocity_gain_per_s: Estimate
     force_gain_m_per_s2_per_n: Estimate
     correlation: float
-    """Between the amplitudes and what the two gains say of them."""
+    """Correlation of measured and predicted amplitudes."""
     offset_m_per_s2: Estimate | None
-    """Of a fit with a constant beside the two gains; None where speed and force vary too little for one."""
+    """Constant of a fit in addition to the two gains; None if speed and force vary too little for one."""
     frequency_per_speed_hz_s_per_m: Estimate | None
     frequency_per_force_hz_per_n: Estimate | None
     variance_accounted_for: float
@@ -637,13 +646,13 @@ class GroovesFit(Fit):
     strokes: tuple[ModelledStroke, ...]
 
     def material(self) -> dict[str, object]:
-        """The keys of a material: its texture. Stiffness is not measured by strokes."""
+        """Return the keys of a material: its texture. Strokes do not measure the stiffness."""
         return {
             "texture": {
                 "kind": "grooves",
                 "display": "vibration",
                 "spacing_m": self.spacing_m.value,
-                # Strokes do not show it, and vibration does not use it.
+                # Strokes do not measure the width, and `display: vibration` does not use it.
                 "width_m": 0.25 * self.spacing_m.value,
                 "velocity_gain_per_s": max(0.0, self.velocity_gain_per_s.value),
                 "force_gain_m_per_s2_per_n": max(0.0, self.force_gain_m_per_s2_per_n.value),
@@ -654,61 +663,69 @@ class GroovesFit(Fit):
 
 
 def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> GroovesFit:
-    """Of strokes at several speeds and forces, one or more to a recording. FitError where they do not say it.
+    """Fit grooves to strokes at several speeds and forces, one or more in a recording.
 
-    Recordings, and stretches of them (of 0.1 s and more), that cannot be used are reported in `excluded`.
+    Recordings, and sections of them, that cannot be used are added to `excluded`. Raises FitError if the recordings do
+    not support a fit.
     """
     excluded = Exclusions() if excluded is None else excluded
-    doubts = Doubts()
+    warnings = Warnings()
     preparation.refuse_duplicates(recordings)
-    stretches = preparation.stretches_of(recordings, 0.1, excluded)
-    fits = excluded.each(stretches, lambda each: StrokeFit(stroke_of(each, "grooves")))
+    sections = preparation.sections_of(recordings, GROOVE_LIMITS.min_section_s, excluded)
+    fits = excluded.each(sections, lambda each: StrokeFit(stroke_of(each, "grooves")))
     if not fits:
         raise excluded.refused(f"none of {len(recordings)} recordings can be used")
-    preparation.report_cleaning([each.stroke for each in fits], doubts)
-    excluded.report(recordings, doubts)
+    preparation.report_cleaning([each.stroke for each in fits], warnings)
+    excluded.report(recordings, warnings)
     _refuse_others(fits)
     recordings = [each.stroke.recording for each in fits]
     modes = [_mean_mode(each.groups) for each in fits]
     groups = [group for each in fits for group in each.groups]
     if len(groups) < 2:
-        raise excluded.refused(f"{len(groups)} group of strikes has no interval: needs {2 * STRIKES_IN_GROUP} strikes")
+        raise excluded.refused(
+            f"{len(groups)} group of strikes has no interval: needs {2 * GROOVE_LIMITS.strikes_in_group} strikes"
+        )
     frequencies = np.array([group.mode.frequency_hz for group in groups])
     frequency = common(frequencies)
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
     strikes = tuple(strike for each, mode in zip(fits, modes, strict=True) for strike in each.strikes(mode))
     strokes = tuple(each.modelled(mode) for each, mode in zip(fits, modes, strict=True))
     shifts = np.concatenate([each.shifts(mode) for each, mode in zip(fits, modes, strict=True)], 1)
-    _doubt_the_recordings(recordings, fits, strokes, frequency, doubts)
+    _check_recordings(recordings, fits, strokes, frequency, warnings)
     spacing = _spacing(fits)
     columns = np.array([(abs(strike.speed_m_per_s), strike.force_n) for strike in strikes])
     amplitude = np.array([strike.amplitude_m_per_s2 for strike in strikes])
     usual = float(np.median(np.abs(amplitude)))
-    preparation.check_range(usual, *AMPLITUDES_M_PER_S2, f"strikes of {usual:.3g} m/s^2 are", "grooves'")
-    preparation.check_force_varies(recordings, columns[:, 1], doubts)
-    preparation.check_apart(columns[:, 0], columns[:, 1])
+    preparation.check_range(
+        usual,
+        GROOVE_LIMITS.min_amplitude_m_per_s2,
+        GROOVE_LIMITS.max_amplitude_m_per_s2,
+        "usual amplitude of the strikes",
+    )
+    preparation.check_force_varies(recordings, columns[:, 1], warnings)
+    preparation.check_independent(columns[:, 0], columns[:, 1])
     law = robust(columns, amplitude, shifts)
-    (by_velocity, by_press), correlation = _gains(columns, amplitude, shifts, law, doubts)
+    (by_velocity, by_press), correlation = _gains(columns, amplitude, shifts, law, warnings)
     if law.outliers:
         first = strikes[law.outliers[0]]
-        reason = f"{len(law.outliers)} of {len(strikes)} strikes are far off the others and do not count"
-        doubts.warn(f"{reason}; the first: {first.recording} at {first.time_s:.4g} s")
-        doubts.check("part left out", len(law.outliers) / len(strikes), left=reason)
-    offset = _offset(columns, amplitude, shifts, doubts)
-    doubts.check("correlation of the law", correlation, what="amplitudes")
-    by_speed, by_force = preparation.moved_with(
+        reason = f"{len(law.outliers)} of {len(strikes)} strikes are outliers and do not count"
+        warnings.note(f"{reason}; the first: {first.recording} at {first.time_s:.4g} s")
+        warnings.check("part left out", len(law.outliers) / len(strikes), left=reason)
+    offset = _offset(columns, amplitude, shifts, warnings)
+    warnings.check("correlation of the law", correlation, what="amplitudes")
+    by_speed, by_force = preparation.changes_with(
         np.array([group.speed_m_per_s for group in groups]),
         np.array([group.force_n for group in groups]),
         frequencies,
         "frequency",
-        0.02,
-        0.95,
-        doubts,
+        GROOVE_LIMITS.min_frequency_change,
+        GROOVE_LIMITS.change_confidence,
+        warnings,
     )
     accounted = float(np.mean([stroke.variance_accounted_for for stroke in strokes]))
-    doubts.check("variance that grooves explain", accounted)
+    warnings.check("variance that grooves explain", accounted)
     for what, figure in (("spacing", spacing), ("frequency", frequency), ("decay time", decay)):
-        doubts.check_interval(what, figure)
+        warnings.check_interval(what, figure)
     return GroovesFit(
         spacing_m=spacing,
         frequency_hz=frequency,
@@ -722,47 +739,47 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
         variance_accounted_for=accounted,
         strikes=strikes,
         strokes=strokes,
-        warnings=tuple(doubts.warnings),
-        judged=doubts.judged(
-            f"{len(strikes)} strikes {1e3 * spacing.value:.4g} mm apart, {frequency.value:.4g} Hz, decay time "
-            f"{1e3 * decay.value:.3g} ms, amplitudes with a correlation of {correlation:.2f}"
+        warnings=tuple(warnings.lines),
+        judged=warnings.verdict(
+            f"{len(strikes)} strikes with a spacing of {1e3 * spacing.value:.4g} mm, {frequency.value:.4g} Hz, decay "
+            f"time {1e3 * decay.value:.3g} ms, amplitudes with a correlation of {correlation:.2f}"
         ),
         left_out=tuple(excluded.items),
     )
 
 
 def _refuse_others(fits: Sequence[StrokeFit]) -> None:
-    """FitError where recordings are not of the same grooves, or not of the same mode."""
+    """Raise FitError if the recordings have different spacings or modes."""
     spacings = np.array([abs(each.spacing_m) for each in fits])
     frequencies = np.array([each.mode.frequency_hz for each in fits])
     for values, most, what, unit, scale in (
-        (spacings, 0.03, "grooves", "mm apart", 1e3),
-        (frequencies, 0.25, "ringing at", "Hz", 1.0),
+        (spacings, GROOVE_LIMITS.max_spacing_difference, "spacing of the grooves:", "mm", 1e3),
+        (frequencies, GROOVE_LIMITS.max_frequency_difference, "frequency of the ringing:", "Hz", 1.0),
     ):
         middle = float(np.median(values))
         off = np.abs(values / middle - 1)
         if off.max() > most:
             k = int(np.argmax(off))
             raise FitError(
-                f"{fits[k].name}: {what} {scale * values[k]:.4g} {unit}, those of the other recordings "
-                f"{scale * middle:.4g}: other grooves, or strokes so fast that strikes cannot be told apart"
+                f"{fits[k].name}: {what} {scale * values[k]:.4g} {unit}, in the other recordings "
+                f"{scale * middle:.4g}: other grooves, or strokes too fast to separate the strikes"
             )
 
 
-def _doubt_the_recordings(
+def _check_recordings(
     recordings: Sequence[Recording],
     fits: Sequence[StrokeFit],
     strokes: Sequence[ModelledStroke],
     frequency: Estimate,
-    doubts: Doubts,
+    warnings: Warnings,
 ) -> None:
-    """Wrong units, hum, strikes that follow one another too soon, and a rate that is too low."""
-    preparation.report_gravity(recordings, doubts)
+    """Add reasons for wrong units, hum, strikes that follow too soon, and a sampling rate that is too low."""
+    preparation.report_gravity(recordings, warnings)
     report_lines(
         strokes,
         lambda each, needed: lines_in_residual(each.acceleration_m_per_s2, each.model_m_per_s2, each.rate_hz, needed),
-        doubts,
+        warnings,
     )
     for each in fits:
-        doubts.check("cycles from strike to strike", each.cycles, name=each.name)
-    preparation.report_sampling(recordings, frequency.value, doubts)
+        warnings.check("cycles from strike to strike", each.cycles, name=each.name)
+    preparation.report_sampling(recordings, frequency.value, warnings)

@@ -1,4 +1,4 @@
-"""What the report of each kind of fit draws."""
+"""Pictures in the report of each kind of fit."""
 
 from __future__ import annotations
 
@@ -32,30 +32,30 @@ if TYPE_CHECKING:
 
 Row: TypeAlias = tuple[Panel, ...]
 
-MOST_DRAWN: Final = 3
-"""Of recordings that are alike, so many are drawn."""
-ACCELERATION: Final = "m/s²"
-DENSITY: Final = "(m/s²)²/Hz"
+MAX_DRAWN_RECORDINGS: Final = 3
+"""Largest number of recordings, taps or strokes of one kind that a report draws."""
+ACCELERATION_UNIT: Final = "m/s²"
+DENSITY_UNIT: Final = "(m/s²)²/Hz"
 
 
 def page_of(
     kind: Kind, title: str, fit: Fit, recordings: Sequence[Recording], unused: Sequence[Recording] = ()
 ) -> Page:
-    """The report of a fit of this kind; of `unused` recordings there is why they are left out."""
+    """Return the report of a fit of this kind; it shows why `unused` recordings are left out."""
     sources = {recording.source.path: recording.source.sha256 for recording in recordings}
-    drawn = _ROWS[kind](fit, [_kept(each, kind) for each in recordings])
+    drawn = _ROWS_BY_KIND[kind](fit, [_kept(each, kind) for each in recordings])
     rows = tuple(row for row in (*drawn, *_left_out(fit, [*recordings, *unused])) if row)
     return Page(title, fit.verdict, fit.warnings, estimates(fit), plain_figures(fit), tuple(sources.items()), rows)
 
 
 def first_row(kind: Kind, fit: Fit, recordings: Sequence[Recording]) -> Row:
-    """The first row of the report: what the events of all recordings have in common."""
-    rows = _ROWS[kind](fit, [_kept(each, kind) for each in recordings])
+    """Return the first row of pictures of the report: the events of all recordings together."""
+    rows = _ROWS_BY_KIND[kind](fit, [_kept(each, kind) for each in recordings])
     return next((row for row in rows if row), ())
 
 
 def _kept(recording: Recording, kind: Kind) -> Recording:
-    """As it was fitted: without samples that cannot be."""
+    """Return the recording as it was fitted, without impossible samples."""
     try:
         return without_invalid_samples(recording, kind).recording
     except FitError:
@@ -63,9 +63,9 @@ def _kept(recording: Recording, kind: Kind) -> Recording:
 
 
 def density(values: Floats, rate_hz: float, segment: int = 4096) -> tuple[Floats, Floats]:
-    """Power spectral density, one-sided, without its line at 0: Welch's mean over Hann's windows that overlap by half.
+    """Return frequencies, Hz, and one-sided power spectral density, without 0 Hz.
 
-    Frequencies in Hz and the values' squares per Hz.
+    This is Welch's mean over Hann windows of `segment` samples that overlap by half.
     """
     from scipy.signal import welch
 
@@ -74,39 +74,39 @@ def density(values: Floats, rate_hz: float, segment: int = 4096) -> tuple[Floats
 
 
 def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
-    """Recording and model over time, what is left, and the spectra of all three.
+    """Return pictures of recording and model over time, of the residual, and of the spectra of all three.
 
-    `model` is NaN where it says nothing. The spectra are of the longest stretch of which it says something, and the
-    time is 150 ms about that.
+    `model` is NaN where nothing was fitted. The spectra are of its longest section without NaN. The pictures over time
+    show 150 ms about this section.
     """
     modelled = np.flatnonzero(np.isfinite(model))
     if len(modelled) == 0:
         return ()
-    stretch = max(np.split(modelled, np.flatnonzero(np.diff(modelled) > 1) + 1), key=len)
-    around = max(0, round(0.15 * rate_hz) - len(stretch)) // 2
-    first, last = max(int(modelled[0]), int(stretch[0]) - around), min(int(modelled[-1]), int(stretch[-1]) + around)
+    section = max(np.split(modelled, np.flatnonzero(np.diff(modelled) > 1) + 1), key=len)
+    around = max(0, round(0.15 * rate_hz) - len(section)) // 2
+    first, last = max(int(modelled[0]), int(section[0]) - around), min(int(modelled[-1]), int(section[-1]) + around)
     here = slice(first, last + 1)
     ms: Floats = np.asarray(1e3 * np.arange(first, last + 1) / rate_hz, dtype=np.float64)
     lines = (Curve("recording", ms, recorded[here]), Curve("model", ms, model[here]))
     left = (Curve("recording less model", ms, recorded[here] - model[here]),)
-    panels = (Panel(name, "ms", ACCELERATION, lines), Panel("recording less model", "ms", ACCELERATION, left))
-    if len(stretch) < 16:
+    panels = (Panel(name, "ms", ACCELERATION_UNIT, lines), Panel("recording less model", "ms", ACCELERATION_UNIT, left))
+    if len(section) < 16:
         return panels
     parts = (("recording", recorded), ("model", model), ("residual", recorded - model))
-    spectra = tuple(Curve(label, *density(values[stretch], rate_hz)) for label, values in parts)
-    return (*panels, Panel("spectrum", "Hz", DENSITY, spectra, logarithmic=True))
+    spectra = tuple(Curve(label, *density(values[section], rate_hz)) for label, values in parts)
+    return (*panels, Panel("spectrum", "Hz", DENSITY_UNIT, spectra, logarithmic=True))
 
 
 def law(title: str, x_label: str, x: Floats, y: Floats, gain: Estimate) -> Panel:
-    """Amplitudes over what they follow, and the line through the origin with its interval."""
+    """Return a picture of amplitudes over speed or force, and the line through the origin with its interval."""
     ends = np.linspace(0.0, 1.05 * float(np.max(x)), 50)
     dots = Curve("recorded", x, y, points=True)
     line = Curve("model", ends, gain.value * ends, low=gain.low * ends, high=gain.high * ends)
-    return Panel(title, x_label, ACCELERATION, (dots, line))
+    return Panel(title, x_label, ACCELERATION_UNIT, (dots, line))
 
 
 def level(title: str, x_label: str, y_label: str, x: Floats, y: Floats, value: Estimate) -> Panel:
-    """What should be the same everywhere, and the value with its interval."""
+    """Return a picture of a figure that should be constant, and the fitted value with its interval."""
     ends = np.array([0.0, 1.05 * float(np.max(x))])
     flat = np.ones(2)
     line = Curve("model", ends, value.value * flat, low=value.low * flat, high=value.high * flat)
@@ -114,21 +114,21 @@ def level(title: str, x_label: str, y_label: str, x: Floats, y: Floats, value: E
 
 
 def compared(title: str, unit: str, modelled: Floats, recorded: Floats) -> Panel:
-    """Recorded over modelled, and the line on which both are the same."""
+    """Return a picture of recorded over modelled values, and the line on which they are equal."""
     ends = np.array([0.0, 1.05 * max(float(modelled.max()), float(recorded.max()))])
-    curves = (Curve("recorded", modelled, recorded, points=True), Curve("as the model says", ends, ends))
+    curves = (Curve("recorded", modelled, recorded, points=True), Curve("equal to the model", ends, ends))
     return Panel(title, f"model, {unit}", f"recording, {unit}", curves)
 
 
 def _tap(fit: TapFit | WaveformFit, recordings: Sequence[Recording]) -> Iterator[Row]:
     yield _waveform(fit) if isinstance(fit, WaveformFit) else _ringing(fit)
     taps: Sequence[TapHit | PulseHit] = fit.taps
-    for tap in sorted(taps, key=lambda tap: -tap.speed_m_per_s)[:MOST_DRAWN]:
+    for tap in sorted(taps, key=lambda tap: -tap.speed_m_per_s)[:MAX_DRAWN_RECORDINGS]:
         name = f"{os.path.basename(tap.recording)}, {tap.speed_m_per_s:.3g} m/s"
         yield overlay(name, tap.rate_hz, tap.measured, tap.modelled)
         if isinstance(fit, WaveformFit) or fit.second is None:
             continue
-        # Not every tap has both: then there is nothing to draw.
+        # A tap without a second mode has no such picture.
         with suppress(FitError):
             pair = fit_ringing(tap.measured, tap.rate_hz, modes=2)
             yield overlay(f"{name}, two modes", tap.rate_hz, tap.measured, tap.measured - pair.residual)
@@ -159,14 +159,14 @@ def _ringing(fit: TapFit) -> Row:
     curves = (*lines.curves, offset) if fit.linear else (*lines.curves, offset, _table(fit.amplitudes))
 
     def less(curve: Curve) -> Curve:
-        """What there is besides the line through the origin."""
+        """Return the curve less the line through the origin."""
         there = fit.slope_per_s.value * curve.x
         low, high = (None if end is None else end - there for end in (curve.low, curve.high))
         return dataclasses.replace(curve, y=curve.y - there, low=low, high=high)
 
     return (
         dataclasses.replace(lines, curves=curves),
-        Panel("amplitude less the line", "m/s", ACCELERATION, tuple(map(less, curves))),
+        Panel("amplitude less the line", "m/s", ACCELERATION_UNIT, tuple(map(less, curves))),
         level("frequency of each tap", "m/s", "Hz", speed, angular / (2 * np.pi), fit.frequency_hz),
     )
 
@@ -177,26 +177,26 @@ def _table(amplitudes: Amplitudes) -> Curve:
 
 
 def _columns(events: Sequence[object], *names: str) -> tuple[Floats, ...]:
-    """(n,) of each of these figures of events."""
+    """Return an array (n,) of each of these figures of n events."""
     return tuple(np.array([getattr(each, name) for each in events], dtype=np.float64) for name in names)
 
 
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    """What was left out: where it is in a recording of which more was used, and the first of it as it was recorded."""
+    """Yield pictures of exclusions: their places in recordings that were used in part, and the first ones in detail."""
     seen = {each.name: each for each in recordings if each.acceleration_m_per_s2 is not None}
     excluded: list[Exclusion] = [each for each in fit.left_out if each.recording in seen]
     if not excluded:
         return
     used = [(tap.recording, tap.onset_s) for tap in getattr(fit, "taps", ())]
     both = dict.fromkeys(each.recording for each in excluded if each.recording in {name for name, _ in used})
-    yield tuple(_marked(seen[name], used, excluded) for name in islice(both, MOST_DRAWN))
-    whole = [each for each in excluded if each.what == WHOLE_RECORDING or each.time_s is not None]
-    for first in (0, MOST_DRAWN):
-        yield tuple(_not_used(seen[each.recording], each) for each in whole[first : first + MOST_DRAWN])
+    yield tuple(_marked(seen[name], used, excluded) for name in islice(both, MAX_DRAWN_RECORDINGS))
+    drawable = [each for each in excluded if each.what == WHOLE_RECORDING or each.time_s is not None]
+    for first in (0, MAX_DRAWN_RECORDINGS):
+        yield tuple(_not_used(seen[each.recording], each) for each in drawable[first : first + MAX_DRAWN_RECORDINGS])
 
 
 def _marked(recording: Recording, used: Sequence[tuple[str, float]], excluded: Sequence[Exclusion]) -> Panel:
-    """A recording, with marks above what was used and what was left out."""
+    """Return a picture of a recording with marks above the events that were used or left out."""
     seen = recording.acceleration_m_per_s2
     assert seen is not None
     time_s = np.arange(len(seen)) / recording.rate_hz
@@ -210,11 +210,11 @@ def _marked(recording: Recording, used: Sequence[tuple[str, float]], excluded: S
         Curve("fitted", used_s, np.full(len(used_s), top), points=True),
         Curve("left out", left_s, np.full(len(left_s), top), points=True, crossed=True),
     )
-    return Panel(os.path.basename(recording.name), "s", ACCELERATION, (Curve("recording", time_s, seen), *marks))
+    return Panel(os.path.basename(recording.name), "s", ACCELERATION_UNIT, (Curve("recording", time_s, seen), *marks))
 
 
 def _not_used(recording: Recording, exclusion: Exclusion) -> Panel:
-    """What was recorded about the time of an event that is left out, or all of a recording that is."""
+    """Return a picture of the recording near an excluded event, or of a complete excluded recording."""
     seen, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     assert seen is not None
     first, last = 0, len(seen)
@@ -224,7 +224,7 @@ def _not_used(recording: Recording, exclusion: Exclusion) -> Panel:
     ms: Floats = np.asarray(1e3 * np.arange(first, last) / rate_hz, dtype=np.float64)
     name = os.path.basename(recording.name)
     return Panel(
-        f"{name} left out: {exclusion.reason}", "ms", ACCELERATION, (Curve("recording", ms, seen[first:last]),)
+        f"{name} left out: {exclusion.reason}", "ms", ACCELERATION_UNIT, (Curve("recording", ms, seen[first:last]),)
     )
 
 
@@ -234,36 +234,36 @@ def _grooves(fit: GroovesFit, recordings: Sequence[Recording]) -> Iterator[Row]:
     yield (
         law("amplitude less the force's part", "m/s", speed, amplitude - by_force.value * force, by_speed),
         law("amplitude less the speed's part", "N", force, amplitude - by_speed.value * speed, by_force),
-        compared("amplitude", ACCELERATION, by_speed.value * speed + by_force.value * force, amplitude),
+        compared("amplitude", ACCELERATION_UNIT, by_speed.value * speed + by_force.value * force, amplitude),
     )
-    for stroke in islice(fit.strokes, MOST_DRAWN):
+    for stroke in islice(fit.strokes, MAX_DRAWN_RECORDINGS):
         name = os.path.basename(stroke.name)
         yield overlay(name, stroke.rate_hz, stroke.acceleration_m_per_s2, stroke.model_m_per_s2)
 
 
 def _texture(fit: TextureFit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    """Noise is compared by its power: over speed and force, and over frequency."""
+    """Yield pictures that compare the power of the noise: over speed and force, and over frequency."""
     texture = _material(fit).texture
     assert isinstance(texture, Stochastic | Autoregressive)
     speed, force, rms, mean = _columns(fit.blocks, "speed_m_per_s", "force_n", "rms_m_per_s2", "mean_hz")
     modelled = np.concatenate([level_of(texture, speed[at : at + 1], force[at : at + 1]) for at in range(len(speed))])
     yield (
-        compared("RMS of each half second", ACCELERATION, modelled, rms),
+        compared("RMS of each half second", ACCELERATION_UNIT, modelled, rms),
         level("mean frequency", "m/s", "Hz", speed, mean, fit.mean_hz),
         level("mean frequency", "N", "Hz", force, mean, fit.mean_hz),
     )
-    for recording in islice(filter(_is_whole, recordings), MOST_DRAWN):
+    for recording in islice(filter(_is_complete, recordings), MAX_DRAWN_RECORDINGS):
         yield _power(recording, texture)
 
 
 def _power(recording: Recording, texture: Stochastic | Autoregressive) -> Row:
-    """Of a recording and of the model at its speed and force: densities over frequency."""
+    """Return pictures of the densities of a recording and of the model at its speed and force, over frequency."""
     acceleration, force, rate_hz = recording.acceleration_m_per_s2, recording.force_n, recording.rate_hz
     assert acceleration is not None and force is not None
     speed, force_n = _speed(recording), float(np.mean(force))
     frequency, recorded = density(acceleration, rate_hz, 2048)
     unit = unit_density(texture, speed, force_n, frequency, rate_hz)
-    unit[unit == 0] = np.nan  # autoregressive models say nothing beyond half of their rate
+    unit[unit == 0] = np.nan  # an autoregressive model has no density beyond half its rate
     modelled = level_of(texture, np.array([speed]), np.array([force_n])) ** 2 * unit
     decibels = 10 * np.log10(np.maximum(recorded, 1e-300) / np.maximum(modelled, 1e-300))
     heard = modelled > 1e-3 * np.nanmax(modelled)
@@ -271,19 +271,19 @@ def _power(recording: Recording, texture: Stochastic | Autoregressive) -> Row:
     spectra = (Curve("recording", frequency, recorded), Curve("model", frequency, modelled))
     ratio = (Curve("recording over model", frequency[heard], decibels[heard]),)
     return (
-        Panel(name, "Hz", DENSITY, spectra, logarithmic=True),
-        Panel("recording over model, where its power is", "Hz", "dB", ratio),
+        Panel(name, "Hz", DENSITY_UNIT, spectra, logarithmic=True),
+        Panel("recording over model, at loud frequencies", "Hz", "dB", ratio),
     )
 
 
-def _is_whole(recording: Recording) -> bool:
-    """Whether a stroke's acceleration, force and speed are all known."""
+def _is_complete(recording: Recording) -> bool:
+    """Return whether a stroke has acceleration, force and speed."""
     moves = recording.tangential_position_m is not None or recording.speed_m_per_s is not None
     return recording.acceleration_m_per_s2 is not None and recording.force_n is not None and moves
 
 
 def _speed(recording: Recording) -> float:
-    """The mean speed along the surface, m/s."""
+    """Return the mean speed along the surface, m/s."""
     place = recording.tangential_position_m
     if place is not None:
         return abs(float(place[-1] - place[0])) * recording.rate_hz / (len(place) - 1)
@@ -292,7 +292,7 @@ def _speed(recording: Recording) -> float:
 
 
 def _puncture(fit: PunctureFit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    """Each recording as of its rupture."""
+    """Yield pictures of the figures of all ruptures, and of recordings relative to their rupture."""
     material = _material(fit)
     rupture = material.rupture
     assert rupture is not None
@@ -304,10 +304,10 @@ def _puncture(fit: PunctureFit, recordings: Sequence[Recording]) -> Iterator[Row
     yield (
         level("depth of each rupture", "m/s", "mm", speed, 1e3 * depth, mm),
         level("force of each rupture", "m/s", "N", speed, force_n, fit.force_n),
-        level("amplitude of each rupture", "m/s", ACCELERATION, speed, amplitude, fit.amplitude_m_per_s2),
+        level("amplitude of each rupture", "m/s", ACCELERATION_UNIT, speed, amplitude, fit.amplitude_m_per_s2),
     )
     broken = {each.recording: each for each in fit.ruptures}
-    for recording in islice((each for each in recordings if each.name in broken), MOST_DRAWN):
+    for recording in islice((each for each in recordings if each.name in broken), MAX_DRAWN_RECORDINGS):
         force, place, acceleration = recording.force_n, recording.position_m, recording.acceleration_m_per_s2
         assert force is not None and place is not None and acceleration is not None
         rate_hz = recording.rate_hz
@@ -326,7 +326,7 @@ def _puncture(fit: PunctureFit, recordings: Sequence[Recording]) -> Iterator[Row
         since = np.arange(first, last) / rate_hz - struck_s
         later = np.maximum(since, 0.0)
         ringing = np.exp(-mode.decay_rate_per_s * later) * np.sin(mode.angular_frequency_rad_per_s * later)
-        # A stylus may be mounted either way round.
+        # The accelerometer may be mounted with either sign.
         turned = 1.0 if float(heard @ ringing) >= 0 else -1.0
         spring = Panel(os.path.basename(recording.name), "deflection, mm", "N", forces)
         yield (spring, *overlay("ringing", rate_hz, heard, turned * rupture.amplitude_m_per_s2 * ringing))
@@ -337,7 +337,7 @@ def _material(fit: Fit) -> Material:
     return validate_materials({"fitted": figures}, ("materials",))["fitted"]
 
 
-_ROWS: Final[Mapping[str, Callable[[Any, Sequence[Recording]], Iterator[Row]]]] = {
+_ROWS_BY_KIND: Final[Mapping[str, Callable[[Any, Sequence[Recording]], Iterator[Row]]]] = {
     "tap": _tap,
     "grooves": _grooves,
     "texture": _texture,

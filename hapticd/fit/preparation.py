@@ -1,14 +1,14 @@
-"""What every fit does with a recording first: invalid samples, whole stretches, units, rate, motion of the stylus.
+"""Preparation of recordings for every fit: impossible samples, gaps, units, sampling rate, motion of the stylus.
 
-Invalid samples are replaced by straight lines, or the recording is refused where they are more than MOST of a column:
-then it is a unit or a column. Every finding is one line with file, time and value.
+Impossible samples are replaced by straight lines. If more of a column than PREPARATION_LIMITS.max_beyond_limit is
+beyond its limit, the recording is refused, because unit or column are wrong. A finding is one line with file, time and
+value.
 
-    beyond a limit    no hand presses with more than 200 N; a sample that is NaN is beyond every limit
-    a spike           of force or speed, that comes and goes within 10 ms and is far beyond the usual values; of
-                      acceleration, that comes and goes within three samples
-    stuck             force, speed or acceleration stand still for 50 ms and more, and never so long elsewhere
-    a leap            of a position from one sample to the next: out and back it is a spike, after a standstill the
-                      samples were lost, otherwise an encoder wrapped or slipped and all later positions are moved back
+    beyond a limit    a force above 200 N, for example; NaN is beyond every limit
+    spike             of force or speed: far beyond the usual values for at most 10 ms; of acceleration: three samples
+    standstill        equal values of force, speed or acceleration for 50 ms or more, much longer than elsewhere
+    leap              of a position from one sample to the next. If it returns, it is a spike; after a standstill,
+                      samples were lost; otherwise an encoder wrapped or slipped, and later positions are moved back
 """
 
 from __future__ import annotations
@@ -25,18 +25,10 @@ from hapticd.analysis import statistics
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.recordings.spans import Bools, Spans, spans_of
 from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, UnitError
+from hapticd.fit.limits import PREPARATION_LIMITS, SPEED_LAW_LIMITS
 from hapticd.fit.recording import Kind, Recording
-from hapticd.fit.verdict import ONE_PART, Doubts, Exclusions
+from hapticd.fit.verdict import ONE_PART, Exclusions, Warnings
 
-MOST_BEYOND_LIMIT: Final = 0.01
-"""Part of the samples of a column beyond its limit that is a wrong unit or column, and no fault of single samples."""
-MOST_FINDINGS: Final = 50
-"""In one column; more are no faults of single samples either."""
-SPIKE_TO_NOISE: Final = 15.0
-"""A spike is so many standard deviations of the noise away from what is about it."""
-SPIKE_RATIO: Final = 8.0
-"""A spike of acceleration is so many times larger than the samples beside it."""
-SPIKE_SAMPLES: Final = 3
 WORDS_OF_COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "acceleration_m_per_s2": ("the acceleration", "m/s^2"),
     "force_n": ("the force", "N"),
@@ -44,23 +36,16 @@ WORDS_OF_COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "position_m": ("the position", "m"),
     "tangential_position_m": ("the position along the surface", "m"),
 }
-"""What they are called, and their units."""
-FASTEST_M_PER_S: Final = 5.0
-"""Of a stroke."""
-TAP_ACCELERATION_M_PER_S2: Final = 1e6
-LEAST_WHOLE: Final = 0.5
-"""Part of a recording; one of which less is whole is left out altogether."""
-LEAST_RATE: Final = 2.5
-"""Samples in a cycle, below which nothing is fitted."""
+"""Name of each column in messages, and its unit."""
 
 
 def refuse_duplicates(recordings: Sequence[Recording]) -> None:
-    """Raises FitError for two recordings of the same file, or of files with the same bytes: one would count twice."""
+    """Raise FitError if two recordings have the same bytes: one would count twice."""
     seen: dict[str, str] = {}
     for recording in recordings:
         sha256 = recording.source.sha256
         if sha256 and sha256 in seen:
-            raise FitError(f"{recording.name}: holds the same as {seen[sha256]}, and would count twice; leave out one")
+            raise FitError(f"{recording.name}: duplicate of {seen[sha256]}, which would count twice; leave out one")
         seen[sha256] = recording.name
 
 
@@ -69,17 +54,19 @@ def refuse_duplicates(recordings: Sequence[Recording]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Cleaned:
-    """A recording without invalid samples."""
+    """A recording whose impossible samples are replaced."""
 
     recording: Recording
     replaced: Bools
-    """(n,) samples that were not measured so."""
+    """(n,) whether a sample was replaced."""
     warnings: tuple[str, ...]
 
 
 def without_invalid_samples(recording: Recording, kind: Kind) -> Cleaned:
-    """The recording with straight lines in place of its invalid samples, for a fit of this kind. FitError where there
-    are too many."""
+    """Return the recording with straight lines instead of impossible samples, for a fit of this kind.
+
+    Raises FitError if there are too many.
+    """
     columns = _columns(recording)
     count = max((each.size for each in columns.values()), default=0)
     replaced = np.zeros(count, dtype=np.bool_)
@@ -87,7 +74,7 @@ def without_invalid_samples(recording: Recording, kind: Kind) -> Cleaned:
     changed: dict[str, Floats] = {}
     for name, values in columns.items():
         if values.size != count or count < 16:
-            # Of taps, one speed each.
+            # A list of one speed for each tap, or a very short recording.
             continue
         column = _Column(recording.name, name, values, recording.rate_hz)
         column.clean(kind)
@@ -101,20 +88,20 @@ def without_invalid_samples(recording: Recording, kind: Kind) -> Cleaned:
 
 
 def _columns(recording: Recording) -> dict[str, Floats]:
-    """Those that have many values."""
+    """Return the columns of the recording that are arrays, by name."""
     return {name: each for name in WORDS_OF_COLUMNS if isinstance(each := getattr(recording, name), np.ndarray)}
 
 
-def report_cleaning(kept: Sequence[Cleaned], doubts: Doubts) -> None:
-    """What was left out of recordings, and where that is a doubt."""
-    doubts.warnings += [line for each in kept for line in each.warnings]
+def report_cleaning(kept: Sequence[Cleaned], warnings: Warnings) -> None:
+    """Add the warnings of these recordings, and a reason if many samples were replaced."""
+    warnings.lines += [line for each in kept for line in each.warnings]
     count = sum(each.replaced.size for each in kept)
     part = sum(int(np.count_nonzero(each.replaced)) for each in kept) / max(1, count)
-    doubts.check("part left out", part, left=f"{100 * part:.0f} % of the samples are left out")
+    warnings.check("part left out", part, left=f"{100 * part:.0f} % of the samples are left out")
 
 
 class _Column:
-    """One column, and what was found in it."""
+    """One column while its impossible samples are replaced."""
 
     def __init__(self, file: str, name: str, values: Floats, rate_hz: float) -> None:
         self.values = values
@@ -124,20 +111,27 @@ class _Column:
         self._what, self._unit = WORDS_OF_COLUMNS[name]
 
     def clean(self, kind: Kind) -> None:
-        """A force that breaks off and a speed of taps come and go as spikes do. Of taps the position matters only just
-        before each, and where the way is uneven there, the tap is left out."""
+        """Replace what is impossible in a recording for this kind of fit.
+
+        Forces that break off and speeds of taps look like spikes, so these are not searched for spikes. The position of
+        a tap matters only just before it; if it is uneven there, the tap is left out.
+        """
         tap, stroke = kind == "tap", kind in ("grooves", "texture")
-        fastest = 10.0 if tap else FASTEST_M_PER_S
+        fastest = SPEED_LAW_LIMITS.max_speed_m_per_s if tap else PREPARATION_LIMITS.max_stroke_speed_m_per_s
         match self._name:
             case "acceleration_m_per_s2":
-                most = TAP_ACCELERATION_M_PER_S2 if tap else 1e5
+                most = (
+                    PREPARATION_LIMITS.max_tap_acceleration_m_per_s2
+                    if tap
+                    else PREPARATION_LIMITS.max_acceleration_m_per_s2
+                )
                 self._replace_beyond(most, "is it in another unit, or another column?")
                 if kind == "texture":
                     self._replace_stuck()
                 else:
                     self._replace_short(above_all=True)
             case "force_n":
-                self._replace_beyond(200.0, "is it in mN, or swapped with the acceleration?")
+                self._replace_beyond(PREPARATION_LIMITS.max_force_n, "is it in mN, or swapped with the acceleration?")
                 if kind == "puncture":
                     self._replace_short(above_all=False)
             case "speed_m_per_s":
@@ -151,31 +145,35 @@ class _Column:
             self._replace_stuck()
 
     def _replace_beyond(self, most: float, ask: str) -> None:
-        """Samples over the limit, or not finite. A wrong unit is asked for where they are many."""
-        # Not a number is not less than anything.
+        """Replace samples above the limit `most` and samples that are not finite.
+
+        Raises UnitError with the question `ask` if there are many.
+        """
+        # A comparison with NaN is false.
         over = ~(np.abs(self.values) <= most) | ~np.isfinite(self.values)
         if not over.any():
             return
         spans, first = spans_of(over), int(np.argmax(over))
         value = f"{self._what} of {self._value(first)}"
         bound = f" (at most {most:g})" if ask else ""
-        if np.mean(over) > MOST_BEYOND_LIMIT or len(spans) > MOST_FINDINGS:
+        if np.mean(over) > PREPARATION_LIMITS.max_beyond_limit or len(spans) > PREPARATION_LIMITS.max_findings:
             raise UnitError(
-                f"{self._file}: {value} is not a hand's{bound}, nor is that of {100 * np.mean(over):.3g} % of the "
-                f"samples{f': {ask}' if ask else ''}"
+                f"{self._file}: {value} is impossible{bound}, and so are {100 * np.mean(over):.3g} % of the samples"
+                f"{f': {ask}' if ask else ''}"
             )
         more = int(np.count_nonzero(over)) - 1
-        self._replace(spans, f"{value} cannot be{bound}" + (f", nor can that of {more} more samples" if more else ""))
+        others = f", as in {more} more samples" if more else ""
+        self._replace(spans, f"{value} is impossible{bound}{others}")
 
     def _replace_spikes(self) -> None:
-        """What comes and goes within 10 ms, far beyond the usual values."""
+        """Replace values far beyond the usual ones that last at most 10 ms."""
         values = self.values
         noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
-        far = max(2.0 * float(np.percentile(np.abs(values), 95)), SPIKE_TO_NOISE * noise)
-        half = max(SPIKE_SAMPLES, round(0.02 * self._rate_hz))
+        far = max(2.0 * float(np.percentile(np.abs(values), 95)), PREPARATION_LIMITS.spike_to_noise * noise)
+        half = max(PREPARATION_LIMITS.max_spike_samples, round(2 * PREPARATION_LIMITS.max_spike_s * self._rate_hz))
         found: Spans = []
         near = spans_of(np.abs(values - float(np.median(values))) > 0.75 * far)
-        for low, high in near if len(near) <= 10 * MOST_FINDINGS else ():
+        for low, high in near if len(near) <= 10 * PREPARATION_LIMITS.max_findings else ():
             if high - low > 2 * half:
                 continue
             about = float(np.median(values[max(0, low - half) : high + half]))
@@ -184,38 +182,55 @@ class _Column:
         self._replace_leaping(found)
 
     def _replace_short(self, above_all: bool) -> None:
-        """Up to SPIKE_SAMPLES far above the samples beside them and, with `above_all`, far above everything else: a tap
-        that is sampled slowly may be that short, too."""
+        """Replace spikes of up to PREPARATION_LIMITS.max_spike_samples far above the samples next to them.
+
+        With `above_all` they must also be far above all other samples, because a slowly sampled tap is as short.
+        """
         size = np.abs(self.values - np.median(self.values))
-        loud = SPIKE_TO_NOISE * 1.4826 * float(np.median(size))
+        loud = PREPARATION_LIMITS.spike_to_noise * 1.4826 * float(np.median(size))
         if not size.max() > loud:
             return
         found: Spans = []
-        for low, high in spans_of(size > max(loud, size.max() / SPIKE_RATIO**2)):
-            around = np.concatenate((size[max(0, low - SPIKE_SAMPLES) : low], size[high : high + SPIKE_SAMPLES]))
-            if high - low <= SPIKE_SAMPLES and size[low:high].max() > SPIKE_RATIO * around.max(initial=0.0):
+        for low, high in spans_of(size > max(loud, size.max() / PREPARATION_LIMITS.spike_ratio**2)):
+            around = np.concatenate(
+                (
+                    size[max(0, low - PREPARATION_LIMITS.max_spike_samples) : low],
+                    size[high : high + PREPARATION_LIMITS.max_spike_samples],
+                )
+            )
+            if high - low <= PREPARATION_LIMITS.max_spike_samples and size[
+                low:high
+            ].max() > PREPARATION_LIMITS.spike_ratio * around.max(initial=0.0):
                 found.append((low, high))
         if above_all and found:
             rest = size.copy()
             for low, high in found:
                 rest[low:high] = 0.0
-            # Beside nothing that stands out of the noise there is nothing that it hides.
+            # A spike is replaced only if there is something else above the noise that it could hide.
             hides = float(rest.max()) > loud / 2
-            found = [(low, high) for low, high in found if hides and size[low:high].max() > SPIKE_RATIO * rest.max()]
+            found = [
+                (low, high)
+                for low, high in found
+                if hides and size[low:high].max() > PREPARATION_LIMITS.spike_ratio * rest.max()
+            ]
         self._replace_leaping(found)
 
     def _replace_stuck(self) -> None:
-        """What stands still for so long as it does nowhere else; not at 0 at either end, where nothing is touched."""
+        """Replace standstills that are much longer than others, except those at 0 at either end, without contact."""
         edges = np.flatnonzero(np.diff(self.values)) + 1
         starts, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(self.values)]))
         runs = ends - starts
-        least = max(0.05 * self._rate_hz, 20.0 * float(np.percentile(runs, 99)), 16.0)
+        least = max(
+            PREPARATION_LIMITS.min_standstill_s * self._rate_hz,
+            PREPARATION_LIMITS.standstill_ratio * float(np.percentile(runs, 99)),
+            16.0,
+        )
         found = [
             (int(low), int(high))
             for low, high in zip(starts[runs >= least], ends[runs >= least], strict=True)
             if self.values[low] != 0 or not (low == 0 or high == len(self.values))
         ]
-        if not found or len(found) > MOST_FINDINGS:
+        if not found or len(found) > PREPARATION_LIMITS.max_findings:
             return
         low, high = found[0]
         value = f"{self.values[low]:.6g} {self._unit}"
@@ -223,22 +238,30 @@ class _Column:
         self._replace(found, f"{self._what} stands still at {value} {where}{_as_in_others(found)}")
 
     def _take_leaps_out(self, fastest: float) -> None:
-        """Of a position, from one sample to the next: far larger than the largest usual step, and than the steps beside
-        it unless it is beyond the limit of speed. Back within 20 ms it is a spike."""
+        """Remove leaps of a position from one sample to the next.
+
+        A leap is far larger than the largest usual step, and either larger than the steps next to it or faster than
+        `fastest`, in m/s. A leap that returns within 20 ms is replaced as a spike.
+        """
         steps = np.diff(self.values)
         size = np.abs(steps)
         moved = size[size > 0]
         if len(moved) < 8:
             return
-        usual = 5.0 * float(np.percentile(moved, 99))
+        usual = PREPARATION_LIMITS.leap_ratio * float(np.percentile(moved, 99))
         leaps = []
         for k in np.flatnonzero(size > usual):
-            beside = np.concatenate((size[max(0, k - SPIKE_SAMPLES) : k], size[k + 1 : k + 1 + SPIKE_SAMPLES]))
-            if size[k] * self._rate_hz > fastest or size[k] > 3.0 * np.median(beside):
+            neighbours = np.concatenate(
+                (
+                    size[max(0, k - PREPARATION_LIMITS.max_spike_samples) : k],
+                    size[k + 1 : k + 1 + PREPARATION_LIMITS.max_spike_samples],
+                )
+            )
+            if size[k] * self._rate_hz > fastest or size[k] > 3.0 * np.median(neighbours):
                 leaps.append(int(k))
         if not leaps:
             return
-        if len(leaps) > MOST_FINDINGS:
+        if len(leaps) > PREPARATION_LIMITS.max_findings:
             raise FitError(
                 f"{self._file}: {self._what} leaps in {len(leaps)} places, first by {steps[leaps[0]]:.4g} "
                 f"{self._unit} at {self._at(leaps[0] + 1)}: is it the right column, or was the encoder disturbed?"
@@ -246,9 +269,9 @@ class _Column:
         spikes: Spans = []
         lost: Spans = []
         values, shift = self.values, np.zeros(len(self.values))
-        back = max(2, round(0.02 * self._rate_hz))
-        # A position usually stands still for so many samples.
-        run = max(SPIKE_SAMPLES, 4 * len(values) / max(1, int(np.count_nonzero(steps))))
+        back = max(2, round(PREPARATION_LIMITS.max_leap_return_s * self._rate_hz))
+        # Longest usual standstill of the position, in samples.
+        run = max(PREPARATION_LIMITS.max_spike_samples, 4 * len(values) / max(1, int(np.count_nonzero(steps))))
         while leaps:
             at = leaps[0]
             drift = float(np.median(steps[max(0, at - back) : at])) if at > 0 else 0.0
@@ -273,27 +296,25 @@ class _Column:
         if shift.any():
             slips = np.flatnonzero(shift).tolist()
             value = f"by {shift[slips[0]]:.4g} {self._unit} to {self._value(slips[0])}"
-            self.warnings.append(
-                f"{self._file}: {self._what} leaps {value}{_as_in_others(slips)}; the leap is taken out"
-            )
+            self.warnings.append(f"{self._file}: {self._what} leaps {value}{_as_in_others(slips)}; the leap is removed")
             self.bad[slips] = True
             self.values = self.values - np.cumsum(shift)
 
     def _replace_leaping(self, found: Spans) -> None:
-        if not found or len(found) > MOST_FINDINGS:
-            # So many are how it is.
+        if not found or len(found) > PREPARATION_LIMITS.max_findings:
+            # More are a property of the recording.
             return
         low, high = found[0]
         peak = low + int(np.argmax(np.abs(self.values[low:high] - np.median(self.values))))
         self._replace(found, f"{self._what} leaps to {self._value(peak)} and back{_as_in_others(found)}")
 
     def _replace(self, spans: Spans, found: str) -> None:
-        """By straight lines between the samples on either side; `found` says what is left out."""
+        """Replace these samples by straight lines; `found` is the warning."""
         bad = np.zeros(len(self.values), dtype=np.bool_)
         for low, high in spans:
             bad[low:high] = True
         if bad.all():
-            raise FitError(f"{self._file}: {self._what} has no sample that can be")
+            raise FitError(f"{self._file}: {self._what} has impossible samples only")
         at = np.arange(len(self.values))
         self.values = np.where(bad, np.interp(at, at[~bad], self.values[~bad]), self.values)
         self.bad |= bad
@@ -310,25 +331,25 @@ def _as_in_others(found: Sequence[object]) -> str:
     return f", as in {len(found) - 1} other places" if len(found) > 1 else ""
 
 
-# ---- Whole stretches: between gaps of the clock and clipped samples --------------------------------------------------
+# ---- Complete sections: between gaps of the clock and clipped samples ------------------------------------------------
 
 
 def between_gaps(recording: Recording, samples: int) -> list[tuple[int, int]]:
-    """First sample, and the one after the last, of every stretch in which no sample is missing."""
+    """Return pairs (first sample, last sample + 1) of the sections without missing samples."""
     edges = [0, *(edge for gap in recording.gaps for edge in gap), samples]
     return [(begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if end > begin]
 
 
-def stretches_of(recordings: Sequence[Recording], least_s: float, excluded: Exclusions) -> list[Recording]:
-    """The whole stretches of all recordings; one that is not whole enough is left out."""
-    parts = excluded.each(recordings, lambda one: whole_stretches(one, least_s, excluded))
+def sections_of(recordings: Sequence[Recording], least_s: float, excluded: Exclusions) -> list[Recording]:
+    """Return the complete sections of all recordings; a recording with too few samples in them is left out."""
+    parts = excluded.each(recordings, lambda one: complete_sections(one, least_s, excluded))
     return [part for each in parts for part in each]
 
 
-def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) -> list[Recording]:
-    """The recording, or its stretches of at least this length without gaps and clipped samples, as recordings.
+def complete_sections(recording: Recording, least_s: float, excluded: Exclusions) -> list[Recording]:
+    """Return the recording, or its sections of at least `least_s` without gaps and clipped samples, as recordings.
 
-    What falls out is reported in `excluded`. Raises FitError where that is too much.
+    The remainder is added to `excluded`. Raises FitError if it is too large.
     """
     acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     columns = _columns(recording)
@@ -349,10 +370,10 @@ def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) 
     kept = [(begin, end) for begin, end in spans_of(~bad) if end - begin >= least_s * rate_hz]
     there = sum(end - begin for begin, end in kept)
     reason = ", ".join(reasons)
-    if there < LEAST_WHOLE * samples:
+    if there < PREPARATION_LIMITS.min_complete * samples:
         raise FitError(
-            f"{recording.name}: {reason}: {100 * there / samples:.0f} % of it is whole in stretches of {least_s:g} s, "
-            f"{100 * LEAST_WHOLE:.0f} % are wanted"
+            f"{recording.name}: {reason}: {100 * there / samples:.0f} % of it is in complete sections of {least_s:g} "
+            f"s, {100 * PREPARATION_LIMITS.min_complete:.0f} % are needed"
         )
     excluded.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", ONE_PART)
     found = []
@@ -364,7 +385,7 @@ def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) 
 
 
 def gaps_in_words(recording: Recording) -> str:
-    """Where samples are missing."""
+    """Return a phrase with the places of missing samples."""
     (begin, end), more = recording.gaps[0], len(recording.gaps) - 1
     others = f", and in {more} more {'place' if more == 1 else 'places'}" if more else ""
     return f"{end - begin} samples are missing at {begin / recording.rate_hz:.4g} s{others}"
@@ -374,86 +395,93 @@ def gaps_in_words(recording: Recording) -> str:
 
 
 def acceleration_of(recording: Recording) -> Floats:
-    """The acceleration, m/s^2. FitError where there is none, or it is all one value."""
+    """Return the acceleration, m/s^2; raise FitError if it was not recorded or hardly changes."""
     values = recording.acceleration_m_per_s2
     if values is None:
-        raise FitError(f"{recording.name}: has no acceleration, which this fit needs")
+        raise FitError(f"{recording.name}: no acceleration, which this fit needs")
     if not np.ptp(values) > 0:
         raise FitError(
             f"{recording.name}: the acceleration is {values[0]:g} m/s^2 throughout: was the sensor connected?"
         )
-    if np.ptp(values) < 0.02:
+    if np.ptp(values) < PREPARATION_LIMITS.min_acceleration_span_m_per_s2:
         raise FitError(
-            f"{recording.name}: the acceleration moves by {np.ptp(values):.2g} m/s^2 in all, which is not felt: is its "
-            "unit another one?"
+            f"{recording.name}: the acceleration changes by {np.ptp(values):.2g} m/s^2 only, which is not felt: wrong "
+            "unit?"
         )
     return values
 
 
 def force_of(recording: Recording) -> Floats:
-    """The normal force, N, pressing positive. FitError where there is none, or it cannot be one."""
+    """Return the normal force, N, pressing positive; raise FitError if it was not recorded, is 0 or too small."""
     values = recording.force_n
     if values is None:
-        raise FitError(f"{recording.name}: has no force, which this fit needs")
+        raise FitError(f"{recording.name}: no force, which this fit needs")
     if not np.any(values):
         raise FitError(f"{recording.name}: the force is 0 throughout: was the sensor connected?")
     largest = float(np.percentile(np.abs(values), 99.9))
-    if largest < 1e-3:
+    if largest < PREPARATION_LIMITS.min_force_n:
         raise UnitError(f"{recording.name}: a force of {largest:.2g} N at most is too small to be felt: is it in kN?")
     return values
 
 
-def pressed(recording: Recording) -> Floats:
-    """A force that presses for most of the time. FitError where it pulls, or swings about zero."""
+def pressing_force(recording: Recording) -> Floats:
+    """Return the force, N; raise UnitError if it is mostly negative or oscillates about 0."""
     values = force_of(recording)
     if np.median(values) < 0:
         raise UnitError(f"{recording.name}: the force is mostly negative: pressing must be positive (scale -1?)")
     if np.mean(values < -0.1 * np.std(values)) > 0.2:
-        raise UnitError(f"{recording.name}: the force swings about 0: is it swapped with the acceleration?")
+        raise UnitError(f"{recording.name}: the force oscillates about 0: is it swapped with the acceleration?")
     return values
 
 
-def check_force_varies(recordings: Sequence[Recording], force: Floats, doubts: Doubts) -> None:
-    """FitError where every sample of all recordings has the same force; reported where they differ by less than a fifth
-    of their mean."""
+def check_force_varies(recordings: Sequence[Recording], force: Floats, warnings: Warnings) -> None:
+    """Raise FitError if all samples have the same force; add a reason if the force varies by less than a fifth.
+
+    `force` are the forces of the events or blocks, N.
+    """
     every = np.concatenate([recording.force_n for recording in recordings if recording.force_n is not None])
     if not np.ptp(every) > 0:
         raise FitError(f"the force is {every[0]:g} N in every sample: was the sensor connected?")
-    if float(np.ptp(force)) < 0.2 * abs(float(np.mean(force))):
-        doubts.doubt(
-            f"the force hardly varies ({force.min():.3g} to {force.max():.3g} N): its gain takes in all that does not "
-            "go with speed"
+    if float(np.ptp(force)) < PREPARATION_LIMITS.min_force_variation * abs(float(np.mean(force))):
+        warnings.add_fair(
+            f"the force hardly varies ({force.min():.3g} to {force.max():.3g} N): its gain includes everything that "
+            "does not depend on speed"
         )
 
 
-def check_range(usual: float, least: float, most: float, figure: str, whose: str) -> None:
-    """FitError where a figure, as `strikes of 3 m/s^2 are`, lies where none of these does."""
+def check_range(usual: float, least: float, most: float, figure: str) -> None:
+    """Raise FitError if a usual amplitude, in m/s^2, is out of range; `figure` is its name in the error."""
     if not least <= usual <= most:
-        raise FitError(f"{figure} no {whose} ({least:g} to {most:g}): is the acceleration's unit another one?")
+        raise FitError(
+            f"{figure}: must be between {least:g} and {most:g} m/s^2, is {usual:.3g}: wrong unit of the acceleration?"
+        )
 
 
-def vary_apart(speed: Floats, force: Floats) -> bool:
-    """Whether speed and force (n,) do not only rise and fall together."""
+def vary_independently(speed: Floats, force: Floats) -> bool:
+    """Return whether speed and force (n,) vary independently."""
     return statistics.well_conditioned(np.column_stack((speed, force)), 20)
 
 
-def check_apart(speed: Floats, force: Floats) -> None:
-    """FitError where speed and force (n,) do not vary apart."""
-    if not vary_apart(speed, force):
+def check_independent(speed: Floats, force: Floats) -> None:
+    """Raise FitError if speed and force (n,) do not vary independently."""
+    if not vary_independently(speed, force):
         raise FitError(
             f"speed ({speed.min():.3g} to {speed.max():.3g} m/s) and force ({force.min():.3g} to {force.max():.3g} N) "
-            "rise and fall together or not at all, so that their gains cannot be told apart: vary them on their own"
+            "rise and fall together or not at all, so that their gains cannot be separated: vary them independently"
         )
 
 
-def moved_with(
-    speed: Floats, force: Floats, frequencies: Floats, named: str, least: float, level: float, doubts: Doubts
+def changes_with(
+    speed: Floats, force: Floats, frequencies: Floats, named: str, least: float, level: float, warnings: Warnings
 ) -> tuple[Estimate | None, Estimate | None]:
-    """Slopes of frequencies (n,) over speed and force, where both vary apart from each other and from a constant. A
-    doubt where one moves by this part of the mean at least, and more than chance makes of it at this level."""
+    """Return the slopes of frequencies (n,) over speed and over force, or None if these do not vary independently.
+
+    Add a reason if a frequency changes by at least the fraction `least` of its mean and the change is outside the
+    interval of confidence `level`.
+    """
     columns = np.column_stack((speed, force, np.ones_like(speed)))
     if len(speed) < 6 or not statistics.well_conditioned(columns):
-        doubts.warn(f"too few strokes at different speeds and forces to tell whether the {named} moves with them")
+        warnings.note(f"too few strokes at different speeds and forces to show whether the {named} depends on them")
         return None, None
     line = statistics.least_squares(columns, frequencies)
     wider = statistics.student_t(line.freedom, level) / statistics.student_t(line.freedom)
@@ -462,47 +490,46 @@ def moved_with(
     ):
         change = slope.value * float(np.ptp(values))
         if abs(slope.value) > wider * (slope.high - slope.value) and abs(change) > least * float(frequencies.mean()):
-            doubts.doubt(
-                f"the {named} moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to {values.max():.3g} "
+            warnings.add_fair(
+                f"the {named} changes with {name}: by {change:+.3g} Hz from {values.min():.3g} to {values.max():.3g} "
                 f"{unit}; the material has the mean"
             )
     return line.coefficients[0], line.coefficients[1]
 
 
 def gravity_of(recordings: Sequence[Recording]) -> list[str]:
-    """What rest values of the acceleration tell of its unit."""
+    """Return a line for each recording whose acceleration at rest suggests a wrong unit."""
     found = []
     for recording in recordings:
         if recording.acceleration_m_per_s2 is None:
             continue
         rest = abs(float(np.median(recording.acceleration_m_per_s2)))
         for usual, unit in ((1.0, "g"), (9.80665**2, "m/s^2 already, and multiplied by 9.80665 again")):
-            if abs(rest / usual - 1) < 0.02:
+            if abs(rest / usual - 1) < PREPARATION_LIMITS.gravity_tolerance:
                 found.append(f"{recording.name}: rests at {rest:.3g} m/s^2: is the acceleration in {unit}?")
     return found
 
 
-def report_gravity(recordings: Sequence[Recording], doubts: Doubts) -> None:
-    """A doubt for each recording whose rest value tells of another unit."""
+def report_gravity(recordings: Sequence[Recording], warnings: Warnings) -> None:
+    """Add a reason for each recording whose acceleration at rest suggests a wrong unit."""
     for line in gravity_of(recordings):
-        doubts.doubt(line)
+        warnings.add_fair(line)
 
 
-def undersampled(rate_hz: float, frequency_hz: float, least: float = LEAST_RATE) -> str:
-    """Why what rings at a frequency is not fitted at a rate, with fewer than `least` samples in a cycle; empty where it
-    is."""
+def undersampled(rate_hz: float, frequency_hz: float, least: float = PREPARATION_LIMITS.min_samples_per_cycle) -> str:
+    """Return a phrase if a rate gives fewer than `least` samples in a cycle of a frequency, else an empty string."""
     if rate_hz >= least * frequency_hz:
         return ""
     return (
-        f"rings at {frequency_hz:.4g} Hz, and is sampled at {rate_hz:g} Hz, which is too low: less than "
-        f"{least:g} times that; {math.ceil(least * frequency_hz)} Hz are wanted"
+        f"rings at {frequency_hz:.4g} Hz, and its sampling rate of {rate_hz:g} Hz is too low: must be at least "
+        f"{least:g} times that, {math.ceil(least * frequency_hz)} Hz"
     )
 
 
-def report_sampling(recordings: Sequence[Recording], frequency_hz: float, doubts: Doubts) -> None:
-    """Where the slowest recording has few samples in a cycle."""
+def report_sampling(recordings: Sequence[Recording], frequency_hz: float, warnings: Warnings) -> None:
+    """Add a reason if the slowest recording has few samples in a cycle."""
     slowest = min(recording.rate_hz for recording in recordings)
-    doubts.check("samples in a cycle", slowest / frequency_hz, rate_hz=slowest, hz=frequency_hz)
+    warnings.check("samples in a cycle", slowest / frequency_hz, rate_hz=slowest, hz=frequency_hz)
 
 
 # ---- Strokes along the surface ---------------------------------------------------------------------------------------
@@ -510,29 +537,31 @@ def report_sampling(recordings: Sequence[Recording], frequency_hz: float, doubts
 
 @dataclass(frozen=True, slots=True)
 class Stroke(Cleaned):
-    """A recording of a stroke, without invalid samples; arrays (n,)."""
+    """A recording of a stroke whose impossible samples are replaced; arrays (n,)."""
 
     acceleration: Floats
     """m/s^2."""
     force: Floats
     """N."""
     position: Floats
-    """m along the surface, from anywhere."""
+    """m along the surface, from an arbitrary origin."""
     speed: Floats
-    """m/s along the surface, with a sign."""
+    """m/s along the surface, signed."""
 
 
 def stroke_of(recording: Recording, kind: Kind) -> Stroke:
-    """A recording as a fit of this kind takes it. FitError where it cannot be one of a stroke."""
+    """Return the stroke of a recording for a fit of this kind; raise FitError if it cannot be a stroke."""
     kept = without_invalid_samples(recording, kind)
-    acceleration, force = acceleration_of(kept.recording), pressed(kept.recording)
+    acceleration, force = acceleration_of(kept.recording), pressing_force(kept.recording)
     position, speed = _motion_of(kept.recording, len(acceleration))
     return Stroke(kept.recording, kept.replaced, kept.warnings, acceleration, force, position, speed)
 
 
 def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
-    """Position and speed, from the tangential position, or from the speed. FitError where there is neither, or they
-    disagree."""
+    """Return position and speed, from the tangential position or the speed.
+
+    Raises FitError if there is neither, or if they disagree.
+    """
     name, position = recording.name, recording.tangential_position_m
     column: Floats | None = None
     if recording.speed_m_per_s is not None:
@@ -542,42 +571,44 @@ def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
         column = np.full(samples, given[0]) if given.size == 1 else given
     if position is None:
         if column is None:
-            raise FitError(f"{name}: a stroke needs the position along the surface, or the speed")
+            raise FitError(f"{name}: no position along the surface and no speed: a stroke needs one of them")
         _refuse_speed(recording, column)
         return np.concatenate(([0.0], np.cumsum((column[1:] + column[:-1]) / 2))) / recording.rate_hz, column
-    if np.ptp(position) > 5.0:
-        raise UnitError(f"{name}: a stroke of {np.ptp(position):.4g} m is not a hand's: is it in mm?")
+    if np.ptp(position) > PREPARATION_LIMITS.max_stroke_m:
+        limit_m = PREPARATION_LIMITS.max_stroke_m
+        raise UnitError(f"{name}: a stroke must be at most {limit_m:g} m, is {np.ptp(position):.4g} m: is it in mm?")
     if not np.ptp(position) > 0:
         raise FitError(f"{name}: the position along the surface never moves: is it the wrong column?")
     found = slope_of(position, recording.rate_hz, 0.02)
     _refuse_speed(recording, found)
     if column is not None:
-        usual, said = float(np.median(np.abs(found))), float(np.median(np.abs(column)))
-        if not 0.5 * usual <= said <= 2 * usual:
+        usual, given_speed = float(np.median(np.abs(found))), float(np.median(np.abs(column)))
+        ratio = PREPARATION_LIMITS.max_speed_ratio
+        if not usual / ratio <= given_speed <= ratio * usual:
             raise UnitError(
-                f"{name}: the position moves at {usual:.3g} m/s, the speed says {said:.3g} m/s: one of them has the "
-                "wrong unit or column"
+                f"{name}: the speed from the position is {usual:.3g} m/s, the speed column has {given_speed:.3g} m/s: "
+                "one of them has the wrong unit or column"
             )
     return position, found
 
 
 def _refuse_speed(recording: Recording, speed: Floats) -> None:
     usual = float(np.percentile(np.abs(speed), 90))
-    if usual > FASTEST_M_PER_S:
-        raise UnitError(f"{recording.name}: a speed of {usual:.4g} m/s is not a hand's: is it in mm/s?")
+    if usual > PREPARATION_LIMITS.max_stroke_speed_m_per_s:
+        raise UnitError(f"{recording.name}: a speed of {usual:.4g} m/s is too high: is it in mm/s?")
     fastest = int(np.argmax(np.abs(speed)))
-    if not abs(speed[fastest]) <= FASTEST_M_PER_S:
+    if not abs(speed[fastest]) <= PREPARATION_LIMITS.max_stroke_speed_m_per_s:
         at_s = fastest / recording.rate_hz
         raise FitError(
-            f"{recording.name}: a speed of {abs(speed[fastest]):.4g} m/s at {at_s:.6g} s is not a hand's (at most "
-            f"{FASTEST_M_PER_S:g}): what is the position there?"
+            f"{recording.name}: a speed of {abs(speed[fastest]):.4g} m/s at {at_s:.6g} s is impossible (at most "
+            f"{PREPARATION_LIMITS.max_stroke_speed_m_per_s:g}): what is the position there?"
         )
-    if usual < 1e-4:
-        raise UnitError(f"{recording.name}: a speed of {usual:.2g} m/s is none: is it in km/s, or of another column?")
+    if usual < PREPARATION_LIMITS.min_stroke_speed_m_per_s:
+        raise UnitError(f"{recording.name}: a speed of {usual:.2g} m/s is too low: is it in km/s, or another column?")
 
 
 def slope_of(values: Floats, rate_hz: float, window_s: float) -> Floats:
-    """The slope, per second, of a straight line through the window about each sample; shorter at the ends."""
+    """Return the slope, per second, of a line through the window about each sample, which is shorter at the ends."""
     count = len(values)
     half = min(max(1, round(window_s * rate_hz / 2)), (count - 1) // 2)
     centred = values - values[count // 2]
@@ -590,13 +621,13 @@ def slope_of(values: Floats, rate_hz: float, window_s: float) -> Floats:
 
 
 def running_mean(values: Floats, half: int) -> Floats:
-    """Over 2 half + 1 samples; fewer at the ends."""
+    """Return the mean over 2 half + 1 samples about each sample, fewer at the ends."""
     total = np.concatenate(([0.0], np.cumsum(values)))
     low, high = _about(len(values), half)
     return np.asarray((total[high] - total[low]) / (high - low))
 
 
 def _about(count: int, half: int) -> tuple[Ints, Ints]:
-    """First sample, and the one after the last, of the window about each."""
+    """Return the first sample, and the last sample + 1, of the window about each of `count` samples."""
     at = np.arange(count)
     return np.maximum(at - half, 0), np.minimum(at + half + 1, count)

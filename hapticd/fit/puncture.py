@@ -1,8 +1,9 @@
-"""Punctures of a membrane: stiffness, depth and force of the rupture, and the mode that it strikes.
+"""Fit of punctures of a membrane: stiffness, depth and force of the rupture, and the mode that it strikes.
 
 Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environments", ICRA 1998: F = K d until the
-rupture, then no force, and a ringing whose amplitude does not depend on speed. The rupture is where force falls most
-within a few milliseconds; K and the place of the surface come from a line through force over position before it.
+rupture, then no force, and a ringing whose amplitude does not depend on speed. The rupture is where the force falls
+most within a few milliseconds. K and the position of the surface are those of a line through force over position
+before it.
 """
 
 from __future__ import annotations
@@ -10,34 +11,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.statistics import Estimate, FitError, Floats, UnitError, common, with_offset
 from hapticd.fit import preparation
+from hapticd.fit.limits import PUNCTURE_LIMITS
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.verdict import Doubts, Exclusions
-
-DROP_S: Final = 0.002
-"""A rupture takes less than this."""
-LOAD_PARTS: Final = (0.25, 0.98)
-"""Parts of the rupture force between which stiffness is fitted."""
-BEFORE_S: Final = 0.01
-AMPLITUDES_M_PER_S2: Final = (0.1, 3000.0)
-"""Of a rupture; less is not felt."""
-LEAST_ACCOUNTED: Final = 0.7
-"""A ringing of which one mode explains less is none."""
-STIFFNESS_N_PER_M: Final = (1.0, 1e5)
+from hapticd.fit.verdict import Exclusions, Warnings
 
 
 @dataclass(frozen=True, slots=True)
 class Rupture:
-    """One puncture as fitted; `time_s` from the first sample."""
+    """One fitted puncture; `time_s` is after the first sample."""
 
     recording: str
     time_s: float
@@ -51,23 +41,25 @@ class Rupture:
     variance_accounted_for: float
 
 
-# ---- Model: one puncture, from where the force falls back to the touch, and on to the ringing ------------------------
+# ---- Model: one puncture, from the drop of the force back to the touch, then the ringing -----------------------------
 
 
 class _Puncture:
-    """A recording of a puncture, and what speaks against it. FitError where there is none, or it cannot be fitted."""
+    """A fitted recording of one puncture, with its warnings."""
 
     def __init__(self, recording: Recording) -> None:
+        """Fit the puncture; raise FitError if there is no puncture or it cannot be fitted."""
         self._kept = preparation.without_invalid_samples(recording, "puncture")
-        self.doubts = Doubts()
-        preparation.report_cleaning([self._kept], self.doubts)
+        self.warnings = Warnings()
+        preparation.report_cleaning([self._kept], self.warnings)
         recording = self._kept.recording
         name, rate_hz = recording.name, recording.rate_hz
         force, place = preparation.force_of(recording), recording.position_m
         if place is None:
-            raise FitError(f"{name}: has no position along the normal, which this fit needs")
-        if np.ptp(place) > 1.0:
-            raise UnitError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
+            raise FitError(f"{name}: no position along the normal, which this fit needs")
+        if np.ptp(place) > PUNCTURE_LIMITS.max_way_m:
+            limit_m = PUNCTURE_LIMITS.max_way_m
+            raise UnitError(f"{name}: the way must be at most {limit_m:g} m, is {np.ptp(place):.4g} m: is it in mm?")
         if not np.ptp(place) > 0:
             raise FitError(f"{name}: the position never moves: is it the wrong column?")
         if float(np.median(force)) < 0 and -float(force.min()) > float(force.max()):
@@ -77,48 +69,55 @@ class _Puncture:
             raise _no_puncture(name)
         self._name, self._rate_hz, self._force, self._place = name, rate_hz, force, place
         self._at = at
-        """The last sample before the force falls to nothing."""
-        self._half = max(1, round(DROP_S * rate_hz / 2))
+        """Last sample before the drop of the force."""
+        self._half = max(1, round(PUNCTURE_LIMITS.max_drop_s * rate_hz / 2))
         self._smooth = preparation.running_mean(force, self._half)
-        """The force, without what is faster than DROP_S."""
-        self._speed = preparation.slope_of(place, rate_hz, 8 * DROP_S)
+        """(n,) force averaged over PUNCTURE_LIMITS.max_drop_s, N."""
+        self._speed = preparation.slope_of(place, rate_hz, 8 * PUNCTURE_LIMITS.max_drop_s)
         self._seen = preparation.acceleration_of(recording)
         self._load()
-        self._doubt_the_touch()
+        self._check_touch()
         self.rupture = self._ruptured()
 
     def _load(self) -> None:
-        """The line of force over position before the rupture: `stiffness_n_per_m` from `surface_m` on, where the sensor
-        reads `rest_n`, to the load, over that, just before the force drops. FitError where there is none."""
+        """Fit the line of force over position before the rupture.
+
+        Sets its stiffness, the position of the surface, where the line meets the force without contact, that force, and
+        the load just before the drop. Raises FitError if the force does not follow the position.
+        """
         at, half, smooth, name = self._at, self._half, self._smooth, self._name
         least = max(0, at - 2 * half)
         highest = float(np.median(self._force[least : max(at - half, least + 1)]))
-        early = np.flatnonzero(smooth[: at - half] < LOAD_PARTS[0] * highest)
+        early = np.flatnonzero(smooth[: at - half] < PUNCTURE_LIMITS.min_load * highest)
         self._begin = int(early[-1]) + 1 if len(early) else 0
         loaded = np.arange(self._begin, at - half)
-        loaded = loaded[smooth[loaded] < LOAD_PARTS[1] * highest]
-        if len(loaded) < 20:
-            raise FitError(f"{name}: force rises within {len(loaded)} samples: too few for a stiffness")
+        loaded = loaded[smooth[loaded] < PUNCTURE_LIMITS.max_load * highest]
+        if len(loaded) < PUNCTURE_LIMITS.min_loaded_samples:
+            raise FitError(
+                f"{name}: the force rises within {len(loaded)} samples, {PUNCTURE_LIMITS.min_loaded_samples} are "
+                "needed for a stiffness"
+            )
         way, pressed = self._place[loaded], self._force[loaded]
         level, stiffness = map(float, np.polynomial.polynomial.polyfit(way - way.mean(), pressed, 1))
-        if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < 0.7:
-            raise FitError(f"{name}: force does not go with position before it falls: are columns swapped?")
+        if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < PUNCTURE_LIMITS.min_r_squared:
+            raise FitError(f"{name}: the force does not follow the position before it drops: are columns swapped?")
         if stiffness < 0:
             raise UnitError(
-                f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)"
+                f"{name}: the force falls with the position, which must rise as the stylus presses in (scale -1?)"
             )
-        if not STIFFNESS_N_PER_M[0] <= stiffness <= STIFFNESS_N_PER_M[1]:
+        if not PUNCTURE_LIMITS.min_stiffness_n_per_m <= stiffness <= PUNCTURE_LIMITS.max_stiffness_n_per_m:
             raise UnitError(
-                f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?"
+                f"{name}: the stiffness must be between {PUNCTURE_LIMITS.min_stiffness_n_per_m:g} and "
+                f"{PUNCTURE_LIMITS.max_stiffness_n_per_m:g} N/m, is {stiffness:.3g}: is a unit off by a thousand?"
             )
         near = way < np.median(way)
         below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
-        if abs(above - below) > 0.1 * stiffness:
-            self._doubt(
+        if abs(above - below) > PUNCTURE_LIMITS.max_stiffness_change * stiffness:
+            self._warn(
                 "the stiffness changes on the way",
-                f"stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in",
+                f"the stiffness changes from {below:.4g} to {above:.4g} N/m as the stylus presses in",
             )
-        # Before the touch the sensor may read other than 0.
+        # The sensor may have an offset before the touch.
         rest, surface, quiet = 0.0, 0.0, np.zeros(0)
         for _ in range(3):
             surface = float(way.mean()) - (level - rest) / stiffness
@@ -126,59 +125,62 @@ class _Puncture:
             quiet = self._force[: max(0, int(free[-1]) - 2 * half if len(free) else 0)]
             rest = float(np.median(quiet)) if len(quiet) >= 20 else 0.0
         if len(quiet) < 20:
-            self._doubt("begun in contact", "begins in contact: what the sensor reads without force is taken to be 0")
+            self._warn("begun in contact", "begins in contact: the sensor is assumed to read 0 without force")
         self._load_n, self._stiffness_n_per_m, self._surface_m, self._rest_n = highest - rest, stiffness, surface, rest
 
-    def _doubt(self, what: str, text: str) -> None:
-        self.doubts.doubt_recording(what, f"{self._name}: {text}")
+    def _warn(self, what: str, text: str) -> None:
+        self.warnings.add_for_recording(what, f"{self._name}: {text}")
 
-    def _doubt_the_touch(self) -> None:
-        """Whether it is softer at first: then the line begins behind the touch. A fiftieth of the load, or six standard
-        errors of the force, is met a thirtieth of the depth before it is due on the line."""
+    def _check_touch(self) -> None:
+        """Add a warning if the membrane is softer at first, so that the line begins after the touch.
+
+        Then a force of 2 % of the load, or of six standard errors if that is more, is reached by 3 % of the depth
+        before the line reaches it.
+        """
         half = self._half
-        soft = max(0.02 * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
+        soft = max(PUNCTURE_LIMITS.soft_load * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
         touched = np.flatnonzero(self._smooth[: self._at - half] - self._rest_n > soft)
         if not len(touched):
             return
         due = self._surface_m + soft / self._stiffness_n_per_m
         early_m = due - float(np.mean(self._place[max(0, touched[0] - half) : touched[0] + half + 1]))
-        if early_m > 0.03 * self._load_n / self._stiffness_n_per_m:
-            self._doubt(
+        if early_m > PUNCTURE_LIMITS.max_soft_depth * self._load_n / self._stiffness_n_per_m:
+            self._warn(
                 "softer at first",
-                f"it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more behind the "
-                "touch, and depth is counted from there",
+                f"it is softer at first: the line of its stiffness begins at least {1e3 * early_m:.3g} mm after the "
+                "touch, and the depth is counted from there",
             )
 
     def _ruptured(self) -> Rupture:
-        """FitError where it was let go, or ruptures twice."""
+        """Return the rupture; raise FitError if the stylus was withdrawn or there are two ruptures."""
         at, half, force = self._at, self._half, self._force
         index = np.arange(max(0, at - 4 * half), at + 1)
         fitted = np.polynomial.polynomial.polyfit(index - at, self._place[index], 1)
         if self._speed[at] <= 0:
-            # Let go, or bounced off.
+            # The stylus was withdrawn, or it bounced off.
             raise _no_puncture(self._name)
-        # The force is gone between this sample and the next.
+        # The force drops between this sample and the next.
         depth = float(fitted[0] + 0.5 * fitted[1]) - self._surface_m
         ringing = self._ringing()
         left = float(np.median(force[at + 2 * half : at + 6 * half])) - self._rest_n
-        if left > 0.1 * self._load_n:
-            self._doubt(
+        if left > PUNCTURE_LIMITS.max_force_left * self._load_n:
+            self._warn(
                 "force is left after the rupture",
-                f"{100 * left / self._load_n:.0f} % of the force is left after the rupture: something holds what went "
-                "in; the model has none of it",
+                f"{100 * left / self._load_n:.0f} % of the force is left after the rupture: something holds the "
+                "stylus, which the model does not have",
             )
-        # The force drops again, before or after, from 0.3 of the load, while the stylus goes on.
+        # Another drop before or after, from 0.3 of the load, while the stylus advances, is a second rupture.
         for start, part in ((0, force[: max(0, at - 4 * half)]), (at + 4 * half, force[at + 4 * half :])):
             other = _drop(part, self._rate_hz)
-            if other is None or not part[other] - self._rest_n > 0.3 * self._load_n:
+            if other is None or not part[other] - self._rest_n > PUNCTURE_LIMITS.second_rupture * self._load_n:
                 continue
             if self._speed[start + other] > 0:
                 early, late = sorted((at, start + other))
                 places = f"{early / self._rate_hz:.4g} s and at {late / self._rate_hz:.4g} s"
-                raise FitError(f"{self._name}: ruptures at {places}: give each puncture its own file")
+                raise FitError(f"{self._name}: ruptures at {places}: record each puncture in a separate file")
         share = ringing.variance_accounted_for
-        if share < 0.8:
-            self.doubts.warn(f"{self._name}: one mode accounts for {100 * share:.0f} % of the ringing")
+        if share < PUNCTURE_LIMITS.well_explained:
+            self.warnings.note(f"{self._name}: one mode explains {100 * share:.0f} % of the ringing")
         return Rupture(
             recording=self._name,
             time_s=(at + 0.5) / self._rate_hz,
@@ -193,12 +195,12 @@ class _Puncture:
         )
 
     def _ringing(self) -> Ringing:
-        """The mode that the rupture strikes. FitError where it was not measured, or does not ring with one mode."""
+        """Return the mode of the rupture; raise FitError if it was not recorded completely or is not one mode."""
         name, at, rate_hz, begin, seen = self._name, self._at, self._rate_hz, self._begin, self._seen
-        first = max(0, at - round(BEFORE_S * rate_hz))
-        end = min(len(seen), at + round(0.08 * rate_hz))
-        if np.mean(self._kept.replaced[begin:end]) > 0.02:
-            raise FitError(f"{name}: much of the puncture was not measured")
+        first = max(0, at - round(PUNCTURE_LIMITS.before_rupture_s * rate_hz))
+        end = min(len(seen), at + round(PUNCTURE_LIMITS.after_rupture_s * rate_hz))
+        if np.mean(self._kept.replaced[begin:end]) > PUNCTURE_LIMITS.max_replaced:
+            raise FitError(f"{name}: too many samples of the puncture are impossible")
         if clipped(seen)[first:end].any():
             raise FitError(
                 f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record "
@@ -209,7 +211,7 @@ class _Puncture:
             gaps = preparation.gaps_in_words(recording)
             raise FitError(f"{name}: {gaps}: between the touch and the end of the ringing")
         try:
-            # A slow sensor of force tells the rupture late.
+            # A slow force sensor shows the rupture late.
             onsets = [max(0.0, (at + 0.5 - first) / rate_hz - late_s) for late_s in (0.0, 0.002, 0.005)]
             fits = [fit_ringing(seen[first:end], rate_hz, onset_s=onset_s) for onset_s in onsets]
         except FitError as error:
@@ -218,21 +220,21 @@ class _Puncture:
         hertz = float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)
         if slow := preparation.undersampled(rate_hz, hertz):
             raise FitError(f"{name}: {slow}")
-        if ringing.variance_accounted_for < LEAST_ACCOUNTED:
+        if ringing.variance_accounted_for < PUNCTURE_LIMITS.min_explained:
             raise FitError(
-                f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
-                f"{100 * LEAST_ACCOUNTED:.0f} % are wanted"
+                f"{name}: one mode explains {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
+                f"{100 * PUNCTURE_LIMITS.min_explained:.0f} % are needed"
             )
         return ringing
 
 
 def _no_puncture(name: str) -> FitError:
-    return FitError(f"{name}: no puncture here: the force never falls at once while the stylus goes on")
+    return FitError(f"{name}: no puncture here: the force never drops at once while the stylus advances")
 
 
 def _drop(force: Floats, rate_hz: float) -> int | None:
-    """The last sample before the force falls to nothing: by half of it and more."""
-    half = max(1, round(DROP_S * rate_hz / 2))
+    """Return the last sample before the force drops by half or more, or None if it does not."""
+    half = max(1, round(PUNCTURE_LIMITS.max_drop_s * rate_hz / 2))
     if len(force) < 20 * half:
         return None
     mean = preparation.running_mean(force, half)
@@ -240,14 +242,14 @@ def _drop(force: Floats, rate_hz: float) -> int | None:
     middle = int(np.argmax(fall)) + 2 * half
     before, after = float(mean[middle - 2 * half]), float(mean[middle + 2 * half])
     rest = float(np.median(force[: len(force) // 20]))
-    if before - rest < 5 * _noise(force) or before - after < 0.5 * (before - min(rest, 0.0)):
+    if before - rest < 5 * _noise(force) or before - after < PUNCTURE_LIMITS.min_drop * (before - min(rest, 0.0)):
         return None
     held = np.flatnonzero(force[middle - 2 * half : middle + 2 * half] > (before + after) / 2)
     return middle - 2 * half + int(held[-1]) if len(held) else None
 
 
 def _noise(force: Floats) -> float:
-    """Standard deviation from sample to sample."""
+    """Return the standard deviation of the noise of a force, from its differences."""
     return 1.4826 * float(np.median(np.abs(np.diff(force)))) / math.sqrt(2)
 
 
@@ -256,7 +258,7 @@ def _noise(force: Floats) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PunctureFit(Fit):
-    """What punctures of one membrane say. All intervals are of 95 %."""
+    """Result of a fit of punctures of one membrane. All intervals are of 95 %."""
 
     stiffness_n_per_m: Estimate
     depth_m: Estimate
@@ -265,43 +267,49 @@ class PunctureFit(Fit):
     frequency_hz: Estimate
     decay_rate_per_s: Estimate
     amplitude_per_speed_per_s: Estimate | None
-    """Slope of the amplitude over speed; None for fewer than four punctures, or all at one speed."""
+    """Slope of the amplitude over speed; None for fewer than four punctures or about one speed."""
     ruptures: tuple[Rupture, ...]
 
     def material(self) -> dict[str, object]:
-        """The keys of a material."""
+        """Return the keys of a material."""
         names = ("depth_m", "amplitude_m_per_s2", "frequency_hz", "decay_rate_per_s")
         rupture = {name: getattr(self, name).value for name in names}
         return {"stiffness_n_per_m": self.stiffness_n_per_m.value, "rupture": rupture}
 
 
 def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> PunctureFit:
-    """Of one puncture to a recording, at least two. FitError where there are fewer, or they cannot be fitted.
+    """Fit at least two recordings of one puncture each.
 
-    Recordings that cannot be used, as those without a puncture, are reported in `excluded`.
+    Recordings that cannot be used, such as those without a puncture, are added to `excluded`. Raises FitError if fewer
+    than two are left, or if they do not agree.
     """
     excluded = Exclusions() if excluded is None else excluded
-    doubts = Doubts()
-    ruptures = _ruptures(recordings, excluded, doubts)
+    warnings = Warnings()
+    ruptures = _ruptures(recordings, excluded, warnings)
     by_name = {recording.name: recording for recording in recordings}
     used = [each for each in recordings if each.name in {rupture.recording for rupture in ruptures}]
-    preparation.report_gravity(used, doubts)
+    preparation.report_gravity(used, warnings)
 
     def lines(rupture: Rupture, needed: int) -> list[SpectralLine]:
-        """Of the acceleration before the rupture."""
+        """Return the spectral lines of the acceleration before the rupture."""
         recording = by_name[rupture.recording]
         seen = recording.acceleration_m_per_s2
         assert seen is not None
         model = np.full(len(seen), math.nan)
-        until = max(0, round((rupture.time_s - BEFORE_S) * recording.rate_hz))
+        until = max(0, round((rupture.time_s - PUNCTURE_LIMITS.before_rupture_s) * recording.rate_hz))
         model[:until] = np.median(seen[:until]) if until else 0.0
         return lines_in_residual(seen, model, recording.rate_hz, needed)
 
-    report_lines(ruptures, lines, doubts)
-    doubts.check("punctures", len(ruptures))
+    report_lines(ruptures, lines, warnings)
+    warnings.check("punctures", len(ruptures))
 
     usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
-    preparation.check_range(usual, *AMPLITUDES_M_PER_S2, f"a rupture of {usual:.3g} m/s^2 is", "membrane's")
+    preparation.check_range(
+        usual,
+        PUNCTURE_LIMITS.min_amplitude_m_per_s2,
+        PUNCTURE_LIMITS.max_amplitude_m_per_s2,
+        "usual amplitude of the ruptures",
+    )
     named = {
         "depth_m": "rupture depth",
         "stiffness_n_per_m": "stiffness",
@@ -312,29 +320,29 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
     }
     figures = {name: common(np.array([getattr(each, name) for each in ruptures])) for name in named}
     depth, frequency = figures["depth_m"], figures["frequency_hz"]
-    preparation.report_sampling(used, frequency.value, doubts)
-    by_speed = _amplitude_over_speed(ruptures, figures["amplitude_m_per_s2"], doubts)
+    preparation.report_sampling(used, frequency.value, warnings)
+    by_speed = _amplitude_over_speed(ruptures, figures["amplitude_m_per_s2"], warnings)
     for name in ("stiffness_n_per_m", "amplitude_m_per_s2", "decay_rate_per_s"):
         figure = figures[name]
         if figure.low <= 0:
             within = f"{figure.value:.3g} ({figure.low:.3g} to {figure.high:.3g})"
             raise FitError(f"the punctures do not agree on the {named[name]}: {within}")
     if depth.low <= 0 or depth.high - depth.low > depth.value:
-        doubts.warn(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
+        warnings.note(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
     for name, figure in figures.items():
-        # The force is that of stiffness and depth.
+        # The force follows from stiffness and depth.
         if name != "force_n":
-            doubts.check_interval(named[name], figure)
+            warnings.check_interval(named[name], figure)
     scatter = float(np.std([math.log(each.frequency_hz) for each in ruptures]))
-    doubts.check("scatter of the frequency", scatter, events="punctures", one="membrane")
+    warnings.check("scatter of the frequency", scatter, events="punctures", one="membrane")
     explained = float(np.median([each.variance_accounted_for for each in ruptures]))
-    doubts.check("variance that a rupture's mode explains", explained)
+    warnings.check("variance that a rupture's mode explains", explained)
     return PunctureFit(
         **figures,
         amplitude_per_speed_per_s=by_speed,
         ruptures=tuple(ruptures),
-        warnings=tuple(doubts.warnings),
-        judged=doubts.judged(
+        warnings=tuple(warnings.lines),
+        judged=warnings.verdict(
             f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, "
             f"{figures['stiffness_n_per_m'].value:.4g} N/m, ringing at {frequency.value:.4g} Hz"
         ),
@@ -342,51 +350,62 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
     )
 
 
-def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, doubts: Doubts) -> list[Rupture]:
-    """Two or more, each fitted alone; doubts are of those that are used. FitError where there are fewer."""
+def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, warnings: Warnings) -> list[Rupture]:
+    """Return two or more ruptures, each fitted separately, with the warnings of those that are used.
+
+    Raises FitError if there are fewer.
+    """
     preparation.refuse_duplicates(recordings)
     found = excluded.each(recordings, _Puncture)
     if not found:
         raise excluded.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
     ruptures = _without_outliers([each.rupture for each in found], excluded)
-    if len(ruptures) < 2:
-        raise excluded.refused("one puncture has no interval: needs two recordings of a puncture at least")
+    if len(ruptures) < PUNCTURE_LIMITS.min_punctures:
+        raise excluded.refused("one puncture has no interval: needs at least two recordings of a puncture")
     used = {each.recording for each in ruptures}
     for each in found:
         if each.rupture.recording in used:
-            doubts.merge(each.doubts)
-    excluded.report(recordings, doubts)
+            warnings.merge(each.warnings)
+    excluded.report(recordings, warnings)
     return ruptures
 
 
 def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rupture]:
-    """Without those, a quarter at most, whose ringing is off the median of all by a factor of three, which are reported
-    in `excluded`."""
+    """Return the ruptures whose ringing is within a factor of three of the median; add the others to `excluded`.
+
+    If more than a quarter are outliers, all are returned.
+    """
     ringing = np.array([[each.amplitude_m_per_s2, each.frequency_hz, each.decay_rate_per_s] for each in ruptures])
     usual = np.median(ringing, axis=0)
-    off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > 3.0
-    if np.count_nonzero(off) > 0.25 * len(ruptures):
+    off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > PUNCTURE_LIMITS.max_outlier_ratio
+    if np.count_nonzero(off) > PUNCTURE_LIMITS.max_outliers * len(ruptures):
         return ruptures
     for each, far in zip(ruptures, off, strict=True):
         if far:
             excluded.add(
                 each.recording,
-                f"rings with {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a decay rate of "
+                f"its ringing has {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a decay rate of "
                 f"{each.decay_rate_per_s:.3g} 1/s, the others with {usual[0]:.3g}, {usual[1]:.4g} and {usual[2]:.3g}",
             )
     return [each for each, far in zip(ruptures, off, strict=True) if not far]
 
 
-def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, doubts: Doubts) -> Estimate | None:
-    """The slope, which the model does not have; None for fewer than four punctures, or all at one speed."""
+def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, warnings: Warnings) -> Estimate | None:
+    """Return the slope of the amplitude over speed, or None for fewer than four punctures or about one speed.
+
+    The model has no such slope, so a significant one is added as a reason.
+    """
     speed = np.array([each.speed_m_per_s for each in ruptures])
-    if len(ruptures) < 4 or not np.ptp(speed) > 0.2 * speed.mean():
+    if (
+        len(ruptures) < PUNCTURE_LIMITS.min_trend_punctures
+        or not np.ptp(speed) > PUNCTURE_LIMITS.min_speed_span * speed.mean()
+    ):
         return None
     by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
     change = by_speed.value * float(np.ptp(speed))
-    if by_speed.excludes_zero and abs(change) > 0.1 * amplitude.value:
-        doubts.doubt(
-            f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to {speed.max():.3g} m/s; "
-            "the material has the mean"
+    if by_speed.excludes_zero and abs(change) > PUNCTURE_LIMITS.min_amplitude_change * amplitude.value:
+        warnings.add_fair(
+            f"the amplitude changes with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to {speed.max():.3g} m/s"
+            "; the material has the mean"
         )
     return by_speed

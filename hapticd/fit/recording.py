@@ -1,12 +1,12 @@
-"""Recordings of an instrumented stylus: read, put into SI units and onto a uniform clock, checked.
+"""Recordings of an instrumented stylus: reads, checks and converts them to SI units on a uniform clock.
 
 .csv  columns, named in the first line; separated by commas, semicolons, tabs or blanks
 .npz  arrays by name, as numpy.savez writes them; `rate_hz` and `speed_m_per_s` may be single numbers
 .wav  channels, named 1, 2 and so on; full scale is 1
 
-`FILE.yaml` beside a recording (`tap1.csv.yaml`) says what its columns are, in which units, and at which rate. Without
-it columns are known by the names of NAMES, which are in SI units. Of a file only the columns that are used are read,
-and nothing of what is in it is ever executed.
+`FILE.yaml` in the same folder (`tap1.csv.yaml` for `tap1.csv`) has the columns, their units and the sampling rate.
+Without it, columns have the names of COLUMN_OF and SI units. Only the columns that are used are read, and nothing in a
+file is executed.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ from hapticd.base.yaml_source import load_bytes, one_line
 from hapticd.config.document_kinds import refuse_documents
 
 Kind: TypeAlias = Literal["tap", "grooves", "texture", "puncture"]
-"""What a recording is of."""
+"""Kind of a recording."""
 Rate: TypeAlias = Annotated[float, Field(ge=MIN_RECORDING_RATE_HZ, le=MAX_RECORDING_RATE_HZ)]
 
 
 class RecordingError(HapticdError):
-    """A recording that cannot be taken as it is; one line that says which and why."""
+    """A recording cannot be used; one line with its name and the reason."""
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(f"{name}: {reason}")
@@ -61,11 +61,11 @@ class RecordingError(HapticdError):
 
 
 class NoRecordingError(RecordingError):
-    """There is no file that can be opened."""
+    """The file of a recording cannot be opened."""
 
 
 class RecordedColumn(Model):
-    """Where a quantity stands in the file, and in which unit."""
+    """Column and unit of a quantity in a file."""
 
     column: str | int = Field(description="Its name; of a file without names its number, from 1.")
     unit: str | None = Field(default=None, description="Its unit; the SI unit without it.")
@@ -73,21 +73,21 @@ class RecordedColumn(Model):
 
 
 class RecordingSidecar(Model):
-    """The YAML beside a recording."""
+    """The YAML file of a recording."""
 
     rate_hz: Rate | None = Field(default=None, description="Sampling rate; without it there is a column of times.")
     columns: dict[Quantity, RecordedColumn] = Field(
         default_factory=dict, description="Which columns there are; without it, those with the usual names."
     )
     speed_m_per_s: float | list[float] | None = Field(
-        default=None, description="Speed of the whole recording, or of each tap in it."
+        default=None, description="Speed of the recording, or of each tap in it."
     )
     sensor: Sensor | None = Field(default=None, description="The accelerometer; taps are corrected for it.")
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The file that a recording was read from, or what else it came from, with an empty hash."""
+    """The file of a recording and its hash; the hash of another origin is empty."""
 
     path: str
     sha256: str
@@ -95,30 +95,29 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Arrays (n,), sampled uniformly and together, without NaN; None is what was not recorded."""
+    """Arrays (n,), uniformly sampled at the same times, without NaN; None is a quantity that was not recorded."""
 
     name: str
     rate_hz: float
     acceleration_m_per_s2: Floats | None
     force_n: Floats | None
     position_m: Floats | None
-    """Along the surface's normal."""
+    """Position along the surface's normal."""
     tangential_position_m: Floats | None
     speed_m_per_s: float | Floats | None
-    """One for all, one a tap, or (n,)."""
+    """One speed for all, one for each tap, or (n,)."""
     source: Source
     sensor: Sensor | None = None
-    """The accelerometer, where it is known."""
+    """The accelerometer, if it is known."""
     gaps: tuple[tuple[int, int], ...] = ()
-    """First sample and the one after the last of each stretch in which the times have none: the columns hold straight
-    lines there."""
+    """First sample and last sample + 1 of each gap in the times; the columns are interpolated linearly there."""
 
 
 def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording:
-    """Reads a recording. `known_as` stands for its path in the result and in errors, instead of the path itself.
+    """Read a recording; `known_as` replaces its path in the result and in errors.
 
-    Raises RecordingError (one line), or InvalidError for faults in the YAML beside it and for a YAML file that is for
-    another command."""
+    Raises RecordingError (one line), or InvalidError for faults in its YAML file or a YAML file of another command.
+    """
     name = os.fspath(path)
     own_name = name if known_as is None else known_as
     shown = one_line(own_name)
@@ -128,20 +127,26 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
     except ValueError as error:
         raise NoRecordingError(shown, str(error)) from None
     try:
-        beside = _beside(name, own_name)
-        table = _table(own_name, content, bool(beside.columns))
-        found, rounding_s, rate_hz = _quantities(table, beside, f"{shown}.yaml")
-        if rate_hz is not None and beside.rate_hz is not None and abs(rate_hz / beside.rate_hz - 1) > MAX_RATE_MISMATCH:
-            raise ValueError(f"the file says {rate_hz:g} Hz, the YAML says {beside.rate_hz:g} Hz: which is right?")
-        even, rate_hz, gaps = uniform(found, rate_hz if beside.rate_hz is None else beside.rate_hz, rounding_s)
+        sidecar = _sidecar(name, own_name)
+        table = _table(own_name, content, bool(sidecar.columns))
+        found, rounding_s, rate_hz = _quantities(table, sidecar, f"{shown}.yaml")
+        if (
+            rate_hz is not None
+            and sidecar.rate_hz is not None
+            and abs(rate_hz / sidecar.rate_hz - 1) > MAX_RATE_MISMATCH
+        ):
+            raise ValueError(
+                f"the rate is {rate_hz:g} Hz in the file, {sidecar.rate_hz:g} Hz in the YAML: make them equal"
+            )
+        even, rate_hz, gaps = uniform(found, rate_hz if sidecar.rate_hz is None else sidecar.rate_hz, rounding_s)
     except ValueError as error:
         raise RecordingError(shown, str(error)) from None
     except MemoryError:
-        raise RecordingError(shown, "there is not enough memory for it: cut it into several files") from None
+        raise RecordingError(shown, "not enough memory: cut it into several files") from None
     speed: float | Floats | None = even.get("speed")
     if isinstance(speed, np.ndarray) and speed.size == 1:
         speed = float(speed[0])
-    given = beside.speed_m_per_s
+    given = sidecar.speed_m_per_s
     if given is not None:
         speed = np.array(given, dtype=np.float64) if isinstance(given, list) else float(given)
     return Recording(
@@ -153,13 +158,13 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
         tangential_position_m=even.get("tangential_position"),
         speed_m_per_s=speed,
         source=Source(own_name, hashlib.sha256(content).hexdigest()),
-        sensor=beside.sensor,
+        sensor=sidecar.sensor,
         gaps=gaps,
     )
 
 
 def npz_of(recording: Recording) -> bytes:
-    """A recording as a .npz, which `load` reads without a YAML."""
+    """Return a recording as the bytes of a .npz file, which `load` reads without a YAML file."""
     arrays: dict[str, Floats] = {"rate_hz": np.array(recording.rate_hz)}
     for name in COLUMN_OF.values():
         values = getattr(recording, name, None)
@@ -171,16 +176,16 @@ def npz_of(recording: Recording) -> bytes:
 
 
 def save(recording: Recording, path: str | os.PathLike[str]) -> None:
-    """Writes a recording as .npz, in place of a file that is there. Raises HapticdError where it cannot."""
+    """Write a recording as .npz, replacing an existing file; raise HapticdError if it cannot be written."""
     write_whole(os.fspath(path), npz_of(recording), overwrite=True)
 
 
-# ---- The YAML beside it ---------------------------------------------------------------------------------------------
+# ---- The YAML file ---------------------------------------------------------------------------------------------------
 
 
-def _beside(name: str, own_name: str) -> RecordingSidecar:
+def _sidecar(name: str, own_name: str) -> RecordingSidecar:
     path, shown = f"{name}.yaml", f"{own_name}.yaml"
-    # A link that leads nowhere is a YAML that cannot be read, and not none.
+    # A broken link is a YAML file that cannot be read, not a missing one.
     if not os.path.lexists(path):
         return RecordingSidecar()
     try:
@@ -191,7 +196,7 @@ def _beside(name: str, own_name: str) -> RecordingSidecar:
     if document.data is None:
         return RecordingSidecar()
     try:
-        beside = RecordingSidecar.parsed(document.data)
+        sidecar = RecordingSidecar.parsed(document.data)
     except ValidationError as error:
         raise InvalidError(Problem(document.where(where), text) for where, text in faults_of(error)) from None
     problems = [
@@ -199,23 +204,23 @@ def _beside(name: str, own_name: str) -> RecordingSidecar:
             document.where(("columns", quantity, "unit")),
             f"unknown unit of {quantity}, {known_names(unit, UNITS_OF[quantity])}",
         )
-        for quantity, column in beside.columns.items()
+        for quantity, column in sidecar.columns.items()
         if (unit := column.unit) is not None and _spelt(unit) not in UNITS_OF[quantity]
     ]
     problems += [
-        Problem(document.where(("columns", quantity, "scale")), "is 0, which leaves nothing")
-        for quantity, column in beside.columns.items()
+        Problem(document.where(("columns", quantity, "scale")), "must not be 0")
+        for quantity, column in sidecar.columns.items()
         if column.scale == 0
     ]
-    if beside.speed_m_per_s is not None and "speed" in beside.columns:
-        problems.append(Problem(document.where(("speed_m_per_s",)), "is given as a column, too: leave one out"))
+    if sidecar.speed_m_per_s is not None and "speed" in sidecar.columns:
+        problems.append(Problem(document.where(("speed_m_per_s",)), "duplicate of columns.speed: leave one out"))
     if problems:
         raise InvalidError(problems)
-    return beside
+    return sidecar
 
 
 def _spelt(unit: str) -> str:
-    """A unit as UNITS_OF spells it; in brackets or not, with an exponent or a mu of any kind."""
+    """Return a unit as UNITS_OF spells it, without brackets, with ^ for exponents and u for micro."""
     bare = unit.strip().strip("[]()").strip()
     return (
         bare.replace("\u00b5", "u")
@@ -239,23 +244,23 @@ def _table(name: str, content: bytes, named: bool) -> Table:
 
 
 def _quantities(
-    table: Table, beside: RecordingSidecar, where: str
+    table: Table, sidecar: RecordingSidecar, where: str
 ) -> tuple[dict[Quantity, Floats], float, float | None]:
-    """The quantities in SI units, to how much the times are rounded, and the rate that the file says."""
-    wanted = beside.columns or {
+    """Return the quantities in SI units, the rounding of the times in s, and the rate of the file, if it has one."""
+    wanted = sidecar.columns or {
         quantity: RecordedColumn(column=name) for quantity, name in COLUMN_OF.items() if name in table.names
     }
-    unfit = [name for name in COLUMN_OF.values() if name in table.others] if not beside.columns else []
+    unfit = [name for name in COLUMN_OF.values() if name in table.others] if not sidecar.columns else []
     if unfit:
         raise ValueError(f"{unfit[0]} {table.others[unfit[0]]}: name other columns in {where}")
     if not set(wanted) & {"acceleration", "force", "position", "tangential_position"}:
-        if beside.columns:
-            raise ValueError(f"{where} names neither acceleration nor force nor position")
+        if sidecar.columns:
+            raise ValueError(f"{where}: columns has neither acceleration nor force nor position")
         known = ", ".join(COLUMN_OF.values())
         has = known_names("", map(short_name, [*table.names, *table.others])).removeprefix("known: ")
-        raise ValueError(f"has none of {known}; it has {has}: name them in {where}")
+        raise ValueError(f"no column {known}; it has {has}: name the columns in {where}")
     places = {quantity: table.place(column.column) for quantity, column in wanted.items()}
-    # What is too large or no number here is reported by `uniform`.
+    # `uniform` reports values that are too large or NaN.
     with np.errstate(all="ignore"):
         read = dict(zip(places, table.read(list(places.values())), strict=True))
     found: dict[Quantity, Floats] = {}
@@ -264,8 +269,8 @@ def _quantities(
         unit = column.unit if column.unit is not None else table.units.get(places[quantity], "")
         if unit and _spelt(unit) not in UNITS_OF[quantity]:
             raise ValueError(
-                f"says that {quantity} is in {shown_name(unit)}, which is none of {', '.join(UNITS_OF[quantity])}: say "
-                f"its unit in {where}"
+                f"unknown unit of {quantity} {shown_name(unit)}, known: {', '.join(UNITS_OF[quantity])}: name it in "
+                f"{where}"
             )
         factor = column.scale * (UNITS_OF[quantity][_spelt(unit)] if unit else 1.0)
         with np.errstate(all="ignore"):

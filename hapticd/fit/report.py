@@ -1,6 +1,6 @@
-"""The report of a fit: pictures of recording and model, the figures with their intervals, and the verdict.
+"""Report of a fit: pictures of recording and model, the figures with their intervals, and the verdict.
 
-One file: a page whose pictures stand in it, or a picture. matplotlib is imported when something is drawn.
+It is one file, an HTML page with embedded pictures or a picture. matplotlib is imported when something is drawn.
 """
 
 from __future__ import annotations
@@ -29,34 +29,36 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_CELL: Final = (5.2, 3.6)
-"""Inches of a picture with what is written about it, and below the share of that."""
-_GAP: Final = (0.85, 1.05)
-_MARGINS: Final = (0.3, 0.2)
-MANY_DECADES: Final = 3.5
-"""On a logarithmic axis that spans more, powers of ten alone are labelled; one that spans less has"""
-STEPS: Final = (
+_CELL_INCHES: Final = (5.2, 3.6)
+"""Width and height of a picture with its title and labels."""
+_GAP_INCHES: Final = (0.85, 1.05)
+"""Part of that width and height for title and labels."""
+_MARGIN_INCHES: Final = (0.3, 0.2)
+"""Margins of the page, left and right together, and above and below together."""
+MAX_LABELLED_DECADES: Final = 3.5
+"""A logarithmic axis that spans more decades has labels at powers of ten only."""
+LABELS_BY_DECADES: Final = (
     (0.35, (1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)),
     (0.7, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)),
     (1.5, (1.0, 2.0, 5.0)),
-    (MANY_DECADES, (1.0, 3.0)),
+    (MAX_LABELLED_DECADES, (1.0, 3.0)),
 )
-"""these labels a decade, by the decades that it spans at most."""
+"""Labels in each decade of a logarithmic axis, by the largest number of decades that the axis spans."""
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A line, or points; `low` and `high` are a band about the line, or bars at the points. All are (n,)."""
+    """A line or points (n,); `low` and `high` are a band about the line or error bars at the points."""
 
     label: str
     x: Floats
     y: Floats
     points: bool = False
     crossed: bool = False
-    """Points that are not used: crosses."""
+    """Draw the points as crosses: they are not used."""
     dashed: bool = False
     color: str | None = None
-    """matplotlib's name; None: the next one."""
+    """Name in matplotlib; None is the next color of the cycle."""
     low: Floats | None = None
     high: Floats | None = None
 
@@ -70,14 +72,14 @@ class Panel:
     y_label: str
     curves: tuple[Curve, ...]
     logarithmic: bool = False
-    """Both axes."""
+    """Whether both axes are logarithmic."""
     counted: bool = False
-    """Along x are whole numbers."""
+    """Whether x has integers only."""
 
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What is reported of a fit."""
+    """Content of a report."""
 
     title: str
     verdict: str
@@ -86,20 +88,20 @@ class Page:
     plain: Mapping[str, float]
     """Figures that have no interval."""
     sources: Sequence[tuple[str, str]]
-    """Path and SHA-256."""
+    """Path and SHA-256 of each recording."""
     rows: Sequence[Sequence[Panel]]
-    """Of pictures."""
+    """Rows of pictures."""
 
 
 def require(path: str) -> None:
-    """Raises HapticdError (one line) where a report cannot be drawn, or not one with that ending."""
+    """Raise HapticdError (one line) if matplotlib is missing, or if a report cannot have this file name."""
     require_matplotlib("a report", "fit")
     if not path.lower().endswith((".html", ".png")):
-        raise HapticdError(f"{path}: is no kind of report: must end in .html or .png")
+        raise HapticdError(f"{path}: a report must end in .html or .png")
 
 
 def drawn(path: str, page: Page) -> bytes:
-    """The report that is to stand at this path, whose ending says which kind."""
+    """Return the content of the report at this path: HTML if it ends in .html, else PNG."""
     if not path.lower().endswith(".html"):
         return _picture(page.rows, "\n".join((page.title, *textwrap.wrap(page.verdict, 110))))
     pictures = "\n".join(html_picture(row) for row in page.rows)
@@ -113,12 +115,14 @@ def drawn(path: str, page: Page) -> bytes:
 
 
 def thinned(x: Floats, y: Floats, most: int = 4000) -> tuple[Floats, Floats]:
-    """At most about `most` points of a line, with the least and the largest value of each stretch among them. Of a
-    stretch with a gap (NaN) in it the gap is kept."""
+    """Return about `most` points of a line: the smallest and the largest value of each of its sections.
+
+    A section that contains a gap (NaN) keeps the gap.
+    """
     if len(x) <= most:
         return x, y
-    stretch = math.ceil(2 * len(x) / most)
-    pieces = [(start, y[start : start + stretch]) for start in range(0, len(x), stretch)]
+    section = math.ceil(2 * len(x) / most)
+    pieces = [(start, y[start : start + section]) for start in range(0, len(x), section)]
     kept = np.unique([start + end(piece) for start, piece in pieces for end in (np.argmin, np.argmax)])
     return x[kept], y[kept]
 
@@ -131,17 +135,17 @@ def _picture(rows: Sequence[Sequence[Panel]], title: str = "") -> bytes:
 
     columns, count = max((len(row) for row in rows), default=1), max(1, len(rows))
     titled = 0.27 * (title.count("\n") + 1) if title else 0.0
-    width, height = _MARGINS[0] + columns * _CELL[0], _MARGINS[1] + titled + count * _CELL[1]
+    width, height = _MARGIN_INCHES[0] + columns * _CELL_INCHES[0], _MARGIN_INCHES[1] + titled + count * _CELL_INCHES[1]
     figure: Figure
-    # Laid out in inches, by hand: to measure every letter takes longer than to draw it all.
+    # Fixed layout in inches: an automatic layout measures all text, which takes longer than drawing.
     figure, axes = plt.subplots(count, columns, figsize=(width, height), squeeze=False)
     figure.subplots_adjust(
-        left=(_GAP[0] + _MARGINS[0] / 2) / width,
-        right=1 - _MARGINS[0] / 2 / width,
-        bottom=(_GAP[1] / 2 + _MARGINS[1] / 2) / height,
-        top=1 - (_GAP[1] / 2 + _MARGINS[1] / 2 + titled) / height,
-        wspace=_GAP[0] / (_CELL[0] - _GAP[0]),
-        hspace=_GAP[1] / (_CELL[1] - _GAP[1]),
+        left=(_GAP_INCHES[0] + _MARGIN_INCHES[0] / 2) / width,
+        right=1 - _MARGIN_INCHES[0] / 2 / width,
+        bottom=(_GAP_INCHES[1] / 2 + _MARGIN_INCHES[1] / 2) / height,
+        top=1 - (_GAP_INCHES[1] / 2 + _MARGIN_INCHES[1] / 2 + titled) / height,
+        wspace=_GAP_INCHES[0] / (_CELL_INCHES[0] - _GAP_INCHES[0]),
+        hspace=_GAP_INCHES[1] / (_CELL_INCHES[1] - _GAP_INCHES[1]),
     )
     try:
         for axes_row, row in zip(axes, rows, strict=False):
@@ -150,10 +154,10 @@ def _picture(rows: Sequence[Sequence[Panel]], title: str = "") -> bytes:
             for place in axes_row[len(row) :]:
                 place.set_axis_off()
         if title:
-            figure.suptitle(literal(title), y=1 - _MARGINS[1] / 2 / height, va="top")
+            figure.suptitle(literal(title), y=1 - _MARGIN_INCHES[1] / 2 / height, va="top")
         content = io.BytesIO()
         with warnings.catch_warnings():
-            # The font has not every letter that a file's name may have.
+            # The name of a file may contain letters that the font does not have.
             warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
             figure.savefig(content, format="png", dpi=90)
     finally:
@@ -195,7 +199,7 @@ def _draw(axes: Axes, panel: Panel) -> None:
     axes.set_ylabel(panel.y_label)
     axes.grid(alpha=0.3)
     several = len(panel.curves) > 1
-    # Beside the curves there may be no room: what they are stands between them and the title.
+    # The legend stands between curves and title, because there may be no room next to the curves.
     title = panel.title if len(panel.title) <= 56 else f"{panel.title[:28]}…{panel.title[-28:]}"
     axes.set_title(literal(title), fontsize=10, pad=22 if several else 6)
     if several:
@@ -212,23 +216,23 @@ def _draw(axes: Axes, panel: Panel) -> None:
 
 
 def _label_logarithmic(axes: Axes) -> None:
-    """As many labels as have room: of less than a decade 1, 2, 5 and so on as plain numbers, of more only decades."""
+    """Label a logarithmic axis: below MAX_LABELLED_DECADES with numbers such as 1, 2, 5, else with powers of ten."""
     from matplotlib.ticker import NullLocator
 
-    axes.yaxis.set_minor_locator(NullLocator())  # hundreds of them, and each takes its time
+    axes.yaxis.set_minor_locator(NullLocator())  # there would be hundreds, which are slow to draw
     low, high = axes.get_xlim()
     decades = math.log10(high / low) if low > 0 else math.inf
-    if decades > MANY_DECADES:
+    if decades > MAX_LABELLED_DECADES:
         return
-    plain_decades(axes.xaxis, next(steps for most, steps in STEPS if decades <= most))
-    # matplotlib adds what it has beyond either end, which would stretch the axis.
+    plain_decades(axes.xaxis, next(steps for most, steps in LABELS_BY_DECADES if decades <= most))
+    # matplotlib adds labels beyond either end, which would extend the axis.
     axes.set_xlim(low, high)
 
 
 def figure_rows(
     figures: Mapping[str, Estimate], plain: Mapping[str, float] = MappingProxyType({})
 ) -> list[tuple[str, str, str, str]]:
-    """Name, value, interval and unit of each figure, as text; `plain` have no interval."""
+    """Return name, value, interval and unit of each figure as text; figures of `plain` have no interval."""
     rows = [
         (name, f"{each.value:.6g}", f"{each.low:.6g} to {each.high:.6g}", unit_of(name) or "")
         for name, each in figures.items()
@@ -237,18 +241,18 @@ def figure_rows(
 
 
 def fit_page(title: str, body: str) -> str:
-    """A page of fits: below its heading this text of HTML, and by which version it was made."""
+    """Return a page with this title, this HTML body, and the version of hapticd."""
     return html_page.page(title, f"{body}\n<p>hapticd {html.escape(__version__)}</p>")
 
 
 def html_figures(figures: Mapping[str, Estimate], plain: Mapping[str, float]) -> str:
-    """The figures of a fit as a table."""
+    """Return the figures of a fit as an HTML table."""
     heads, of_text = ("figure", "value", "95 % interval", "unit"), (True, False, False, True)
     return html_page.table(heads, figure_rows(figures, plain), of_text)
 
 
 def html_picture(row: Sequence[Panel]) -> str:
-    """A row of pictures, in the page itself."""
+    """Return a row of pictures as an embedded HTML image."""
     return (
         f'<p><img alt="{html.escape("; ".join(panel.title for panel in row))}" src="data:image/png;base64,'
         f'{base64.b64encode(_picture([row])).decode()}"></p>'
@@ -256,5 +260,5 @@ def html_picture(row: Sequence[Panel]) -> str:
 
 
 def html_warnings(warnings: Sequence[str]) -> str:
-    """One paragraph each."""
+    """Return an HTML paragraph for each warning."""
     return "\n".join(f'<p class="warning">{html.escape(text)}</p>' for text in warnings)

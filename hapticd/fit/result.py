@@ -1,4 +1,4 @@
-"""What every fit gives: figures with intervals, warnings and a verdict; and fits as plain data for JSON."""
+"""Results of fits: figures with intervals, warnings and a verdict, and their conversion to plain data for JSON."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from hapticd.fit.verdict import Exclusion, Verdict
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit(ABC):
-    """The result of a fit: figures (Estimates), warnings, verdict. A field that is for drawing alone has `repr=False`
-    and is not in the JSON."""
+    """Result of a fit: figures (Estimates), warnings and verdict.
+
+    A field with `repr=False` is only drawn and is not part of the JSON.
+    """
 
     warnings: tuple[str, ...]
     judged: Verdict
@@ -27,19 +29,20 @@ class Fit(ABC):
 
     @property
     def verdict(self) -> str:
+        """The verdict as text."""
         return str(self.judged)
 
     @abstractmethod
     def material(self) -> Mapping[str, object]:
-        """Keys of a YAML material."""
+        """Return the keys of a YAML material."""
 
     def to_dict(self) -> dict[str, Json]:
-        """Plain data for JSON."""
+        """Return the fit as plain data for JSON."""
         return {**fields_of(self), "verdict": self.verdict}
 
 
 def estimates(fit: Fit) -> dict[str, Estimate]:
-    """The figures of a fit that have an interval, by name; those of a part of it as `part.name`."""
+    """Return the figures of a fit that have an interval, by name; figures of a part are named `part.name`."""
     found: dict[str, Estimate] = {}
     for name, value in _fields(fit).items():
         if isinstance(value, Estimate):
@@ -51,7 +54,7 @@ def estimates(fit: Fit) -> dict[str, Estimate]:
 
 
 def plain_figures(fit: Fit) -> dict[str, float]:
-    """The figures of a fit that have no interval, by name."""
+    """Return the figures of a fit that have no interval, by name."""
     return {name: value for name, value in _fields(fit).items() if isinstance(value, float) and math.isfinite(value)}
 
 
@@ -61,12 +64,12 @@ def _fields(made: object) -> dict[str, object]:
 
 
 def fields_of(made: object, *names: str) -> dict[str, Json]:
-    """The fields of a dataclass with these names (all if none are given) as plain data, but those of `repr=False`."""
+    """Return the fields of a dataclass with these names, by default all, as plain data, without `repr=False` ones."""
     return {name: cast(Json, plain(value)) for name, value in _fields(made).items() if not names or name in names}
 
 
 def plain(value: object) -> object:
-    """Dataclasses, tuples and arrays as plain data for JSON."""
+    """Return dataclasses, tuples and arrays as plain data for JSON."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         as_dict = getattr(value, "to_dict", None)
         return fields_of(value) if as_dict is None else as_dict()
@@ -80,7 +83,7 @@ def plain(value: object) -> object:
 
 
 def finite(value: object) -> object:
-    """Plain data with null for each number that JSON does not have."""
+    """Return plain data with None instead of NaN and infinity, which JSON does not have."""
     if isinstance(value, Mapping):
         return {str(key): finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

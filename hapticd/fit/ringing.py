@@ -1,11 +1,11 @@
-"""Decaying sinusoids in a stretch of acceleration, by variable projection.
+"""Fit of decaying sinusoids to a section of acceleration, by variable projection.
 
     a(t) = c_0 + c_1 t + sum_k A_k exp(-B_k (t - t_0)) sin(w_k (t - t_0)) [t >= t_0]
 
-All modes are struck at the onset t_0, which is free. The line under them is gravity and drift. What a known sensor
-makes of the modes (sensor.py) is fitted instead of them. For every B, w and t_0 the best A and line are linear least
-squares; so the search is over B, w and t_0 alone (Golub and Pereyra, 1973, with Kaufman's Jacobian, 1975), by
-Levenberg's and Marquardt's steps from the best point of a grid.
+All modes begin at the onset t_0, which is free. The straight line is gravity and drift. If the sensor is known, its
+response to the modes (sensor.py) is fitted instead of the modes. For given B, w and t_0 the best A and line are linear
+least squares, so the search is over B, w and t_0 alone (Golub and Pereyra, 1973, with Kaufman's Jacobian, 1975). It
+begins at the best point of a grid and takes Levenberg-Marquardt steps.
 """
 
 from __future__ import annotations
@@ -21,39 +21,41 @@ import numpy as np
 
 from hapticd.analysis.recordings.sensor import Complexes, Sensor
 from hapticd.analysis.statistics import FitError, Floats
+from hapticd.fit.limits import RINGING_LIMITS
 
-LEAST_SAMPLES: Final = 16
-"""Samples."""
 OTHER_SHAPES: Final = ((2.0, 1.0), (0.5, 1.0), (1.0, 2.0), (2.0, 0.0), (0.5, 0.0))
-"""Shapes beside a mode, times its B and w: of another decay, twice as fast, and pushes."""
+"""Shapes of the test for a pattern in the residuals, as factors of a mode's B and w: another decay, twice the
+frequency, and pushes without oscillation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ringing:
-    """What was fitted; modes by falling share of the squares."""
+    """The fitted modes, sorted by falling energy."""
 
     coefficients: Floats
-    """(modes,) A, in m/s^2."""
+    """(modes,) A, m/s^2."""
     decay_rate_per_s: Floats
     """(modes,) B."""
     angular_frequency_rad_per_s: Floats
     """(modes,) w."""
     onset_s: float
-    """After the first sample."""
+    """Onset after the first sample."""
     covariance: Floats
-    """(3 modes + 1, 3 modes + 1) of all A, all B, all w, onset; for white noise."""
+    """(3 modes + 1, 3 modes + 1) covariance of all A, all B, all w and the onset, assuming white noise."""
     residual: Floats
-    """(n,) measured less modelled."""
+    """(n,) measured less modelled, m/s^2."""
     variance_accounted_for: float
-    """1 - (squares left over)/(squares above the line), while the modes ring: five decay times from the onset."""
+    """1 - (residual squares)/(squares about the line), over five decay times from the onset."""
     noise_m_per_s2: float
-    """RMS of what is left over."""
+    """RMS of the residual."""
     lack_of_fit: tuple[Floats, Floats]
-    """Of one mode: what is left over times shapes that it does not have (OTHER_SHAPES), (k,), and the squares of those
-    shapes, (k, k). The shapes are as large as the mode, without what the fit can take up. Empty for more modes."""
+    """For one mode: (k,) products of the residual and the shapes of OTHER_SHAPES, and (k, k) products of the shapes.
+
+    The shapes have the amplitude of the mode and are orthogonal to the fitted parameters. Empty for more modes.
+    """
 
     def of_modes(self, which: Sequence[int]) -> Ringing:
-        """These modes of all, in this order; the rest is that of the fit of all."""
+        """Return these modes in this order; residual and onset remain those of the fit of all modes."""
         modes = len(self.coefficients)
         places = [*which, *(modes + mode for mode in which), *(2 * modes + mode for mode in which), 3 * modes]
         return dataclasses.replace(
@@ -65,7 +67,7 @@ class Ringing:
         )
 
     def turned(self) -> Ringing:
-        """The same modes, fitted to the acceleration with its sign turned."""
+        """Return the same fit with the sign of the acceleration reversed."""
         modes = len(self.coefficients)
         signs = np.where(np.arange(3 * modes + 1) < modes, -1.0, 1.0)
         covariance = self.covariance * np.outer(signs, signs)
@@ -82,13 +84,13 @@ def fit_ringing(
     start: Ringing | None = None,
     sensor: Sensor | None = None,
 ) -> Ringing:
-    """Fits `modes` decaying sinusoids to acceleration (n,) in m/s^2, sampled at `rate_hz`.
+    """Fit `modes` decaying sinusoids to acceleration (n,) in m/s^2, sampled at `rate_hz`.
 
-    The onset is sought near `onset_s`, without it at the first sample that stands out. `start` with as many modes is
-    begun from instead, without a search. The result is of the modes before the `sensor`. Raises FitError where
-    nothing rings, or where the samples are too few.
+    The onset is searched near `onset_s`, by default at the first large sample. A fit `start` replaces
+    the search on a grid. The result is the modes before the response of the `sensor`. Raises FitError if the
+    acceleration is constant or has too few samples.
     """
-    least = max(LEAST_SAMPLES, 2 * (3 * modes + 3))
+    least = max(RINGING_LIMITS.min_samples, 2 * (3 * modes + 3))
     if len(acceleration) < least:
         raise FitError(f"{len(acceleration)} samples are too few for {modes} modes: needs {least}")
     search = _Search(acceleration, rate_hz, sensor if sensor is not None and sensor.poles else None)
@@ -104,7 +106,7 @@ def fit_ringing(
 
 
 class _Search:
-    """Places are (log B of every mode, log w of every mode, onset)."""
+    """Search for the best parameters: a place is the vector (log B of every mode, log w of every mode, onset)."""
 
     def __init__(self, acceleration: Floats, rate_hz: float, sensor: Sensor | None) -> None:
         self._measured = acceleration
@@ -113,48 +115,52 @@ class _Search:
         self._time_s = np.arange(len(acceleration)) / rate_hz
         self._line = np.column_stack((np.ones(len(acceleration)), np.linspace(-1.0, 1.0, len(acceleration))))
         self._slowest = 0.2 / self._time_s[-1]
-        """Of decays and angular frequencies: what does not change over the stretch is the line."""
+        """Lowest decay rate and angular frequency, 1/s: anything slower is part of the line."""
         self._fastest = math.pi * rate_hz
 
-    # ---- Where to begin -------------------------------------------------------------------------------------------
+    # ---- Start ----------------------------------------------------------------------------------------------------
 
     def begin(self, onset_s: float | None) -> Floats:
+        """Return the best place of the grid for one mode."""
         above = self._measured - np.median(self._measured)
         size = np.abs(above)
         if not size.max() > 0:
-            raise FitError("nothing rings: the acceleration is constant")
+            raise FitError("no ringing: the acceleration is constant")
         if onset_s is None:
             onset_s = float(self._time_s[np.argmax(size > 0.15 * size.max())])
         return self._best(above, onset_s, np.empty(0))
 
     def joined(self, place: Floats) -> Floats:
-        """With one mode more, the best in what is left over."""
+        """Return the place with one more mode, the best for the residual."""
         left = self._solved(place)[1]
         return self._best(left, float(place[-1]), place)
 
-    def _best(self, signal: Floats, onset_s: float, beside: Floats) -> Floats:
-        """The best place of the grid for one mode more, `beside` those of a place."""
-        first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - LEAST_SAMPLES // 2)
+    def _best(self, signal: Floats, onset_s: float, earlier: Floats) -> Floats:
+        """Return the best place of the grid for one more mode, in addition to the modes of the place `earlier`."""
+        first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - RINGING_LIMITS.min_samples // 2)
         rings = signal[first:] - signal[first:].mean()
         power = np.abs(np.fft.rfft(rings, 8 * len(rings))) ** 2
         highest = 1 + int(np.argmax(power[1:]))
         peak_hz = highest * self._rate_hz / (8 * len(rings))
-        known = len(beside) // 2
+        known = len(earlier) // 2
         grid = []
-        # Times the highest line of the spectrum; periods before the first sample that stands out; and B over w. Beside
-        # modes that are fitted already, the onset is known.
+        # Factors of the highest line of the spectrum, periods of the onset before the first large sample, and B over w.
+        # If other modes are fitted already, the onset is known.
         earliest = (0.01, 0.05, 0.12) if known == 0 else (0.0,)
-        for factor, earlier, damping in product((0.85, 1.05, 1.35), earliest, (0.03, 0.12, 0.5)):
+        for factor, periods, damping in product((0.85, 1.05, 1.35), earliest, (0.03, 0.12, 0.5)):
             angular = min(2 * math.pi * peak_hz * factor, 0.95 * self._fastest)
-            last = [math.log(angular), onset_s - earlier * 2 * math.pi / angular]
-            grid.append(np.concatenate((beside[:known], [math.log(damping * angular)], beside[known:-1], last)))
+            last = [math.log(angular), onset_s - periods * 2 * math.pi / angular]
+            grid.append(np.concatenate((earlier[:known], [math.log(damping * angular)], earlier[known:-1], last)))
         return min(grid, key=self._squares)
 
     # ---- The model ------------------------------------------------------------------------------------------------
 
     def _answers(self, place: Floats) -> tuple[int, list[tuple[Complexes, Complexes, Complexes]]]:
-        """The first sample after the onset, and of every mode y, whose imaginary part is heard from there on, and its
-        derivatives by the pole -B + i w and by time (sensor.py)."""
+        """Return the first sample after the onset, and the response y of every mode from there on.
+
+        Each mode has y, whose imaginary part is the acceleration, and its derivatives by the pole -B + i w and by time
+        (sensor.py).
+        """
         modes = len(place) // 2
         since = self._time_s - place[-1]
         first = int(np.searchsorted(since, 0.0))
@@ -169,7 +175,7 @@ class _Search:
         return first, found
 
     def _solved(self, place: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Coefficients (modes + 2,), what is left over (n,), columns (n, modes + 2), their orthonormal base."""
+        """Return coefficients (modes + 2,), residual (n,), columns (n, modes + 2) and their orthonormal basis."""
         first, answers = self._answers(place)
         modes = len(answers)
         columns = np.empty((len(self._measured), modes + 2))
@@ -179,14 +185,14 @@ class _Search:
         columns[:, modes:] = self._line
         norms = np.sqrt(np.sum(columns**2, axis=0))
         if not (norms > 0).all():
-            # The onset is behind the last sample.
+            # The onset is after the last sample.
             return np.zeros(columns.shape[1]), self._measured.copy(), columns, np.zeros_like(columns)
         base, triangle = np.linalg.qr(columns / norms)
         on_base = base.T @ self._measured
         try:
             coefficients = np.linalg.solve(triangle, on_base) / norms
         except np.linalg.LinAlgError:
-            # Two modes in the same place.
+            # Two modes are equal.
             coefficients = np.linalg.lstsq(triangle, on_base, rcond=1e-12)[0] / norms
         return coefficients, self._measured - base @ on_base, columns, base
 
@@ -194,7 +200,7 @@ class _Search:
         return float(np.sum(self._solved(place)[1] ** 2))
 
     def _slopes(self, place: Floats, coefficients: Floats) -> Floats:
-        """(n, 2 modes + 1): the model's derivatives by the place."""
+        """Return the derivatives of the model by the place, (n, 2 modes + 1)."""
         modes = len(place) // 2
         first, answers = self._answers(place)
         slopes = np.zeros((len(self._measured), 2 * modes + 1))
@@ -207,6 +213,7 @@ class _Search:
     # ---- The search -----------------------------------------------------------------------------------------------
 
     def descend(self, place: Floats) -> Floats:
+        """Return the local minimum of the squares near a place, by Levenberg-Marquardt steps."""
         coefficients, left, _, base = self._solved(place)
         least = float(left @ left)
         damping = 1e-3
@@ -235,7 +242,10 @@ class _Search:
         return place
 
     def at_the_onset(self, place: Floats) -> Floats:
-        """The place, or a better one whose onset is half a period away: there the same ringing begins the other way."""
+        """Return the place, or a better one whose onset is a multiple of half a period away.
+
+        There the same ringing begins with the other or the same sign.
+        """
         least = self._squares(place)
         half_s = math.pi / math.exp(float(place[len(place) // 2]))
         for turned in (-2, -1, 1, 2):
@@ -259,6 +269,7 @@ class _Search:
         return tried
 
     def result(self, place: Floats) -> Ringing:
+        """Return the modes of a place with covariance and residual."""
         modes = len(place) // 2
         coefficients, left, columns, _ = self._solved(place)
         decay, angular = np.exp(place[:modes]), np.exp(place[modes:-1])
@@ -272,7 +283,9 @@ class _Search:
         spread /= np.outer(norms, norms)
         by_share = np.argsort(-np.abs(coefficients[:modes]) / np.sqrt(decay))
         order = np.concatenate((by_share, modes + by_share, 2 * modes + by_share, [3 * modes]))
-        rings = (self._time_s >= place[-1]) & (self._time_s <= place[-1] + 5.0 / decay.min())
+        rings = (self._time_s >= place[-1]) & (
+            self._time_s <= place[-1] + RINGING_LIMITS.judged_decay_times / decay.min()
+        )
         above = self._measured[rings] - columns[rings][:, modes:] @ coefficients[modes:]
         heard = float(above @ above)
         return Ringing(

@@ -1,9 +1,10 @@
-"""Lines in a spectrum: hum of any frequency, and whatever else is a tone, each with its share of the power.
+"""Spectral lines, hum or other tones, with the fraction of the power that each holds.
 
-The test: in a periodogram with Hann's window over the whole recording, noise has exponentially distributed power about
-its mean, which is taken from the median of n bins beside. A bin is of a line if noise has more in it, in any of all N
-bins, with a chance of at most LINE_CHANCE: power > mean * F(2, 2 n) at LINE_CHANCE/N. Of several recordings half must
-have the line, and each may be less sure. What rings is broader than the bins beside, and is none.
+In a periodogram of the complete recording with Hann's window, the power of noise is exponentially distributed. Its
+mean is estimated from the median of n neighbouring bins. A bin belongs to a line if noise exceeds its power in any of
+all N bins with a probability of at most p = LINE_LIMITS.max_chance: power > mean * F(2, 2 n) at p/N. Of several
+recordings half must have the line; then a lower power is enough in each. A ringing is broader than the neighbouring
+bins, and is not found.
 """
 
 from __future__ import annotations
@@ -11,68 +12,65 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from hapticd.analysis.statistics import Floats
-from hapticd.fit.verdict import Doubts
+from hapticd.fit.limits import LINE_LIMITS
+from hapticd.fit.verdict import Warnings
 
 _T = TypeVar("_T")
-LOWEST_HZ: Final = 20.0
-"""What is slower is a hand's."""
-LINE_CHANCE: Final = 1e-3
-LEAST_SHARE: Final = 0.005
-"""Of the power, from which on a line is reported."""
-APART_HZ: Final = 0.5
-"""Lines of two recordings that are nearer are one."""
-MOST_NAMED: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
 class SpectralLine:
-    """A tone, and which part of the power above LOWEST_HZ it holds."""
+    """A tone and its fraction of the power above LINE_LIMITS.min_frequency_hz."""
 
     frequency_hz: float
     share: float
 
 
 def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Of one recording (n,), by falling share; so many recordings are `needed` to have a line."""
+    """Return the lines of one recording (n,), sorted by falling share; `needed` recordings must have the same line."""
     from scipy.special import fdtri
 
     count = len(seen)
-    # A shorter one does not tell a line from something that rings.
-    if count < 0.5 * rate_hz:
+    # In a shorter recording a line looks like a ringing.
+    if count < LINE_LIMITS.min_recording_s * rate_hz:
         return []
     width = rate_hz / count
     power = np.abs(np.fft.rfft(np.hanning(count) * (seen - seen.mean()))) ** 2
     frequency = np.fft.rfftfreq(count, 1 / rate_hz)
-    whole = float(power[frequency >= LOWEST_HZ].sum())
-    if not whole > 0:
+    total = float(power[frequency >= LINE_LIMITS.min_frequency_hz].sum())
+    if not total > 0:
         return []
-    # Five bins of a line that Hann's window spreads over four, and as many again that may hold its skirts.
-    inner = 2 + math.ceil(APART_HZ / width)
-    outer = inner + max(8, math.ceil(8.0 / width))
-    beside = 2 * (outer - inner)
-    # That so many recordings have it within six bins of each other is as improbable as it may be, and that one of many
-    # has it at most so.
-    chance = LINE_CHANCE / len(power) if needed == 1 else min(1e-3, (LINE_CHANCE / len(power)) ** (1 / needed) / 6)
-    factor = float(fdtri(2, 2 * beside, 1 - chance))
+    # A line takes five bins of Hann's window. The noise is measured beyond its skirts, which take as many again.
+    inner = 2 + math.ceil(LINE_LIMITS.max_same_hz / width)
+    outer = inner + max(8, math.ceil(LINE_LIMITS.noise_band_hz / width))
+    neighbours = 2 * (outer - inner)
+    # The chance that `needed` recordings have a line within six bins of each other is max_chance; that of one recording
+    # is limited to 1e-3.
+    chance = (
+        LINE_LIMITS.max_chance / len(power)
+        if needed == 1
+        else min(1e-3, (LINE_LIMITS.max_chance / len(power)) ** (1 / needed) / 6)
+    )
+    factor = float(fdtri(2, 2 * neighbours, 1 - chance))
     found: list[SpectralLine] = []
     left = power.copy()
-    left[(frequency < LOWEST_HZ) | (np.arange(len(power)) < outer)] = 0.0
+    left[(frequency < LINE_LIMITS.min_frequency_hz) | (np.arange(len(power)) < outer)] = 0.0
     left[max(0, len(power) - outer) :] = 0.0
-    for _ in range(10 * MOST_NAMED):
+    for _ in range(10 * LINE_LIMITS.max_named):
         place = int(np.argmax(left))
         here = slice(place - 2, place + 3)
-        if left[place] <= 0 or power[here].sum() < LEAST_SHARE * whole:
+        if left[place] <= 0 or power[here].sum() < LINE_LIMITS.min_share * total:
             break
         about = np.concatenate((power[place - outer : place - inner], power[place + inner + 1 : place + outer + 1]))
-        # The mean of an exponential distribution from its median, which other lines do not move.
+        # Mean of an exponential distribution from its median, which other lines do not change.
         mean = float(np.median(about)) / math.log(2)
-        share = (float(power[here].sum()) - 5 * mean) / whole
-        if power[place] > factor * mean and share > LEAST_SHARE:
+        share = (float(power[here].sum()) - 5 * mean) / total
+        if power[place] > factor * mean and share > LINE_LIMITS.min_share:
             near = slice(place - 1, place + 2)
             middle = float(power[near] @ frequency[near]) / float(power[near].sum())
             found.append(SpectralLine(middle, share))
@@ -81,16 +79,20 @@ def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[Spectr
 
 
 def lines_in_residual(seen: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Of a recording (n,) whose events are modelled, where `modelled` is no NaN: lines of the rest, with their share of
-    the power of all."""
+    """Return the lines in the residual of a recording (n,), with their fraction of the power of the recording.
+
+    Samples where `modelled` is NaN are not used.
+    """
     left = np.where(np.isfinite(modelled), seen - modelled, 0.0)
     part = float(np.var(left) / np.var(seen)) if np.var(seen) > 0 else 0.0
     return [SpectralLine(line.frequency_hz, part * line.share) for line in spectral_lines(left, rate_hz, needed)]
 
 
 def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]]) -> list[SpectralLine]:
-    """Lines that at least half of the recordings have, with their mean share, by frequency. `lines_in` gives those of
-    one, if so many are needed."""
+    """Return the lines that at least half of the recordings have, with their mean fraction, sorted by frequency.
+
+    `lines_in(recording, needed)` returns the lines of one recording; `needed` recordings must have the same line.
+    """
     count = len(recordings)
     needed = max(1, math.ceil(count / 2))
     every = [(place, line) for place, each in enumerate(recordings) for line in lines_in(each, needed)]
@@ -98,32 +100,36 @@ def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[Sp
     found: list[SpectralLine] = []
     while every:
         first = every[0][1].frequency_hz
-        alike = [each for each in every if each[1].frequency_hz - first < APART_HZ]
+        alike = [each for each in every if each[1].frequency_hz - first < LINE_LIMITS.max_same_hz]
         every = every[len(alike) :]
         if len({place for place, _ in alike}) < needed:
             continue
         weight = sum(line.share for _, line in alike)
         middle = sum(line.frequency_hz * line.share for _, line in alike) / weight
-        if weight / count > LEAST_SHARE:
+        if weight / count > LINE_LIMITS.min_share:
             found.append(SpectralLine(middle, weight / count))
     return found
 
 
-def report_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]], doubts: Doubts) -> None:
-    """A doubt where there are lines, as of `common_lines`."""
+def report_lines(
+    recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]], warnings: Warnings
+) -> None:
+    """Add a reason if the recordings have lines in common; arguments as of `common_lines`."""
     if hum := common_lines(recordings, lines_in):
-        doubts.doubt(described(hum))
+        warnings.add_fair(described(hum))
 
 
 def described(lines: Sequence[SpectralLine]) -> str:
-    """One or more, in words."""
-    # A bin is a fraction of a hertz wide.
+    """Return a sentence about one or more lines."""
+    # Rounded to 0.1 Hz, as a bin is a fraction of a hertz wide.
     hertz = {line: f"{round(line.frequency_hz, 1):.10g} Hz" for line in lines}
     if len(lines) == 1:
         what = f"a line at {hertz[lines[0]]} holds {100 * lines[0].share:.2g} % of the power"
     else:
-        loudest = sorted(sorted(lines, key=lambda line: -line.share)[:MOST_NAMED], key=lambda line: line.frequency_hz)
+        loudest = sorted(
+            sorted(lines, key=lambda line: -line.share)[: LINE_LIMITS.max_named], key=lambda line: line.frequency_hz
+        )
         shares = ", ".join(f"{hertz[line]} {100 * line.share:.2g} %" for line in loudest)
-        more = f" and {len(lines) - MOST_NAMED} more" if len(lines) > MOST_NAMED else ""
+        more = f" and {len(lines) - LINE_LIMITS.max_named} more" if len(lines) > LINE_LIMITS.max_named else ""
         what = f"lines hold {100 * sum(line.share for line in lines):.2g} % of the power ({shares}{more})"
-    return f"{what}: hum, or another tone, which the figures take in"
+    return f"{what}: hum or another tone, which changes the figures"

@@ -1,12 +1,12 @@
-"""The amplitude of taps over the approach speed: a line through the origin, a power law, or a table.
+"""Amplitude of taps over the approach speed: a line through the origin, a power law, or a table.
 
-The one with the lowest AICc (Akaike's criterion, corrected for few points; Burnham and Anderson 2002, 2.4) is chosen,
+The law with the lowest AICc is chosen (Akaike's criterion, corrected for few points; Burnham and Anderson 2002, 2.4):
 
     AICc = n ln(S/n) + 2 k + 2 k (k + 1)/(n - k - 1),
 
-S the weighted squares that it leaves over of n taps, k its parameters and the scale of the scatter. All have the same
-weights: of the noise, and of a scatter in proportion to the amplitude. A law that is lower than the line by less than
-BETTER_BY_AICC, or differs from it by less than BENT_PART, is a line.
+S is the weighted sum of squared residuals of n taps, k the number of parameters including the scale of the scatter. All
+laws have the same weights, from the noise and a scatter proportional to the amplitude. The line is preferred unless the
+AICc of another law is lower by SPEED_LAW_LIMITS.min_aicc_gain and it differs by SPEED_LAW_LIMITS.min_bend.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 
@@ -31,40 +31,33 @@ from hapticd.analysis.statistics import (
     with_offset,
 )
 from hapticd.base.yaml_source import Json
-from hapticd.fit.verdict import Doubts
+from hapticd.fit.limits import SPEED_LAW_LIMITS
+from hapticd.fit.verdict import Warnings
 
 LawKind: TypeAlias = Literal["line", "power", "table"]
 Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
-"""Speeds in m/s, rising, and m/s^2."""
-
-LEAST_TAPS: Final = 3
-SPEEDS_M_PER_S: Final = (1e-3, 10.0)
-SIGNIFICANCE_LEVEL: Final = 0.01
-BENT_PART: Final = 0.05
-"""A(v) is reported to be no line through the origin where that is less likely by chance, and matters more than this."""
-MOST_TABLE_SPEEDS: Final = 8
-"""Speeds of a table of amplitudes, at most."""
-BETTER_BY_AICC: Final = 2.0
-"""Of AICc."""
+"""Pairs of a speed, m/s, rising, and an amplitude, m/s^2."""
 
 
 class Tap(Protocol):
-    """One tap, whatever was fitted to it."""
+    """One tap, fitted by a mode or a waveform."""
 
     @property
-    def recording(self) -> str: ...
+    def recording(self) -> str:
+        """Name of the recording."""
 
     @property
     def onset_s(self) -> float:
-        """On the recording's clock."""
+        """Onset on the recording's clock."""
 
     @property
-    def speed_m_per_s(self) -> float: ...
+    def speed_m_per_s(self) -> float:
+        """Approach speed."""
 
 
 def check_speeds(taps: Sequence[Tap]) -> None:
-    """Raises FitError for speeds that cannot be, or where the fastest is less than 1.2 times the slowest."""
-    low, high = SPEEDS_M_PER_S
+    """Raise FitError for impossible speeds, or if the fastest is less than 1.2 times the slowest."""
+    low, high = SPEED_LAW_LIMITS.min_speed_m_per_s, SPEED_LAW_LIMITS.max_speed_m_per_s
     slowest, fastest = min(taps, key=lambda tap: tap.speed_m_per_s), max(taps, key=lambda tap: tap.speed_m_per_s)
     for tap, allowed, unit in (
         (fastest, fastest.speed_m_per_s <= high, "is it in mm/s, or are columns swapped?"),
@@ -72,34 +65,37 @@ def check_speeds(taps: Sequence[Tap]) -> None:
     ):
         if not allowed:
             raise FitError(
-                f"{tap.recording}: the tap at {tap.onset_s:.4g} s has a speed of {tap.speed_m_per_s:.4g} m/s, taps "
-                f"have {low:g} to {high:g}: {unit}"
+                f"{tap.recording}: speed of the tap at {tap.onset_s:.4g} s: must be between {low:g} and {high:g} m/s, "
+                f"is {tap.speed_m_per_s:.4g}: {unit}"
             )
-    if fastest.speed_m_per_s < 1.2 * slowest.speed_m_per_s:
+    if fastest.speed_m_per_s < SPEED_LAW_LIMITS.min_speed_ratio * slowest.speed_m_per_s:
         raise FitError(
             f"all {len(taps)} taps have about one speed ({slowest.speed_m_per_s:.4g} to "
-            f"{fastest.speed_m_per_s:.4g} m/s): a slope over speed needs slow ones and fast ones"
+            f"{fastest.speed_m_per_s:.4g} m/s): a slope over speed needs slow and fast taps"
         )
 
 
 def check_slope(slope: Estimate) -> None:
-    """Raises FitError where the amplitude does not rise with the speed."""
+    """Raise FitError if the amplitude does not rise with the speed."""
     if not slope.low > 0:
         raise FitError(
-            f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
+            f"the amplitude does not rise with the speed: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
             f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
         )
 
 
 def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
-    """Raises FitError where the slope is none of a touch at an angular frequency, which is `named` so: their ratio is 1
-    where a mass at this speed rings elastically; the paper's seven are 0.07 to 0.87."""
-    softest, hardest = 0.003, 10.0
+    """Raise FitError if the ratio of the slope to the angular frequency is impossible for a tap.
+
+    The ratio is 1 for a mass that rings elastically, and 0.07 to 0.87 for the seven materials of Okamura et al. 1998.
+    `named` is the name of the angular frequency in the error.
+    """
+    softest, hardest = SPEED_LAW_LIMITS.min_slope_to_angular, SPEED_LAW_LIMITS.max_slope_to_angular
     ratio = slope_per_s / angular
     if not softest <= ratio <= hardest:
         raise FitError(
-            f"the amplitude over speed is {slope_per_s:.4g} 1/s, {ratio:.2g} times {named}; a touch has "
-            f"{softest:g} to {hardest:g}: is the acceleration or the speed off by a thousand (mm, g)?"
+            f"the amplitude over speed is {slope_per_s:.4g} 1/s: must be between {softest:g} and {hardest:g} times "
+            f"{named}, is {ratio:.2g} times: is the acceleration or the speed off by a thousand (mm, g)?"
         )
 
 
@@ -108,17 +104,18 @@ def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """A = coefficient v^exponent, v in m/s."""
+    """Power law A = coefficient v^exponent, v in m/s."""
 
     exponent: Estimate
     coefficient_m_per_s2: Estimate
-    """At 1 m/s."""
+    """Amplitude at 1 m/s."""
     points: Amplitudes
-    """As a material has it: straight lines between points of the law."""
+    """Points of the law for the material, which has straight lines between them."""
     off: float
-    """The largest error of these lines between the first point and the last, as a part of the law."""
+    """Largest error of these lines between the first point and the last, as a fraction of the law."""
 
     def to_dict(self) -> dict[str, Json]:
+        """Return the law as plain data for JSON."""
         return {
             "exponent": self.exponent.to_dict(),
             "coefficient_m_per_s2": self.coefficient_m_per_s2.to_dict(),
@@ -129,23 +126,23 @@ class Power:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """The law that was chosen for A(v), and the others."""
+    """The law that was chosen for A(v), and the alternatives."""
 
     kind: LawKind
     above: Mapping[LawKind, float]
-    """AICc of each kind less the lowest; without those that the taps are too few for."""
+    """AICc of each kind less the lowest, without kinds that have too few taps."""
     power: Power | None
-    """None where the taps have no power law."""
+    """The power law, or None if none fits the taps."""
     table: Amplitudes
-    """Straight lines from rest to the first speed and from one to the next."""
+    """The table: straight lines from rest to the first speed and from each speed to the next."""
     r_squared: float
-    """Of the chosen law, about the weighted mean."""
+    """r^2 of the chosen law, about the weighted mean."""
     left: float
-    """RMS of what the chosen law leaves over, as a part of the amplitudes."""
+    """RMS residual of the chosen law, as a fraction of the amplitudes."""
 
     @property
     def named(self) -> str:
-        """What A(v) is."""
+        """The law in words."""
         if self.kind == "line":
             return "a line through the origin"
         if self.kind == "table" or self.power is None:
@@ -154,22 +151,23 @@ class Law:
 
     @property
     def points(self) -> Amplitudes:
-        """As `amplitudes` of a material has A(v): points of the power law, where it is one, else the table."""
+        """`amplitudes` of a material: points of the power law if A(v) is one, else the table."""
         return self.power.points if self.kind == "power" and self.power is not None else self.table
 
     @property
     def why(self) -> str:
-        """Why this one: the criterion of the others."""
+        """The reason for this law: AICc of the others."""
         names: Mapping[LawKind, str] = {"line": "a line", "power": "a power law", "table": "a table"}
         others = " and ".join(f"{above:.1f} for {names[kind]}" for kind, above in self.above.items() if above > 0)
         if self.kind == "line" and self.above.get("line", 0.0) > 0:
             return (
-                f"AICc of another law is lower by less than {BETTER_BY_AICC:g}, "
-                f"or it differs by less than {100 * BENT_PART:.0f} %"
+                f"AICc of another law is lower by less than {SPEED_LAW_LIMITS.min_aicc_gain:g}, "
+                f"or it differs by less than {100 * SPEED_LAW_LIMITS.min_bend:.0f} %"
             )
-        return f"AICc is higher by {others}" if others else "the taps are too few to tell"
+        return f"AICc is higher by {others}" if others else "too few taps to compare laws"
 
     def to_dict(self) -> dict[str, Json]:
+        """Return the law as plain data for JSON."""
         return {
             "kind": self.kind,
             "why": self.why,
@@ -181,13 +179,15 @@ class Law:
 
 
 def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind | None = None) -> Law:
-    """The law of amplitudes (n,) in m/s^2 over speeds in m/s, with the variances of their noise; `only` is taken
-    without a choice."""
+    """Return the law of amplitudes (n,) in m/s^2 over speeds in m/s.
+
+    `variances` are those of their noise. A law that is given as `only` is not compared with others.
+    """
     weights = _weights(speeds, amplitudes, variances)
 
     def criterion(model: Floats, unknowns: int) -> float:
         squares = float(np.sum(weights * (amplitudes - model) ** 2))
-        # Of taps without any noise the rounding.
+        # Synthetic taps without noise have residuals by rounding only.
         squares = max(squares, 1e-24 * float(np.sum(weights * amplitudes**2)))
         return aicc(squares, len(amplitudes), unknowns)
 
@@ -198,8 +198,8 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
     if power is not None:
         curve = power.coefficient_m_per_s2.value * speeds**power.exponent.value
         laid["power"] = (curve, criterion(curve, 2))
-    # Of few taps, and of speeds that are hardly apart, some tables have fewer speeds than were asked for.
-    tried = (table(speeds, amplitudes, variances, count) for count in range(2, MOST_TABLE_SPEEDS + 1))
+    # Few taps or similar speeds give tables with fewer speeds than requested, and some of them twice.
+    tried = (table(speeds, amplitudes, variances, count) for count in range(2, SPEED_LAW_LIMITS.max_table_speeds + 1))
     tables = list({len(points): points for points in tried}.values())
     chosen_table, least = tables[-1], math.inf
     for points in tables:
@@ -212,7 +212,7 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
     kind: LawKind = min(known, key=lambda each: known[each])
     size = np.maximum(line, np.finfo(np.float64).tiny)
     bent = float(np.sqrt(np.mean(((laid[kind][0] - line) / size) ** 2)))
-    if bent < BENT_PART or known.get("line", math.inf) < known[kind] + BETTER_BY_AICC:
+    if bent < SPEED_LAW_LIMITS.min_bend or known.get("line", math.inf) < known[kind] + SPEED_LAW_LIMITS.min_aicc_gain:
         kind = "line"
     kind = only or kind
     model = laid[kind][0]
@@ -229,17 +229,17 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
     )
 
 
-def doubt_the_law(doubts: Doubts, law: Law, r_squared: float) -> None:
-    """Whether the speed says what the amplitude is; `r_squared` of the line."""
+def check_law(warnings: Warnings, law: Law, r_squared: float) -> None:
+    """Add a reason if the speed does not explain the amplitude; `r_squared` is that of the line."""
     if law.kind != "line":
-        doubts.warn(f"A(v) is {law.named}, no line through the origin: {law.why}")
-    # Where the amplitude hardly depends on the speed, r^2 says nothing: what counts is how far taps are from it.
-    if law.kind == "line" or law.left > 0.15:
-        doubts.check("r^2 of the law of taps", r_squared if law.kind == "line" else law.r_squared)
+        warnings.note(f"A(v) is {law.named}, not a line through the origin: {law.why}")
+    # If the amplitude hardly depends on the speed, r^2 is small for a good law: then only the scatter counts.
+    if law.kind == "line" or law.left > SPEED_LAW_LIMITS.max_scatter:
+        warnings.check("r^2 of the law of taps", r_squared if law.kind == "line" else law.r_squared)
 
 
 def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:
-    """Of the noise and a scatter in proportion to the amplitude, as a smooth curve has it."""
+    """Return the weights (n,): inverse variances of the noise and of a scatter proportional to a smooth amplitude."""
     columns = np.column_stack((np.ones_like(speeds), np.log(speeds)))
     logs = np.log(np.maximum(amplitudes, 1e-6 * float(np.max(amplitudes))))
     if len(speeds) > 4:
@@ -256,22 +256,26 @@ def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:
 
 
 def knots_of(speeds: Floats, count: int) -> Floats:
-    """From the slowest to the fastest, with about as many taps between any two; so many, or fewer where they are not
-    apart by 2 %."""
+    """Return `count` speeds from the slowest to the fastest, with about equally many taps between them.
+
+    They are fewer if neighbouring speeds differ by less than 2 %.
+    """
     order = np.sort(speeds)
     found: list[float] = []
     for speed in order[np.linspace(0, len(order) - 1, count).round().astype(int)]:
-        if not found or speed > 1.02 * found[-1]:
+        if not found or speed > SPEED_LAW_LIMITS.min_table_step * found[-1]:
             found.append(float(speed))
     return np.array(found)
 
 
-def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = MOST_TABLE_SPEEDS) -> Amplitudes:
-    """The straight lines between so many of the speeds that are nearest to the amplitudes, none below 0."""
+def table(
+    speeds: Floats, amplitudes: Floats, variances: Floats, most: int = SPEED_LAW_LIMITS.max_table_speeds
+) -> Amplitudes:
+    """Return the table with at most `most` speeds that is nearest to the amplitudes, none below 0."""
     knots = knots_of(speeds, min(most, max(2, len(speeds) - 2)))
     nodes = np.concatenate(([0.0], knots))
     hats = np.column_stack([np.interp(speeds, nodes, row) for row in np.eye(len(nodes))[1:]])
-    # What would be negative is 0, and the others are fitted without it.
+    # Negative amplitudes are set to 0, and the others are fitted again.
     kept = np.ones(len(knots), dtype=np.bool_)
     while True:
         line = least_squares(hats[:, kept], amplitudes, variances, speeds**2)
@@ -286,6 +290,7 @@ def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = MOS
 
 
 def json_table(amplitudes: Amplitudes, what: str = "coefficient_m_per_s2") -> Json:
+    """Return a table of amplitudes as plain data for JSON; `what` is the key of an amplitude."""
     return [{"speed_m_per_s": speed, what: amplitude.to_dict()} for speed, amplitude in amplitudes]
 
 
@@ -298,7 +303,7 @@ def _along(points: Amplitudes, speeds: Floats) -> Floats:
 
 
 def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | None:
-    """By Gauss's and Newton's steps from the line of the logarithms."""
+    """Return the power law by Gauss-Newton steps from the line of the logarithms, or None without one."""
     if len(speeds) < 3 or not (amplitudes > 0).all():
         return None
     middle = math.exp(float(np.mean(np.log(speeds))))
@@ -314,7 +319,7 @@ def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | Non
             break
     else:
         return None
-    # At rest there is no amplitude, whatever the law says.
+    # An amplitude that does not vanish at rest is impossible.
     if exponent <= 0:
         return None
 
@@ -322,7 +327,7 @@ def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | Non
         here = float(height + exponent * math.log(speed / middle))
         return _step(np.log(speeds / speed), amplitudes, variances, here, float(exponent))[0].mapped(math.exp)
 
-    # From half the slowest tap's speed to twice the fastest one's, lines within a thousandth of the law.
+    # Lines within a thousandth of the law, from half the speed of the slowest tap to twice that of the fastest.
     first, last = max(1e-4, float(speeds.min()) / 2), min(100.0, float(speeds.max()) * 2)
     bend = math.sqrt(8e-3 / max(1e-6, abs(exponent * (1 - exponent))))
     count = min(256, 2 + math.ceil(math.log(last / first) / bend))
@@ -334,7 +339,7 @@ def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | Non
 
 
 def _step(logs: Floats, amplitudes: Floats, variances: Floats, height: float, exponent: float) -> tuple[Estimate, ...]:
-    """ln A where the logarithms of the speeds are 0, and the exponent, a step nearer."""
+    """Return ln A at a logarithm of the speed of 0, and the exponent, after one Gauss-Newton step."""
     model = np.exp(height + exponent * logs)
     columns = np.column_stack((model, model * logs))
     wanted = amplitudes - model + columns @ np.array([height, exponent])
@@ -345,22 +350,28 @@ def _step(logs: Floats, amplitudes: Floats, variances: Floats, height: float, ex
 
 
 def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
-    """The one tap, a quarter and more off, without which A(v) is a line through the origin; empty where there is
-    none."""
+    """Return a sentence about the single tap without which A(v) is a line through the origin, or an empty string.
+
+    The tap must be off the line by a quarter or more.
+    """
     count = len(speeds)
-    if count < LEAST_TAPS + 3:
+    if count < SPEED_LAW_LIMITS.min_taps + 3:
         return ""
     scale = np.sqrt(np.mean(noise) / noise)
     x, y = speeds * scale, amplitudes * scale
     line = through_origin(x, y)
-    # By so much each tap adds to the squares that the line of the others leaves.
+    # Increase of the sum of squares by each tap, compared with the line of the others.
     added = line.residual**2 / (1 - x**2 / float(x @ x))
     index = int(np.argmax(added))
     others = np.delete(np.arange(count), index)
-    # n ways to be the farthest by chance.
+    # Any of the n taps may be the farthest by chance.
     chance = count * f_test_p(line.squares, line.freedom, line.squares - float(added[index]), line.freedom - 1)
     off = float(amplitudes[index] / speeds[index] * (x[others] @ x[others]) / (x[others] @ y[others])) - 1
-    if chance > SIGNIFICANCE_LEVEL or abs(off) < 0.25 or _bends(speeds[others], amplitudes[others], noise[others]):
+    if (
+        chance > SPEED_LAW_LIMITS.significance
+        or abs(off) < SPEED_LAW_LIMITS.min_outlier_distance
+        or _bends(speeds[others], amplitudes[others], noise[others])
+    ):
         return ""
     side = "above" if off > 0 else "below"
     return (
@@ -370,7 +381,7 @@ def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, nois
 
 
 def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
-    """Whether A(v) is no line through the origin: it has an offset, or is a curve."""
+    """Return whether A(v) has an offset or is a curve, not a line through the origin."""
     ones = np.ones_like(speeds)
     size = float(np.mean(amplitudes))
     scale = 1 / np.sqrt(noise / np.mean(noise))
@@ -382,22 +393,27 @@ def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
     origin, straight = laid(speeds)
     offset, shifted = laid(speeds, ones)
     curve, curved = laid(speeds, speeds**2, ones)
-    for less, more, apart in ((offset, curve, curved - shifted), (origin, offset, shifted - straight)):
-        part = float(np.sqrt(np.mean(apart**2))) / size
-        if part > BENT_PART and f_test_p(less.squares, less.freedom, more.squares, more.freedom) < SIGNIFICANCE_LEVEL:
+    for less, more, difference in ((offset, curve, curved - shifted), (origin, offset, shifted - straight)):
+        part = float(np.sqrt(np.mean(difference**2))) / size
+        if (
+            part > SPEED_LAW_LIMITS.min_bend
+            and f_test_p(less.squares, less.freedom, more.squares, more.freedom) < SPEED_LAW_LIMITS.significance
+        ):
             return True
     return False
 
 
 def moves(speeds: Floats, logs: Floats, variances: Floats, what: str, least: float) -> str:
-    """Whether a figure changes with the speed by `least` from the slowest tap to the fastest; empty where it does
-    not."""
-    if len(speeds) < LEAST_TAPS + 2:
+    """Return a sentence if a figure changes from the slowest tap to the fastest, else an empty string.
+
+    The change must be significant and at least the fraction `least`. `logs` are the logarithms of the figure.
+    """
+    if len(speeds) < SPEED_LAW_LIMITS.min_taps + 2:
         return ""
     slope = with_offset(speeds, logs, variances).coefficients[0]
     freedom = len(speeds) - 2
-    # As many standard errors as t has at SIGNIFICANCE_LEVEL.
-    wide = (slope.high - slope.value) * student_t(freedom, 1 - SIGNIFICANCE_LEVEL) / student_t(freedom)
+    # As many standard errors as t has at SPEED_LAW_LIMITS.significance.
+    wide = (slope.high - slope.value) * student_t(freedom, 1 - SPEED_LAW_LIMITS.significance) / student_t(freedom)
     change = math.expm1(slope.value * float(np.ptp(speeds)))
     if not slope.value or abs(slope.value) < wide or abs(change) < least:
         return ""

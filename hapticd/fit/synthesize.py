@@ -1,9 +1,9 @@
-"""Recordings as a stylus would make them, of surfaces whose truth is known: to see what a fit can resolve.
+"""Synthetic recordings of a stylus with known parameters, to find out what a fit can resolve.
 
-The waveforms are those of hapticd's models (Okamura, Dennerlein and Howe, 1998, eq. 1 to 3) in closed form; the
-renderer is not asked. What a sensor does to them is a linear system with poles, so that its answer to decaying
-sinusoids is a sum of exponentials: there is no error of a step, and an onset lies between samples. Noise, whose
-spectrum ends far below mounting and filter, passes them unchanged.
+The waveforms are those of hapticd's models (Okamura, Dennerlein and Howe, 1998, eq. 1 to 3) in closed form, not those
+of the renderer. The sensor is a linear system with poles, so its response to decaying sinusoids is a sum of
+exponentials: it has no integration error, and onsets lie between samples. The noise of textures is not filtered by the
+sensor, because its spectrum ends far below mounting and filter.
 """
 
 from __future__ import annotations
@@ -25,38 +25,38 @@ from hapticd.config.texture import Autoregressive, AutoregressiveModel, Grooves,
 from hapticd.fit.recording import Recording, Source
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
-APPROACH_S: Final = 0.02
-"""Before a tap the stylus comes so long at constant speed; as long it rests afterwards."""
+SYNTHETIC_APPROACH_S: Final = 0.02
+"""Time that the stylus approaches at constant speed before a tap, and that it rests after it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stylus:
-    """What lies between a surface and the numbers."""
+    """A stylus with its sensor: sampling, noise, mounting, filter, range and tremor."""
 
     rate_hz: float = 25_000.0
     noise_rms: float = 0.02
-    """White, as a part of the largest acceleration of the recording."""
+    """RMS of white noise, as a fraction of the largest acceleration of the recording."""
     mounting_hz: float | None = None
     """Resonance of the accelerometer on its mounting; None is rigid."""
     mounting_damping: float = 0.05
-    """Of that, as a part of critical damping."""
+    """Damping of the mounting, as a fraction of critical damping."""
     filter_hz: float | None = None
-    """Corner of a low-pass filter, Butterworth's; None without."""
+    """Corner of a Butterworth low-pass filter; None is without filter."""
     filter_order: int = 2
     full_scale_m_per_s2: float = math.inf
-    """What is beyond is clipped."""
+    """Larger accelerations are clipped."""
     tremor_m_per_s2: float = 0.0
     """Amplitude of the hand's tremor."""
     tremor_hz: float = 9.0
     offset_m_per_s2: float = 9.80665
     drift_m_per_s3: float = 0.0
     position_step_m: float = 0.0
-    """Of the encoder; 0 is exact."""
+    """Resolution of the encoder; 0 is exact."""
     seed: int = 1
 
     @property
     def sensor(self) -> Sensor:
-        """Mounting and filter."""
+        """Mounting and filter as a sensor."""
         return Sensor(
             filter_hz=self.filter_hz,
             filter_order=self.filter_order,
@@ -65,7 +65,7 @@ class Stylus:
         )
 
     def ringing(self, mode: Mode, time_s: Floats) -> Floats:
-        """What comes of exp(-B t) sin(w t), t >= 0, at times (n,); 0 before."""
+        """Return the sensor's response (n,) to exp(-B t) sin(w t) from t = 0, at times (n,)."""
         pole = complex(-mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
         heard = np.zeros(len(time_s))
         after = time_s > 0
@@ -73,7 +73,7 @@ class Stylus:
         return heard
 
     def recorded(self, clean: Floats, random: np.random.Generator) -> Floats:
-        """With offset, drift, tremor, noise and clipping."""
+        """Return an acceleration (n,) with offset, drift, tremor, noise and clipping."""
         time_s = np.arange(len(clean)) / self.rate_hz
         phase = random.uniform(0.0, 2 * math.pi)
         numbers = clean + self.offset_m_per_s2 + self.drift_m_per_s3 * time_s
@@ -84,10 +84,10 @@ class Stylus:
 
 @dataclass(frozen=True, slots=True)
 class TapTruth:
-    """What taps were made of."""
+    """True parameters of synthetic taps."""
 
     slope_per_s: float
-    """Of the coefficient, whatever the material's `attack` means."""
+    """Slope of the coefficient A over the speed, for either `attack` of the material."""
     mode: Mode
     onsets_s: Floats
 
@@ -98,7 +98,7 @@ def taps(
     stylus: Stylus = Stylus(),
     spacing_s: float = 0.1,
 ) -> tuple[Recording, TapTruth]:
-    """One recording of a tap at each speed, `spacing_s` apart, and its truth.
+    """Return a recording with a tap at each speed, every `spacing_s`, and its true parameters.
 
     Position is along the normal, 0 at the surface and negative in front of it.
     """
@@ -106,7 +106,7 @@ def taps(
     speeds = np.asarray(speeds_m_per_s, dtype=np.float64)
     mode, amplitude = material.mode, material.attack_slope_per_s
     if amplitude is None:
-        raise ValueError("synthetic taps are of a slope, not of a table of amplitudes")
+        raise ValueError("synthetic taps need a material with attack_slope_per_s, not with amplitudes")
     slope = amplitude * mode.coefficient(1.0, material.attack)
     samples = round(spacing_s * stylus.rate_hz)
     time_s = np.arange(samples * len(speeds)) / stylus.rate_hz
@@ -133,20 +133,24 @@ def taps(
 
 
 def _way(since_s: Floats, speed_m_per_s: float) -> Floats:
-    """At rest, then on at constant speed to the surface, at rest there, and back."""
-    away_m = speed_m_per_s * APPROACH_S
+    """Return the position: at rest, at constant speed to the surface, at rest there, and back."""
+    away_m = speed_m_per_s * SYNTHETIC_APPROACH_S
     return np.asarray(
-        np.interp(since_s, [-APPROACH_S, 0.0, APPROACH_S, 2 * APPROACH_S], [-away_m, 0.0, 0.0, -away_m]),
+        np.interp(
+            since_s,
+            [-SYNTHETIC_APPROACH_S, 0.0, SYNTHETIC_APPROACH_S, 2 * SYNTHETIC_APPROACH_S],
+            [-away_m, 0.0, 0.0, -away_m],
+        ),
         dtype=np.float64,
     )
 
 
-# ---- Strokes and punctures, moved by a hand, not quite as it means to; the truth is the material itself --------------
+# ---- Strokes and punctures by a hand that deviates from its target; the true parameters are those of the material ----
 
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """How a stroke goes, and the noise of its force and position. Swings are parts of the mean."""
+    """Duration and swing of a stroke, and noise of its force and position. Swings are fractions of the mean."""
 
     duration_s: float = 1.0
     speed_swing: float = 0.15
@@ -164,8 +168,10 @@ def grooves(
     hand: Hand = Hand(),
     scatter: float = 0.0,
 ) -> Recording:
-    """One stroke over a material with grooves displayed as vibration; `scatter` is the standard deviation of what
-    amplitudes have besides, as a part of each. ValueError for another material."""
+    """Return a stroke over a material with grooves displayed as vibration.
+
+    `scatter` is the relative standard deviation of the amplitudes. Raises ValueError for another material.
+    """
     texture, mode = material.texture, material.groove_mode
     if not isinstance(texture, Grooves) or mode is None:
         raise ValueError("needs a material with grooves that vibrate")
@@ -192,14 +198,16 @@ def texture(
     stylus: Stylus = Stylus(),
     hand: Hand = Hand(),
 ) -> Recording:
-    """One stroke over a material with a stochastic or an autoregressive texture (then: its model nearest in speed and
-    force, with the level that it has there). Noise of exactly this spectrum: white in frequency, shaped by its root.
-    ValueError for another material."""
+    """Return a stroke over a material with a stochastic or an autoregressive texture.
+
+    The noise has exactly the spectrum of the texture: white noise times the root of the density. Of autoregressive
+    models the nearest in speed and force is used. Raises ValueError for another material.
+    """
     coarse = material.texture
     if not isinstance(coarse, Stochastic | Autoregressive):
         raise ValueError("needs a material with a stochastic or an autoregressive texture")
     if isinstance(coarse, Autoregressive):
-        # The means of the stroke may be nearer to another model, and that one's level is none of this spectrum.
+        # Level and spectrum must be those of one model, although the means of the stroke may be nearer to another.
         coarse = coarse.model_copy(update={"models": (_nearest(coarse, speed_m_per_s, force_n),)})
     random = np.random.default_rng(stylus.seed)
     time, place, speed, force = _stroke(speed_m_per_s, force_n, stylus, hand, random)
@@ -215,8 +223,10 @@ def texture(
 def unit_density(
     texture: Stochastic | Autoregressive, speed_m_per_s: float, force_n: float, frequency: Floats, rate_hz: float
 ) -> Floats:
-    """Power spectral density (n,) of noise of this kind with an RMS of 1, one-sided, per Hz. Of autoregressive models
-    it is that of the one nearest in speed and force, and 0 beyond half of their rate."""
+    """Return the one-sided power spectral density (n,), 1/Hz, of a texture with an RMS of 1.
+
+    Of autoregressive models it is that of the nearest in speed and force, and 0 beyond half their rate.
+    """
     if isinstance(texture, Stochastic):
         return power_spectrum(stochastic_filter(texture.peak_hz, texture.mean_hz, rate_hz), frequency, rate_hz)
     reflection = reflection_of(_nearest(texture, speed_m_per_s, force_n).coefficients)
@@ -227,8 +237,10 @@ def unit_density(
 
 
 def level_of(texture: Stochastic | Autoregressive, speed: Floats, force: Floats) -> Floats:
-    """RMS (n,) at speeds in m/s and forces in N, in m/s^2; of autoregressive models that of the one nearest to the
-    means of both."""
+    """Return the RMS (n,), m/s^2, at speeds in m/s and forces in N.
+
+    Of autoregressive models it is that of the nearest to the means of both.
+    """
     if isinstance(texture, Autoregressive):
         model = _nearest(texture, float(np.mean(speed)), float(np.mean(force)))
         return np.full(len(speed), model.level(reflection_of(model.coefficients)))
@@ -237,11 +249,11 @@ def level_of(texture: Stochastic | Autoregressive, speed: Floats, force: Floats)
 
 
 def _nearest(texture: Autoregressive, speed_m_per_s: float, force_n: float) -> AutoregressiveModel:
-    def apart(model: AutoregressiveModel) -> float:
+    def distance(model: AutoregressiveModel) -> float:
         by_speed = abs(model.speed_m_per_s - abs(speed_m_per_s)) / max(abs(speed_m_per_s), 1e-9)
         return by_speed + abs(model.force_n - force_n) / max(abs(force_n), 1e-9)
 
-    return min(texture.models, key=apart)
+    return min(texture.models, key=distance)
 
 
 def puncture(
@@ -251,8 +263,10 @@ def puncture(
     hand: Hand = Hand(),
     ruptures: bool = True,
 ) -> Recording:
-    """A membrane approached, drawn in and ruptured (or let go again where it does not) at this speed; position is
-    along its normal, pressing positive. ValueError for a material without a rupture."""
+    """Return a puncture at this speed; if not `ruptures`, the stylus is withdrawn before the rupture.
+
+    Position is along the normal, pressing positive. Raises ValueError for a material without a rupture.
+    """
     rupture = material.rupture
     if rupture is None:
         raise ValueError("needs a material with a rupture")
@@ -277,7 +291,7 @@ def puncture(
 def _stroke(
     speed_m_per_s: float, force_n: float, stylus: Stylus, hand: Hand, random: np.random.Generator
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Time, place, speed and force of a hand that swings about what it means to do."""
+    """Return time, position, speed and force of a stroke that swings about the target speed and force."""
     time = np.arange(round(hand.duration_s * stylus.rate_hz)) / stylus.rate_hz
     one, other = random.uniform(0, 2 * math.pi, 2)
     turn = 2 * math.pi * hand.swing_hz
@@ -289,7 +303,7 @@ def _stroke(
 
 
 def _strike(onto: Floats, time: Floats, struck_s: float, amplitude: float, mode: Mode, stylus: Stylus) -> None:
-    """Adds what the stylus makes of A exp(-B t) sin(w t) from `struck_s` on, while it is more than a millionth."""
+    """Add the sensor's response to A exp(-B t) sin(w t) from `struck_s`, for 14 decay times: to a millionth."""
     low = math.ceil(struck_s * stylus.rate_hz)
     high = min(len(time), low + math.ceil(14 * mode.decay_time_s * stylus.rate_hz))
     onto[low:high] += amplitude * stylus.ringing(mode, time[low:high] - struck_s)

@@ -1,9 +1,8 @@
-"""Taps: slope, frequency and decay of the ringing at a touch, from recordings of taps at several speeds.
+"""Fit of taps that ring: slope, frequency and decay, from recordings of taps at several speeds.
 
-Taps are found where it is loud, and each is fitted alone (ringing.py), with its speed. Then they are weighed with one
-another: frequency and decay as what the taps have in common, the amplitude as a function of the approach speed
-(speed_law.py). Weights are of the signal to the noise of a tap; its own error bars, which follow its own luck, do not
-enter. At the end stands what speaks against the figures.
+Each loud event of a recording is fitted alone (ringing.py). Frequency and decay time are weighted means over all taps;
+the amplitude is a function of the approach speed (speed_law.py). The weight of a tap is its signal-to-noise ratio. The
+standard error of the tap's fit is not used, because it varies by chance. Warnings and verdict come last.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -23,53 +22,23 @@ from hapticd.analysis.statistics import Estimate, FitError, Floats, Regression, 
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Attack, Mode
 from hapticd.fit import preparation, speed_law
+from hapticd.fit.limits import PREPARATION_LIMITS, SPEED_LAW_LIMITS, TAP_LIMITS
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit, fields_of
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.speed_law import LEAST_TAPS, SIGNIFICANCE_LEVEL, Amplitudes, Law, LawKind, Power
-from hapticd.fit.verdict import Doubts, Exclusions
-
-LEAST_PEAK_TO_NOISE: Final = 8.0
-"""A tap's peak is at least so many times the noise."""
-SHORT_S: Final = 0.5
-REST_PART: Final = 0.1
-"""Of its largest change: what a recording changes less before is its rest."""
-APPROACH_S: Final = 0.01
-"""Speed is a position's over so long before the onset."""
-LEAST_WAY: Final = 4
-"""And over so many samples at least."""
-LEAST_RATE: Final = 2.05
-"""Samples in a cycle. So few are enough where the onset is known; at 2 amplitude and onset cannot be separated."""
-LEAST_REST: Final = 2
-"""Samples of rest before a tap,"""
-LEAST_REST_SAMPLES: Final = 8
-"""with which its onset is never asked for."""
-CLEAR_ONSET_SAMPLES: Final = 1.0
-"""With fewer, the onset lies behind the first of them, and is uncertain by less samples than this (one standard
-error)."""
-MOST_RELATIVE_ERROR: Final = 0.5
-"""A tap whose amplitude, decay or frequency is known less than this, one standard error, is not used."""
-LEAST_EXPLAINED: Final = 0.5
-"""A tap of whose variance less is explained is not used."""
-WELL_EXPLAINED: Final = 0.95
-"""Of the variance of the median tap: what explains less is reported."""
-SAME_FREQUENCY: Final = 0.1
-"""Frequencies within so much of one another are the same."""
-MOST_RESIDUAL_TO_NOISE: Final = 1.3
-"""A residual so many times the noise before the onset has more in it than noise."""
-REPORTED_SHAPE: Final = 0.02
-"""RMS over that of the ringing, from which on a shape of what is left over is reported."""
-LEAST_HZ: Final = 15.0
-"""What is slower than this is a hand's motion."""
-
+from hapticd.fit.speed_law import Amplitudes, Law, LawKind, Power
+from hapticd.fit.verdict import Exclusions, Warnings
 
 # ---- Onsets: what is loud in a recording -----------------------------------------------------------------------------
 
 
 class Unusable(FitError):
-    """Why a tap cannot be used, without its place. `fault` is what a recording is refused for if most of its taps have
-    it: a rate that is too low, a position that tells no speed, the shape of no tap."""
+    """The reason why a tap cannot be used, without file and time.
+
+    If most taps of a recording have the same `fault`, the recording is refused: "rate" is a sampling rate that is too
+    low, "approach" a position that does not show the speed, "shape" an event that is not a tap.
+    """
 
     def __init__(self, reason: str, fault: Literal["rate", "approach", "shape"] | None = None) -> None:
         super().__init__(reason)
@@ -78,35 +47,36 @@ class Unusable(FitError):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something loud in a recording."""
+    """A loud event in a recording: a tap or its bounce."""
 
     first: int
-    """Its first sample."""
+    """Index of its first loud sample."""
     last: int
+    """Index of its last loud sample."""
     noise: float
-    """Standard deviation of what is quiet in its stretch of the recording, m/s^2."""
+    """Standard deviation of the noise in its section of the recording, m/s^2."""
     peak: float
-    """The largest that it is, above gravity and drift, m/s^2."""
+    """Largest magnitude of the acceleration without gravity and drift, m/s^2."""
 
 
 class Events:
-    """What is loud in a recording, without what bounced."""
+    """The loud events of a recording, without bounces."""
 
-    def __init__(self, recording: Recording, warnings: list[str]) -> None:
-        """FitError for a recording that is none of taps."""
-        whole = preparation.without_invalid_samples(recording, "tap")
-        warnings += whole.warnings
-        self.recording = recording = whole.recording
-        """Without samples that cannot be."""
+    def __init__(self, recording: Recording, lines: list[str]) -> None:
+        """Find the events and append warnings to `lines`; raise FitError for a recording without taps."""
+        cleaned = preparation.without_invalid_samples(recording, "tap")
+        lines += cleaned.warnings
+        self.recording = recording = cleaned.recording
+        """The recording without impossible samples."""
         self.acceleration = _checked(recording)
         """(n,) m/s^2."""
-        warnings += preparation.gravity_of([recording])
+        lines += preparation.gravity_of([recording])
         above = self.acceleration - _base(self.acceleration, recording.rate_hz)
         self.events = _loud_events(recording, above)
         self.speeds = _given_speeds(recording, self.events, above)
-        """(events,), where they are given."""
+        """(events,) m/s, if the file has them."""
         if self.speeds is not None and len(self.speeds) != len(self.events):
-            # One of many thousand samples of noise may be loud by itself.
+            # A single loud sample may be noise.
             self.events = [each for each in self.events if each.first < each.last] or self.events
         if self.speeds is None or len(self.speeds) != len(self.events):
             kept = _without_bounces(recording, self.events)
@@ -114,18 +84,20 @@ class Events:
             if self.speeds is not None and len(self.speeds) != len(kept):
                 raise FitError(
                     f"{recording.name}: has {len(self.speeds)} speeds for {len(kept)} taps"
-                    f"{f' and {bounces} bounces' if bounces else ''}: needs one a tap"
+                    f"{f' and {bounces} bounces' if bounces else ''}: needs one for each tap"
                 )
             if bounces:
-                warnings.append(f"{recording.name}: {bounces} bounces after taps are left out")
+                lines.append(f"{recording.name}: {bounces} bounces after taps are left out")
             self.events = kept
         noise = min((event.noise for event in self.events), default=0.0)
-        self.clipped, self.replaced = clipped(self.acceleration, noise), whole.replaced
-        """(n,) samples, and those that were not measured as they are."""
+        self.clipped, self.replaced = clipped(self.acceleration, noise), cleaned.replaced
+        """(n,) whether a sample is clipped, and whether it was replaced."""
 
     def room(self, index: int) -> tuple[int, int]:
-        """First sample, and the one after the last, between the taps and the gaps about this one. Raises Unusable where
-        there is no rest before it."""
+        """Return the samples (first, last + 1) between the neighbouring taps or gaps of an event.
+
+        Raises Unusable if there is no rest before the event.
+        """
         first, samples = self.events[index].first, len(self.clipped)
         begin = self.events[index - 1].last + 1 if index else 0
         end = self.events[index + 1].first if index + 1 < len(self.events) else samples
@@ -133,20 +105,23 @@ class Events:
             if low <= first < high:
                 begin, end = max(begin, low), min(end, high)
                 break
-        if first - begin < LEAST_REST:
-            raise Unusable(f"{first - begin} samples of rest before it, {LEAST_REST} are wanted")
+        if first - begin < TAP_LIMITS.min_rest_samples:
+            raise Unusable(f"{first - begin} samples of rest before it, {TAP_LIMITS.min_rest_samples} are needed")
         return begin, end
 
     def check(self, begin: int, end: int) -> None:
-        """Raises Unusable for a stretch of which something was not measured as it is."""
+        """Raise Unusable if one of these samples is clipped or was replaced."""
         cut, replaced = self.clipped[begin:end], self.replaced[begin:end]
         if cut.any():
             raise Unusable(f"it is clipped at {np.abs(self.acceleration[begin:end][cut]).max():.4g} m/s^2")
         if replaced.any():
-            raise Unusable(f"{np.count_nonzero(replaced)} of its samples cannot be, and none may")
+            raise Unusable(f"{np.count_nonzero(replaced)} of its samples are impossible, must be none")
 
     def speed(self, index: int, onset_s: float) -> float:
-        """Of the approach, m/s; of the position before the onset where there is no other. Raises Unusable."""
+        """Return the approach speed, m/s: from the file, else from the position before the onset.
+
+        Raises Unusable if the position does not show it.
+        """
         if self.speeds is not None:
             return float(self.speeds[index])
         given, position, rate_hz = self.recording.speed_m_per_s, self.recording.position_m, self.recording.rate_hz
@@ -155,57 +130,61 @@ class Events:
             return abs(given)
         assert position is not None
         end = max(0, math.floor(onset_s * rate_hz))
-        begin = max(self.room(index)[0], end - _samples(APPROACH_S, rate_hz, LEAST_WAY))
-        if end - begin < LEAST_WAY:
+        begin = max(
+            self.room(index)[0], end - _samples(TAP_LIMITS.approach_s, rate_hz, TAP_LIMITS.min_approach_samples)
+        )
+        if end - begin < TAP_LIMITS.min_approach_samples:
             raise Unusable(
-                f"its speed is not seen: {end - begin} samples of the position before it, {LEAST_WAY} are wanted"
+                f"{end - begin} samples of the position before it, its speed needs {TAP_LIMITS.min_approach_samples}"
             )
         way = position[begin:end]
         time_s = np.arange(len(way)) / rate_hz
         line = np.polyfit(time_s, way - way[0], 1)
         off = way - way[0] - np.polyval(line, time_s)
-        left, whole, uneven = float(off @ off), float(np.sum((way - way.mean()) ** 2)), 0.5
-        if left > uneven * whole:
+        left, total = float(off @ off), float(np.sum((way - way.mean()) ** 2))
+        if left > TAP_LIMITS.max_approach_residual * total:
             raise Unusable(
-                f"it has no even way before it to tell its speed: a straight line leaves {100 * left / whole:.0f} % of "
-                f"the position's variance, {100 * uneven:.0f} % is the most",
+                f"the approach is too uneven for a speed: a straight line leaves {100 * left / total:.0f} % of "
+                f"the position's variance, at most {100 * TAP_LIMITS.max_approach_residual:.0f} %",
                 "approach",
             )
         return abs(float(line[0]))
 
 
 def _checked(recording: Recording) -> Floats:
-    """The acceleration, m/s^2. FitError for a recording that cannot be one of taps."""
+    """Return the acceleration, m/s^2; raise FitError for a recording that cannot be of taps."""
     name, acceleration, position = recording.name, recording.acceleration_m_per_s2, recording.position_m
     if acceleration is None:
-        raise FitError(f"{name}: has no acceleration, which taps are fitted to")
-    largest, least = float(np.abs(acceleration).max()), 1e-3
+        raise FitError(f"{name}: no acceleration, which a fit of taps needs")
+    largest, least = float(np.abs(acceleration).max()), TAP_LIMITS.min_acceleration_m_per_s2
     if 0 < largest < least:
         raise FitError(
-            f"{name}: an acceleration of {largest:.3g} m/s^2 is none of a stylus ({least:g} to "
-            f"{preparation.TAP_ACCELERATION_M_PER_S2:g}): is it in another unit, or another column?"
+            f"{name}: the acceleration must be between {least:g} and "
+            f"{PREPARATION_LIMITS.max_tap_acceleration_m_per_s2:g} m/s^2, is {largest:.3g}: wrong unit or column?"
         )
     if recording.force_n is not None:
         force = preparation.force_of(recording)
         if not np.ptp(force) > 0:
             raise FitError(f"{name}: the force is {force[0]:g} N throughout: was the sensor connected?")
         if not force.max() > 0:
-            raise UnitError(f"{name}: the force is never positive: pressing must be (scale -1?)")
+            raise UnitError(f"{name}: the force is never positive: pressing must be positive (scale -1?)")
     if recording.speed_m_per_s is None:
         if position is None:
-            raise FitError(f"{name}: has neither speed nor position: say speed_m_per_s in the YAML beside it")
+            raise FitError(f"{name}: neither speed nor position: add speed_m_per_s to {name}.yaml")
         if not np.ptp(position) > 0:
             raise FitError(f"{name}: the position never moves: is it the right column?")
     return acceleration
 
 
 def _base(acceleration: Floats, rate_hz: float) -> Floats:
-    """Gravity and drift: medians over blocks of 50 ms, and straight lines between them; of a short recording that
-    begins at rest the level of that rest, which slow ringing does not move."""
-    if len(acceleration) < SHORT_S * rate_hz:
+    """Return gravity and drift (n,): medians over blocks of 50 ms, with straight lines between them.
+
+    For a short recording that begins at rest it is the median of that rest, which slow ringing does not change.
+    """
+    if len(acceleration) < TAP_LIMITS.short_recording_s * rate_hz:
         off = np.abs(acceleration - acceleration[0])
-        rest = int(np.argmax(off > REST_PART * off.max()))
-        if rest >= LEAST_REST:
+        rest = int(np.argmax(off > TAP_LIMITS.max_rest_change * off.max()))
+        if rest >= TAP_LIMITS.min_rest_samples:
             return np.full(len(acceleration), np.median(acceleration[:rest]))
     blocks = np.array_split(acceleration, max(1, len(acceleration) // _samples(0.05, rate_hz, 32)))
     lengths = np.array([len(block) for block in blocks])
@@ -214,64 +193,71 @@ def _base(acceleration: Floats, rate_hz: float) -> Floats:
 
 
 def _loud_events(recording: Recording, above: Floats) -> list[Event]:
-    """What is loud, by stretches without gaps: beyond what noise reaches once in a hundred recordings, and beyond 5 %
-    of the largest. Raises FitError where nothing stands out."""
+    """Return the loud events of all sections without gaps; `above` (n,) is the acceleration without gravity and drift.
+
+    A sample is loud above the level that noise reaches in one of a hundred recordings, and above 5 % of the largest.
+    Raises FitError if there are no loud samples.
+    """
     rate_hz = recording.rate_hz
     length = _samples(0.002, rate_hz, 16)
-    stretches = preparation.between_gaps(recording, len(above))
-    longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+    sections = preparation.between_gaps(recording, len(above))
+    longest = max(sections, key=lambda section: section[1] - section[0])
     found: list[Event] = []
     quiet = []
-    for begin, end in stretches:
+    for begin, end in sections:
         if (begin, end) != longest and end - begin < 2 * length:
             continue
         size = np.abs(above[begin:end])
         blocks = above[begin : begin + len(size) // length * length].reshape(-1, length)
-        # Where it is calm: the 20th percentile of the blocks lies 0.842 of their deviations below the middle.
+        # Noise of the quiet blocks; the 20th percentile of their deviations is 0.842 standard errors below the median.
         noise = float(np.percentile(blocks.std(axis=1), 20.0)) if len(blocks) else 0.0
         noise /= 1 - 0.842 / math.sqrt(2 * length)
         highest = float(size.max())
-        rest = int(np.argmax(size > REST_PART * highest))
-        if len(size) < SHORT_S * rate_hz and rest >= 5:
-            # A short recording may ring to its end. So few samples may be quieter than noise is, by chance.
+        rest = int(np.argmax(size > TAP_LIMITS.max_rest_change * highest))
+        if len(size) < TAP_LIMITS.short_recording_s * rate_hz and rest >= 5:
+            # A short recording may ring to its end: its noise is at most twice that of the rest, which has few samples.
             noise = min(noise, 2.0 * float(np.std(above[begin : begin + rest], ddof=1)))
-        if not highest > LEAST_PEAK_TO_NOISE * noise:
+        if not highest > TAP_LIMITS.min_peak_to_noise * noise:
             quiet.append("nothing" if highest == 0 else f"{highest / noise:.1f} times its noise")
             continue
-        # A bound of the normal distribution's tail.
+        # Upper bound of the tail of the normal distribution.
         loud_noise = math.sqrt(2 * math.log(len(size) / 0.01))
-        loud = np.flatnonzero(size > max(loud_noise * noise, 0.05 * highest))
-        # Taps are apart by 20 ms without a loud sample.
-        for part in np.split(loud, np.flatnonzero(np.diff(loud) > 0.02 * rate_hz) + 1):
+        loud = np.flatnonzero(size > max(loud_noise * noise, TAP_LIMITS.min_loud * highest))
+        # Events are separated by 20 ms without a loud sample.
+        for part in np.split(loud, np.flatnonzero(np.diff(loud) > TAP_LIMITS.min_quiet_s * rate_hz) + 1):
             first, last = int(part[0]), int(part[-1])
             found.append(Event(begin + first, begin + last, noise, float(size[first : last + 1].max())))
     if not found:
         raise FitError(
-            f"{recording.name}: no onset: its largest acceleration is {quiet[0]}, "
-            f"a tap has {LEAST_PEAK_TO_NOISE:g} times at least"
+            f"{recording.name}: no onset: the largest acceleration is {quiet[0]}, must be at least "
+            f"{TAP_LIMITS.min_peak_to_noise:g} times the noise"
         )
     return found
 
 
 def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) -> Floats | None:
-    """One a tap; None where they are to be taken from the position, or one holds for all."""
+    """Return the speeds of the taps, m/s, or None if one speed holds for all or the position is to be used."""
     speed = recording.speed_m_per_s
     if not isinstance(speed, np.ndarray):
         return None
     if len(speed) != len(above):
         return np.abs(speed)
-    back = _samples(0.5 * APPROACH_S, recording.rate_hz, 4)
+    back = _samples(0.5 * TAP_LIMITS.approach_s, recording.rate_hz, 4)
     return np.array([np.median(np.abs(speed[max(0, each.first - back) : each.first + 1])) for each in events])
 
 
 def _without_bounces(recording: Recording, events: Sequence[Event]) -> list[Event]:
-    """What is weaker and comes within 150 ms after a tap is its bounce, unless it has an approach of its own."""
+    """Return the events without bounces: weaker events within 150 ms after a tap that have no separate approach."""
     kept: list[Event] = []
     size_before, before = 0.0, 0
     for event in events:
         first, size = event.first, event.peak
-        soon = bool(kept) and first - kept[-1].first < 0.15 * recording.rate_hz
-        if soon and size < 0.8 * size_before and not _comes_by_itself(recording, kept[-1].first, before, first):
+        soon = bool(kept) and first - kept[-1].first < TAP_LIMITS.max_bounce_s * recording.rate_hz
+        if (
+            soon
+            and size < TAP_LIMITS.max_bounce_size * size_before
+            and not _has_approach(recording, kept[-1].first, before, first)
+        ):
             before = first
             continue
         kept.append(event)
@@ -279,13 +265,15 @@ def _without_bounces(recording: Recording, events: Sequence[Event]) -> list[Even
     return kept
 
 
-def _comes_by_itself(recording: Recording, touched: int, before: int, first: int) -> bool:
-    """Whether the position shows an approach of its own: from in front of the surface, which was `touched`, and at a
-    speed that changes less than half as fast as that of a bounce, which since the event `before` has gone away at this
-    speed and come back at it by a steady push."""
+def _has_approach(recording: Recording, touched: int, before: int, first: int) -> bool:
+    """Return whether the position shows a separate approach before sample `first`.
+
+    It comes from in front of the surface, whose position is that at sample `touched`. Its speed changes less than half
+    as fast as in a bounce, which leaves at sample `before` with this speed and is pushed back steadily.
+    """
     if recording.speed_m_per_s is not None or recording.position_m is None:
         return False
-    half = _samples(0.5 * APPROACH_S, recording.rate_hz, 4)
+    half = _samples(0.5 * TAP_LIMITS.approach_s, recording.rate_hz, 4)
     if first - 2 * half <= before:
         return False
     way = recording.position_m[first - 2 * half : first]
@@ -295,7 +283,7 @@ def _comes_by_itself(recording: Recording, touched: int, before: int, first: int
     passed = half / recording.rate_hz
     ahead = (float(recording.position_m[touched]) - float(way.mean())) * math.copysign(1.0, speed)
     steady = abs(late - early) * (first - before) / recording.rate_hz < abs(speed) * passed
-    return abs(speed) >= speed_law.SPEEDS_M_PER_S[0] and ahead > 0.5 * abs(speed) * passed and steady
+    return abs(speed) >= SPEED_LAW_LIMITS.min_speed_m_per_s and ahead > 0.5 * abs(speed) * passed and steady
 
 
 def _samples(time_s: float, rate_hz: float, least: int) -> int:
@@ -307,60 +295,65 @@ def _samples(time_s: float, rate_hz: float, least: int) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TapHit:
-    """One tap by its mode."""
+    """One tap, fitted by a mode."""
 
     recording: str
     speed_m_per_s: float
     rate_hz: float
     begin_s: float
-    """Of the stretch that was fitted, on the recording's clock."""
+    """Time of the first fitted sample, on the recording's clock."""
     measured: Floats
-    """(n,) of the stretch, m/s^2."""
+    """(n,) fitted samples of the acceleration, m/s^2."""
     ringing: Ringing
     sensor: Sensor | None = None
     pair: Ringing | None = None
-    """Two modes, where one explains too little and two explain more."""
+    """The fit of two modes, if one explains too little and two explain more."""
     alone: bool = True
-    """Whether one mode does for it."""
+    """Whether one mode is enough for this tap."""
 
     @property
     def onset_s(self) -> float:
-        """On the recording's clock."""
+        """Onset on the recording's clock."""
         return self.begin_s + self.ringing.onset_s
 
     @property
     def coefficient_m_per_s2(self) -> float:
+        """Coefficient A of the mode."""
         return float(self.ringing.coefficients[0])
 
     @property
     def decay_rate_per_s(self) -> float:
+        """Decay rate B of the mode."""
         return float(self.ringing.decay_rate_per_s[0])
 
     @property
     def angular_frequency_rad_per_s(self) -> float:
+        """Angular frequency w of the mode."""
         return float(self.ringing.angular_frequency_rad_per_s[0])
 
     @property
     def first_peak_m_per_s2(self) -> float:
+        """Largest acceleration of the first cycle."""
         return self.coefficient_m_per_s2 * Mode(self.decay_rate_per_s, self.angular_frequency_rad_per_s).peak
 
     @property
     def variance_accounted_for(self) -> float:
+        """Fraction of the variance that the mode explains."""
         return self.ringing.variance_accounted_for
 
     @property
     def noise_m_per_s2(self) -> float:
-        """Of a rendered tap, which may have none, a billionth of the coefficient: taps are weighted by it."""
+        """RMS of the residual, at least a billionth of the coefficient: a rendered tap has none, and it is a weight."""
         return max(self.ringing.noise_m_per_s2, 1e-9 * abs(self.coefficient_m_per_s2))
 
     @property
     def modelled(self) -> Floats:
-        """(n,) of the stretch, m/s^2."""
+        """(n,) acceleration of the model at the fitted samples, m/s^2."""
         return self.measured - self.ringing.residual
 
     @property
-    def colour(self) -> float:
-        """What is left over while it rings, over what was there before."""
+    def residual_to_noise(self) -> float:
+        """RMS of the residual during the ringing over that before the onset."""
         left = self.ringing.residual
         onset = max(2, math.floor(self.ringing.onset_s * self.rate_hz))
         end = math.ceil((self.ringing.onset_s + 5 / self.decay_rate_per_s) * self.rate_hz)
@@ -368,11 +361,12 @@ class TapHit:
         return float(np.std(left[onset:end])) / before if before > 0 else math.inf
 
     def turned(self) -> TapHit:
-        """With the sign of the acceleration turned."""
+        """Return the same tap with the sign of the acceleration reversed."""
         pair = None if self.pair is None else self.pair.turned()
         return dataclasses.replace(self, measured=-self.measured, ringing=self.ringing.turned(), pair=pair)
 
     def to_dict(self) -> dict[str, Json]:
+        """Return the figures as plain data for JSON."""
         return {
             "recording": self.recording,
             "onset_s": self.onset_s,
@@ -385,9 +379,12 @@ class TapHit:
         }
 
 
-def hits_of(recording: Recording, warnings: list[str], excluded: Exclusions) -> list[TapHit]:
-    """The taps of a recording; those that cannot be used are reported in `excluded`. FitError where it has none."""
-    loud = Events(recording, warnings)
+def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> list[TapHit]:
+    """Return the taps of a recording; taps that cannot be used are added to `excluded`.
+
+    Raises FitError if there are no taps, or if most of them have the same fault.
+    """
+    loud = Events(recording, lines)
     name, events = recording.name, loud.events
     found: list[TapHit] = []
     refused: list[tuple[Event, Unusable]] = []
@@ -399,10 +396,10 @@ def hits_of(recording: Recording, warnings: list[str], excluded: Exclusions) -> 
         shapeless = sum(no.fault == "shape" for _, no in refused)
         if shapeless >= 5 and shapeless > len(found):
             first = f"{shapeless} of the first {index + 1}; of one: {refused[0][1]}"
-            raise FitError(f"{name}: most of what stands out is no tap, {first}")
+            raise FitError(f"{name}: most events are not taps, {first}")
     for fault, least, hint in (
         ("rate", 1, "record faster."),
-        ("approach", LEAST_TAPS, "is the position the right column?"),
+        ("approach", SPEED_LAW_LIMITS.min_taps, "is the position the right column?"),
     ):
         alike = [no for _, no in refused if no.fault == fault]
         if len(alike) >= least and len(alike) > len(found):
@@ -416,7 +413,7 @@ def hits_of(recording: Recording, warnings: list[str], excluded: Exclusions) -> 
 
 
 def _hit_of(loud: Events, index: int) -> TapHit:
-    """A tap fitted within its room. Raises Unusable, with what was measured and what is wanted."""
+    """Return a fitted tap; raise Unusable with the measured and the required figure."""
     recording, event, room = loud.recording, loud.events[index], loud.room(index)
     rate_hz, sensor = recording.rate_hz, recording.sensor
     ringing, begin = _fitted(loud, event, *room)
@@ -425,25 +422,25 @@ def _hit_of(loud: Events, index: int) -> TapHit:
     measured = loud.acceleration[begin:end]
     share = ringing.variance_accounted_for
     fault: Unusable | None
-    if share < LEAST_EXPLAINED:
-        wanted = f"{100 * LEAST_EXPLAINED:.0f} % are wanted"
-        fault = Unusable(f"a decaying sinusoid explains {100 * share:.0f} % of it, {wanted}", "shape")
+    if share < TAP_LIMITS.min_explained:
+        needed = f"{100 * TAP_LIMITS.min_explained:.0f} % are needed"
+        fault = Unusable(f"a decaying sinusoid explains {100 * share:.0f} % of it, {needed}", "shape")
     else:
         fault = _fault_of(rate_hz, event, ringing)
-    pair = pair_of(measured, rate_hz, ringing, sensor) if share < WELL_EXPLAINED else None
-    if pair and (pair.variance_accounted_for < LEAST_EXPLAINED or _fault_of(rate_hz, event, pair) is not None):
+    pair = pair_of(measured, rate_hz, ringing, sensor) if share < TAP_LIMITS.well_explained else None
+    if pair and (pair.variance_accounted_for < TAP_LIMITS.min_explained or _fault_of(rate_hz, event, pair) is not None):
         pair = None
     if fault is not None and pair is None:
         raise fault
     rest = event.first - room[0]
-    if rest < LEAST_REST_SAMPLES:
+    if rest < TAP_LIMITS.certain_rest_samples:
         off = math.sqrt(float(ringing.covariance[-1, -1])) * rate_hz
         place = begin - room[0] + ringing.onset_s * rate_hz
-        if place < 0 or off > CLEAR_ONSET_SAMPLES:
+        if place < 0 or off > TAP_LIMITS.max_onset_error_samples:
             raise Unusable(
-                f"{rest} samples of rest before it, and its onset is {place:.1f} samples behind the first of them, "
-                f"give or take {off:.2g}: {LEAST_REST_SAMPLES} samples are wanted, "
-                f"or an onset that is uncertain by {CLEAR_ONSET_SAMPLES:g} at most"
+                f"{rest} samples of rest before it, and its onset is {place:.1f} +- {off:.2g} samples after the first "
+                f"of them: needs {TAP_LIMITS.certain_rest_samples} samples, or an onset that is certain to "
+                f"{TAP_LIMITS.max_onset_error_samples:g} sample"
             )
     return TapHit(
         recording=recording.name,
@@ -459,8 +456,10 @@ def _hit_of(loud: Events, index: int) -> TapHit:
 
 
 def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing, int]:
-    """A tap's ringing, and the first sample of the stretch; none of it is before `least` or from `most` on. Raises
-    Unusable."""
+    """Return the ringing of a tap and its first fitted sample; the fitted samples are among `least` to `most` - 1.
+
+    Raises Unusable if nothing can be fitted.
+    """
     rate_hz, sensor, first = loud.recording.rate_hz, loud.recording.sensor, event.first
     before = _samples(0.002, rate_hz, 16)
     lasted = max(event.last - first, before)
@@ -468,11 +467,11 @@ def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing,
     begin = max(0, min(begin, end - 24))
     try:
         ringing = fit_ringing(loud.acceleration[begin:end], rate_hz, onset_s=(first - begin) / rate_hz, sensor=sensor)
-        # The stretch was by guess; now it is by the decay: from one decay time before the onset to seven behind it.
+        # The first fit was of a guessed section; the second is from one decay time before the onset to seven after it.
         onset = begin + ringing.onset_s * rate_hz
         decay = float(rate_hz / ringing.decay_rate_per_s[0])
         again = max(least, math.floor(onset - max(before, min(decay, 5 * before))))
-        end = min(most, max(math.ceil(onset + 7.0 * decay), math.ceil(onset) + 24))
+        end = min(most, max(math.ceil(onset + TAP_LIMITS.fit_decay_times * decay), math.ceil(onset) + 24))
         start = dataclasses.replace(ringing, onset_s=ringing.onset_s + (begin - again) / rate_hz)
         return fit_ringing(loud.acceleration[again:end], rate_hz, start=start, sensor=sensor), again
     except FitError as error:
@@ -480,35 +479,39 @@ def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing,
 
 
 def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None:
-    """Why the modes are none that a tap could have."""
+    """Return the reason why these modes cannot be those of a tap, or None."""
     for angular in ringing.angular_frequency_rad_per_s:
-        if slow := preparation.undersampled(rate_hz, float(angular) / (2 * math.pi), LEAST_RATE):
+        if slow := preparation.undersampled(rate_hz, float(angular) / (2 * math.pi), TAP_LIMITS.min_samples_per_cycle):
             return Unusable(f"it {slow}", "rate")
     uncertain, figure = _uncertainty(ringing)
-    if not uncertain < MOST_RELATIVE_ERROR:
+    if not uncertain < TAP_LIMITS.max_relative_error:
         times = event.peak / event.noise if event.noise > 0 else math.inf
-        known = f"its {figure} is uncertain by {100 * uncertain:.0f} %, {100 * MOST_RELATIVE_ERROR:.0f} % is the most"
-        # What stands out more, and still cannot be fitted, has another shape.
-        strong = 2.0 * LEAST_PEAK_TO_NOISE
+        known = (
+            f"its {figure} is uncertain by {100 * uncertain:.0f} %, at most {100 * TAP_LIMITS.max_relative_error:.0f} %"
+        )
+        # A louder event that cannot be fitted has another shape.
+        strong = TAP_LIMITS.min_shapeless_peak_to_noise
         if times > strong:
             return Unusable(
-                f"its shape is no ringing: it stands {times:.0f} times out of the noise, but {known}", "shape"
+                f"its shape is not a ringing: its peak is {times:.0f} times the noise, but {known}", "shape"
             )
         return Unusable(
-            f"it is too weak for its noise: it stands {times:.1f} times out of it, {strong:g} are wanted, and {known}"
+            f"it is too weak for its noise: its peak is {times:.1f} times the noise, {strong:g} are needed, and {known}"
         )
-    lasts, glitch = rate_hz / float(ringing.decay_rate_per_s.max()), 2.0
-    if lasts < glitch:
-        return Unusable(f"a glitch: it falls to 1/e within {lasts:.2g} samples, {glitch:g} are wanted")
+    lasts = rate_hz / float(ringing.decay_rate_per_s.max())
+    if lasts < TAP_LIMITS.min_decay_samples:
+        return Unusable(
+            f"a glitch: it falls to 1/e within {lasts:.2g} samples, {TAP_LIMITS.min_decay_samples:g} are needed"
+        )
     return None
 
 
 def _uncertainty(ringing: Ringing) -> tuple[float, str]:
-    """The largest of the relative standard errors of A, B and w of any mode, and which it is."""
+    """Return the largest relative standard error among A, B and w of all modes, and the name of its figure."""
     modes = len(ringing.coefficients)
     values = np.concatenate((ringing.coefficients, ringing.decay_rate_per_s, ringing.angular_frequency_rad_per_s))
     variances = np.diag(ringing.covariance)[: len(values)]
-    # Modes that cannot be separated may have variances below 0, by rounding.
+    # Rounding may make variances of modes that cannot be separated negative.
     if not values.all() or not (variances >= 0).all():
         return math.inf, "amplitude"
     errors = np.sqrt(variances) / np.abs(values)
@@ -521,34 +524,37 @@ def _uncertainty(ringing: Ringing) -> tuple[float, str]:
 
 @dataclass(frozen=True, slots=True)
 class SecondMode:
-    """A mode that is struck together with the first, and the first as it is beside it."""
+    """A mode that is struck together with the first mode, and the first mode in the fit of both."""
 
     frequency_hz: Estimate
     decay_time_s: Estimate
     ratio: Estimate
-    """Its coefficient over the first one's."""
+    """Its coefficient over that of the first mode."""
     first_slope_per_s: Estimate
-    """Of the first one's coefficient over the speed."""
+    """Slope of the first mode's coefficient over the speed."""
     first_frequency_hz: Estimate
     first_decay_time_s: Estimate
     amplitudes: Amplitudes
-    """Of the first, as TapFit's."""
+    """Amplitudes of the first mode, as TapFit.amplitudes."""
     variance_accounted_for: float
-    """By both, median over the taps."""
+    """Fraction of the variance that both explain, median over the taps."""
     alone: float
-    """By one mode, median over the taps."""
+    """Fraction of the variance that one mode explains, median over the taps."""
     kept: bool
-    """Whether the material has it without being asked: one mode explains too little."""
+    """Whether the material has it by default, because one mode explains too little."""
 
     def to_dict(self) -> dict[str, Json]:
+        """Return the figures as plain data for JSON."""
         figures = fields_of(self)
         alone = figures.pop("alone")
         return {**figures, "amplitudes": speed_law.json_table(self.amplitudes), "variance_by_one_mode": alone}
 
 
 def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor | None) -> Ringing | None:
-    """Two modes, where they explain so much more than `ringing` that it is no luck, and the slower lasts half a period;
-    else None."""
+    """Return the fit of two modes if it explains significantly more than `ringing`, else None.
+
+    The slower mode must also last for half a period.
+    """
     if len(measured) < 24:
         return None
     head = measured[: math.ceil(ringing.onset_s * rate_hz) + 4096]
@@ -558,15 +564,18 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
     one, two = float(left @ left), float(pair.residual @ pair.residual)
     turns = float(pair.angular_frequency_rad_per_s.min()) * len(head) / rate_hz
     chance = statistics.f_test_p(one, freedom, two, freedom - 3)
-    return pair if chance < SIGNIFICANCE_LEVEL and turns > math.pi else None
+    return pair if chance < SPEED_LAW_LIMITS.significance and turns > math.pi else None
 
 
 def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], SecondMode | None]:
-    """Where one mode explains too little of the median tap and most have the same two: the taps as these two have
-    them, the louder one first, and what they have in common. Elsewhere those taps that one mode does for."""
+    """Return the taps fitted by two modes, the louder first, and the second mode, if most have the same two modes.
+
+    This needs a median tap that one mode explains too little. Otherwise return the taps for which one mode is enough,
+    and None.
+    """
     alone = float(np.median([tap.variance_accounted_for for tap in taps])) if taps else 1.0
     pairs = [tap.pair for tap in taps if tap.pair is not None]
-    usual = None if alone >= WELL_EXPLAINED or len(pairs) < len(taps) / 2 else _usual_pair(pairs)
+    usual = None if alone >= TAP_LIMITS.well_explained or len(pairs) < len(taps) / 2 else _usual_pair(pairs)
     if usual is not None:
         used: list[TapHit] = []
         struck: list[tuple[TapHit, Ringing]] = []
@@ -575,11 +584,11 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
             pair = None if tap.pair is None else _in_order(tap.pair, usual)
             off = abs(math.log(tap.angular_frequency_rad_per_s) - usual[0])
             if pair is not None:
-                # The first mode as if it were fitted alone.
+                # From here on the tap is its first mode.
                 first = pair.of_modes([0])
                 used.append(dataclasses.replace(tap, ringing=first, measured=tap.measured[: len(first.residual)]))
                 struck.append((used[-1], pair))
-            elif tap.variance_accounted_for >= WELL_EXPLAINED and off < SAME_FREQUENCY:
+            elif tap.variance_accounted_for >= TAP_LIMITS.well_explained and off < TAP_LIMITS.max_frequency_difference:
                 used.append(tap)
             else:
                 others.append(tap)
@@ -589,31 +598,37 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
             for tap, pair in struck
             if np.sign(tap.coefficient_m_per_s2) == usual_sign
         ]
-        second = _common_pair(upright, _explained_by(upright), alone, True) if len(upright) >= LEAST_TAPS else None
+        second = (
+            _common_pair(upright, _explained_by(upright), alone, True)
+            if len(upright) >= SPEED_LAW_LIMITS.min_taps
+            else None
+        )
         if second is not None:
             for tap in others:
-                excluded.add(tap.recording, "it has not the two modes of the others", "tap", tap.onset_s)
+                excluded.add(tap.recording, "it does not have the two modes of the others", "tap", tap.onset_s)
             return used, second
     for tap in taps:
         if not tap.alone:
             share = 100 * tap.variance_accounted_for
-            reason = f"a decaying sinusoid explains {share:.0f} % of it, and the others do not have the two that it has"
+            reason = f"a decaying sinusoid explains {share:.0f} % of it, and the others do not have its two modes"
             excluded.add(tap.recording, reason, "tap", tap.onset_s)
     return [tap for tap in taps if tap.alone], None
 
 
 def second_mode(taps: list[TapHit], explained: float) -> SecondMode | None:
-    """A mode that most of the 12 loudest taps have besides, at one frequency, where one explains so much."""
+    """Return the second mode that most of the 12 loudest taps have, or None.
+
+    Both modes together must explain more than `explained`, the fraction that one mode explains.
+    """
     loudest = sorted(taps, key=lambda tap: tap.noise_m_per_s2 / tap.coefficient_m_per_s2)[:12]
-    coloured = [tap for tap in loudest if tap.colour > MOST_RESIDUAL_TO_NOISE]
-    enough = max(LEAST_TAPS, len(loudest) / 2)
-    if len(coloured) < enough:
+    noisy = [tap for tap in loudest if tap.residual_to_noise > TAP_LIMITS.max_residual_to_noise]
+    enough = max(SPEED_LAW_LIMITS.min_taps, len(loudest) / 2)
+    if len(noisy) < enough:
         return None
-    tried = ((tap, pair_of(tap.measured, tap.rate_hz, tap.ringing, tap.sensor)) for tap in coloured)
+    tried = ((tap, pair_of(tap.measured, tap.rate_hz, tap.ringing, tap.sensor)) for tap in noisy)
     both = [(tap, pair) for tap, pair in tried if pair is not None]
     usual = _usual_pair([pair for _, pair in both]) if len(both) >= enough else None
-    # A second mode explains a hundredth of the variance besides, at least.
-    if usual is None or _explained_by(both) < explained + 0.01:
+    if usual is None or _explained_by(both) < explained + TAP_LIMITS.min_second_gain:
         return None
     ordered = [(tap, same) for tap, pair in both if (same := _in_order(pair, usual)) is not None]
     return _common_pair(ordered, _explained_by(both), explained, False)
@@ -624,31 +639,35 @@ def _explained_by(both: Sequence[tuple[TapHit, Ringing]]) -> float:
 
 
 def _usual_pair(pairs: Sequence[Ringing]) -> Floats | None:
-    """Logarithms of the two angular frequencies that most pairs have, of the louder one first; None where they do not
-    agree."""
-    if len(pairs) < LEAST_TAPS:
+    """Return the logarithms of the two angular frequencies that most pairs have, the louder mode first.
+
+    Returns None if the pairs do not agree.
+    """
+    if len(pairs) < SPEED_LAW_LIMITS.min_taps:
         return None
-    # By frequency: which of them is louder may change from tap to tap.
+    # Sorted by frequency, because the louder mode may change from tap to tap.
     rising = [pair.of_modes(np.argsort(pair.angular_frequency_rad_per_s).tolist()) for pair in pairs]
     logs = np.log([pair.angular_frequency_rad_per_s for pair in rising])
     usual = np.median(logs, axis=0)
-    alike = np.all(np.abs(logs - usual) < SAME_FREQUENCY, axis=1)
-    if np.sum(alike) < max(LEAST_TAPS, 0.7 * len(pairs)):
+    alike = np.all(np.abs(logs - usual) < TAP_LIMITS.max_frequency_difference, axis=1)
+    if np.sum(alike) < max(SPEED_LAW_LIMITS.min_taps, TAP_LIMITS.min_same_pairs * len(pairs)):
         return None
     sizes = np.array([np.abs(pair.coefficients) / np.sqrt(pair.decay_rate_per_s) for pair in rising])[alike]
     return np.asarray(usual if np.median(sizes[:, 0] / sizes[:, 1]) >= 1 else usual[::-1])
 
 
 def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
-    """With the modes in the order of these; None where they are others."""
+    """Return the pair with its modes in the order of these log angular frequencies, or None if they differ."""
     for order in ([0, 1], [1, 0]):
-        if np.all(np.abs(np.log(pair.angular_frequency_rad_per_s[order]) - usual) < SAME_FREQUENCY):
+        if np.all(
+            np.abs(np.log(pair.angular_frequency_rad_per_s[order]) - usual) < TAP_LIMITS.max_frequency_difference
+        ):
             return pair.of_modes(order)
     return None
 
 
 def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: float, kept: bool) -> SecondMode | None:
-    """What pairs have in common; None where that is no pair, but one mode of another shape."""
+    """Return the second mode that the pairs have in common, or None if the second is an artefact of the first."""
     speeds = np.array([tap.speed_m_per_s for tap, _ in both])
     noise = _noise_of([tap for tap, _ in both])
     relative = noise / np.array([tap.first_peak_m_per_s2 for tap, _ in both]) ** 2
@@ -660,7 +679,7 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: flo
     of_ratio = ratios**2 * (parts.sum(axis=1) - 2 * between / coefficients.prod(axis=1))
 
     def shared(name: str, first_column: int) -> list[Estimate]:
-        """Of the logarithms of each mode's."""
+        """Return the common logarithm of this figure for each of the two modes."""
         values = np.array([getattr(pair, name) for _, pair in both])
         variances = own[:, first_column : first_column + 2] / values**2
         return [common(np.log(values[:, k]), _levelled(variances[:, k], relative)) for k in range(2)]
@@ -669,10 +688,15 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: flo
     slope = through_origin(speeds, coefficients[:, 0], of_first, speeds**2).coefficients[0]
     ratio = common(ratios, _levelled(of_ratio, relative))
     decay, angular = shared("decay_rate_per_s", 2), shared("angular_frequency_rad_per_s", 4)
-    same = abs(angular[1].value - angular[0].value) < SAME_FREQUENCY
-    # In periods of its own; what falls to 1/e sooner is a pulse.
+    same = abs(angular[1].value - angular[0].value) < TAP_LIMITS.max_frequency_difference
+    # Decay time in periods of the second mode.
     lasts = math.exp(angular[1].value - decay[1].value) / (2 * math.pi)
-    if slope.value <= 0 or abs(ratio.value) > 10.0 or same or lasts < 0.3:
+    if (
+        slope.value <= 0
+        or abs(ratio.value) > TAP_LIMITS.max_second_ratio
+        or same
+        or lasts < TAP_LIMITS.min_second_periods
+    ):
         return None
     return SecondMode(
         frequency_hz=angular[1].mapped(_hertz),
@@ -691,18 +715,18 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: flo
 # ---- Intervals: what all taps have in common -------------------------------------------------------------------------
 
 WithVariances: TypeAlias = tuple[Floats, Floats]
-"""(n,) values, and (n,) their variances by the noise alone, without what differs from tap to tap."""
+"""(n,) values and (n,) their variances due to noise, without the scatter between taps."""
 
 
 def _noise_of(taps: Sequence[TapHit]) -> Floats:
-    """(n,) variances of the noise; what differs no more than short stretches do by chance is taken as alike."""
+    """Return (n,) variances of the noise; values within a factor of 1.5 of the median are replaced by the median."""
     found = np.array([tap.noise_m_per_s2 for tap in taps])
     usual = float(np.median(found))
     return np.where((found < 1.5 * usual) & (usual < 1.5 * found), usual, found) ** 2
 
 
 def _levelled(own: Floats, scale: Floats) -> Floats:
-    """The variances' common factor: of what a tap of its noise would have. Their own luck does not enter."""
+    """Return `scale` times the median ratio of `own` to `scale`: variances without the chance of single fits."""
     return np.asarray(scale * np.median(own / scale), dtype=np.float64)
 
 
@@ -715,7 +739,7 @@ def _time(log_decay: float) -> float:
 
 
 def _peak_variance(ringing: Ringing) -> float:
-    """Of A p(B, w), to first order."""
+    """Return the variance of the first peak A p(B, w), to first order."""
     values = np.array([ringing.coefficients[0], ringing.decay_rate_per_s[0], ringing.angular_frequency_rad_per_s[0]])
 
     def peak(at: Floats) -> float:
@@ -728,28 +752,31 @@ def _peak_variance(ringing: Ringing) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Those of all taps."""
+    """The figures of all n taps."""
 
     speeds: Floats
+    """(n,) m/s."""
     noise: Floats
-    """(n,) variances."""
+    """(n,) variances of the noise."""
     amplitude: WithVariances
-    """A, in m/s^2."""
+    """Coefficient A, m/s^2."""
     peak: WithVariances
-    """The largest acceleration of the first cycle."""
+    """Largest acceleration of the first cycle, m/s^2."""
     decay: WithVariances
-    """Logarithm of B."""
+    """Logarithm of the decay rate B."""
     angular: WithVariances
-    """Logarithm of w."""
+    """Logarithm of the angular frequency w."""
 
     @classmethod
     def of(cls, taps: Sequence[TapHit]) -> Figures:
+        """Return the figures of these taps."""
+
         def each(name: str) -> Floats:
             return np.array([getattr(tap, name) for tap in taps])
 
         noise, peaks = _noise_of(taps), each("first_peak_m_per_s2")
         decays, angulars = each("decay_rate_per_s"), each("angular_frequency_rad_per_s")
-        # By the peak, whose error has little to do with those of decay and frequency.
+        # Relative to the peak, whose error hardly depends on those of decay and frequency.
         relative = noise / peaks**2
         spreads = np.array([np.diag(tap.ringing.covariance)[:3] for tap in taps])
         of_peaks = np.array([_peak_variance(tap.ringing) for tap in taps])
@@ -765,21 +792,24 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """What taps ring with, on straight lines between the speeds and constant beyond."""
+    """Frequency and decay time over the speed: linear between the speeds, constant beyond them."""
 
     speeds_m_per_s: tuple[float, ...]
     frequencies_hz: tuple[Estimate, ...]
     decay_times_s: tuple[Estimate, ...]
     why: str
+    """Reason for a table, in words."""
 
     def frequency_at(self, speeds: Floats) -> Floats:
+        """Return the frequencies, Hz, at speeds in m/s."""
         return np.interp(speeds, self.speeds_m_per_s, [each.value for each in self.frequencies_hz])
 
     def decay_time_at(self, speeds: Floats) -> Floats:
+        """Return the decay times, s, at speeds in m/s."""
         return np.interp(speeds, self.speeds_m_per_s, [each.value for each in self.decay_times_s])
 
     def material(self) -> dict[str, Json]:
-        """As `mode_table` of a tap."""
+        """Return the value of `mode_table` of a material's tap."""
         return {
             "speeds_m_per_s": list(self.speeds_m_per_s),
             "frequencies_hz": [each.value for each in self.frequencies_hz],
@@ -788,12 +818,15 @@ class Modes:
 
 
 def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -> Modes | None:
-    """The table, where one of the two changes from the slowest tap to the fastest by more than chance and enough to
-    matter (2 % and 10 %); the other stays the common one. Else None."""
+    """Return the table of modes over the speed, or None if frequency and decay time do not change.
+
+    A figure changes if it differs between the slowest and the fastest tap significantly and by 2 % (frequency) or 10 %
+    (decay time). A figure that does not change has its common value at all speeds.
+    """
     speeds, (angulars, of_angular), (decays, of_decay) = figures.speeds, figures.angular, figures.decay
     moved = (
-        speed_law.moves(speeds, angulars, of_angular, "frequency", 0.02),
-        speed_law.moves(speeds, -decays, of_decay, "decay time", 0.1),
+        speed_law.moves(speeds, angulars, of_angular, "frequency", TAP_LIMITS.min_frequency_change),
+        speed_law.moves(speeds, -decays, of_decay, "decay time", TAP_LIMITS.min_decay_change),
     )
     if not any(moved):
         return None
@@ -805,7 +838,7 @@ def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -
         return statistics.least_squares(hats, *pairs[which])
 
     def criterion(which: int, knots: Floats) -> float:
-        """AICc with the weights of two points."""
+        """Return the AICc of a table with these knots; the weights are those of a table of two."""
         try:
             scatter, left = laid(which, speed_law.knots_of(speeds, 2)).scatter, laid(which, knots).residual
         except FitError:
@@ -831,47 +864,49 @@ def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TapFit(Fit):
-    """What the taps have in common. Slopes are of lines through the origin."""
+    """Result of a fit of taps that ring. Slopes are of lines through the origin."""
 
     taps: tuple[TapHit, ...]
     slope_per_s: Estimate
-    """`attack: coefficient`, A of eq. 1 over the speed."""
+    """Coefficient A over the speed, for `attack: coefficient`."""
     first_peak_slope_per_s: Estimate
-    """`attack: first_peak`, the largest acceleration of the first cycle over the speed."""
+    """Largest acceleration of the first cycle over the speed, for `attack: first_peak`."""
     frequency_hz: Estimate
     decay_time_s: Estimate
     modes: Modes | None
-    """Frequency and decay time over the speed, where they change with it."""
+    """Frequency and decay time over the speed, if they change with it."""
     r_squared: float
-    """Of A(v) through the origin."""
+    """r^2 of A(v) as a line through the origin."""
     offset_slope_per_s: Estimate
     offset_m_per_s2: Estimate
     r_squared_offset: float
-    """Of A(v) with an offset."""
+    """r^2 of A(v) as a line with an offset."""
     variance_accounted_for: float
-    """By the mode, median over the taps."""
+    """Fraction of the variance that the mode explains, median over the taps."""
     law: Law
-    """What A(v) is: the line, a power law or a table."""
+    """Law of A(v): the line, a power law or a table."""
     power: Power | None
-    """The power law, where A(v) is one."""
+    """The power law, if that is the law of A(v)."""
     second: SecondMode | None
-    """Offered where one mode is not enough."""
+    """A second mode, if one mode is not enough."""
 
     @property
     def choices(self) -> dict[str, str]:
-        """What was chosen of several models, and why."""
+        """The chosen models with the reasons."""
         chosen = {"amplitude": f"{self.law.named}: {self.law.why}"}
         return chosen if self.modes is None else {**chosen, "mode_table": self.modes.why}
 
     @property
     def linear(self) -> bool:
-        """Whether a line through the origin does for A(v)."""
+        """Whether A(v) is a line through the origin."""
         return self.law.kind == "line"
 
     @property
     def amplitudes(self) -> Amplitudes:
-        """The coefficient over the speed, as `amplitudes` of a material has it: straight lines from rest to the first
-        speed and from one to the next; those of the power law, where A(v) is one."""
+        """Coefficients over the speed for `amplitudes` of a material, linear between the points and down to rest.
+
+        If A(v) is a power law, they are points of it.
+        """
         return self.law.points
 
     def material(
@@ -881,13 +916,16 @@ class TapFit(Fit):
         two_modes: bool | None = None,
         mode_table: bool | None = None,
     ) -> dict[str, Json]:
-        """Keys of a YAML material. `law`, `two_modes` and `mode_table` are as the taps have them, unless given. Raises
-        FitError where no second mode or no power law was found, and for a first peak where A alone is known."""
+        """Return the keys of a YAML material; None takes the law, modes and table that the fit found.
+
+        Raises FitError if a requested second mode, power law or table was not found, and for `attack: first_peak`
+        with a table of amplitudes or two modes, which need the coefficient.
+        """
         second = self.second if two_modes or (two_modes is None and self.second and self.second.kept) else None
         if attack != "coefficient" and (law not in (None, "line") or second is not None):
-            raise FitError("a table, and two modes, are of coefficients: leave out the first peak")
+            raise FitError("a table of amplitudes and two modes need attack: coefficient, not first_peak")
         if two_modes and second is None:
-            raise FitError("no second mode was found: one is enough, or the taps differ")
+            raise FitError("no second mode was found: one is enough, or the taps have different modes")
         if mode_table and self.modes is None:
             raise FitError("frequency and decay do not change with the speed: there is no table of modes")
         modes = self.modes if (second is None or second.kept) and mode_table is not False else None
@@ -915,11 +953,11 @@ class TapFit(Fit):
             raise FitError("no power law was found: the amplitude does not rise with the speed")
         points = self.law.power.points if law == "power" and self.law.power is not None else self.law.table
         if second is not None and not second.kept:
-            # Beside the other mode the first one has other amplitudes.
+            # In the fit of both modes the first one has other amplitudes.
             points = second.amplitudes
 
         def part(speed: float) -> float:
-            """Of A; a first peak is that part which the mode of its speed has."""
+            """Return the factor from A to the amplitude that `attack` means at this speed."""
             if attack == "coefficient":
                 return 1.0
             hertz, time_s = self.frequency_hz.value, self.decay_time_s.value
@@ -930,7 +968,7 @@ class TapFit(Fit):
         return tap | {"amplitudes": [[speed, part(speed) * each.value] for speed, each in points]}
 
     def to_dict(self) -> dict[str, Json]:
-        """As JSON has it, without the stretches."""
+        """Return the fit as plain data for JSON, without samples."""
         amplitudes = speed_law.json_table(self.amplitudes)
         return {**Fit.to_dict(self), "linear": self.linear, "amplitudes": amplitudes}
 
@@ -940,32 +978,34 @@ def fit_tap(
     progress: Callable[[Recording], None] | None = None,
     excluded: Exclusions | None = None,
 ) -> TapFit:
-    """Fits the taps of one material; `progress` is called after each recording. Recordings and taps that cannot be used
-    are reported in `excluded`.
+    """Fit the taps of one material.
 
-    Raises FitError (one line) for what they do not support: no onset, too few taps, all at one speed, clipped, sampled
-    too slowly, units that cannot be.
+    `progress` is called after each recording. Recordings and taps that cannot be used are added to `excluded`. Raises
+    FitError (one line) if the recordings do not support a fit: no onset, too few taps, all at one speed, clipped,
+    sampled too slowly, impossible units.
     """
     statistics.require_scipy()
     preparation.refuse_duplicates(recordings)
     excluded = Exclusions() if excluded is None else excluded
-    warnings: list[str] = []
+    lines: list[str] = []
 
     def hits_in(recording: Recording) -> list[TapHit]:
-        found = hits_of(recording, warnings, excluded)
+        found = hits_of(recording, lines, excluded)
         if progress is not None:
             progress(recording)
         return found
 
     hits, second = as_pairs([hit for found in excluded.each(recordings, hits_in) for hit in found], excluded)
-    if len(hits) < LEAST_TAPS:
-        raise excluded.refused(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds")
-    taps = _of_one_sign(hits, warnings, excluded)
-    warnings = excluded.lines() + warnings
+    if len(hits) < SPEED_LAW_LIMITS.min_taps:
+        raise excluded.refused(
+            f"{len(hits)} taps are too few: needs {SPEED_LAW_LIMITS.min_taps}, better ten, at different speeds"
+        )
+    taps = _of_one_sign(hits, lines, excluded)
+    lines = excluded.lines() + lines
     speed_law.check_speeds(taps)
     figures = Figures.of(taps)
     speeds, squares = figures.speeds, figures.speeds**2
-    # Taps differ by parts of their amplitudes.
+    # The scatter between taps is proportional to the speed.
     line = through_origin(speeds, *figures.amplitude, squares)
     offset = statistics.with_offset(speeds, *figures.amplitude, squares)
     slope = line.coefficients[0]
@@ -979,15 +1019,15 @@ def fit_tap(
         second = second_mode(taps, explained)
     outlier = speed_law.single_outlier(taps, speeds, figures.amplitude[0], figures.noise)
     law = speed_law.law_of(speeds, *figures.amplitude, "line" if outlier else None)
-    doubts = Doubts()
-    _doubt_the_recordings(doubts, recordings, taps, frequency)
-    _doubt_the_mode(doubts, taps, second, explained, warnings)
-    modes = _modes_over_speed(doubts, figures, frequency, decay_time)
+    warnings = Warnings()
+    _check_recordings(warnings, recordings, taps, frequency)
+    _check_mode(warnings, taps, second, explained, lines)
+    modes = _modes_over_speed(warnings, figures, frequency, decay_time)
     if outlier:
-        doubts.add(False, outlier, "is its speed right?")
+        warnings.add(False, outlier, "is its speed right?")
     else:
-        speed_law.doubt_the_law(doubts, law, line.r_squared)
-    excluded.report_taps(len(taps), doubts)
+        speed_law.check_law(warnings, law, line.r_squared)
+    excluded.report_taps(len(taps), warnings)
     explains = "two modes explain" if second is not None and second.kept else "one mode explains"
     r_squared = law.r_squared if law.kind != "line" else line.r_squared
     return TapFit(
@@ -1005,56 +1045,56 @@ def fit_tap(
         law=law,
         power=law.power if law.kind == "power" else None,
         second=second,
-        warnings=tuple(warnings + doubts.warnings),
-        judged=doubts.judged(
+        warnings=tuple(lines + warnings.lines),
+        judged=warnings.verdict(
             f"{explains} {100 * explained:.1f} % of {len(taps)} taps", f"A(v) is {law.named} (r^2 {r_squared:.3f})"
         ),
         left_out=tuple(excluded.items),
     )
 
 
-def _of_one_sign(hits: list[TapHit], warnings: list[str], excluded: Exclusions) -> list[TapHit]:
-    """With positive coefficients."""
+def _of_one_sign(hits: list[TapHit], lines: list[str], excluded: Exclusions) -> list[TapHit]:
+    """Return the taps with the usual sign, reversed if necessary to be positive; add the others to `excluded`."""
     signs = [math.copysign(1.0, tap.coefficient_m_per_s2) for tap in hits]
     usual = 1.0 if sum(signs) >= 0 else -1.0
     if usual < 0:
-        warnings.append("the taps begin downwards: the acceleration is taken with its sign turned")
+        lines.append("the taps begin downwards: the sign of the acceleration is reversed")
     found = []
     for sign, tap in zip(signs, hits, strict=True):
         if sign != usual:
-            excluded.add(tap.recording, "it begins the other way than most", "tap", tap.onset_s)
+            excluded.add(tap.recording, "it begins with the other sign than most", "tap", tap.onset_s)
             continue
         found.append(tap if usual > 0 else tap.turned())
     other = len(hits) - len(found)
-    # One, or a quarter of them, is left out.
-    if len(found) < LEAST_TAPS or (other > 1 and other > 0.25 * len(hits)):
+    if len(found) < SPEED_LAW_LIMITS.min_taps or (other > 1 and other > TAP_LIMITS.max_other_sign * len(hits)):
         raise FitError(
-            f"{other} of {len(hits)} taps begin the other way: a surface pushes one way; is there something else among "
-            "them, or is the rate too low?"
+            f"{other} of {len(hits)} taps begin with the other sign: a surface pushes one way; are there other events "
+            "among them, or is the rate too low?"
         )
     return found
 
 
 def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapHit]) -> None:
-    if frequency_hz < LEAST_HZ:
+    if frequency_hz < TAP_LIMITS.min_frequency_hz:
         raise FitError(
-            f"what follows the onsets is of {frequency_hz:.3g} Hz, slower than {LEAST_HZ:g} Hz: a hand's motion, no tap"
+            f"the frequency of the ringing must be at least {TAP_LIMITS.min_frequency_hz:g} Hz, is {frequency_hz:.3g}: "
+            "a hand's motion, not a tap"
         )
     longest_s = max(len(tap.measured) / tap.rate_hz for tap in taps)
-    # A stretch is of seven decay times, where there is room.
-    if decay_time_s > 0.5 * longest_s:
+    # The fitted section has seven decay times, unless the recording or the next tap ends it.
+    if decay_time_s > TAP_LIMITS.max_decay * longest_s:
         raise FitError(
-            f"what follows the onsets does not decay: by {decay_time_s:.3g} s to 1/e, and {longest_s:.3g} s were seen"
+            f"the ringing does not decay: its decay time is {decay_time_s:.3g} s, of {longest_s:.3g} s that were fitted"
         )
 
 
 # ---- The verdict -----------------------------------------------------------------------------------------------------
 
 
-def _doubt_the_recordings(
-    doubts: Doubts, recordings: Sequence[Recording], taps: Sequence[TapHit], frequency: Estimate
+def _check_recordings(
+    warnings: Warnings, recordings: Sequence[Recording], taps: Sequence[TapHit], frequency: Estimate
 ) -> None:
-    """Hum in what the taps leave of a recording, and a rate that is too low."""
+    """Add reasons for hum in the residuals and for a low sampling rate."""
     of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
 
     def lines(recording: Recording, needed: int) -> list[SpectralLine]:
@@ -1069,34 +1109,36 @@ def _doubt_the_recordings(
                 model[here] = sign * tap.modelled
         return lines_in_residual(seen, model, recording.rate_hz, needed)
 
-    report_lines(of_taps, lines, doubts)
-    preparation.report_sampling(of_taps, frequency.value, doubts)
+    report_lines(of_taps, lines, warnings)
+    preparation.report_sampling(of_taps, frequency.value, warnings)
 
 
-def _doubt_the_mode(
-    doubts: Doubts, taps: Sequence[TapHit], second: SecondMode | None, explained: float, warnings: list[str]
+def _check_mode(
+    warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float, lines: list[str]
 ) -> None:
-    """What one mode, or two, leave over."""
+    """Add reasons if one mode, or two, do not explain the taps."""
     if second is not None:
         together = 100 * second.variance_accounted_for
-        warnings.append(
+        lines.append(
             f"one mode is not enough: a second at {second.frequency_hz.value:.4g} Hz, "
             f"{1e3 * second.decay_time_s.value:.3g} ms and {second.ratio.value:.2g} times as strong explains "
             f"{together:.1f} % together with the first, which alone explains {100 * second.alone:.1f} %"
         )
-        poor = second.variance_accounted_for < WELL_EXPLAINED
+        poor = second.variance_accounted_for < TAP_LIMITS.well_explained
         if poor or not second.kept:
-            doubts.add(poor, f"two explain {together:.1f} %")
-    elif explained < WELL_EXPLAINED:
-        doubts.add(True, "the rest is of another kind")
+            warnings.add(poor, f"two explain {together:.1f} %")
+    elif explained < TAP_LIMITS.well_explained:
+        warnings.add(True, "the residuals are not noise")
     else:
-        doubts.add(False, _lack_of_fit(taps), "the figures may be farther off than their intervals say")
+        warnings.add(False, _lack_of_fit(taps), "the errors of the figures may be larger than their intervals")
 
 
 def _lack_of_fit(taps: Sequence[TapHit]) -> str:
-    """Whether what is left over has a shape that all taps have, and is no noise: the score test of the shapes that
-    ringing.py tries beside the mode. Empty where it has none."""
-    coloured = float(np.median([tap.colour for tap in taps]))
+    """Return a sentence if the residuals of all taps have a common pattern that is not noise, else an empty string.
+
+    This is the score test of the shapes that ringing.py tries in addition to the mode.
+    """
+    noisy = float(np.median([tap.residual_to_noise for tap in taps]))
     size = len(taps[0].ringing.lack_of_fit[0])
     score, squares, heard, left, samples = np.zeros(size), np.zeros((size, size)), 0.0, 0.0, 0
     for tap in taps:
@@ -1110,21 +1152,23 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
     taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
     share = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
     chance = statistics.f_test_p(float(samples), samples, max(0.0, samples - taken), samples - size)
-    if share > REPORTED_SHAPE and (chance < SIGNIFICANCE_LEVEL or coloured > MOST_RESIDUAL_TO_NOISE):
-        return f"what is left over has a shape, {100 * share:.0f} % of the ringing"
-    if coloured > MOST_RESIDUAL_TO_NOISE and math.sqrt(left / heard) > REPORTED_SHAPE:
-        return f"what is left over is {coloured:.1f} times the noise before the taps"
+    if share > TAP_LIMITS.min_pattern and (
+        chance < SPEED_LAW_LIMITS.significance or noisy > TAP_LIMITS.max_residual_to_noise
+    ):
+        return f"the residuals have a pattern of {100 * share:.0f} % of the ringing"
+    if noisy > TAP_LIMITS.max_residual_to_noise and math.sqrt(left / heard) > TAP_LIMITS.min_pattern:
+        return f"the residuals are {noisy:.1f} times the noise before the taps"
     return ""
 
 
-def _modes_over_speed(doubts: Doubts, figures: Figures, frequency: Estimate, decay_time: Estimate) -> Modes | None:
-    """Frequency and decay over the speed, where they change with it; else they should be the same for all."""
+def _modes_over_speed(warnings: Warnings, figures: Figures, frequency: Estimate, decay_time: Estimate) -> Modes | None:
+    """Return the table of modes over the speed, or None; add reasons if frequency or decay scatter between taps."""
     modes = modes_of(figures, frequency, decay_time)
     if modes is None:
-        doubts.check_interval("decay time", decay_time)
+        warnings.check_interval("decay time", decay_time)
     expected = 0.0 if modes is None else np.log(modes.frequency_at(figures.speeds))
     scatter = float(np.std(figures.angular[0] - expected))
-    doubts.check("scatter of the frequency", scatter, events="taps", one="material, held alike")
+    warnings.check("scatter of the frequency", scatter, events="taps", one="material, held alike")
     if modes is not None:
-        doubts.warn(f"{modes.why}; the material has a table of modes over the speed")
+        warnings.note(f"{modes.why}; the material has a table of modes over the speed")
     return modes

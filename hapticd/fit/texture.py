@@ -1,24 +1,26 @@
-"""Textures from recorded strokes: peak and mean frequency, and how loud they are over speed and force.
+"""Fit of textures to recorded strokes: peak and mean frequency, and loudness over speed and force.
 
-A stroke is cut into blocks of half a second, each with its own periodograms, speed and force. What the sensor hisses is
-read off the top of the spectrum and taken away; below LOW_HZ, where a hand trembles, the density goes on as it is just
-above, and where it sinks into the hiss it goes on falling as it does in the octave before.
+Strokes are cut into blocks of half a second, each with its periodograms, speed and force. The density of the sensor's
+noise is measured near half the rate and subtracted. Below TEXTURE_LIMITS.min_frequency_hz, where a hand trembles, the
+density is assumed to continue as it is just above. Where it falls below the sensor's noise, it is assumed to fall as in
+the octave before.
 
-The mean frequency is the power's centroid. The peak is that of a parabola in 1/density over the squared frequency
-within the half-power band, by Whittle's likelihood: a single resonance has just this shape. Intervals are jackknifed
-over groups of blocks, or over strokes where they differ by more than the blocks do by chance. Where the parabola of the
-upper quarter of the power has its peak elsewhere, the spectrum is no single resonance, and the interval takes in both.
-A peak is resolved where the density is lower on both sides: the spectrum ends below LOW_HZ, so that one which is as
-high there has its peak anywhere below. Then the interval begins at 0; it ends where the parabola's does, within the
-half-power band, or where the highest point lies in 97.5 % of resampled groups (Efron's bootstrap, 1979), if that is
-more.
+The mean frequency is the centroid of the power. The peak is that of a parabola in 1/density over the squared frequency
+within the half-power band, by Whittle's likelihood; a single resonance has this shape. Intervals are jackknifed over
+groups of blocks, or over strokes if these differ more than their blocks do by chance. If the parabola of the upper
+quarter of the power has another peak, the spectrum is not a single resonance, and the interval includes both.
 
-The RMS law is fitted to the blocks' power, of which it is the square, with errors that are a part of it
-(quasi-likelihood of a gamma distribution; Wedderburn, 1974).
+A peak is resolved if the density is lower on both sides. If the density at TEXTURE_LIMITS.min_frequency_hz is as high,
+the peak may be anywhere below. Then the interval begins at 0. It ends at the end of the parabola's interval, limited to
+the half-power band, or at the 97.5 % quantile of the highest point of resampled groups (Efron's bootstrap, 1979), if
+that is more.
 
-Autoregressive models, where they are asked for, are of each pair of speed and force: they come from the autocorrelation
-of the mean spectrum there (Levinson and Durbin), which makes them stable for any spectrum; the order is that of the
-least corrected information criterion of Akaike (Hurvich and Tsai, 1989).
+The RMS law is fitted to the power of the blocks, with errors proportional to the power (quasi-likelihood of a gamma
+distribution; Wedderburn, 1974).
+
+An autoregressive model is made for each pair of speed and force, if requested. It comes from the autocorrelation of the
+mean spectrum (Levinson and Durbin), which makes it stable for any spectrum. Its order is that with the lowest corrected
+information criterion of Akaike (Hurvich and Tsai, 1989).
 """
 
 from __future__ import annotations
@@ -27,63 +29,45 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, jackknife_error, least_squares
 from hapticd.base.lattice import coefficients_of
 from hapticd.fit import preparation
+from hapticd.fit.limits import PREPARATION_LIMITS, TEXTURE_LIMITS
 from hapticd.fit.preparation import Stroke, stroke_of
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit, fields_of
 from hapticd.fit.spectral_lines import report_lines, spectral_lines
-from hapticd.fit.verdict import Doubts, Exclusions
+from hapticd.fit.verdict import Exclusions, Warnings
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
-
-LOW_HZ: Final = 20.0
-BLOCK_S: Final = 0.5
-LEAST_BLOCKS: Final = 8
-LEAST_FALL_OF_DENSITY: Final = 1.78
-"""From 0.325 to 0.445 of the rate, the density of noise with two poles at low frequency, filtered at this very rate;
-the samples of a continuous one fall by more."""
-JACKKNIFE_GROUPS: Final = 20
-"""Of blocks, at most, that the jackknife leaves out one at a time."""
-WIDE_TOP, NARROW_TOP = 0.5, 0.75
-"""Parts of the highest density: the peak is the top of a parabola through what is above the first, and checked by one
-through what is above the second."""
-SMOOTH_HZ: Final = 15.0
-"""Densities are means over so much to either side."""
-RMS_M_PER_S2: Final = (0.03, 300.0)
-"""Of a usual block; less is not felt."""
-MAX_ORDER: Final = 32
-"""Of autoregressive models."""
-
 
 # ---- Blocks: strokes in halves of a second ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class StrokeBlocks:
-    """A recording in blocks."""
+    """A recording cut into blocks."""
 
     stroke: Stroke
     density: Floats
-    """(blocks, frequencies) in (m/s^2)^2/Hz, one-sided, without the sensor's."""
+    """(blocks, frequencies) one-sided density in (m/s^2)^2/Hz, less that of the sensor's noise."""
     means: Floats
-    """(blocks, 5) of speed, of force, of the square of speed, of their product and of the square of force."""
+    """(blocks, 5) means of speed, force, squared speed, speed times force, and squared force."""
     floor: float
-    """The sensor's density."""
+    """Density of the sensor's noise."""
     lost: int
-    """Blocks that do not count, as of `_spoilt`."""
+    """Number of blocks that `_unusable_blocks` finds."""
 
 
 def _frequencies(rate_hz: float) -> Floats:
-    return np.asarray(np.fft.rfftfreq(round(BLOCK_S * rate_hz / 2), 1 / rate_hz), dtype=np.float64)
+    return np.asarray(np.fft.rfftfreq(round(TEXTURE_LIMITS.block_s * rate_hz / 2), 1 / rate_hz), dtype=np.float64)
 
 
-def _blocks_of(stroke: Stroke, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
-    """A recording in blocks. FitError where its rate is another one, and where it is no texture."""
+def _blocks_of(stroke: Stroke, usual_hz: float, warnings: Warnings) -> StrokeBlocks:
+    """Return a recording cut into blocks; raise FitError if its rate differs from the others or it is not a texture."""
     from scipy.signal import periodogram
 
     name, rate_hz = stroke.recording.name, stroke.recording.rate_hz
@@ -91,8 +75,8 @@ def _blocks_of(stroke: Stroke, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
         raise FitError(
             f"{name}: sampled at {rate_hz:g} Hz, most others at {usual_hz:g} Hz: strokes of one texture need one rate"
         )
-    # Three windows of Hann's in each block: at both ends, and half-way over the first.
-    block, length = round(BLOCK_S * rate_hz), round(BLOCK_S * rate_hz / 2)
+    # Three Hann windows in each block: at both ends, and shifted by half a window from the first.
+    block, length = round(TEXTURE_LIMITS.block_s * rate_hz), round(TEXTURE_LIMITS.block_s * rate_hz / 2)
     window = np.hanning(length + 1)[:-1]
     weights = np.zeros(block)
     firsts = (0, length // 2, block - length)
@@ -100,89 +84,100 @@ def _blocks_of(stroke: Stroke, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
         weights[first : first + length] += window**2
     weights /= weights.sum()
     speed, force = np.abs(stroke.speed), np.maximum(stroke.force, 0.0)
-    slowest = 0.2 * float(np.median(speed))
-    spoilt = _spoilt(stroke, block, doubts)
+    slowest = TEXTURE_LIMITS.min_block_speed * float(np.median(speed))
+    unusable = _unusable_blocks(stroke, block, warnings)
     found, means = [], []
     for start in range(0, len(speed) - block + 1, block):
         here = slice(start, start + block)
-        if start in spoilt or speed[here].min() < slowest or stroke.force[here].mean() <= 0:
+        if start in unusable or speed[here].min() < slowest or stroke.force[here].mean() <= 0:
             continue
         moved, press = speed[here], force[here]
         pieces = [stroke.acceleration[start + first : start + first + length] for first in firsts]
         found.append(periodogram(pieces, rate_hz, window)[1].mean(axis=0))
         means.append([float(weights @ each) for each in (moved, press, moved**2, moved * press, press**2)])
     if not found:
-        raise FitError(f"{name}: holds no half second of one stroke")
+        raise FitError(f"{name}: no complete half second of a stroke")
     density = np.array(found, dtype=np.float64)
     if length % 2 == 0:
-        # scipy has the power of the bin at half the rate once, that of all others twice.
+        # scipy counts the bin at half the rate once, all others twice.
         density[:, -1] *= 2
     frequency = _frequencies(rate_hz)
-    density, floor = _without_hiss(name, frequency, density, rate_hz)
+    density, floor = _without_sensor_noise(name, frequency, density, rate_hz)
     _refuse_motion(name, frequency, density.mean(axis=0))
-    just = (frequency >= LOW_HZ) & (frequency < 2 * LOW_HZ)
-    density[:, frequency < LOW_HZ] = density[:, just].mean(axis=1)[:, None]
-    # A sum over the bins is then the integral from 0 on.
+    just = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & (frequency < 2 * TEXTURE_LIMITS.min_frequency_hz)
+    density[:, frequency < TEXTURE_LIMITS.min_frequency_hz] = density[:, just].mean(axis=1)[:, None]
+    # With half of the first bin, a sum over the bins is the integral from 0.
     density[:, 0] /= 2
-    return StrokeBlocks(stroke, density, np.array(means), floor, len(spoilt))
+    return StrokeBlocks(stroke, density, np.array(means), floor, len(unusable))
 
 
-def _without_hiss(name: str, frequency: Floats, density: Floats, rate_hz: float) -> tuple[Floats, float]:
-    """The density without the sensor's, and the sensor's. FitError where the spectrum does not end below half the
-    rate: where between 0.4 and 0.49 of the rate it is more than a twentieth of its highest."""
-    hiss = (frequency > 0.4 * rate_hz) & (frequency < 0.49 * rate_hz)
-    floor = float(np.mean(density[:, hiss]))
-    if floor > 0.05 * float(density[:, (frequency >= LOW_HZ) & ~hiss].mean(axis=0).max(initial=0.0)):
+def _without_sensor_noise(name: str, frequency: Floats, density: Floats, rate_hz: float) -> tuple[Floats, float]:
+    """Return the density less that of the sensor's noise, and the latter.
+
+    Raises FitError if the spectrum does not end below half the rate: if its mean between 0.4 and 0.49 of the rate is
+    more than a twentieth of its highest value.
+    """
+    noise_band = (frequency > 0.4 * rate_hz) & (frequency < 0.49 * rate_hz)
+    floor = float(np.mean(density[:, noise_band]))
+    if floor > TEXTURE_LIMITS.max_floor * float(
+        density[:, (frequency >= TEXTURE_LIMITS.min_frequency_hz) & ~noise_band].mean(axis=0).max(initial=0.0)
+    ):
         raise FitError(
-            f"{name}: the spectrum goes on beyond half the rate of {rate_hz:g} Hz, or is the sensor's hiss "
+            f"{name}: the spectrum does not end below half the rate of {rate_hz:g} Hz, or it is the sensor's noise "
             "alone: record at a higher rate, or with less noise"
         )
-    # A texture's own density falls there, by LEAST_FALL_OF_DENSITY at least; only what does not is the sensor's.
+    # The density of a texture falls there by at least min_density_fall; the part that does not fall is the sensor's.
     nearer = float(np.mean(density[:, (frequency > 0.3 * rate_hz) & (frequency < 0.35 * rate_hz)]))
-    floor = min(max(0.0, (LEAST_FALL_OF_DENSITY * floor - nearer) / (LEAST_FALL_OF_DENSITY - 1)), floor)
+    floor = min(
+        max(0.0, (TEXTURE_LIMITS.min_density_fall * floor - nearer) / (TEXTURE_LIMITS.min_density_fall - 1)), floor
+    )
     return density - floor, floor
 
 
-def _spoilt(stroke: Stroke, block: int, doubts: Doubts) -> set[int]:
-    """First samples of the blocks that do not count: more than 2 % was not measured so, or something knocked: 15
-    standard deviations of a block, which noise does not reach."""
+def _unusable_blocks(stroke: Stroke, block: int, warnings: Warnings) -> set[int]:
+    """Return the first samples of the blocks to leave out: with more than 2 % replaced samples, or with a knock.
+
+    A knock exceeds 15 standard deviations of its block, which noise does not reach.
+    """
     seen = stroke.acceleration
     starts = range(0, len(seen) - block + 1, block)
-    lost = {start for start in starts if np.mean(stroke.replaced[start : start + block]) > 0.02}
+    lost = {start for start in starts if np.mean(stroke.replaced[start : start + block]) > TEXTURE_LIMITS.max_replaced}
     knocks = []
     for start in starts:
         part = np.abs(seen[start : start + block] - np.median(seen[start : start + block]))
-        if part.max() > 15.0 * 1.4826 * np.median(part):
+        if part.max() > TEXTURE_LIMITS.knock_to_noise * 1.4826 * np.median(part):
             knocks.append(start)
-    # Where more than a tenth of the blocks have them, it is a texture of knocks.
-    if 0 < len(knocks) <= max(1, 0.1 * len(starts)):
+    # If more than a tenth of the blocks have knocks, they belong to the texture.
+    if 0 < len(knocks) <= max(1, TEXTURE_LIMITS.max_knock_blocks * len(starts)):
         at = knocks[0] + int(np.argmax(np.abs(seen[knocks[0] : knocks[0] + block])))
-        doubts.warn(
+        warnings.note(
             f"{stroke.recording.name}: the acceleration of {seen[at]:.4g} m/s^2 at "
-            f"{at / stroke.recording.rate_hz:.6g} s is a knock: {len(knocks) * BLOCK_S:g} s about such are left out"
+            f"{at / stroke.recording.rate_hz:.6g} s is a knock: {len(knocks) * TEXTURE_LIMITS.block_s:g} s with knocks "
+            "are left out"
         )
         lost |= set(knocks)
     return lost
 
 
 def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
-    """FitError where most of the power is the hand's, or tones."""
-    low, whole = frequency < LOW_HZ, frequency >= LOW_HZ
-    lowest = float(frequency[whole][np.argmax(smoothed(density, 2)[whole])])
-    if density[low].sum() > density[whole].sum() and lowest < 2 * LOW_HZ:
+    """Raise FitError if most of the power is the motion of the hand, or tones."""
+    low, heard = frequency < TEXTURE_LIMITS.min_frequency_hz, frequency >= TEXTURE_LIMITS.min_frequency_hz
+    lowest = float(frequency[heard][np.argmax(smoothed(density, 2)[heard])])
+    if density[low].sum() > density[heard].sum() and lowest < 2 * TEXTURE_LIMITS.min_frequency_hz:
         raise FitError(
-            f"{name}: most of it is below {LOW_HZ:g} Hz, and above it falls: a hand that moves, and no texture"
+            f"{name}: most of the power is below {TEXTURE_LIMITS.min_frequency_hz:g} Hz, and the spectrum falls above: "
+            "motion of a hand, not a texture"
         )
-    loudest = np.sort(density[whole])[-3:]
-    if loudest.sum() > 0.5 * density[whole].sum():
+    loudest = np.sort(density[heard])[-3:]
+    if loudest.sum() > TEXTURE_LIMITS.max_tone * density[heard].sum():
         raise FitError(
-            f"{name}: a tone at {frequency[whole][np.argmax(density[whole])]:.4g} Hz holds most of the power: hum, or "
-            "something that rings, and no texture"
+            f"{name}: a tone at {frequency[heard][np.argmax(density[heard])]:.4g} Hz holds most of the power: hum or a "
+            "ringing, not a texture"
         )
 
 
 def _top_of(frequency: Floats, shape: Floats, floor: float) -> tuple[float, Tail | None]:
-    """Where the mean spectrum sinks to 0.3 of what was taken away as the sensor's, and how it goes on from there."""
+    """Return the frequency at which the mean spectrum falls to 0.3 of the sensor's noise, and its tail from there."""
     smooth = smoothed(shape, max(1, round(25 / frequency[1])))
     peak = int(np.argmax(smooth))
     below = np.flatnonzero(smooth[peak:] < 0.3 * floor)
@@ -193,20 +188,20 @@ def _top_of(frequency: Floats, shape: Floats, floor: float) -> tuple[float, Tail
     if np.count_nonzero(last) < 8:
         return top, None
     fall = -float(np.polyfit(np.log(frequency[last]), np.log(smooth[last]), 1)[0])
-    # The power of what falls more slowly has no mean frequency.
+    # A slower fall has no finite mean frequency.
     return top, Tail(top, max(fall, 2.5), float(frequency[-1])) if fall > 2 else None
 
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """Density beyond `top_hz`, up to half the rate: it falls as frequency^-fall, as in the octave before."""
+    """Density from `top_hz` to half the rate: it falls as frequency^-fall, as in the octave below `top_hz`."""
 
     top_hz: float
     fall: float
     end_hz: float
 
     def moments(self, frequency: Floats, shape: Floats) -> tuple[float, float]:
-        """Its power, and that times its mean frequency, in units of sums over `shape`."""
+        """Return its power, and its power times its mean frequency, in units of sums over `shape`."""
         last = frequency > self.top_hz / 2
         level = float(shape[last].sum() / np.sum((frequency[last] / self.top_hz) ** -self.fall)) / float(frequency[1])
         ratio = self.end_hz / self.top_hz
@@ -217,28 +212,29 @@ class Tail:
 
 @dataclass(frozen=True, slots=True)
 class _Blocks:
-    """The blocks of all strokes together."""
+    """The blocks of all strokes."""
 
     strokes: tuple[Stroke, ...]
     stroke: Ints
-    """(blocks,) the place of each block's stroke among these."""
+    """(blocks,) index of each block's stroke in `strokes`."""
     frequency: Floats
-    """(frequencies,) up to where the spectra sink into the sensor's hiss; how they go on from there is `tail`."""
+    """(frequencies,) up to where the spectra fall below the sensor's noise; from there they continue as `tail`."""
     density: Floats
-    """(blocks, frequencies)."""
+    """(blocks, frequencies) in (m/s^2)^2/Hz."""
     tail: Tail | None
     means: Floats
-    """(blocks, 5), as of StrokeBlocks."""
+    """(blocks, 5) as of StrokeBlocks."""
     rms: Floats
-    """(blocks,)."""
+    """(blocks,) m/s^2."""
 
     @classmethod
     def of(cls, cut: Sequence[StrokeBlocks], excluded: Exclusions) -> _Blocks:
-        """FitError for too few of them, and for an RMS that is no texture's."""
+        """Return the blocks of all strokes; raise FitError if they are too few or their RMS is out of range."""
         density = np.concatenate([each.density for each in cut])
-        if len(density) < LEAST_BLOCKS:
+        if len(density) < TEXTURE_LIMITS.min_blocks:
             raise excluded.refused(
-                f"{len(density) * BLOCK_S:g} s of strokes are too few: at least {LEAST_BLOCKS * BLOCK_S:g} s are needed"
+                f"{len(density) * TEXTURE_LIMITS.block_s:g} s of strokes are too few: at least "
+                f"{TEXTURE_LIMITS.min_blocks * TEXTURE_LIMITS.block_s:g} s are needed"
             )
         strokes = tuple(each.stroke for each in cut)
         stroke = np.repeat(np.arange(len(cut)), [len(each.density) for each in cut])
@@ -251,22 +247,29 @@ class _Blocks:
         power = density.sum(axis=1) * frequency[1]
         if power.min() <= 0:
             name = strokes[stroke[int(np.argmin(power))]].recording.name
-            raise FitError(f"{name}: what is there is no more than the sensor's hiss")
+            raise FitError(f"{name}: a block is not louder than the sensor's noise")
         rms = np.sqrt(power)
         usual = float(np.median(rms))
-        preparation.check_range(usual, *RMS_M_PER_S2, f"an RMS of {usual:.3g} m/s^2 is", "texture's")
+        preparation.check_range(
+            usual,
+            TEXTURE_LIMITS.min_rms_m_per_s2,
+            TEXTURE_LIMITS.max_rms_m_per_s2,
+            "usual RMS",
+        )
         return cls(strokes, stroke, frequency, density, tail, np.concatenate([each.means for each in cut]), rms)
 
     @property
     def speed(self) -> Floats:
+        """(blocks,) mean speeds, m/s."""
         return np.asarray(self.means[:, 0])
 
     @property
     def force(self) -> Floats:
+        """(blocks,) mean forces, N."""
         return np.asarray(self.means[:, 1])
 
     def centroid(self, density: Floats) -> float:
-        """Mean frequency of a density (frequencies,), in Hz."""
+        """Return the mean frequency, Hz, of a density (frequencies,)."""
         beyond, first = (0.0, 0.0) if self.tail is None else self.tail.moments(self.frequency, density)
         return float((self.frequency @ density + first) / (density.sum() + beyond))
 
@@ -276,20 +279,21 @@ class _Blocks:
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """Of a spectrum."""
+    """Peak frequency of a spectrum."""
 
     hz: Estimate
     resolved: bool
+    """Whether the density is lower on both sides of the peak."""
 
 
 def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
-    """Of densities (blocks, frequencies) of the blocks of these strokes (blocks,)."""
+    """Return the peak of densities (blocks, frequencies); `strokes` (blocks,) is the stroke of each block."""
 
     def parabola(density: Floats) -> float:
         return _parabola_peak(frequency, density)
 
     def upper(density: Floats) -> float:
-        return _parabola_peak(frequency, density, NARROW_TOP)
+        return _parabola_peak(frequency, density, TEXTURE_LIMITS.narrow_top)
 
     found = jackknifed(parabola, shape, strokes)
     top = jackknifed(upper, shape, strokes)
@@ -297,22 +301,25 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
         found = Estimate(found.value, min(found.low, top.low), max(found.high, top.high))
     if found.low > 0 and found.high - found.low <= found.value and _falls_below(frequency, shape, found.value):
         return Peak(found, True)
-    # An interval may have run away, but nothing with less than half of the highest density is the peak.
+    # The interval may be far too wide: it is limited to where the density is above half of its highest value.
     smooth, place = _highest(frequency, shape.mean(axis=0))
-    below = np.flatnonzero(smooth[place:] < WIDE_TOP * smooth[place])
+    below = np.flatnonzero(smooth[place:] < TEXTURE_LIMITS.wide_top * smooth[place])
     reach = min(found.high, float(frequency[place + below[0]] if len(below) else frequency[-1]))
     return Peak(Estimate(found.value, 0.0, max(_highest_resampled(frequency, shape), reach, found.value)), False)
 
 
 def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) -> Estimate:
-    """A figure of the mean density with its interval: each group of blocks left out in turn, or each stroke where they
-    differ by more than chance makes of their blocks with a probability of 0.05."""
+    """Return a figure of the mean density with its jackknife interval.
+
+    Groups of blocks are left out in turn, or strokes if these differ significantly more than their blocks do (5 %
+    level).
+    """
     from scipy.special import fdtri
 
     value = figure(shape.mean(axis=0))
     error, freedom = _left_out(figure, shape, _groups_of(len(shape)))
     by_stroke = [np.flatnonzero(strokes == each) for each in np.unique(strokes)]
-    if 3 <= len(by_stroke) <= JACKKNIFE_GROUPS:
+    if 3 <= len(by_stroke) <= TEXTURE_LIMITS.jackknife_groups:
         wider, fewer = _left_out(figure, shape, by_stroke)
         if wider > error * math.sqrt(float(fdtri(fewer, freedom, 0.95))):
             error, freedom = wider, fewer
@@ -320,35 +327,37 @@ def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) 
 
 
 def _groups_of(blocks: int) -> list[Ints]:
-    """Blocks in a row, by their numbers."""
-    edges = np.linspace(0, blocks, min(JACKKNIFE_GROUPS, blocks) + 1).round().astype(np.int64)
+    """Return groups of consecutive blocks, by their indices."""
+    edges = np.linspace(0, blocks, min(TEXTURE_LIMITS.jackknife_groups, blocks) + 1).round().astype(np.int64)
     return [np.arange(low, high) for low, high in pairwise(edges)]
 
 
 def _left_out(figure: Callable[[Floats], float], shape: Floats, groups: Sequence[Ints]) -> tuple[float, int]:
-    """Standard error and degrees of freedom; groups of different sizes count alike (Busing, Meijer and van der Leeden,
-    1999, have the weights, which change little)."""
+    """Return jackknife standard error and degrees of freedom.
+
+    Groups of different sizes have equal weights; those of Busing, Meijer and van der Leeden, 1999, change little.
+    """
     total = shape.sum(axis=0)
     without = np.array([figure((total - shape[each].sum(axis=0)) / (len(shape) - len(each))) for each in groups])
     return float(jackknife_error(without)), len(groups) - 1
 
 
 def smoothed(values: Floats, half: int) -> Floats:
-    """Means over 2 half + 1 of them, along the last axis; at the ends the last one goes on."""
+    """Return means over 2 half + 1 neighbours; beyond the ends the last value is repeated."""
     kernel = np.ones(2 * half + 1) / (2 * half + 1)
     return np.convolve(np.pad(values, half, mode="edge"), kernel, mode="valid")
 
 
 def _highest(frequency: Floats, density: Floats) -> tuple[Floats, int]:
-    """The density smoothed, and where it is highest above LOW_HZ."""
-    smooth = smoothed(density, max(1, round(SMOOTH_HZ / frequency[1])))
-    return smooth, int(np.argmax(np.where(frequency >= LOW_HZ, smooth, 0.0)))
+    """Return the smoothed density, and the index of its highest value above TEXTURE_LIMITS.min_frequency_hz."""
+    smooth = smoothed(density, max(1, round(TEXTURE_LIMITS.smoothing_hz / frequency[1])))
+    return smooth, int(np.argmax(np.where(frequency >= TEXTURE_LIMITS.min_frequency_hz, smooth, 0.0)))
 
 
-def _parabola_peak(frequency: Floats, shape: Floats, part: float = WIDE_TOP) -> float:
-    """Of the band in which the density (frequencies,) is more than this part of its highest."""
+def _parabola_peak(frequency: Floats, shape: Floats, part: float = TEXTURE_LIMITS.wide_top) -> float:
+    """Return the peak of a parabola in 1/density over the band above this fraction of the highest density."""
     smooth, place = _highest(frequency, shape)
-    outside = (smooth <= part * smooth[place]) | (frequency < LOW_HZ)
+    outside = (smooth <= part * smooth[place]) | (frequency < TEXTURE_LIMITS.min_frequency_hz)
     low = int(np.flatnonzero(outside[:place])[-1]) + 1 if outside[:place].any() else 0
     high = place + int(np.argmax(outside[place:])) - 1 if outside[place:].any() else len(smooth) - 1
     band = slice(low, high + 1)
@@ -386,10 +395,13 @@ def _parabola_peak(frequency: Floats, shape: Floats, part: float = WIDE_TOP) -> 
 
 
 def _falls_below(frequency: Floats, shape: Floats, peak_hz: float) -> bool:
-    """Whether the density near LOW_HZ is less than within a fifth of the peak by more than chance."""
-    if peak_hz < 1.3 * LOW_HZ:
+    """Return whether the density near min_frequency_hz is significantly lower than within a fifth of the peak."""
+    if peak_hz < 1.3 * TEXTURE_LIMITS.min_frequency_hz:
         return False
-    low = (frequency >= LOW_HZ) & (frequency <= LOW_HZ + max(frequency[1] * 2, (peak_hz - LOW_HZ) / 3))
+    low = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & (
+        frequency
+        <= TEXTURE_LIMITS.min_frequency_hz + max(frequency[1] * 2, (peak_hz - TEXTURE_LIMITS.min_frequency_hz) / 3)
+    )
     high = (frequency >= 0.8 * peak_hz) & (frequency <= 1.2 * peak_hz) & ~low
     if not low.any() or not high.any():
         return False
@@ -401,7 +413,7 @@ def _falls_below(frequency: Floats, shape: Floats, peak_hz: float) -> bool:
 
 
 def _highest_resampled(frequency: Floats, shape: Floats) -> float:
-    """Where the highest density lies at most, in 97.5 % of 400 resamplings of the groups of blocks."""
+    """Return the 97.5 % quantile of the frequency of the highest density, over 400 bootstrap samples of the groups."""
     groups = _groups_of(len(shape))
     sums = np.stack([shape[each].sum(axis=0) for each in groups])
     drawn = np.random.default_rng(0).integers(len(groups), size=(400, len(groups)))
@@ -410,10 +422,12 @@ def _highest_resampled(frequency: Floats, shape: Floats) -> float:
 
 
 def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> float:
-    """RMS difference of two densities (n,) over bands of a twelfth of an octave, as a periodogram itself scatters,
-    where the second is within 20 dB of its peak."""
+    """Return the RMS difference, dB, of two densities (n,) where the second is within 20 dB of its peak.
+
+    They are compared in bands of a twelfth of an octave, because a periodogram scatters.
+    """
     smooth = smoothed(power, 2)
-    loud = (frequency >= LOW_HZ) & (smooth > 0.01 * smooth.max())
+    loud = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & (smooth > 0.01 * smooth.max())
     band = np.round(12 * np.log2(np.maximum(frequency, 1.0))).astype(int)
     differences = [
         10 * math.log10(float(model[here].mean() / power[here].mean()))
@@ -428,21 +442,26 @@ def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> flo
 Gains: TypeAlias = tuple[Estimate, Estimate] | tuple[None, None]
 
 
-def _loudness(blocks: _Blocks, autoregressive: bool, doubts: Doubts) -> tuple[Floats, Gains, float]:
-    """RMS of each block as its law has it (blocks,), the gains of the law over speed and force, and its correlation;
-    where these do not vary apart, the mean of each stroke, if models need no law."""
+def _loudness(blocks: _Blocks, autoregressive: bool, warnings: Warnings) -> tuple[Floats, Gains, float]:
+    """Return the RMS of each block by the law (blocks,), the gains of the law, and its correlation.
+
+    If speed and force do not vary independently, autoregressive models take the mean RMS of each stroke, without gains.
+    """
     if not autoregressive:
-        preparation.check_apart(blocks.speed, blocks.force)
-    if preparation.vary_apart(blocks.speed, blocks.force):
-        return _law(blocks.means[:, 2:], blocks.rms, doubts)
-    doubts.warn("speed and force vary too little, or together: no gains")
+        preparation.check_independent(blocks.speed, blocks.force)
+    if preparation.vary_independently(blocks.speed, blocks.force):
+        return _law(blocks.means[:, 2:], blocks.rms, warnings)
+    warnings.note("speed and force vary too little, or together: no gains")
     means = np.array([np.mean(blocks.rms[blocks.stroke == each]) for each in range(len(blocks.strokes))])
     return means[blocks.stroke], (None, None), math.nan
 
 
-def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, Gains, float]:
-    """As of `_loudness`. The mean power of a block is g' M g, with the gains g and the block's moments M; its
-    derivative 2 M g, relative to the power, gives the columns."""
+def _law(moments: Floats, rms: Floats, warnings: Warnings) -> tuple[Floats, Gains, float]:
+    """Return what `_loudness` returns, by quasi-likelihood.
+
+    The mean power of a block is g' M g, with the gains g and the block's moments M. Its derivative 2 M g, divided by
+    the power, gives the columns of the least squares.
+    """
     squares = moments[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     gains = np.linalg.lstsq(np.sqrt(moments[:, [0, 2]]) / rms[:, None], np.ones(len(rms)), rcond=None)[0]
     for _ in range(30):
@@ -450,8 +469,8 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, Gains, f
         power = pushed @ gains
         if power.min() <= 0 or (np.sqrt(moments[:, [0, 2]]) @ gains).min() <= 0:
             raise FitError(
-                "the RMS law is negative at some of these strokes: the loudness does not grow in proportion to speed "
-                "and force, or a column is swapped"
+                "the RMS law is negative for some strokes: the loudness does not grow with speed and force, or a "
+                "column is swapped"
             )
         fit = least_squares(2 * pushed / power[:, None], rms**2 / power + 1)
         before, gains = gains, np.array([each.value for each in fit.coefficients])
@@ -461,14 +480,14 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, Gains, f
     law = np.sqrt(np.einsum("i,kij,j->k", gains, squares, gains))
     for name, gain, square in (("velocity", velocity_gain, moments[:, 0]), ("force", force_gain, moments[:, 2])):
         if gain.high < 0:
-            doubts.doubt(f"the {name} gain is negative: {gain.low:.3g} to {gain.high:.3g}")
+            warnings.add_fair(f"the {name} gain is negative: {gain.low:.3g} to {gain.high:.3g}")
         else:
-            doubts.check_gain(name, gain, float(np.sqrt(np.median(square))), float(np.median(rms)))
+            warnings.check_gain(name, gain, float(np.sqrt(np.median(square))), float(np.median(rms)))
     if max(velocity_gain.value, force_gain.value) <= 0:
-        raise FitError("neither speed nor force makes it louder: is a column swapped?")
+        raise FitError("the loudness grows neither with speed nor with force: is a column swapped?")
     correlation = float(np.corrcoef(law, rms)[0, 1]) if np.ptp(law) > 0 and np.ptp(rms) > 0 else math.nan
-    doubts.check("distance from the law", float(np.std(np.log(rms / law))))
-    doubts.check("correlation of the law", correlation, what="loudness")
+    warnings.check("distance from the law", float(np.std(np.log(rms / law))))
+    warnings.check("correlation of the law", correlation, what="loudness")
     return law, (velocity_gain, force_gain), correlation
 
 
@@ -477,39 +496,48 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, Gains, f
 
 @dataclass(frozen=True, slots=True)
 class ArModel:
-    """At one speed and force: the model, and how far its spectrum is from the recorded one."""
+    """Autoregressive model at one speed and force."""
 
     speed_m_per_s: float
     force_n: float
     coefficients: tuple[float, ...]
     rms_m_per_s2: float
     rms_error_db: float
-    """As of `spectral_distance_db`."""
+    """Distance of its spectrum from the recorded one, as of `spectral_distance_db`."""
 
 
 def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
-    """A whole number of hertz, at most the recording's rate, 0.4 of which holds 0.995 of the power."""
+    """Return the rate of the models, an integer of Hz: 99.5 % of the power lies below 0.4 of it.
+
+    It is at most the rate of the recordings.
+    """
     below = np.cumsum(np.maximum(shape, 0.0))
-    top = float(frequency[min(int(np.searchsorted(below, 0.995 * below[-1])), len(frequency) - 1)])
+    top = float(frequency[min(int(np.searchsorted(below, TEXTURE_LIMITS.model_power * below[-1])), len(frequency) - 1)])
     return min(rate_hz, 2 * float(frequency[-1]), float(math.ceil(max(top / 0.4, 100.0))))
 
 
 def _models_of(blocks: _Blocks, rate_hz: float) -> tuple[ArModel, ...]:
-    """Of the blocks whose speeds and forces differ by less than a tenth. FitError where there are none of 2 s."""
+    """Return a model of each group of blocks whose speeds and forces differ by less than a tenth.
+
+    Raises FitError if no group lasts 2 s.
+    """
     columns = (blocks.speed, blocks.force)
     places: list[list[int]] = []
     for stroke in range(len(blocks.strokes)):
-        # A recording whole where speed and force keep near their means, otherwise block by block.
+        # A recording at nearly constant speed and force is one part, otherwise each block is one.
         here = np.flatnonzero(blocks.stroke == stroke)
         steady = max(float(np.ptp(values[here]) / np.mean(values[here])) for values in columns) < 0.5
         for part in [here.tolist()] if steady else [[member] for member in here.tolist()]:
             for place in places:
-                if all(abs(np.mean(values[part]) / np.mean(values[place]) - 1) < 0.1 for values in columns):
+                if all(
+                    abs(np.mean(values[part]) / np.mean(values[place]) - 1) < TEXTURE_LIMITS.max_model_difference
+                    for values in columns
+                ):
                     place += part
                     break
             else:
                 places.append(part)
-    kept = [place for place in places if len(place) >= 4]
+    kept = [place for place in places if len(place) >= TEXTURE_LIMITS.min_model_blocks]
     if not kept:
         raise FitError("no speed and force was held for 2 s: autoregressive models need steady strokes")
     return tuple(_model(blocks, place, rate_hz) for place in kept)
@@ -523,12 +551,12 @@ def _model(blocks: _Blocks, place: list[int], rate_hz: float) -> ArModel:
     frequency, power = blocks.frequency[below], np.maximum(density[below], 1e-6 * density.max())
     weights = np.full(len(frequency), frequency[1])
     weights[-1] /= 2
-    lags = np.arange(MAX_ORDER + 1)
+    lags = np.arange(TEXTURE_LIMITS.max_order + 1)
     correlation = np.cos(2 * math.pi * np.outer(lags, frequency) / rate_hz) @ (power * weights)
-    # Of every order the last coefficient is the reflection, in the convention of hapticd.rendering.filter_design.
+    # The reflection is the last coefficient of each order, in the convention of hapticd.rendering.filter_design.
     stages = [-float(solve_toeplitz(correlation[:m], correlation[1 : m + 1])[-1]) for m in lags[1:]]
     errors = np.cumprod(1 - np.square(stages))
-    count = len(place) * BLOCK_S * rate_hz
+    count = len(place) * TEXTURE_LIMITS.block_s * rate_hz
     criteria = [count * math.log(errors[p - 1]) + 2 * (p + 1) * count / (count - p - 2) for p in lags[1:]]
     reflection = stages[: 1 + int(np.argmin(criteria))]
     model = float(correlation[0]) * power_spectrum((reflection, None), frequency, rate_hz)
@@ -546,7 +574,7 @@ def _model(blocks: _Blocks, place: list[int], rate_hz: float) -> ArModel:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Half a second of a stroke: means of speed and force, RMS and centroid of the acceleration."""
+    """A block of a stroke: means of speed and force, RMS and mean frequency of the acceleration."""
 
     recording: str
     speed_m_per_s: float
@@ -557,25 +585,25 @@ class Block:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextureFit(Fit):
-    """What strokes over one texture say. All intervals are of 95 %."""
+    """Result of a fit of a texture. All intervals are of 95 %."""
 
     peak_hz: Estimate
     peak_resolved: bool
-    """Otherwise the interval begins at 0, and the peak is a guess."""
+    """If false, the interval begins at 0 and the peak is a guess."""
     mean_hz: Estimate
     velocity_gain_per_s: Estimate | None
-    """None, as the next: speed and force do not vary apart from one another, as `warnings` say."""
+    """None, like the force gain, if speed and force do not vary independently; then there is a warning."""
     force_gain_m_per_s2_per_n: Estimate | None
     correlation: float
     mean_per_speed_hz_s_per_m: Estimate | None
     mean_per_force_hz_per_n: Estimate | None
     ar_rate_hz: float | None
     ar_models: tuple[ArModel, ...]
-    """Empty unless they were asked for."""
+    """Empty unless they were requested."""
     blocks: tuple[Block, ...]
 
     def material(self) -> dict[str, object]:
-        """The keys of a material: its texture. Stiffness is not measured by strokes."""
+        """Return the keys of a material: its texture. Strokes do not measure the stiffness."""
         if self.ar_models:
             names = ("speed_m_per_s", "force_n", "coefficients", "rms_m_per_s2")
             models = [fields_of(model, *names) for model in self.ar_models]
@@ -596,9 +624,10 @@ class TextureFit(Fit):
 def fit_texture(
     recordings: Sequence[Recording], autoregressive: bool = False, excluded: Exclusions | None = None
 ) -> TextureFit:
-    """Of strokes at several speeds and forces. FitError where they do not say it.
+    """Fit a texture to strokes at several speeds and forces.
 
-    Recordings, and stretches of them, that cannot be used are reported in `excluded`.
+    Recordings, and sections of them, that cannot be used are added to `excluded`. Raises FitError if the recordings do
+    not support a fit.
     """
     excluded = Exclusions() if excluded is None else excluded
     preparation.refuse_duplicates(recordings)
@@ -606,52 +635,57 @@ def fit_texture(
     if not rates:
         raise FitError("no recordings")
     usual_hz = max(rates, key=rates.count)
-    stretches = preparation.stretches_of(recordings, BLOCK_S, excluded)
+    sections = preparation.sections_of(recordings, TEXTURE_LIMITS.block_s, excluded)
     while True:
         try:
-            return _fitted(stretches, usual_hz, autoregressive, excluded)
+            return _fitted(sections, usual_hz, autoregressive, excluded)
         except _TwoTextures as two:
             excluded.add(two.name, str(two))
             gone = {each.recording for each in excluded.items}
-            stretches = [recording for recording in stretches if recording.name not in gone]
+            sections = [recording for recording in sections if recording.name not in gone]
 
 
-def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
-    """Of stretches of strokes. _TwoTextures where one of them is of more than one."""
-    doubts = Doubts()
-    blocks = _Blocks.of(_cut(stretches, rate_hz, excluded, doubts), excluded)
+def _fitted(sections: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
+    """Fit these sections of strokes; raise _TwoTextures if one of them has more than one texture."""
+    warnings = Warnings()
+    blocks = _Blocks.of(_cut(sections, rate_hz, excluded, warnings), excluded)
     recordings = [each.recording for each in blocks.strokes]
-    preparation.report_gravity(recordings, doubts)
-    report_lines(blocks.strokes, lambda each, needed: spectral_lines(each.acceleration, rate_hz, needed), doubts)
-    preparation.check_force_varies(recordings, blocks.force, doubts)
-    law, (velocity_gain, force_gain), correlation = _loudness(blocks, autoregressive, doubts)
-    # Not by each block's own power, which goes with its peak.
+    preparation.report_gravity(recordings, warnings)
+    report_lines(blocks.strokes, lambda each, needed: spectral_lines(each.acceleration, rate_hz, needed), warnings)
+    preparation.check_force_varies(recordings, blocks.force, warnings)
+    law, (velocity_gain, force_gain), correlation = _loudness(blocks, autoregressive, warnings)
+    # Divided by the law, not by each block's power, which is correlated with its peak.
     shape = blocks.density / (law**2)[:, None]
     centroid = np.array([blocks.centroid(each) for each in shape])
     peak = peak_of(blocks.frequency, shape, blocks.stroke)
     mean = jackknifed(blocks.centroid, shape, blocks.stroke)
-    if rate_hz < preparation.LEAST_RATE * mean.value:
+    if rate_hz < PREPARATION_LIMITS.min_samples_per_cycle * mean.value:
         raise FitError(f"the mean frequency is {mean.value:.4g} Hz, sampled at {rate_hz:g} Hz: the rate is too low")
     for place, recording in enumerate(recordings):
         here = blocks.stroke == place
         _refuse_two(recording.name, np.log(np.maximum(centroid[here], 1.0)), np.log(blocks.rms[here] / law[here]))
-    # So seldom by chance that a good fit is not called fair for it.
-    by_speed, by_force = preparation.moved_with(
-        blocks.speed, blocks.force, centroid, "mean frequency", 0.05, 0.99, doubts
+    by_speed, by_force = preparation.changes_with(
+        blocks.speed,
+        blocks.force,
+        centroid,
+        "mean frequency",
+        TEXTURE_LIMITS.min_frequency_change,
+        TEXTURE_LIMITS.change_confidence,
+        warnings,
     )
     ar_rate: float | None = None
     models: tuple[ArModel, ...] = ()
     if autoregressive:
         ar_rate = _model_rate(blocks.frequency, shape.mean(axis=0), rate_hz)
         models = _models_of(blocks, ar_rate)
-    _doubt_the_peak(peak, autoregressive, doubts)
-    doubts.check_interval("mean frequency", mean)
+    _check_peak(peak, autoregressive, warnings)
+    warnings.check_interval("mean frequency", mean)
     if peak.resolved and not autoregressive:
-        # The spectrum of the material knows peak and mean alone.
+        # The spectrum of the material has two parameters only: peak and mean.
         power = shape.mean(axis=0) / (shape.mean(axis=0).sum() * blocks.frequency[1])
         model = power_spectrum(stochastic_filter(peak.hz.value, mean.value, rate_hz), blocks.frequency, rate_hz)
-        apart = spectral_distance_db(blocks.frequency, model, np.maximum(power, 1e-6 * power.max()))
-        doubts.check("decibels between the spectra", apart)
+        distance_db = spectral_distance_db(blocks.frequency, model, np.maximum(power, 1e-6 * power.max()))
+        warnings.check("decibels between the spectra", distance_db)
     found = f"peak at {peak.hz.value:.4g} Hz" if peak.resolved else f"peak below {peak.hz.high:.3g} Hz"
     names = [recordings[place].name for place in blocks.stroke]
     figures = zip(blocks.speed, blocks.force, blocks.rms, centroid, strict=True)
@@ -667,30 +701,30 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
         ar_rate_hz=ar_rate,
         ar_models=models,
         blocks=tuple(Block(name, *map(float, each)) for name, each in zip(names, figures, strict=True)),
-        warnings=tuple(doubts.warnings),
-        judged=doubts.judged(
-            f"{len(centroid) * BLOCK_S:g} s of noise with its {found} and its mean at {mean.value:.4g} Hz"
-            + (f", {len(models)} autoregressive models" if models else "")
+        warnings=tuple(warnings.lines),
+        judged=warnings.verdict(
+            f"{len(centroid) * TEXTURE_LIMITS.block_s:g} s of noise with its {found} and its mean at "
+            f"{mean.value:.4g} Hz" + (f", {len(models)} autoregressive models" if models else "")
         ),
         left_out=tuple(excluded.items),
     )
 
 
-def _cut(stretches: Sequence[Recording], rate_hz: float, excluded: Exclusions, doubts: Doubts) -> list[StrokeBlocks]:
-    """Every stretch in blocks. FitError where none can be used."""
-    found = excluded.each(stretches, lambda each: _blocks_of(stroke_of(each, "texture"), rate_hz, doubts))
+def _cut(sections: Sequence[Recording], rate_hz: float, excluded: Exclusions, warnings: Warnings) -> list[StrokeBlocks]:
+    """Return each section cut into blocks; raise FitError if none can be used."""
+    found = excluded.each(sections, lambda each: _blocks_of(stroke_of(each, "texture"), rate_hz, warnings))
     if not found:
         raise excluded.refused("none of the recordings can be used")
-    preparation.report_cleaning([each.stroke for each in found], doubts)
-    excluded.report([each.stroke.recording for each in found], doubts)
+    preparation.report_cleaning([each.stroke for each in found], warnings)
+    excluded.report([each.stroke.recording for each in found], warnings)
     dropped = sum(each.lost for each in found)
     lost = dropped / (dropped + sum(len(each.density) for each in found))
-    doubts.check("part left out", lost, left=f"{100 * lost:.0f} % of the strokes are left out")
+    warnings.check("part left out", lost, left=f"{100 * lost:.0f} % of the strokes are left out")
     return found
 
 
 class _TwoTextures(FitError):
-    """A recording is of more than one texture, or of none."""
+    """A recording has more than one texture, or is not of a texture."""
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(f"{name}: {reason}")
@@ -698,35 +732,40 @@ class _TwoTextures(FitError):
 
 
 def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
-    """_TwoTextures where a recording changes its pitch or loudness at once, by much."""
+    """Raise _TwoTextures if the logarithm of mean frequency or loudness of a recording scatters or jumps too much."""
     count = len(pitch)
-    if count > 3 and float(np.std(pitch)) > 0.3:
+    if count > 3 and float(np.std(pitch)) > TEXTURE_LIMITS.max_pitch_scatter:
         raise _TwoTextures(
             name,
-            f"two textures in one file, or none: the mean frequency goes from {math.exp(pitch.min()):.3g} to "
-            f"{math.exp(pitch.max()):.3g} Hz within it",
+            f"two textures in one file, or none: the mean frequency is between {math.exp(pitch.min()):.3g} and "
+            f"{math.exp(pitch.max()):.3g} Hz in it",
         )
     for k in range(3, count - 2):
-        # Steps in the logarithms that are two textures, where they are six standard errors.
-        for values, apart, what in ((pitch, 0.15, "mean frequency"), (loudness, 0.4, "loudness")):
+        for values, least, what in (
+            (pitch, TEXTURE_LIMITS.min_pitch_step, "mean frequency"),
+            (loudness, TEXTURE_LIMITS.min_loudness_step, "loudness"),
+        ):
             one, other = values[:k], values[k:]
             step = float(other.mean() - one.mean())
             within = math.sqrt((k * float(np.var(one)) + (count - k) * float(np.var(other))) / (count - 2))
-            if abs(step) > apart and abs(step) > 6.0 * within * math.sqrt(1 / k + 1 / (count - k)):
+            if abs(step) > least and abs(step) > TEXTURE_LIMITS.step_to_error * within * math.sqrt(
+                1 / k + 1 / (count - k)
+            ):
                 raise _TwoTextures(
                     name,
                     f"two textures in one file: the {what} changes {math.exp(step):.2f}-fold at about "
-                    f"{k * BLOCK_S:g} s; give each its own file",
+                    f"{k * TEXTURE_LIMITS.block_s:g} s; record each in a separate file",
                 )
 
 
-def _doubt_the_peak(peak: Peak, autoregressive: bool, doubts: Doubts) -> None:
-    """Whether there is one; autoregressive models have the spectrum as it is."""
+def _check_peak(peak: Peak, autoregressive: bool, warnings: Warnings) -> None:
+    """Add a reason if the peak is not resolved or uncertain; autoregressive models need no peak."""
     if not peak.resolved:
-        tell = doubts.warn if autoregressive else doubts.doubt
-        tell(
-            f"the peak is not resolved: the spectrum is broad, or highest below {LOW_HZ:g} Hz; it lies between 0 and "
+        add = warnings.note if autoregressive else warnings.add_fair
+        add(
+            f"the peak is not resolved: the spectrum is broad, or highest below {TEXTURE_LIMITS.min_frequency_hz:g} "
+            "Hz; it lies between 0 and "
             f"{peak.hz.high:.3g} Hz, and {peak.hz.value:.3g} Hz is a guess (--ar needs no peak)"
         )
     elif not autoregressive:
-        doubts.check_interval("peak frequency", peak.hz)
+        warnings.check_interval("peak frequency", peak.hz)

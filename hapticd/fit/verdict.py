@@ -1,8 +1,8 @@
-"""The verdict on a fit: what is left out and why, and good, fair or poor, with the reasons.
+"""Verdict on a fit (good, fair or poor, with reasons), and the recordings and events that were left out.
 
-A fit collects its doubts in `Doubts`. Without one it is good; with one it is fair, and poor where a doubt says that
-the figures should not be used. AT_LEAST and AT_MOST have every threshold that a single value decides, of all kinds of
-fits, with its reason; docs/fit.md has the same table, and a test compares them.
+A fit collects warnings and reasons in `Warnings`. Without a reason it is good. With a reason it is fair, or poor if
+the figures should not be used. LOWER_LIMITS and UPPER_LIMITS hold the limits of all values that alone decide this.
+docs/fit.md lists them; `make docs-tables` writes its figures.
 """
 
 from __future__ import annotations
@@ -19,74 +19,77 @@ from hapticd.fit.recording import Recording
 _T = TypeVar("_T")
 Quality: TypeAlias = Literal["good", "fair", "poor"]
 WHOLE_RECORDING: Final = "recording"
+"""Value of Exclusion.what for a complete recording."""
 ONE_PART: Final = "part"
+"""Value of Exclusion.what for a part of a recording."""
 
 
 class Rule(NamedTuple):
-    """Beyond `fair` a fit is fair, beyond `poor` it is poor.
+    """Limits of a value: beyond `fair` a fit is fair, beyond `poor` it is poor.
 
-    The texts have the `value`, how much it is in `percent`, and whatever else `Doubts.check` is given."""
+    `reason` and `more` are format strings. Their fields are `value`, `percent` and the arguments of `Warnings.check`.
+    """
 
     fair: float
     poor: float
     reason: str
     more: str = ""
-    """Of the warning, which there is besides the reason unless this is empty."""
+    """Second half of the warning. If it is empty, the reason is not a warning."""
 
 
-AT_LEAST: Final[Mapping[str, Rule]] = {
+LOWER_LIMITS: Final[Mapping[str, Rule]] = {
     "correlation of the law": Rule(
         0.7,
         0.5,
         "speed and force explain the {what} poorly: correlation {value:.2f}",
-        "the gains in the material say little",
+        "the gains of the material are unreliable",
     ),
     "variance that grooves explain": Rule(
-        0.8, 0.6, "one mode accounts for {percent:.0f} % of the variance", "grooves ring with more"
+        0.8, 0.6, "one mode explains {percent:.0f} % of the variance", "the grooves may have more modes"
     ),
     "variance that a rupture's mode explains": Rule(
-        0.9, 0.8, "one mode explains {percent:.0f} % of the ringing", "membranes ring with more"
+        0.9, 0.8, "one mode explains {percent:.0f} % of the ringing", "the membrane may have more modes"
     ),
     "variance that a waveform explains": Rule(
         0.95, 0.8, "a waveform explains {percent:.1f} % of a tap", "the taps differ in shape"
     ),
-    "r^2 of the law of taps": Rule(0.9, 0.9, "the speed says little of the amplitude (r^2 {value:.2f})"),
+    "r^2 of the law of taps": Rule(0.9, 0.9, "the speed explains the amplitude poorly (r^2 {value:.2f})"),
     "cycles from strike to strike": Rule(
         2.5,
         1.0,
-        "{name}: strikes follow within {value:.1f} cycles: their mode is hard to tell",
+        "{name}: strikes follow within {value:.1f} cycles: their mode is hard to determine",
         "stroke more slowly",
     ),
     "samples in a cycle": Rule(
         8.0,
         2.05,
-        "{rate_hz:g} Hz are {value:.1f} samples in a cycle of {hz:.4g} Hz: amplitude and decay are less certain than "
-        "their intervals say, and a filter of the sensor may have lowered them",
+        "{rate_hz:g} Hz are {value:.1f} samples in a cycle of {hz:.4g} Hz: the errors of amplitude and decay are "
+        "larger than their intervals, and a filter of the sensor may have lowered both",
         "record at a higher rate",
     ),
     "samples in a period of a waveform": Rule(
         4.0,
         4.0,
-        "{value:.1f} samples of the recordings are a period of its middle frequency",
+        "the recordings have {value:.1f} samples in a period of its middle frequency",
         "the waveform is not resolved: record faster",
     ),
     "punctures": Rule(3.0, 2.0, "{value:.0f} punctures are few", "ten are better"),
 }
-"""What is less than these is a doubt."""
-AT_MOST: Final[Mapping[str, Rule]] = {
+"""Rules by the name of the value: a smaller value is a reason against the fit."""
+UPPER_LIMITS: Final[Mapping[str, Rule]] = {
     "half of a figure's interval": Rule(0.25, 0.5, "the {what} is uncertain: {within}"),
     "part of the loudness that is uncertain": Rule(
         0.25, 0.5, "the {what} gain is uncertain: {gain.low:.3g} to {gain.high:.3g}"
     ),
     "distance from the law": Rule(
-        0.3, 0.6, "loudness is off the law by {percent:.0f} %", "it depends on more than speed and force"
+        0.3, 0.6, "loudness deviates from the law by {percent:.0f} %", "it depends on more than speed and force"
     ),
     "part left out": Rule(0.1, 0.3, "{left}"),
     "offset": Rule(
         0.1,
         0.5,
         "amplitudes have an offset of {offset.value:.3g} m/s^2 ({offset.low:.3g} to {offset.high:.3g})",
-        "the two gains do not have it",
+        "the two gains do not describe it",
     ),
     "scatter of the frequency": Rule(
         0.05, 0.1, "the frequency scatters by {percent:.0f} % between {events}", "is it one {one}?"
@@ -94,93 +97,100 @@ AT_MOST: Final[Mapping[str, Rule]] = {
     "decibels between the spectra": Rule(
         3.0,
         10.0,
-        "noise with this peak and mean has another spectrum than the recorded one, {value:.1f} dB apart",
-        "--ar takes the spectrum as it is",
+        "noise with this peak and mean has another spectrum, {value:.1f} dB from the recorded one",
+        "--ar uses the recorded spectrum",
     ),
 }
-"""What is more than these is a doubt; all are parts of 1, but for the decibels."""
+"""Rules by the name of the value: a larger value is a reason against the fit. All but the decibels are fractions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a fit is worth. As text: `fair: what was found, but this; and that`."""
+    """Quality of a fit with its reasons. As text: `fair: SUMMARY, but REASON; REASON`."""
 
     quality: Quality
     summary: str
     reasons: tuple[str, ...] = ()
-    """Why it is not good."""
+    """Reasons why the fit is not good."""
 
     def __str__(self) -> str:
         return f"{self.quality}: {self.summary}" + (f", but {'; '.join(self.reasons)}" if self.reasons else "")
 
 
 @dataclass(slots=True)
-class Doubts:
-    """What keeps a fit from being good."""
+class Warnings:
+    """Warnings of a fit, and the reasons why it is not good."""
 
-    warnings: list[str] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+    """All warnings, one line each."""
     reasons: list[str] = field(default_factory=list)
     cases: Counter[str] = field(default_factory=Counter)
-    """How many recordings have what."""
+    """Reasons that concern single recordings, with the number of recordings."""
     poor: bool = False
 
     def add(self, poor: bool, reason: str, more: str = "") -> None:
-        """A reason, unless it is empty; with `more` it is also among the warnings."""
+        """Add a reason unless it is empty; with `more` add `reason; more` as a warning, too."""
         if not reason:
             return
         self.poor |= poor
         self.reasons.append(reason)
         if more:
-            self.warnings.append(f"{reason}; {more}")
+            self.lines.append(f"{reason}; {more}")
 
-    def doubt(self, line: str) -> None:
-        """A reason that is a warning as it stands."""
+    def add_fair(self, line: str) -> None:
+        """Add a warning that is also a reason and makes the fit fair."""
         self.add(False, line)
-        self.warnings.append(line)
+        self.lines.append(line)
 
-    def doubt_recording(self, what: str, line: str) -> None:
-        """A warning about one recording; all that have the same are one reason."""
+    def add_for_recording(self, what: str, line: str) -> None:
+        """Add a warning about one recording; recordings with the same `what` count as one reason."""
         self.cases[what] += 1
-        self.warnings.append(line)
+        self.lines.append(line)
 
-    def warn(self, line: str) -> None:
-        """A warning that is no reason: the fit is as good with it."""
-        self.warnings.append(line)
+    def note(self, line: str) -> None:
+        """Add a warning that does not change the verdict."""
+        self.lines.append(line)
 
-    def merge(self, other: Doubts) -> None:
-        """Those of one recording, which is used."""
-        self.warnings += other.warnings
+    def merge(self, other: Warnings) -> None:
+        """Add all warnings and reasons of `other`."""
+        self.lines += other.lines
         self.reasons += other.reasons
         self.poor |= other.poor
         self.cases += other.cases
 
-    def check(self, rule: str, value: float, **said: object) -> None:
-        """A reason where the value is beyond the rule's of AT_LEAST or AT_MOST. A value that is no number is poor."""
-        sign, bound = (1.0, AT_LEAST[rule]) if rule in AT_LEAST else (-1.0, AT_MOST[rule])
+    def check(self, rule: str, value: float, **context: object) -> None:
+        """Add a reason if the value is beyond its rule in LOWER_LIMITS or UPPER_LIMITS; NaN is poor.
+
+        `context` holds further fields of the rule's texts.
+        """
+        sign, bound = (1.0, LOWER_LIMITS[rule]) if rule in LOWER_LIMITS else (-1.0, UPPER_LIMITS[rule])
         if sign * value >= sign * bound.fair:
             return
-        said |= {"value": value, "percent": 100 * value}
+        context |= {"value": value, "percent": 100 * value}
         poor = not sign * value >= sign * bound.poor
-        self.add(poor, bound.reason.format_map(said), bound.more.format_map(said))
+        self.add(poor, bound.reason.format_map(context), bound.more.format_map(context))
 
     def check_interval(self, what: str, figure: Estimate) -> None:
-        """A reason where half of the figure's interval is too large a part of the figure."""
+        """Add a reason if half of the figure's interval is too large a fraction of the figure."""
         half = max(figure.high - figure.value, figure.value - figure.low)
         part = half / abs(figure.value) if figure.value else math.inf
         within = f"{100 * part:.0f} %" if part < 10 else f"{figure.low:.3g} to {figure.high:.3g}"
         self.check("half of a figure's interval", part, what=what, within=within)
 
     def check_gain(self, what: str, gain: Estimate, usual: float, loudness: float) -> None:
-        """A reason where the gain of a law may be 0, or half of its interval, at the usual speed or force, is too large
-        a part of the usual loudness."""
+        """Add a reason if the gain of a law may be 0 or is uncertain.
+
+        It is uncertain if half of its interval, times the `usual` speed or force, is too large a fraction of the usual
+        loudness.
+        """
         if gain.low <= 0:
-            self.doubt(f"the {what} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
+            self.add_fair(f"the {what} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
             return
         half = max(gain.high - gain.value, gain.value - gain.low)
         self.check("part of the loudness that is uncertain", half * usual / loudness, what=what, gain=gain)
 
-    def judged(self, summary: str, good: str = "") -> Verdict:
-        """The verdict; of a good fit the summary has `good` besides."""
+    def verdict(self, summary: str, good: str = "") -> Verdict:
+        """Return the verdict; `good` is appended to the summary of a good fit."""
         cases = [f"{what} (in {count} recordings)" if count > 1 else what for what, count in self.cases.items()]
         reasons = (*self.reasons, *cases)
         if not reasons:
@@ -193,14 +203,14 @@ class Doubts:
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """A recording, a part of one, or one event of it, that was not used."""
+    """A recording, a part of a recording or an event that was not used."""
 
     recording: str
     reason: str
     what: str = WHOLE_RECORDING
-    """WHOLE_RECORDING, ONE_PART of it, or the event: `tap`."""
+    """WHOLE_RECORDING, ONE_PART, or the kind of the event: `tap`."""
     time_s: float | None = None
-    """Of the event, from the first sample."""
+    """Time of the event after the first sample, in s."""
 
     def __str__(self) -> str:
         if self.what == WHOLE_RECORDING:
@@ -211,40 +221,41 @@ class Exclusion:
 
 
 class StrictError(FitError):
-    """Something would be left out, and nothing may be."""
+    """A recording or an event would be left out, which --strict forbids."""
 
 
 class Exclusions:
-    """Collects what is left out. With `strict` the first one raises StrictError instead."""
+    """Collects recordings and events that are left out; if `strict`, the first one raises StrictError."""
 
     def __init__(self, strict: bool = False) -> None:
         self.items: list[Exclusion] = []
         self.unused: set[str] = set()
-        """Names of recordings all of whose events were left out."""
+        """Names of recordings without a used event."""
         self._strict = strict
 
     def add(self, recording: str, reason: str, what: str = WHOLE_RECORDING, time_s: float | None = None) -> None:
+        """Add an exclusion; raise StrictError if strict."""
         left = Exclusion(recording, reason.removeprefix(f"{recording}: "), what, time_s)
         if self._strict:
-            raise StrictError(f"{left}; --strict refuses that")
+            raise StrictError(f"{left}; --strict refuses exclusions")
         self.items.append(left)
 
     def copy(self) -> Exclusions:
-        """For a fit that may not be taken: what was left out before it, and never strict."""
+        """Return a copy that is not strict, for a fit whose result may be discarded."""
         other = Exclusions()
         other.items, other.unused = list(self.items), set(self.unused)
         return other
 
     def merge(self, other: Exclusions) -> None:
-        """What the fit left out that is taken, after `copy`."""
+        """Add what was added to `other`, a copy of this, since it was copied."""
         for left in other.items[len(self.items) :]:
             self.add(left.recording, left.reason, left.what, left.time_s)
         self.unused |= other.unused
 
     def each(self, recordings: Iterable[Recording], fitted: Callable[[Recording], _T]) -> list[_T]:
-        """What `fitted` makes of every recording; one that it refuses is left out with its reason.
+        """Return `fitted` of each recording; a recording that raises FitError is left out with its reason.
 
-        UnitError goes on: whoever mistakes the unit of one recording mistakes that of all.
+        UnitError and StrictError are raised: a wrong unit in one recording is wrong in all.
         """
         found = []
         for recording in recordings:
@@ -258,34 +269,36 @@ class Exclusions:
 
     @property
     def recordings(self) -> set[str]:
-        """Names of those of which nothing was used."""
+        """Names of the recordings of which nothing was used."""
         return self.unused | {left.recording for left in self.items if left.what == WHOLE_RECORDING}
 
     def refused(self, few: str) -> FitError:
-        """That too little is left: `few` says what, and up to three reasons follow; of a single recording its own
-        alone."""
-        whole = [left for left in self.items if left.what == WHOLE_RECORDING]
-        if len(self.items) == len(whole) == 1:
-            return FitError(f"{whole[0].recording}: {whole[0].reason}")
+        """Return the error that too little is left: the text `few` and up to three reasons.
+
+        If a single recording was left out and nothing else, the error is the reason of that recording.
+        """
+        complete = [left for left in self.items if left.what == WHOLE_RECORDING]
+        if len(self.items) == len(complete) == 1:
+            return FitError(f"{complete[0].recording}: {complete[0].reason}")
         if not self.items:
             return FitError(few)
         more = f"; and {len(self.items) - 3} more" if len(self.items) > 3 else ""
         return FitError(f"{few} ({'; '.join(self.lines()[:3])}{more})")
 
     def lines(self) -> list[str]:
-        """One for each."""
+        """Return a line for each exclusion."""
         return [str(left) for left in self.items]
 
-    def report(self, recordings: Sequence[Recording], doubts: Doubts) -> None:
-        """What is left out, before all other warnings, and a doubt where that is a large part of the recordings."""
-        doubts.warnings[:0] = self.lines()
+    def report(self, recordings: Sequence[Recording], warnings: Warnings) -> None:
+        """Insert the exclusions before all other warnings; add a reason if many recordings are left out."""
+        warnings.lines[:0] = self.lines()
         unused, every = self.recordings, {recording.name for recording in recordings} | self.recordings
         count = max(len(every), len(recordings))
         left = f"{len(unused)} of {count} recordings are left out"
-        doubts.check("part left out", len(unused) / count, left=left)
+        warnings.check("part left out", len(unused) / count, left=left)
 
-    def report_taps(self, used: int, doubts: Doubts) -> None:
-        """A doubt where more taps are left out than are used."""
+    def report_taps(self, used: int, warnings: Warnings) -> None:
+        """Add a reason if more taps are left out than used."""
         taps = sum(each.what == "tap" for each in self.items)
         if taps > used:
-            doubts.add(False, f"{taps} of {taps + used} taps are left out")
+            warnings.add(False, f"{taps} of {taps + used} taps are left out")

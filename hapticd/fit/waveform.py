@@ -1,14 +1,14 @@
-"""Taps that are pulses: the waveform that they have in common, scaled over the approach speed.
+"""Fit of taps that are pulses: their common waveform, scaled over the approach speed.
 
     y_i(t) = a_i s(R (t - t_i)) + c_i, s the curve of hapticd.config.waveform
 
-The samples of s at the rate R are linear least squares for given amplitudes a_i, onsets t_i and offsets c_i; these are
-least squares of each pulse for given s, linear in a_i and c_i, with t_i by search. Both by turns, from onsets at which
-each pulse crosses a part of its peak. s is what the tick plays, so no error of an interpolation is left out. s is 0 at
-both ends, and its largest magnitude is 1 and positive.
+The fit alternates two steps. For given amplitudes a_i, onsets t_i and offsets c_i, the samples of s at the rate R are
+linear least squares. For given s, a_i and c_i are linear least squares of each pulse and t_i is searched. The first
+onsets are those at which each pulse crosses a fraction of its peak. s is interpolated as the servo's tick does, so the
+fit includes the error of the interpolation. s is 0 at both ends, and its largest magnitude is 1 and positive.
 
-What the shape explains is judged on each tap by a shape that was found without that tap. The amplitude, the tap's
-largest acceleration, is then laid over the speed as of a ringing tap.
+The variance that the shape explains of a tap is that of a shape fitted without this tap. The amplitude is the tap's
+largest acceleration; its law over the speed is chosen as for taps that ring.
 """
 
 from __future__ import annotations
@@ -17,78 +17,65 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
-from hapticd.base.core import MAX_WAVEFORM_SAMPLES
 from hapticd.base.yaml_source import Json
 from hapticd.config.waveform import MAX_WAVEFORM_LENGTH_S, Curve
 from hapticd.fit import speed_law
+from hapticd.fit.limits import TAP_LIMITS, WAVEFORM_LIMITS
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.speed_law import Amplitudes
-from hapticd.fit.tap import LEAST_REST, Events, Unusable
-from hapticd.fit.verdict import Doubts, Exclusions
-
-LEAST_PULSES: Final = 3
-LARGE_PART: Final = 0.6
-"""Of the peak."""
-CROSSING_PART: Final = 0.25
-"""Pulses begin to be laid over each other where they cross this part of their peak."""
-FAINT_ENERGY: Final = 5e-4
-"""What of the shape lies before its beginning, and what after its end, has at most this part of its energy."""
-ERROR_OVER_CHANGE: Final = 4 / 3
-"""How far samples are off, over what twice as many change: for errors that fall with the square of their distance."""
-LEAST_SAMPLES: Final = 8
-FADED_PART: Final = 0.2
-"""A shape that does not end is faded out over this part of its length."""
-
+from hapticd.fit.tap import Events, Unusable
+from hapticd.fit.verdict import Exclusions, Warnings
 
 # ---- Onsets: the pulses of recordings --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """The stretch of a recording that holds one contact, and where the contact begins, roughly."""
+    """The section of a recording that contains one contact, and its approximate onset."""
 
     recording: str
     begin_s: float
-    """Of the stretch, on the recording's clock."""
+    """Time of the first sample, on the recording's clock."""
     onset_s: float
-    """After the beginning of the stretch."""
+    """Onset after the first sample."""
     speed_m_per_s: float
     rate_hz: float
     measured: Floats
-    """(n,) in m/s^2."""
+    """(n,) acceleration, m/s^2."""
 
     def until(self, end_s: float) -> Pulse:
-        """Without what comes so long after its beginning."""
+        """Return the pulse up to this time after its first sample."""
         return dataclasses.replace(self, measured=self.measured[: max(2, math.ceil(end_s * self.rate_hz))])
 
     @property
     def noise_m_per_s2(self) -> float:
-        """Before the contact; 0 where fewer than 6 samples tell it."""
+        """Standard deviation before the contact, or 0 if that has fewer than 6 samples."""
         first = math.floor(self.onset_s * self.rate_hz)
         return float(np.std(self.measured[:first])) if first >= 6 else 0.0
 
     @property
     def since_s(self) -> Floats:
-        """Times of the samples after the beginning of the stretch."""
+        """(n,) times of the samples after the first."""
         return np.arange(len(self.measured)) / self.rate_hz
 
     @property
     def rest(self) -> float:
-        """The acceleration before the contact."""
+        """Median of the acceleration before the contact, m/s^2."""
         first = max(1, math.floor(self.onset_s * self.rate_hz))
         return float(np.median(self.measured[:first]))
 
     def crossing_s(self) -> float:
-        """When the pulse, on its way to its first large value, passes CROSSING_PART of its peak; after the beginning of
-        the stretch."""
+        """Return when the pulse rises above the fraction WAVEFORM_LIMITS.crossing of its peak, in s after its start."""
         size = np.abs(self.measured - self.rest)
-        level, peak = CROSSING_PART * float(size.max()), int(np.argmax(size >= LARGE_PART * size.max()))
+        level, peak = (
+            WAVEFORM_LIMITS.crossing * float(size.max()),
+            int(np.argmax(size >= WAVEFORM_LIMITS.large * size.max())),
+        )
         below = np.flatnonzero(size[:peak] < level)
         if not len(below):
             return 0.0
@@ -97,11 +84,11 @@ class Pulse:
         return (before + (level - low) / (high - low)) / self.rate_hz
 
 
-def pulses_of(recordings: Sequence[Recording], warnings: list[str], excluded: Exclusions) -> list[Pulse]:
-    """The taps of recordings, each with the rest before it; what cannot be used is reported in `excluded`."""
+def pulses_of(recordings: Sequence[Recording], lines: list[str], excluded: Exclusions) -> list[Pulse]:
+    """Return the taps of recordings, each with the rest before it; unusable taps are added to `excluded`."""
 
     def pulses_in(recording: Recording) -> list[Pulse]:
-        loud = Events(recording, warnings)
+        loud = Events(recording, lines)
         found = []
         for index, event in enumerate(loud.events):
             try:
@@ -116,10 +103,10 @@ def pulses_of(recordings: Sequence[Recording], warnings: list[str], excluded: Ex
 
 
 def _pulse(loud: Events, index: int) -> Pulse:
-    """With 20 ms of rest before it, where there is so much. Raises Unusable."""
+    """Return an event with up to 20 ms of rest before it; raise Unusable if it cannot be used."""
     first, (before, after) = loud.events[index].first, loud.room(index)
     name, rate_hz = loud.recording.name, loud.recording.rate_hz
-    begin = max(before, first - max(LEAST_REST, round(0.02 * rate_hz)))
+    begin = max(before, first - max(TAP_LIMITS.min_rest_samples, round(0.02 * rate_hz)))
     end = min(after, first + round(MAX_WAVEFORM_LENGTH_S * rate_hz))
     loud.check(begin, end)
     speed = loud.speed(index, first / rate_hz)
@@ -131,22 +118,24 @@ def _pulse(loud: Events, index: int) -> Pulse:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A pulse by the shape."""
+    """Amplitude, offset and onset of a pulse fitted by the shape."""
 
     amplitude: float
     offset: float
     onset_s: float
-    """After the beginning of the stretch."""
+    """Onset after the first sample of the pulse."""
     squares: float
-    """Sum of squares left over."""
+    """Sum of squares of the residual."""
 
     def modelled(self, shape: Curve, pulse: Pulse) -> Floats:
-        """(n,): the pulse by the shape."""
+        """Return the model of the pulse (n,), m/s^2."""
         return np.asarray(self.amplitude * shape.at(pulse.since_s - self.onset_s) + self.offset)
 
     def explained(self, shape: Curve, pulse: Pulse, noise_m_per_s2: float = 0.0) -> float:
-        """Share of the variance about the offset that the shape explains while it lasts; what a noise makes of it is
-        taken off."""
+        """Return the fraction of the variance about the offset that the shape explains while it lasts.
+
+        The variance of noise with this standard deviation is subtracted.
+        """
         since = pulse.since_s - self.onset_s
         here = (since >= 0) & (since <= shape.length_s)
         above = pulse.measured[here] - self.offset
@@ -157,13 +146,13 @@ class Placed:
 
 
 class Equations:
-    """Normal equations of the samples 1 .. count - 2 of a shape, pulse by pulse."""
+    """Normal equations of the samples 1 .. count - 2 of a shape, separately for each pulse."""
 
     def __init__(self, pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int) -> None:
         from scipy.sparse import csr_array
 
         self._own: list[tuple[Floats, Floats]] = []
-        """Of each pulse the gram (count - 2, count - 2) and the right side (count - 2,)."""
+        """For each pulse the matrix (count - 2, count - 2) and the right side (count - 2,)."""
         for pulse, where in zip(pulses, placed, strict=True):
             at = (pulse.since_s - where.onset_s) * rate_hz
             here = (at >= 0) & (at <= count - 1)
@@ -177,19 +166,19 @@ class Equations:
                     x * x * (x - 1),
                 )
             )
-            # Of the sample before and three more; two places at each end are for what is 0 there.
+            # Weights of the sample before and three more; two columns at each end are for the zeros there.
             places = (k[:, None] + np.arange(4)).ravel(), np.arange(0, 4 * len(k) + 1, 4)
             shape = (len(k), count + 2)
             rows = csr_array((where.amplitude * weights.ravel(), *places), shape=shape)[:, 2:-2]
             self._own.append(((rows.T @ rows).toarray(), rows.T @ (pulse.measured[here] - where.offset)))
         self._gram = np.sum([gram for gram, _ in self._own], axis=0)
         self._side = np.sum([side for _, side in self._own], axis=0)
-        # A little of the squares of second differences decides what no pulse sampled.
+        # A small penalty on second differences determines samples that no pulse has measured.
         bends = np.diff(np.eye(count), 2, axis=0)[:, 1:-1]
         self._smooth = 1e-4 * float(np.mean(np.diag(self._gram))) * (bends.T @ bends)
 
     def solved(self, without: int | None = None) -> Floats:
-        """Samples (count,), the first and the last 0; `without` one of the pulses."""
+        """Return the samples (count,), the first and the last 0; pulse number `without` is left out."""
         from scipy.linalg import solve
 
         gram, side = self._gram, self._side
@@ -198,7 +187,7 @@ class Equations:
         return np.pad(solve(gram + self._smooth, side, assume_a="pos", check_finite=False), 1)
 
     def deviations(self, samples: Floats) -> Floats:
-        """(count,): standard errors of the samples, of what differs between pulses (a sandwich of their sums)."""
+        """Return standard errors of the samples (count,) from the differences between pulses (sandwich estimator)."""
         from scipy.linalg import solve
 
         left = np.column_stack([side - gram @ samples[1:-1] for gram, side in self._own])
@@ -208,8 +197,10 @@ class Equations:
 
 
 def _place(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> Placed:
-    """The pulse by this shape, with its onset sought up to `reach_s` from `near_s`: of nine onsets the best, and four
-    times around it, each time over a quarter of the way."""
+    """Return the pulse fitted by this shape, its onset searched up to `reach_s` from `near_s`.
+
+    The best of nine onsets is taken four times; each time the range is a quarter of the one before.
+    """
     best: Placed | None = None
     middle_s = near_s
     for _ in range(4):
@@ -236,7 +227,7 @@ def _place(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> Placed:
 
 
 def _upright(samples: Floats, rate_hz: float) -> tuple[Floats, Curve]:
-    """The samples with a largest magnitude of the curve of 1, which is positive, and the curve."""
+    """Return the samples scaled so that the curve's largest magnitude is 1 and positive, and the curve."""
     curve = Curve(samples, rate_hz)
     largest = float(curve.at(curve.peak_time_s))
     scaled = samples / largest if largest else samples
@@ -245,25 +236,25 @@ def _upright(samples: Floats, rate_hz: float) -> tuple[Floats, Curve]:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The waveform of some pulses, and these by it."""
+    """The common waveform of some pulses, and these pulses fitted by it."""
 
     pulses: tuple[Pulse, ...]
     placed: tuple[Placed, ...]
     rate_hz: float
-    """Of the samples."""
+    """Rate of the samples."""
     samples: Floats
     """(count,)."""
 
     @classmethod
     def of(cls, pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int, turns: int = 6) -> Shape:
-        """With so many samples at this rate; begun from where the pulses are `placed`."""
+        """Return the shape with `count` samples at this rate, starting from the fitted pulses `placed`."""
         found = list(placed)
         reach_s = 2.0 / rate_hz
         for turn in range(turns + 1):
             samples, curve = _upright(Equations(pulses, found, rate_hz, count).solved(), rate_hz)
             found = [_place(curve, pulse, where.onset_s, reach_s) for pulse, where in zip(pulses, found, strict=True)]
             if turn < turns:
-                # The shape may slide along its samples together with all onsets.
+                # The shape may shift along its samples together with all onsets: this is undone.
                 slid = float(np.median([new.onset_s for new in found]) - np.median([old.onset_s for old in placed]))
                 found = [dataclasses.replace(each, onset_s=each.onset_s - slid) for each in found]
                 reach_s = max(reach_s / 2, 0.25 / rate_hz)
@@ -271,14 +262,19 @@ class Shape:
 
     @property
     def curve(self) -> Curve:
+        """The waveform as a curve."""
         return Curve(self.samples, self.rate_hz)
 
     @property
     def equations(self) -> Equations:
+        """The normal equations of the samples."""
         return Equations(self.pulses, self.placed, self.rate_hz, len(self.samples))
 
     def explained(self) -> tuple[Floats, Floats]:
-        """(n,) and (n,): what the shape of the others explains of each pulse; and with the noise taken off."""
+        """Return (n,) and (n,): the variance of each pulse that the shape of the others explains.
+
+        The second array is without the variance of the noise.
+        """
         equations = self.equations
         shares = []
         for index, (pulse, where) in enumerate(zip(self.pulses, self.placed, strict=True)):
@@ -289,53 +285,56 @@ class Shape:
         return explains[:, 0], explains[:, 1]
 
     def trimmed(self, rest: int) -> tuple[Shape, bool]:
-        """From where the shape begins to where it is over, at the rate of the recordings where that leaves room; and
-        whether it is faded out. Its first `rest` samples are before the contact.
+        """Return the shape from its beginning to its end, and whether it is faded out.
 
-        It begins at the last sample before its rise that is within three standard errors of the rest, and ends where no
-        more stands out of twice the standard errors than FAINT_ENERGY.
+        The first `rest` samples are before the contact. The shape begins at the last sample before its rise that is
+        within three standard errors of the rest. It ends where the energy of later samples, less that of twice their
+        standard errors, is below WAVEFORM_LIMITS.max_faint_energy. Its rate is that of the recordings, unless that
+        gives too many samples.
         """
         samples, rate_hz, equations = self.samples, self.rate_hz, self.equations
         quiet = samples[1 : 1 + rest]
         level, scatter = (float(np.median(quiet)), float(np.std(quiet, ddof=1))) if len(quiet) >= 3 else (0.0, 0.0)
-        # Hum and noise are in the rest, too, and their squares add up to energy.
+        # The energy of hum and noise is subtracted; it is measured at rest and between the pulses.
         noise = np.hypot(equations.deviations(equations.solved()), scatter)
         energy = samples**2 - noise**2
         total = float(energy.sum())
         if not total > 0:
-            raise FitError("the taps have no shape in common that stands out of what differs between them")
-        ahead = np.flatnonzero(np.cumsum(energy) <= FAINT_ENERGY * total)
-        rise = int(np.argmax(np.abs(samples) >= LARGE_PART * np.abs(samples).max()))
+            raise FitError("the taps have no common waveform that is larger than their differences")
+        ahead = np.flatnonzero(np.cumsum(energy) <= WAVEFORM_LIMITS.max_faint_energy * total)
+        rise = int(np.argmax(np.abs(samples) >= WAVEFORM_LIMITS.large * np.abs(samples).max()))
         at_rest = np.flatnonzero(np.abs(samples - level)[:rise] <= 3.0 * noise[:rise])
         begin = max(int(steps[-1]) if len(steps) else 0 for steps in (ahead, at_rest))
         left, end = 0.0, len(samples) - 1
         while end > rise:
             left = max(0.0, left + samples[end] ** 2 - (2.0 * noise[end]) ** 2)
-            if left > FAINT_ENERGY * total:
+            if left > WAVEFORM_LIMITS.max_faint_energy * total:
                 break
             end -= 1
         end = min(len(samples) - 1, end + 1)
-        faded = end == len(samples) - 1 and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > 0.05
+        faded = (
+            end == len(samples) - 1
+            and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > WAVEFORM_LIMITS.max_end
+        )
         length_s = (end - begin) / rate_hz
-        finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MAX_WAVEFORM_SAMPLES - 1) / max(length_s, 1e-9))
-        count = max(LEAST_SAMPLES, math.floor(length_s * finer_hz + 1e-9) + 1)
+        finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MOST_SAMPLES - 1) / max(length_s, 1e-9))
+        count = max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * finer_hz + 1e-9) + 1)
         moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in self.placed]
-        # A pulse is evaluated for 1.3 times its length.
+        # A pulse is fitted up to 1.3 times its length.
         pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(self.pulses, moved, strict=True)]
         found = Shape.of(pulses, moved, finer_hz, count, turns=4)
         if faded:
-            over = max(2, round(FADED_PART * count))
+            over = max(2, round(WAVEFORM_LIMITS.fade * count))
             found.samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
             found.samples[-1] = 0.0
         return found, faded
 
     def coarser(self) -> Shape:
-        """The same with as few samples as do: the rate is halved as long as the shape explains a ten-thousandth less at
-        most."""
-        least, shape = float(np.median(self.explained()[1])) - 1e-4, self
+        """Return the shape with fewer samples: its rate is halved while it explains at most 1e-4 less variance."""
+        least, shape = float(np.median(self.explained()[1])) - WAVEFORM_LIMITS.max_coarse_loss, self
         while True:
             count = math.ceil((len(shape.samples) - 1) / 2) + 1
-            if count < LEAST_SAMPLES or shape.rate_hz < 200:
+            if count < WAVEFORM_LIMITS.min_samples or shape.rate_hz < 200:
                 return shape
             tried = Shape.of(self.pulses, shape.placed, shape.rate_hz / 2, count, turns=2)
             if float(np.median(tried.explained()[1])) < least:
@@ -344,19 +343,21 @@ class Shape:
 
 
 def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
-    """The waveform of pulses, 3 or more, and whether it is faded out. Raises FitError where they have nothing in
-    common."""
+    """Return the waveform of 3 or more pulses, and whether it is faded out.
+
+    Raises FitError if the pulses have no common waveform.
+    """
     rate_hz = min(pulse.rate_hz for pulse in pulses)
     crossings = [pulse.crossing_s() for pulse in pulses]
     peaks = [np.argmax(np.abs(pulse.measured - pulse.rest)) / pulse.rate_hz for pulse in pulses]
     rise_s = float(np.median(np.subtract(peaks, crossings)))
-    # How long before the crossing the shape may begin, and how long it may be.
+    # Time before the crossing at which the shape may begin, and its greatest length.
     before_s = min(2.0 * max(rise_s, 0.0) + 3.0 / rate_hz, max(1.0 / rate_hz, float(np.median(crossings))))
     ends = [len(pulse.measured) / pulse.rate_hz for pulse in pulses]
     length_s = min(MAX_WAVEFORM_LENGTH_S, before_s + float(np.median(np.subtract(ends, crossings))))
-    rate_hz = min(rate_hz, (MAX_WAVEFORM_SAMPLES - 1) / length_s)
-    # The rise from the crossing to the peak takes longer than the one from the contact to the crossing; and a sample
-    # before the first loud one of any pulse there is rest.
+    rate_hz = min(rate_hz, (MOST_SAMPLES - 1) / length_s)
+    # At rest are times that are farther before the crossing than the peak is after it, and those until a sample before
+    # the first loud sample of any pulse.
     loud_s = min(before_s + pulse.onset_s - crossing for pulse, crossing in zip(pulses, crossings, strict=True))
     rest_s = max(0.0, before_s - max(rise_s, 1.0 / rate_hz), min(loud_s, before_s) - 1.0 / rate_hz)
     placed = []
@@ -364,7 +365,7 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
         above = pulse.measured - pulse.rest
         peak = float(above[np.argmax(np.abs(above))])
         placed.append(Placed(peak, pulse.rest, crossing - before_s, 0.0))
-    shape = Shape.of(pulses, placed, rate_hz, max(LEAST_SAMPLES, math.floor(length_s * rate_hz) + 1))
+    shape = Shape.of(pulses, placed, rate_hz, max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * rate_hz) + 1))
     found, faded = shape.trimmed(math.floor(rest_s * rate_hz))
     return found.coarser(), faded
 
@@ -373,15 +374,14 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
 
 
 def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
-    """Halves of the 95 % intervals of the samples (count,), and of what all amplitudes have in common, as a part of
-    them.
+    """Return half the 95 % intervals of the samples (count,), and of a common factor of all amplitudes.
 
-    Of what differs between the pulses: found again, with all onsets, without each of them (of more, without each of 16
-    groups). And for want of samples, by what changes with twice as many: of a sample from half a sample before it to
-    half a sample behind (RMS); of the amplitudes theirs and that of the whole curve, as a peak between samples is
-    missed by no less than the curve is.
+    Both have two parts, added as squares. The first is a jackknife over the pulses, or over 16 groups of them, with
+    all onsets fitted again. The second is the change with twice as many samples: for a sample the RMS from half a
+    sample before it to half a sample after it; for the amplitudes their change and that of the complete curve, because
+    the error of a peak between samples is at least that of the curve.
     """
-    count, groups = len(shape.samples), min(len(shape.pulses), 16)
+    count, groups = len(shape.samples), min(len(shape.pulses), WAVEFORM_LIMITS.max_groups)
     samples, sizes = [], []
     for group in range(groups):
         kept = [index for index in range(len(shape.pulses)) if index % groups != group]
@@ -391,30 +391,30 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
         sizes.append(_ratio(found.placed, some))
     finer = Shape.of(shape.pulses, shape.placed, 2 * shape.rate_hz, 2 * count - 1, turns=2)
     between_s = np.arange(2 * count - 1) / (2 * shape.rate_hz)
-    changes = (ERROR_OVER_CHANGE * (finer.samples - shape.curve.at(between_s))) ** 2
-    # That a shape is faded out says nothing of the amplitudes.
-    whole = changes[: math.floor((1 - FADED_PART) * len(changes))] if faded else changes
-    off = ERROR_OVER_CHANGE * (_ratio(finer.placed, shape.placed) - 1.0)
-    # Squares in the mean over five neighbours, fewer near the ends: with few taps some are small by luck.
+    changes = (WAVEFORM_LIMITS.error_to_change * (finer.samples - shape.curve.at(between_s))) ** 2
+    # The faded end does not affect the amplitudes.
+    unfaded = changes[: math.floor((1 - WAVEFORM_LIMITS.fade) * len(changes))] if faded else changes
+    off = WAVEFORM_LIMITS.error_to_change * (_ratio(finer.placed, shape.placed) - 1.0)
+    # Squares are averaged over five neighbours, fewer near the ends: of few taps some are small by chance.
     squares = jackknife_error(np.array(samples))[1:-1] ** 2
     mean = np.convolve(squares, np.ones(5))[2:-2] / np.convolve(np.ones(count - 2), np.ones(5))[2:-2]
     deviations = np.pad(np.sqrt(mean), 1)
     unresolved = np.pad(np.sqrt((changes[1:-3:2] + changes[2:-2:2] + changes[3:-1:2]) / 3), 1)
     wide = student_t(groups - 1)
     of_amplitudes = wide * float(jackknife_error(np.array(sizes)))
-    together = math.hypot(of_amplitudes, math.hypot(off, math.sqrt(float(np.mean(whole)))))
+    together = math.hypot(of_amplitudes, math.hypot(off, math.sqrt(float(np.mean(unfaded)))))
     return np.asarray(np.hypot(wide * deviations, unresolved)), together
 
 
 def _widened(estimate: Estimate, part: float) -> Estimate:
-    """With an error besides that is this part of it."""
+    """Return the estimate with a further error, which is this fraction of its value."""
     value, further = estimate.value, part * estimate.value
     low, high = math.hypot(value - estimate.low, further), math.hypot(estimate.high - value, further)
     return Estimate(value, value - low, value + high)
 
 
 def _ratio(found: Sequence[Placed], before: Sequence[Placed]) -> float:
-    """Of all amplitudes to those before."""
+    """Return the ratio of the amplitudes to those before, by least squares."""
     old = np.array([each.amplitude for each in before])
     return float(old @ np.array([each.amplitude for each in found]) / (old @ old))
 
@@ -424,16 +424,16 @@ def _ratio(found: Sequence[Placed], before: Sequence[Placed]) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PulseHit:
-    """One tap by the waveform, in the stretch of the recording that it was fitted to."""
+    """One tap fitted by the waveform, with the fitted section of the recording."""
 
     recording: str
     onset_s: float
-    """On the recording's clock."""
+    """Onset on the recording's clock."""
     speed_m_per_s: float
     peak_m_per_s2: float
-    """Its largest acceleration, by the waveform."""
+    """Largest acceleration of the fitted waveform."""
     variance_accounted_for: float
-    """By a waveform that was found without this tap."""
+    """Fraction of the variance that a waveform fitted without this tap explains."""
     rate_hz: float = field(repr=False)
     measured: Floats = field(repr=False)
     modelled: Floats = field(repr=False)
@@ -441,34 +441,34 @@ class PulseHit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaveformFit(Fit):
-    """What the taps have in common."""
+    """Result of a fit of taps that are pulses."""
 
     taps: tuple[PulseHit, ...]
     first_peak_slope_per_s: Estimate
-    """The largest acceleration over the speed, of a line through the origin."""
+    """Slope of a line through the origin: largest acceleration over the speed."""
     amplitudes: Amplitudes
-    """Instead of the line, where that does not do: speeds in m/s, rising, and m/s^2. Empty where the line does."""
+    """Table of rising speeds, m/s, and amplitudes, m/s^2. Empty if the law is a line."""
     rate_hz: float
-    """Of the samples."""
+    """Rate of the samples."""
     samples: tuple[float, ...]
-    """Of the curve, whose largest magnitude is 1."""
+    """Samples of the curve, whose largest magnitude is 1."""
     deviations: tuple[float, ...]
     """Half of the 95 % interval of each sample."""
     length_s: float
     samples_a_period: float
-    """Of the recordings, in a period of the frequency below which half of the waveform's energy lies."""
+    """Samples of the recordings in a period of the frequency below which half of the waveform's energy lies."""
     r_squared: float
-    """Of A(v) through the origin."""
+    """r^2 of A(v) as a line through the origin."""
     variance_accounted_for: float
-    """Median over the taps, each by a waveform that was found without it."""
+    """Median over the taps, each explained by a waveform that was fitted without it."""
 
     @property
     def curve(self) -> Curve:
-        """The waveform."""
+        """The waveform as a curve."""
         return Curve(self.samples, self.rate_hz)
 
     def material(self) -> dict[str, Json]:
-        """Keys of a YAML material."""
+        """Return the keys of a YAML material."""
         tap: dict[str, Json] = {"attack": "first_peak"}
         if self.amplitudes:
             tap["amplitudes"] = [[speed, amplitude.value] for speed, amplitude in self.amplitudes]
@@ -478,7 +478,7 @@ class WaveformFit(Fit):
         return {"tap": tap}
 
     def to_dict(self) -> dict[str, Json]:
-        """As JSON has it, without the stretches."""
+        """Return the fit as plain data for JSON, without recorded samples."""
         figures = Fit.to_dict(self)
         names = {"rate_hz": "rate_hz", "samples": "samples", "deviations": "half_of_the_interval"}
         return {
@@ -489,17 +489,17 @@ class WaveformFit(Fit):
 
 
 def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Exclusions) -> WaveformFit:
-    """The waveform of taps that are pulses; `earlier` are warnings of how the pulses were found. Taps that cannot be
-    used are reported in `excluded`.
+    """Fit the common waveform of taps that are pulses.
 
-    Raises FitError (one line) for too few, for pulses that have nothing in common, and for amplitudes that do not grow
-    with the speed.
+    `earlier` are the warnings of the search for the pulses. Taps that cannot be used are added to `excluded`. Raises
+    FitError (one line) for too few pulses, for pulses without a common waveform, and if the amplitudes do not grow with
+    the speed.
     """
     pulses, shape, faded, explained = _alike(pulses, earlier, excluded)
-    warnings = [*excluded.lines(), *earlier]
+    lines = [*excluded.lines(), *earlier]
     peaks = np.array([each.amplitude for each in shape.placed])
     if float(np.median(peaks)) < 0:
-        warnings.append("the taps push downwards: the acceleration is taken with its sign turned")
+        lines.append("the taps push downwards: the sign of the acceleration is reversed")
         peaks = -peaks
     curve, (halves, of_amplitudes) = shape.curve, _uncertain(shape, faded)
     hits = tuple(
@@ -524,14 +524,14 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     share = float(np.median(explained))
     resolved = min(pulse.rate_hz for pulse in pulses) / curve.middle_hz
     law = speed_law.law_of(speeds, peaks, variances)
-    doubts = Doubts()
-    doubts.check("variance that a waveform explains", share)
+    warnings = Warnings()
+    warnings.check("variance that a waveform explains", share)
     if faded:
-        reason = f"the pulses are not over after {1e3 * curve.length_s:.3g} ms"
-        doubts.add(False, reason, f"the waveform is faded out over its last {100 * FADED_PART:.0f} %")
-    doubts.check("samples in a period of a waveform", resolved)
-    speed_law.doubt_the_law(doubts, law, line.r_squared)
-    excluded.report_taps(len(hits), doubts)
+        reason = f"the pulses have not ended after {1e3 * curve.length_s:.3g} ms"
+        warnings.add(False, reason, f"the waveform is faded out over its last {100 * WAVEFORM_LIMITS.fade:.0f} %")
+    warnings.check("samples in a period of a waveform", resolved)
+    speed_law.check_law(warnings, law, line.r_squared)
+    excluded.report_taps(len(hits), warnings)
     speed_law.check_hardness(slope.value, 2.0 * math.pi * curve.middle_hz, "the angular frequency of the pulses")
     r_squared = line.r_squared if law.kind == "line" else law.r_squared
     points = () if law.kind == "line" else law.points
@@ -546,8 +546,8 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
         samples_a_period=resolved,
         r_squared=line.r_squared,
         variance_accounted_for=share,
-        warnings=tuple(warnings + doubts.warnings),
-        judged=doubts.judged(
+        warnings=tuple(lines + warnings.lines),
+        judged=warnings.verdict(
             f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
             f"A(v) is {law.named} (r^2 {r_squared:.3f})",
         ),
@@ -558,38 +558,42 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
 def _alike(
     pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Exclusions
 ) -> tuple[Sequence[Pulse], Shape, bool, Floats]:
-    """The pulses that have a shape in common, their shape, whether it is faded out, and what it explains of each of
-    them without it; the other pulses are reported in `excluded`."""
-    if len(pulses) < LEAST_PULSES:
+    """Return the pulses that have a common shape, the shape, whether it is faded out, and the variance it explains.
+
+    The variance (n,) of a pulse is that explained by the shape of the others. Other pulses are added to `excluded`.
+    """
+    if len(pulses) < WAVEFORM_LIMITS.min_pulses:
         reasons = [*excluded.lines(), *earlier]
         why = f" ({'; '.join(reasons[:3])})" if reasons else ""
-        raise FitError(f"{len(pulses)} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{why}")
+        raise FitError(
+            f"{len(pulses)} taps are too few: needs {WAVEFORM_LIMITS.min_pulses}, better ten, at different speeds{why}"
+        )
     shape, faded = shape_of(pulses)
-    explained, beside_noise = shape.explained()
+    explained, without_noise = shape.explained()
     usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
     kept = []
-    for pulse, placed, share in zip(pulses, shape.placed, beside_noise, strict=True):
-        if share < 0.5:
+    for pulse, placed, share in zip(pulses, shape.placed, without_noise, strict=True):
+        if share < WAVEFORM_LIMITS.min_explained:
             reason = f"the waveform of the others explains {100 * share:.0f} % of it"
         elif placed.amplitude * usual <= 0:
-            reason = "it pushes the other way"
+            reason = "it pushes with the other sign"
         else:
             kept.append(pulse)
             continue
         excluded.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
     if len(kept) == len(pulses):
         return pulses, shape, faded, explained
-    if len(kept) < max(LEAST_PULSES, len(pulses) / 2):
+    if len(kept) < max(WAVEFORM_LIMITS.min_pulses, len(pulses) / 2):
         raise FitError(
-            f"{len(pulses) - len(kept)} of {len(pulses)} taps have no waveform in common with the others: is it one "
-            "material, tapped alike?"
+            f"{len(pulses) - len(kept)} of {len(pulses)} taps have another waveform than the others: is it one "
+            "material, tapped in the same way?"
         )
     shape, faded = shape_of(kept)
     return kept, shape, faded, shape.explained()[0]
 
 
 def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:
-    """Of the amplitudes, of what is left over."""
+    """Return the variances (n,) of the amplitudes, from the residuals."""
     found = []
     for pulse, placed in zip(pulses, shape.placed, strict=True):
         heard = shape.curve.at(pulse.since_s - placed.onset_s)

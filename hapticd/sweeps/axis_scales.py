@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.drawing import literal, plain_decades
-from hapticd.fit.report import MANY_DECADES, STEPS
+from hapticd.fit.report import LABELS_BY_DECADES, MAX_LABELLED_DECADES
 from hapticd.sweeps.columns import Column, Value
 from hapticd.sweeps.results import Results
 
@@ -94,8 +94,8 @@ class Scale:
             return
         low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
         decades = math.log10(high / low)
-        if decades <= MANY_DECADES:
-            plain_decades(axis, next(steps for most, steps in STEPS if decades <= most))
+        if decades <= MAX_LABELLED_DECADES:
+            plain_decades(axis, next(steps for most, steps in LABELS_BY_DECADES if decades <= most))
         # matplotlib adds ticks beyond the limits, which would stretch the axis.
         (axes.set_xlim if which == "x" else axes.set_ylim)(low, high)
 

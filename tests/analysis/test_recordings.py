@@ -265,7 +265,7 @@ def test_csv_is_read_as_people_write_it(tmp_path: Path, content: bytes) -> None:
 def test_units_in_the_file_are_taken_where_the_yaml_says_none(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["time_s,position_m,force_n", "s,mm,lbf", *lines()]))
-    assert "says that force is in 'lbf', which is none of N, mN, kN: say its unit in " in refused(path)
+    assert "unknown unit of force 'lbf', known: N, mN, kN: name it in " in refused(path)
     Path(f"{path}.yaml").write_text("columns: {time: {column: 1}, position: {column: 2}, force: {column: 3, unit: mN}}")
     found = load(path)
     assert found.position_m == pytest.approx([1e-3 * row[1] for row in ROWS])
@@ -393,7 +393,7 @@ def test_a_rate_that_is_said_twice_is_one(tmp_path: Path) -> None:
     path = tmp_path / "a.wav"
     path.write_bytes(riff(1, 16, bytes(100)))
     Path(f"{path}.yaml").write_text("rate_hz: 2500\ncolumns: {acceleration: {column: 1}}")
-    assert "the file says 5000 Hz, the YAML says 2500 Hz" in refused(path)
+    assert "the rate is 5000 Hz in the file, 2500 Hz in the YAML" in refused(path)
 
 
 # ---- Clocks --------------------------------------------------------------------------------------------------------
@@ -502,7 +502,7 @@ def test_a_yaml_that_cannot_be_read_is_not_none(tmp_path: Path) -> None:
         ("columns: {force: {column: force_n, scale: 0}}", "columns.force.scale: is 0, which leaves nothing"),
         ("columns: {force: {column: 0}}", "has no column '0'; known: time_s, force_n"),
         ("columns: {force: {column: 99999999999999999999}}", "has no column '99999999999999999999'"),
-        ("columns: {time: {column: time_s}}", "names neither acceleration nor force nor position"),
+        ("columns: {time: {column: time_s}}", "has neither acceleration nor force nor position"),
         ("columns: {weight: {column: time_s}}", "should be 'time', 'acceleration', 'force', 'position'"),
     ],
 )

@@ -198,7 +198,7 @@ def test_options_that_exclude_one_another(fits: Fits, capsys: pytest.CaptureFixt
         ("--table", "--attack", "first_peak"),
         ("--two-modes", "--attack", "first_peak"),
     ):
-        assert "do not go together" in said(capsys, 2, "fit", "tap", "a.csv", *options)
+        assert "exclude each other" in said(capsys, 2, "fit", "tap", "a.csv", *options)
     assert "--merge adds to the file of -o" in said(capsys, 2, "fit", "tap", "a.csv", "--merge")
     assert fits.recordings == []
 
@@ -304,7 +304,7 @@ def test_fits_of_several_kinds_make_one_material(fits: Fits, capsys: pytest.Capt
 
 def test_a_file_that_is_no_library_is_not_added_to(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     for text, told in (
-        ("materials: {}\nscene: {}\n", "holds something else than materials"),
+        ("materials: {}\nscene: {}\n", "must have the key materials only"),
         ("a: [", "x.yaml:"),
         (
             "materials: {pine: {stiffness_n_per_m: -1}}\n",
@@ -367,7 +367,7 @@ def test_a_figure_that_no_material_may_have_is_refused(fits: Fits, capsys: pytes
     told = said(capsys, 1, "fit", "tap", "a.csv", "--json")
     assert told == (
         "hapticd: materials.tap.tap.attack_slope_per_s: should be greater than or equal to 0, is -3.0: "
-        "no material has what was found\n"
+        "the fitted value is out of the range of a material\n"
     )
 
 

@@ -77,4 +77,4 @@ def test_amplitudes_that_hardly_follow_the_speed_are_a_law_too() -> None:
 
 def test_few_taps_are_a_line() -> None:
     law = law_of(SPEEDS[:3], 500 * SPEEDS[:3] ** 0.5, np.full(3, 1e-6))
-    assert law.kind == "line" and law.why == "the taps are too few to tell"
+    assert law.kind == "line" and law.why == "too few taps to compare laws"

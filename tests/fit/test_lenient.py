@@ -16,7 +16,7 @@ from hapticd.analysis.statistics import FitError
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.fit.grooves import fit_grooves
-from hapticd.fit.preparation import whole_stretches
+from hapticd.fit.preparation import complete_sections
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.tap import fit_tap
@@ -83,16 +83,16 @@ def fitted(folder: Path, capsys: pytest.CaptureFixture[str], kind: str, files: l
 
 BAD: Final = (
     ("tap", clip, "it is clipped at"),
-    ("tap", silent, "no onset: its largest acceleration is"),
-    ("tap", too_fast, "is sampled at 10000 Hz, which is too low"),
+    ("tap", silent, "no onset: the largest acceleration is"),
+    ("tap", too_fast, "sampling rate of 10000 Hz is too low"),
     ("puncture", clip, "the ringing of the rupture is clipped at"),
-    ("puncture", silent, "the acceleration moves by"),
-    ("puncture", too_fast, "Hz, and is sampled at 10000 Hz, which is too low"),
+    ("puncture", silent, "the acceleration changes by"),
+    ("puncture", too_fast, "Hz, and its sampling rate of 10000 Hz is too low"),
     ("grooves", clip, "clipped at"),
-    ("grooves", silent, "the acceleration moves by"),
-    ("grooves", too_fast, "Hz, and is sampled at 10000 Hz, which is too low"),
+    ("grooves", silent, "the acceleration changes by"),
+    ("grooves", too_fast, "Hz, and its sampling rate of 10000 Hz is too low"),
     ("texture", clip, "clipped at"),
-    ("texture", silent, "the acceleration moves by"),
+    ("texture", silent, "the acceleration changes by"),
     ("texture", too_fast, "left out: "),
 )
 
@@ -109,7 +109,7 @@ def test_a_bad_file_is_left_out_and_the_rest_fitted_as_without_it(
     (line,) = (line for line in lines if "left out" in line)
     assert line.startswith(f"hapticd: {bad}: ") and told in line
     assert beside == alone
-    assert "--strict refuses that" in said(capsys, 1, "fit", kind, bad, *good, "--strict")
+    assert "--strict refuses exclusions" in said(capsys, 1, "fit", kind, bad, *good, "--strict")
 
 
 @pytest.mark.parametrize("kind", [*KINDS[:1], *rest_slow(KINDS[1:], fast=0)])
@@ -124,7 +124,7 @@ def test_a_gap_far_from_what_is_fitted_costs_nothing_else(
     assert ("left out" in lines) == (kind in ("grooves", "texture"))
     if kind in ("grooves", "texture"):
         assert f"{files[-1]}: a part is left out" in lines and "20 samples are missing at" in lines
-        assert "--strict refuses that" in said(capsys, 1, "fit", kind, *files, "--strict")
+        assert "--strict refuses exclusions" in said(capsys, 1, "fit", kind, *files, "--strict")
 
 
 def test_a_gap_in_a_tap_leaves_that_tap_out() -> None:
@@ -170,13 +170,13 @@ def test_a_strong_tap_that_is_no_ringing_is_not_called_weak() -> None:
     """One sample 124 times the noise, where it could not be told how it rings; and a weak one that is weak."""
     good = taps_of([0.1, 0.2, 0.3, 0.15, 0.25], noise=0.1)
     assert good.acceleration_m_per_s2 is not None
-    for height, told in ((12.4, "it stands 12"), (0.9, "")):
+    for height, told in ((12.4, "its peak is 12"), (0.9, "")):
         spoilt = np.array(good.acceleration_m_per_s2)
         spoilt[8000:8400] = 9.8 + 0.1 * np.random.default_rng(3).standard_normal(400)
         spoilt[8200] += height
         reasons = refusals([dataclasses.replace(good, acceleration_m_per_s2=spoilt)])
         assert not any("too weak" in reason for reason in reasons)
-        assert told == "" or any(told in reason and "its shape is no ringing" in reason for reason in reasons)
+        assert told == "" or any(told in reason and "its shape is not a ringing" in reason for reason in reasons)
 
 
 @pytest.mark.parametrize("rest", [2, 3, 5, 7])
@@ -206,7 +206,7 @@ def test_no_rest_is_told_with_what_there_is_and_what_is_wanted() -> None:
     cut = {name: values[30:] for name, values in late.items()}
     good = [of(one_tap(speed, seed), f"t{seed}") for seed, speed in enumerate((0.1, 0.15, 0.2, 0.3))]
     (reason,) = refusals([*good, of(cut, "cut")])
-    assert reason in {f"{count} samples of rest before it, 2 are wanted" for count in (0, 1)}
+    assert reason in {f"{count} samples of rest before it, 2 are needed" for count in (0, 1)}
 
 
 def test_taps_that_are_left_out_weigh_on_the_verdict() -> None:
@@ -219,7 +219,7 @@ def test_taps_that_are_left_out_weigh_on_the_verdict() -> None:
     fit = fit_tap([low])
     assert len(fit.left_out) > len(fit.taps) >= 3
     assert f"{len(fit.left_out)} of 8 taps are left out" in fit.verdict and fit.verdict.startswith("fair")
-    with pytest.raises(FitError, match="--strict refuses that"):
+    with pytest.raises(FitError, match="--strict refuses exclusions"):
         fit_tap([low], excluded=Exclusions(strict=True))
 
 
@@ -252,7 +252,7 @@ def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
         "one", 1e3, seen, np.arange(10_000.0), None, None, 0.1, Source("", ""), gaps=((6000, 6010), (9800, 9900))
     )
     excluded = Exclusions()
-    parts = whole_stretches(recording, 0.5, excluded)
+    parts = complete_sections(recording, 0.5, excluded)
     assert [part.name for part in parts] == ["one from 0 s", "one from 3.004 s", "one from 6.01 s"]
     lengths = [len(part.force_n) for part in parts if part.force_n is not None]
     assert lengths == [3000, 2996, 3790]
@@ -260,13 +260,13 @@ def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
     (told,) = excluded.items
     assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in told.reason
     assert "0.214 of 10 s" in told.reason
-    with pytest.raises(FitError, match=r"0 % of it is whole in stretches of 5 s, 50 % are wanted"):
-        whole_stretches(recording, 5.0, Exclusions())
+    with pytest.raises(FitError, match=r"0 % of it is in complete sections of 5 s, 50 % are needed"):
+        complete_sections(recording, 5.0, Exclusions())
 
 
 @pytest.mark.parametrize("fit", [fit_tap, fit_grooves, fit_texture, fit_puncture])
 def test_the_same_file_twice_is_refused_by_every_fit(fit: object) -> None:
     one = dataclasses.replace(taps_of([0.1, 0.2]), source=Source("a", "ab"), name="a")
     assert callable(fit)
-    with pytest.raises(FitError, match="b: holds the same as a, and would count twice; leave out one"):
+    with pytest.raises(FitError, match="b: duplicate of a, which would count twice; leave out one"):
         fit([one, dataclasses.replace(one, name="b")])

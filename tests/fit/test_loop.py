@@ -11,8 +11,8 @@ from hapticd.analysis.statistics import Floats
 from hapticd.base.yaml_source import load_text
 from hapticd.base.yaml_text import yaml_text
 from hapticd.config.materials import Material, shipped_materials, validate_materials
+from hapticd.fit.limits import SPEED_LAW_LIMITS
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.speed_law import MOST_TABLE_SPEEDS
 from hapticd.fit.tap import TapFit, fit_tap
 from tests.support.fitted import fitted_material
 from tests.support.rig import FLOOR, Rig
@@ -73,7 +73,7 @@ def test_a_table_comes_back() -> None:
     tap = {"amplitudes": points, "frequency_hz": 120.0, "decay_time_s": 0.008}
     truth = validate_materials({"m": {"stiffness_n_per_m": 800.0, "tap": tap}})["m"]
     # As many as a table holds, so that it has a point for each.
-    speeds = np.linspace(0.05, 0.4, MOST_TABLE_SPEEDS)
+    speeds = np.linspace(0.05, 0.4, SPEED_LAW_LIMITS.max_table_speeds)
     recording = rendered(truth, 3, speeds)
     first = fit_tap([recording])
     assert not first.linear

@@ -224,9 +224,9 @@ def test_labels_of_logarithmic_axes_do_not_overlap(low: float, high: float) -> N
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    from hapticd.fit.report import _CELL, _draw
+    from hapticd.fit.report import _CELL_INCHES, _draw
 
-    figure, axes = plt.subplots(figsize=(0.8 * _CELL[0], 0.7 * _CELL[1]))
+    figure, axes = plt.subplots(figsize=(0.8 * _CELL_INCHES[0], 0.7 * _CELL_INCHES[1]))
     hertz = np.linspace(low, high, 50)
     _draw(axes, Panel("spectrum", "Hz", "dB", (Curve("one", hertz, 1 / hertz),), logarithmic=True))
     figure.canvas.draw()

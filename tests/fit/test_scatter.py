@@ -52,7 +52,7 @@ def test_pulses_whose_sizes_do_not_follow_the_speed_are_poor() -> None:
     found = fit_taps(pulses(60 * np.exp(0.6 * MIXED)))
     assert isinstance(found, WaveformFit)
     assert found.judged.quality == "poor"
-    assert "the speed says little of the amplitude" in found.verdict
+    assert "the speed explains the amplitude poorly" in found.verdict
     found = fit_taps(pulses(300 * SPEEDS))
     assert isinstance(found, WaveformFit)
     assert found.judged.quality == "good"

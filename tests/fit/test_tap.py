@@ -447,7 +447,7 @@ def test_a_knock_with_other_modes_than_the_rest_is_left_out_and_told() -> None:
     samples[7 * 2500 : 8 * 2500] = samples_of(strange)[7 * 2500 : 8 * 2500]
     fit = fit_tap([with_samples(usual, samples)])
     assert len(fit.taps) == 11
-    assert "the tap at 0.73" in fit.warnings[0] and "has not the two modes of the others" in fit.warnings[0]
+    assert "the tap at 0.73" in fit.warnings[0] and "does not have the two modes of the others" in fit.warnings[0]
     assert sorted([fit.frequency_hz.value, fit.second.frequency_hz.value if fit.second else 0.0]) == pytest.approx(
         [1100, 2900], rel=0.002
     )
@@ -473,7 +473,7 @@ def test_an_amplitude_that_is_no_line_has_its_own_law(bent: Callable[[Floats], F
     assert fit.verdict.startswith(
         f"good: one mode explains {100 * fit.variance_accounted_for:.1f} % of 16 taps, A(v) is a"
     )
-    assert "no line through the origin: AICc is higher by" in fit.warnings[0]
+    assert "not a line through the origin: AICc is higher by" in fit.warnings[0]
     tap = Tap.model_validate(fit.material()["tap"])
     for speed in np.linspace(0.1, 0.4, 61):
         # Of a table: between its points.
@@ -582,7 +582,7 @@ def test_figures_that_another_shape_has_spoilt_are_not_called_good(
     fit = fit_tap([with_shape(name, shape)])
     assert off(fit.slope_per_s, tap_truth(name)) > 0.2
     assert not fit.verdict.startswith("good: ")
-    assert any("has a shape" in warning for warning in fit.warnings)
+    assert any("have a pattern" in warning for warning in fit.warnings)
 
 
 def tap_truth(name: str) -> float:
@@ -679,7 +679,7 @@ def test_the_second_mode_has_intervals_and_a_table() -> None:
     loaded = Tap.model_validate(figures["tap"])
     assert loaded.second is not None and loaded.amplitudes is not None
     assert loaded.amplitude_m_per_s2(0.25) == pytest.approx(0.25 * tap_truth("delrin"), rel=0.03)
-    with pytest.raises(FitError, match="of coefficients"):
+    with pytest.raises(FitError, match="need attack: coefficient"):
         fit.material("first_peak", two_modes=True)
 
 
@@ -730,12 +730,12 @@ def events(shape: Floats, rate_hz: float = 25_000.0) -> list[Recording]:
 @pytest.mark.parametrize(
     ("shape", "told"),
     [
-        (np.ones(1), "a glitch|its shape is no ringing: it stands 10[0-9] times out of the noise"),
+        (np.ones(1), "a glitch|its shape is not a ringing: its peak is 10[0-9] times the noise"),
         pytest.param(
             np.random.default_rng(7).normal(0, 1, 1000), "a decaying sinusoid explains", marks=pytest.mark.slow
         ),
         pytest.param(np.sin(2 * np.pi * 50 * np.arange(12_500) / 25_000), "does not decay", marks=pytest.mark.slow),
-        (1e6 * np.ones(30), "is none of a stylus|units|off by a thousand"),
+        (1e6 * np.ones(30), "acceleration must be between|units|off by a thousand"),
         pytest.param(np.sin(2 * np.pi * 5 * np.arange(5000) / 25_000), "a hand's motion", marks=pytest.mark.slow),
     ],
     ids=["spikes", "noise", "lasting", "huge", "slow"],
@@ -783,7 +783,7 @@ def test_a_coarse_converter_is_not_taken_for_clipping() -> None:
 
 def test_a_rate_too_low_for_the_frequency_is_refused() -> None:
     recording, _ = made("steel", rate_hz=3600.0, noise_rms=0.005)
-    assert "less than 2.05 times" in refused(recording)
+    assert "at least 2.05 times" in refused(recording)
 
 
 @pytest.mark.long
@@ -797,10 +797,8 @@ def test_units_off_by_a_thousand_are_refused() -> None:
 
 def test_what_is_missing_is_named() -> None:
     recording, _ = made()
-    assert "has no acceleration" in refused(dataclasses.replace(recording, acceleration_m_per_s2=None))
-    assert "has neither speed nor position" in refused(
-        dataclasses.replace(recording, speed_m_per_s=None, position_m=None)
-    )
+    assert "no acceleration" in refused(dataclasses.replace(recording, acceleration_m_per_s2=None))
+    assert "neither speed nor position" in refused(dataclasses.replace(recording, speed_m_per_s=None, position_m=None))
     assert "9 speeds for 10 taps" in refused(dataclasses.replace(recording, speed_m_per_s=SPEEDS[:9]))
     assert "2 taps are too few" in refused(made(speeds=np.array([0.1, 0.3]))[0])
 
@@ -818,13 +816,13 @@ def test_what_only_looks_like_taps_is_refused() -> None:
         dataclasses.replace(recording, speed_m_per_s=None, position_m=noise)
     )
     unknown = dataclasses.replace(recording, speed_m_per_s=np.where(np.arange(10) == 9, 0.002, SPEEDS))
-    assert "says nothing of the amplitude" in refused(unknown)
+    assert "does not rise with the speed" in refused(unknown)
     signs = np.repeat([1.0, 1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0], 2500)
-    assert "4 of 10 taps begin the other way" in refused(
+    assert "4 of 10 taps begin with the other sign" in refused(
         with_samples(recording, signs * (samples_of(recording) - 9.80665))
     )
     twice = dataclasses.replace(recording, source=Source("taps.npz", "ab"))
-    with pytest.raises(FitError, match="holds the same as"):
+    with pytest.raises(FitError, match="duplicate of"):
         fit_tap([twice, twice])
 
 

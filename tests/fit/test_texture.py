@@ -74,7 +74,7 @@ def test_a_frequency_that_moves_with_speed_is_told() -> None:
         for k, (speed, force) in enumerate(PLACES[:4])
     ]
     fit = fit_texture(recordings)
-    assert any("moves with speed" in warning for warning in fit.warnings)
+    assert any("changes with speed" in warning for warning in fit.warnings)
     assert fit.mean_per_speed_hz_s_per_m is not None
     assert fit.mean_per_speed_hz_s_per_m.low > 0
 
@@ -151,7 +151,7 @@ SPOILT: list[tuple[Callable[[Recording], dict[str, object]], str]] = [
     (lambda each: {"force_n": 1e3 * each.force_n}, "in mN"),
     (lambda each: {"force_n": -each.force_n}, "mostly negative"),
     (lambda each: {"force_n": each.acceleration_m_per_s2 - 9.8}, "swapped"),
-    (lambda each: {"tangential_position_m": None}, "needs the position"),
+    (lambda each: {"tangential_position_m": None}, "a stroke needs one of them"),
     (lambda each: {"tangential_position_m": None, "speed_m_per_s": 60.0}, "in mm/s"),
     (lambda each: {"speed_m_per_s": 60.0}, "wrong unit"),
     (lambda each: {"acceleration_m_per_s2": np.clip(each.acceleration_m_per_s2, 0, 12)}, "clipped"),
@@ -161,7 +161,7 @@ SPOILT: list[tuple[Callable[[Recording], dict[str, object]], str]] = [
             "speed_m_per_s": 0.05,
             "force_n": each.force_n / each.force_n.mean(),
         },
-        "told apart",
+        "be separated",
     ),
     (lambda each: {"acceleration_m_per_s2": 1e3 * each.acceleration_m_per_s2}, "unit"),
     (lambda each: {"acceleration_m_per_s2": 1e-3 * each.acceleration_m_per_s2}, "unit"),
@@ -183,13 +183,13 @@ def noises() -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]]:
     random, time = np.random.default_rng(1), np.arange(40_000) / 10_000
     white = random.standard_normal(len(time))
     return {
-        "hiss": white,
+        "the sensor's noise": white,
         "tone": 5 * np.sin(2 * np.pi * 200 * time) + 0.02 * white,
-        "moves": np.cumsum(random.standard_normal(len(time))) * 0.02,
+        "motion of a hand": np.cumsum(random.standard_normal(len(time))) * 0.02,
     }
 
 
-@pytest.mark.parametrize("what", ["hiss", "tone", "moves"])
+@pytest.mark.parametrize("what", ["the sensor's noise", "tone", "motion of a hand"])
 def test_what_is_no_texture(what: str) -> None:
     one = texture(sandpaper(160.0, 210.0), 0.1, 1.0, Stylus(rate_hz=10_000.0), Hand(duration_s=4.0))
     spoilt = dataclasses.replace(one, acceleration_m_per_s2=noises()[what], source=Source("noise", ""))

@@ -17,7 +17,7 @@ from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.synthesize import Stylus, puncture
-from hapticd.fit.verdict import Doubts, Verdict
+from hapticd.fit.verdict import Verdict, Warnings
 from tests.support.fitted import fitted_material
 
 RUPTURE = {"depth_m": 0.002, "amplitude_m_per_s2": 38.0, "frequency_hz": 200.0, "decay_rate_per_s": 330.0}
@@ -28,30 +28,32 @@ JUDGED = {"texture": {"quality": "poor", "reasons": ["no law"]}, "tap": {"qualit
     ("value", "quality"), [(0.98, "good"), (0.69, "fair"), (0.49, "poor"), (-0.02, "poor"), (math.nan, "poor")]
 )
 def test_a_law_that_explains_little_is_fair_or_poor(value: float, quality: str) -> None:
-    doubts = Doubts()
-    doubts.check("correlation of the law", value, what="loudness")
-    assert doubts.judged("so much").quality == quality
+    warnings = Warnings()
+    warnings.check("correlation of the law", value, what="loudness")
+    assert warnings.verdict("so much").quality == quality
 
 
 @pytest.mark.parametrize(("half", "quality"), [(0.2, "good"), (0.3, "fair"), (0.6, "poor")])
 def test_a_figure_that_is_uncertain_is_a_reason(half: float, quality: str) -> None:
-    doubts = Doubts()
-    doubts.check_interval("depth", Estimate(2.0, 2.0 - 2.0 * half, 2.1))
-    judged = doubts.judged("so much")
+    warnings = Warnings()
+    warnings.check_interval("depth", Estimate(2.0, 2.0 - 2.0 * half, 2.1))
+    judged = warnings.verdict("so much")
     assert judged.quality == quality
     assert judged.reasons == (() if quality == "good" else (f"the depth is uncertain: {100 * half:.0f} %",))
 
 
 def test_a_verdict_in_words() -> None:
-    doubts = Doubts()
-    assert str(doubts.judged("ten taps", "on a line")) == "good: ten taps, on a line"
-    doubts.warn("as good with it")
-    assert doubts.judged("ten taps").quality == "good"
+    warnings = Warnings()
+    assert str(warnings.verdict("ten taps", "on a line")) == "good: ten taps, on a line"
+    warnings.note("as good with it")
+    assert warnings.verdict("ten taps").quality == "good"
     for name in "ab":
-        doubts.doubt_recording("softer at first", f"{name}: softer by 1 mm")
-    doubts.doubt("hum")
-    assert str(doubts.judged("ten taps", "on a line")) == "fair: ten taps, but hum; softer at first (in 2 recordings)"
-    assert doubts.warnings == ["as good with it", "a: softer by 1 mm", "b: softer by 1 mm", "hum"]
+        warnings.add_for_recording("softer at first", f"{name}: softer by 1 mm")
+    warnings.add_fair("hum")
+    assert (
+        str(warnings.verdict("ten taps", "on a line")) == "fair: ten taps, but hum; softer at first (in 2 recordings)"
+    )
+    assert warnings.lines == ["as good with it", "a: softer by 1 mm", "b: softer by 1 mm", "hum"]
 
 
 @pytest.mark.long

@@ -123,7 +123,7 @@ TAP = {"pine/tap/1.npz": "a"}
         ),
         (
             {"fit.yaml": "two_modes: true\nattack: first_peak", **TAP},
-            "fit.yaml:1:1: two_modes: two_modes and attack do not go together: leave out one",
+            "fit.yaml:1:1: two_modes: two_modes and attack exclude each other: leave out one",
         ),
     ],
 )

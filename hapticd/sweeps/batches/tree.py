@@ -25,7 +25,7 @@ from hapticd.analysis.recordings.files import TABLE_READERS, ending_of
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names, quoted
 from hapticd.base.yaml_source import one_line
 from hapticd.config.materials import MAX_PROVENANCE_FILES, validate_materials
-from hapticd.fit.options import KEY_OF, FitOptions
+from hapticd.fit.options import MATERIAL_KEYS, FitOptions
 from hapticd.fit.recording import Kind
 from hapticd.sweeps.batches.folder_yaml import (
     FIT_YAML,
@@ -270,7 +270,7 @@ class _Reader:
             self.fault(
                 name, f"holds no recordings; put them into a folder {_KINDS_TEXT}, or here with kind in {FIT_YAML}"
             )
-        if len({KEY_OF[kind] for kind in kinds}) < len(kinds):
+        if len({MATERIAL_KEYS[kind] for kind in kinds}) < len(kinds):
             self.fault(name, "has grooves and a texture; a material can have only one of them")
         count = sum(len(level.recordings) for level in kinds.values())
         if count > MAX_PROVENANCE_FILES:
