@@ -113,12 +113,12 @@ Environment:
     "--runtime-dir",
     type=click.Path(file_okay=False, readable=False),
     metavar="DIR",
-    help="Directory of the sockets  [env var: HAPTICD_RUNTIME_DIR; default: $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR/hapticd "
-    "or /tmp/hapticd-UID]",
+    help="Directory of the sockets  [env var: HAPTICD_RUNTIME_DIR; default: $RUNTIME_DIRECTORY, "
+    "$XDG_RUNTIME_DIR/hapticd or /tmp/hapticd-UID]",
 )
 @click.pass_context
 def cli(ctx: click.Context, runtime_dir: str | None) -> None:
-    """Run and control a haptic daemon, which displays virtual surfaces on a force-feedback joystick."""
+    """Run or control a haptic daemon, which displays virtual surfaces on a force-feedback joystick."""
     ctx.obj = runtime_dir
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

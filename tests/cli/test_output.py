@@ -153,7 +153,7 @@ def test_force_on_says_what_the_check_of_signs_waits_for(tmp_path: Path, capsys:
     with fake_daemon(tmp_path, answer):
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 0
         assert capsys.readouterr().out == (
-            "forces on; first the signs of the device are checked: let go of the handle\n"
+            "forces on, once the check of signs has passed: let go of the handle\n"
         )
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 1
         assert capsys.readouterr().err == (
@@ -353,4 +353,4 @@ def test_forces_that_a_fault_keeps_off_are_told_so(
 
     monkeypatch.setattr(daemon, "daemon", lambda: nullcontext(Faulted()))
     assert main(["force", "off"]) == 0
-    assert capsys.readouterr().out == "forces off, and a fault is latched: `hapticd status` says which\n"
+    assert capsys.readouterr().out == "forces off: a fault is latched; see `hapticd status`\n"
