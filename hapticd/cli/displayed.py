@@ -1,4 +1,4 @@
-"""What a device can display: computed (`check`), or measured of handle and hand (`calibrate`) or materials (`verify`)."""
+"""What a device can display: computed (`check`), or measured of the handle (`calibrate`) or of materials (`verify`)."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ TAKE_HOLD_PAUSE_S: Final = 5.0
 _ACCELEROMETER_HELP: Final = (
     "Recording of an accelerometer on the handle, .npz or .csv with time_s and acceleration_m_per_s2"
 )
-_LET_GO_TEXT: Final = "Release the handle in the middle."
-_TAKE_HOLD_TEXT: Final = "Hold the handle in the middle as it will be used."
+_LET_GO_TEXT: Final = "Let go of the handle in the middle of its travel."
+_TAKE_HOLD_TEXT: Final = "Hold the handle in the middle of its travel as it will be used."
 
 
 @click.command("check", short_help="Check what can be displayed and what may oscillate.")

@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from hapticd.fit.speed_law import LawKind
     from hapticd.sweeps.batches.ranking import MaterialResult
 
-_MOST_ROWS: Final = 100
+_MAX_RANKING_ROWS: Final = 100
 """Of a ranking that is printed."""
-_COLUMNS_OF_A_FILE: Final = 4096
+_REDIRECTED_RANKING_WIDTH: Final = 4096
 """So wide is a ranking at most that goes to no terminal."""
 
 
@@ -285,7 +285,7 @@ def _can_draw() -> bool:
 
 def _print_ranking(results: Sequence[MaterialResult]) -> None:
     """The ranking; of a long one its end, where there is something to do. For a program that reads it, a line each."""
-    hidden = max(0, len(results) - _MOST_ROWS)
+    hidden = max(0, len(results) - _MAX_RANKING_ROWS)
     if hidden:
         click.echo(f"the best {hidden} are left out here, and stand in ranking.csv")
     rows = []
@@ -294,4 +294,4 @@ def _print_ranking(results: Sequence[MaterialResult]) -> None:
         count = sum(len(fit.asked.files) for fit in each.fits)
         rows.append((str(rank), each.name, each.quality, kinds, str(count), each.shown_reasons))
     columns = (">rank", "material", "verdict", "fits", ">recordings", "reasons")
-    print_table(columns, rows, broken="reasons", width=None if sys.stdout.isatty() else _COLUMNS_OF_A_FILE)
+    print_table(columns, rows, broken="reasons", width=None if sys.stdout.isatty() else _REDIRECTED_RANKING_WIDTH)

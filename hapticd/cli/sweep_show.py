@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from hapticd.sweeps.columns import Column, Value
     from hapticd.sweeps.store import Store
 
-_MOST_ROWS: Final = 40
-_WIDEST: Final = 4096
-_HTML: Final = ".html"
-_SHOWN_BY: Final = {
+_MAX_PRINTED_ROWS: Final = 40
+_MAX_MEASURED_WIDTH: Final = 4096
+_PAGE_SUFFIX: Final = ".html"
+_OTHER_RESULTS_BY_KIND: Final = {
     "batch": "a batch of fits; hapticd fit batch shows it, as does its report.html",
     "participants": "sessions of simulated participants; hapticd experiment analyze shows them",
 }
@@ -52,7 +52,7 @@ def show_command(
 
     store = Store(folder, note)
     manifest = store.manifest()
-    if (other := _SHOWN_BY.get(manifest.get("kind", ""))) is not None:
+    if (other := _OTHER_RESULTS_BY_KIND.get(manifest.get("kind", ""))) is not None:
         raise HapticdError(f"{folder}: holds {other}")
     title, columns = manifest["title"], store.columns()
     kept = dict(_condition(text, columns) for text in where)
@@ -74,8 +74,8 @@ def _draw(store: Store, folder: Path | None, page: str | None, overwrite: bool) 
     from hapticd.sweeps import figures, report_page
     from hapticd.sweeps.results import load_results
 
-    if page is not None and not page.lower().endswith(_HTML):
-        raise HapticdError(f"{page}: is no kind of page: must end in {_HTML}")
+    if page is not None and not page.lower().endswith(_PAGE_SUFFIX):
+        raise HapticdError(f"{page}: is no kind of page: must end in {_PAGE_SUFFIX}")
     require_matplotlib("a figure", "fit")
     results = load_results(store)
     drawings = figures.drawings_of(results)
@@ -141,10 +141,10 @@ def _print(folder: Path, title: str, columns: Sequence[Column], rows: Sequence[d
         name = end if ends.count(end) == 1 else column.name
         head = f"{name}, {column.unit}" if column.unit else name
         table.add_column(head, justify="left" if column.kind == "text" else "right", no_wrap=True)
-    for row in rows[:_MOST_ROWS]:
+    for row in rows[:_MAX_PRINTED_ROWS]:
         table.add_row(*(shown(row[column.name]) for column in drawn))
     # As wide as it is: a terminal wraps a line, and a number that is cut off is none.
-    wide = Measurement.get(Console(width=_WIDEST), Console(width=_WIDEST).options, table).maximum
+    wide = Measurement.get(Console(width=_MAX_MEASURED_WIDTH), Console(width=_MAX_MEASURED_WIDTH).options, table).maximum
     Console(width=wide, soft_wrap=True).print(table)
-    if len(rows) > _MOST_ROWS:
-        click.echo(f"and {len(rows) - _MOST_ROWS} more rows: {folder}/pieces/*.parquet, or --json")
+    if len(rows) > _MAX_PRINTED_ROWS:
+        click.echo(f"and {len(rows) - _MAX_PRINTED_ROWS} more rows: {folder}/pieces/*.parquet, or --json")

@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 _F = TypeVar("_F", bound=Callable[..., Any])
 _Truth = dict[str, float]
 """The figures that recordings are made of."""
-ENDING: Final = ".npz"
+RECORDING_SUFFIX: Final = ".npz"
 MATERIAL_BY_KIND: Final = {"tap": "wood", "grooves": "comb", "texture": "sandpaper_100", "puncture": "cellophane"}
 """The kinds of recordings, and what is recorded by default."""
-TAP_SPEEDS: Final = (0.08, 0.11, 0.14, 0.17, 0.2, 0.23, 0.26, 0.29, 0.32, 0.35)
-PUNCTURE_SPEEDS: Final = (0.03, 0.05, 0.08, 0.12)
-STROKE_SPEEDS: Final = (0.05, 0.12)
-STROKE_FORCES: Final = (0.5, 1.5)
-STROKES_S: Final = {"grooves": 1.0, "texture": 10.0}
+TAP_SPEEDS_M_PER_S: Final = (0.08, 0.11, 0.14, 0.17, 0.2, 0.23, 0.26, 0.29, 0.32, 0.35)
+PUNCTURE_SPEEDS_M_PER_S: Final = (0.03, 0.05, 0.08, 0.12)
+STROKE_SPEEDS_M_PER_S: Final = (0.05, 0.12)
+STROKE_FORCES_N: Final = (0.5, 1.5)
+STROKE_DURATION_S_BY_KIND: Final = {"grooves": 1.0, "texture": 10.0}
 
 
 def _number(
@@ -77,7 +77,7 @@ _stylus_options: Final = options(
 
 @click.command("synthesize", short_help="Make recordings whose truth is known.")
 @click.argument("kind", type=click.Choice(list(MATERIAL_BY_KIND)), metavar="KIND")
-@output_option("Write the recording there; several get numbers.", f"FILE{ENDING}", required=True)
+@output_option("Write the recording there; several get numbers.", f"FILE{RECORDING_SUFFIX}", required=True)
 @click.option(
     "--material",
     "name",
@@ -119,9 +119,9 @@ def synthesize_command(
     from hapticd.fit.recording import npz_of
     from hapticd.fit.synthesize import Stylus
 
-    if os.path.splitext(output)[1].lower() != ENDING:
-        raise HapticdError(f"{output}: is no recording: must end in {ENDING}")
-    if kind not in STROKES_S and (forces or duration_s is not None):
+    if os.path.splitext(output)[1].lower() != RECORDING_SUFFIX:
+        raise HapticdError(f"{output}: is no recording: must end in {RECORDING_SUFFIX}")
+    if kind not in STROKE_DURATION_S_BY_KIND and (forces or duration_s is not None):
         raise click.UsageError("--force and --duration are of strokes: of grooves and texture")
     materials: Mapping[str, Material] = config_of(configs).materials
     name = name or MATERIAL_BY_KIND[kind]
@@ -131,12 +131,12 @@ def synthesize_command(
     made = Stylus(**stylus, full_scale_m_per_s2=math.inf if full_scale_m_per_s2 is None else full_scale_m_per_s2)
     try:
         if kind == "tap":
-            recordings, truth = _taps(materials[name], made, speeds or TAP_SPEEDS)
+            recordings, truth = _taps(materials[name], made, speeds or TAP_SPEEDS_M_PER_S)
         elif kind == "puncture":
-            recordings, truth = _punctures(materials[name], made, speeds or PUNCTURE_SPEEDS)
+            recordings, truth = _punctures(materials[name], made, speeds or PUNCTURE_SPEEDS_M_PER_S)
         else:
-            pairs = [(speed, force) for speed in speeds or STROKE_SPEEDS for force in forces or STROKE_FORCES]
-            recordings, truth = _strokes(kind, materials[name], made, pairs, duration_s or STROKES_S[kind])
+            pairs = [(speed, force) for speed in speeds or STROKE_SPEEDS_M_PER_S for force in forces or STROKE_FORCES_N]
+            recordings, truth = _strokes(kind, materials[name], made, pairs, duration_s or STROKE_DURATION_S_BY_KIND[kind])
     except ValueError as error:
         raise HapticdError(f"{quoted(name)} cannot be recorded: {error}") from None
     targets = _targets(output, len(recordings))
