@@ -249,7 +249,7 @@ def test_simulate_without_a_file_prints_what_happened(capsys: pytest.CaptureFixt
     assert os.listdir() == []
     assert main(["simulate", "comb", "--for", "100ms", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["file"] is None
-    assert "name it with -o" in said(capsys, 2, "simulate", "comb", "--note", "a=b")
+    assert "need -o" in said(capsys, 2, "simulate", "comb", "--note", "a=b")
 
 
 def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixture[str]) -> None:

@@ -60,7 +60,7 @@ def test_participants_in_bulk_are_those_that_are_simulated_alone(
         assert (many / path).read_bytes() == (alone / path).read_bytes(), path
     rows = many / "sourcedata" / "simulated"
     assert main(["sweep", "show", str(rows)]) == 1
-    told = "holds sessions of simulated participants; hapticd experiment analyze shows them"
+    told = "holds sessions of simulated participants; use: hapticd experiment analyze"
     assert capsys.readouterr().err == f"hapticd: {rows}: {told}\n"
 
 
