@@ -100,7 +100,7 @@ def reload_command(expect_revision: int | None, wait: bool, as_json: bool) -> No
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", shell_complete=names.scenes)
 @_change_options
 def apply_command(files: tuple[str, ...], expect_revision: int | None, wait: bool, as_json: bool) -> None:
-    """Apply the materials and the scene in FILE... in one change, at one tick.
+    """Apply the materials and scenes in all FILEs as one change, at one tick.
 
     A FILE has the keys `materials`, `scene` or both, or is a scene; it may be the name of a shipped scene, or - for
     standard input. Later files override earlier ones. The scene and each named material are replaced; other materials

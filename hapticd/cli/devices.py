@@ -36,12 +36,12 @@ _MAX_DESCRIPTOR_FILE_BYTES: Final = 1 << 20
 """At most this much of a file with a report descriptor is read, in bytes; no descriptor is longer as hex text."""
 
 
-@click.group("devices", invoke_without_command=True, short_help="List HID devices that can be driven, or set one up.")
+@click.group("devices", invoke_without_command=True, short_help="List HID devices, or set one up.")
 @config_option
 @json_option
 @click.pass_context
 def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> None:
-    """List HID devices, each with whether it can be driven and, if not, the reason.
+    """List HID devices, and whether each can be driven or the reason why not.
 
     Devices that match device.hid of the configuration are judged by it, others by the defaults.
     """

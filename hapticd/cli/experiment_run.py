@@ -67,7 +67,7 @@ _lsl_option = click.option(
     metavar="DIR",
     help="Folder of the data set, for sub-LABEL/ses-NN [default: the current one].",
 )
-@click.option("--text", is_flag=True, help="At this terminal, without pages.")
+@click.option("--text", is_flag=True, help="Run at this terminal, without pages.")
 @click.option("--offline", is_flag=True, help="Simulate the participant without a daemon, faster than real time.")
 @_lsl_option
 @click.option("--telemetry/--no-telemetry", default=None, help="Whether --offline writes a .npz of each trial.")
@@ -168,7 +168,7 @@ def run_command(
 
 @click.command("resume", short_help="Resume an interrupted session.")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
-@click.option("--text", is_flag=True, help="At this terminal, without pages.")
+@click.option("--text", is_flag=True, help="Run at this terminal, without pages.")
 @_lsl_option
 @demo_option
 @pages_options

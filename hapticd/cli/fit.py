@@ -194,9 +194,7 @@ def _run(
     part = contribution_of(kind, fitted, recordings)
     found = added(part, name, datetime.date.today(), onto=library.get(name), stiffness_n_per_m=stiffness_n_per_m)
     if found.assumed_n_per_m is not None:
-        notes.append(
-            f"the stiffness, {found.assumed_n_per_m:g} N/m, is assumed, not measured; --stiffness sets it"
-        )
+        notes.append(f"the stiffness, {found.assumed_n_per_m:g} N/m, is assumed, not measured; --stiffness sets it")
     notes += [f"{key} of {name} in {output} is replaced" for key in found.replaced]
     fresh = {"materials": {name: found.material.to_dict()}}
     picture = None

@@ -125,7 +125,7 @@ def export_command(file: str, target: str, overwrite: bool) -> None:
     click.echo(f"{saved}: {len(recording.samples):,} ticks, {len(recording.events):,} events")
 
 
-@click.command("flight", short_help="Write the last seconds to a file.")
+@click.command("flight", short_help="Write the last seconds of samples to a file.")
 @click.argument("file", required=False, type=click.Path())
 @overwrite_option
 @json_option
