@@ -151,9 +151,9 @@ def runtime_dir() -> str | None:
 def daemon(timeout_s: float | None = None) -> Client:
     """Return a client of the daemon at `--runtime-dir`. Raises DaemonNotRunning if none runs there."""
     from hapticd.client.blocking import connect
-    from hapticd.protocol.calls import TIMEOUT_S
+    from hapticd.protocol.calls import REPLY_TIMEOUT_S
 
-    return connect(runtime_dir(), TIMEOUT_S if timeout_s is None else timeout_s)
+    return connect(runtime_dir(), REPLY_TIMEOUT_S if timeout_s is None else timeout_s)
 
 
 class Stop(threading.Event):

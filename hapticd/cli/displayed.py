@@ -276,9 +276,7 @@ def verify_command(
     config = config_of(configs)
     simulated = config.device.kind == "sim"
     if not simulated and recording is None:
-        raise HapticdError(
-            "a real device needs an accelerometer on its handle: give its recording with --recording FILE"
-        )
+        raise HapticdError("a real device needs an accelerometer on its handle: give --recording FILE")
     if not simulated and not yes:
         click.confirm("Hold the handle, and start the accelerometer. Ready?", abort=True, err=True)
     strikes = verify.strikes_of(config.materials, speed)

@@ -20,7 +20,7 @@ from hapticd.client import blocking, methods
 from hapticd.client.base import connect_commands
 from hapticd.client.methods import Response, Wait
 from hapticd.protocol import calls
-from hapticd.protocol.calls import TIMEOUT_S
+from hapticd.protocol.calls import REPLY_TIMEOUT_S
 from hapticd.system.paths import RuntimePaths
 
 T = TypeVar("T")
@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 def connect(
     runtime_dir: str | os.PathLike[str] | None = None,
-    timeout_s: float = TIMEOUT_S,
+    timeout_s: float = REPLY_TIMEOUT_S,
     *,
     wait_s: float = 0.0,
 ) -> Connecting:
@@ -71,7 +71,7 @@ class Client(methods.Client):
     daemon refuses, and DaemonNotRunning where it does not answer within `timeout_s`.
     """
 
-    def __init__(self, place: RuntimePaths, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, place: RuntimePaths, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         super().__init__(place, timeout_s)
         self._waiting: dict[int, asyncio.Future[Response]] = {}
         # Opened when it is first used: a subscription needs none.

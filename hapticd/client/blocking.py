@@ -24,7 +24,7 @@ from hapticd.client import methods, streams
 from hapticd.client.base import connect_commands
 from hapticd.client.methods import Response, Wait
 from hapticd.protocol import calls
-from hapticd.protocol.calls import TIMEOUT_S
+from hapticd.protocol.calls import REPLY_TIMEOUT_S
 from hapticd.system.paths import RuntimePaths
 
 P = ParamSpec("P")
@@ -34,7 +34,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def connect(
     runtime_dir: str | os.PathLike[str] | None = None,
-    timeout_s: float = TIMEOUT_S,
+    timeout_s: float = REPLY_TIMEOUT_S,
     *,
     wait_s: float = 0.0,
 ) -> Client:
@@ -55,7 +55,7 @@ def connect(
 class _OnThread(methods.Client):
     """The client whose coroutines block where another's would pause: each runs to its end at the first step."""
 
-    def __init__(self, place: RuntimePaths, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, place: RuntimePaths, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         super().__init__(place, timeout_s)
         self._lock = threading.Lock()
         # Opened when it is first used: a subscription needs none.
@@ -204,7 +204,7 @@ class Client:
     def __init__(
         self,
         runtime_dir: str | os.PathLike[str] | None = None,
-        timeout_s: float = TIMEOUT_S,
+        timeout_s: float = REPLY_TIMEOUT_S,
         *,
         wait_s: float = 0.0,
     ) -> None:

@@ -33,8 +33,8 @@ from hapticd.client.sources import (
     scene_tree,
 )
 from hapticd.protocol import calls, messages, places
-from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning, ForcesOff, RemoteError, TimedOut, Topic
-from hapticd.protocol.places import ALIVE
+from hapticd.protocol.calls import REPLY_TIMEOUT_S, DaemonNotRunning, ForcesOff, RemoteError, TimedOut, Topic
+from hapticd.protocol.places import HEARTBEAT_TOPIC
 from hapticd.protocol.results import (
     ConfigResult,
     Event,
@@ -69,7 +69,7 @@ READY_TOPIC: Final = b"state"
 class Client(ABC):
     """What the clients have in common: all but how they send and wait."""
 
-    def __init__(self, place: RuntimePaths, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, place: RuntimePaths, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         self.paths: RuntimePaths = place
         self.timeout_s = timeout_s
         self._closed = False
@@ -468,7 +468,7 @@ class Subscription(Generic[T]):
         client._refuse_closed()
         self._client, self._convert = client, convert
         self._wanted = {topic.encode() for topic in topics}
-        self._on_demand = self._wanted - {ALIVE} if newest else set()
+        self._on_demand = self._wanted - {HEARTBEAT_TOPIC} if newest else set()
         """Subscribed to for each item, and unsubscribed from after it."""
         self._first: T | None = None
         """An item that came before it was asked for."""
@@ -478,7 +478,7 @@ class Subscription(Generic[T]):
         # Subscriptions take effect in their order, and `state` comes 60 times a second: the first message of any topic
         # shows that all are in effect. `status` comes every second, so that silence means that the daemon is gone.
         try:
-            self._set(zmq.SUBSCRIBE, (*sorted((self._wanted | {ALIVE}) - {READY_TOPIC}), READY_TOPIC))
+            self._set(zmq.SUBSCRIBE, (*sorted((self._wanted | {HEARTBEAT_TOPIC}) - {READY_TOPIC}), READY_TOPIC))
             self._socket.connect(client.paths.telemetry_endpoint)
         except BaseException:
             self._socket.close()
@@ -585,10 +585,10 @@ def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) 
         if end["started_tick"] == started_tick:
             return end
     last = None if operator is None else operator["started_tick"]
-    forgotten = len(ends) == messages.GESTURE_ENDS and min(end["started_tick"] for end in ends) > started_tick
+    forgotten = len(ends) == messages.MAX_GESTURE_ENDS and min(end["started_tick"] for end in ends) > started_tick
     if last is None or last < started_tick or forgotten:
         raise HapticdError(
             f"the daemon knows nothing of the operator that tick {started_tick} took: it was started anew since, or "
-            f"{messages.GESTURE_ENDS} others ended"
+            f"{messages.MAX_GESTURE_ENDS} others ended"
         )
     return None

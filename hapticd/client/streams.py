@@ -19,7 +19,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.client.base import connect_commands, warn
 from hapticd.protocol import calls, messages, places, streams
 from hapticd.protocol.calls import ForcesOff, RemoteError
-from hapticd.protocol.streams import MOST, Kind
+from hapticd.protocol.streams import MAX_COMPONENT_BY_KIND, Kind
 from hapticd.system.paths import RuntimePaths
 
 Sent = TypeVar("Sent")
@@ -73,7 +73,7 @@ class Sender:
             self._seq[kind] = seq + 1
             asks = now_s >= self._ask_at_s.get(kind, 0.0)
             if asks:
-                body = self._request(f"stream_{kind}", {"seq": seq, streams.VECTORS[kind]: [x, y]})
+                body = self._request(f"stream_{kind}", {"seq": seq, streams.VECTOR_PARAM_BY_KIND[kind]: [x, y]})
             else:
                 body = streams.write(kind, seq, x, y)
             try:
@@ -164,14 +164,14 @@ class Stream(Generic[Sent]):
 
     def target(self, x: float, y: float) -> Sent:
         """Where the simulated hand wants to be, m. Raises DaemonNotRunning, and RemoteError for a message before."""
-        most = MOST["target"]
+        most = MAX_COMPONENT_BY_KIND["target"]
         self._sender.send("target", arguments.within("x", x, most, "m"), arguments.within("y", y, most, "m"))
         return self._sent
 
     def force(self, fx: float, fy: float) -> Sent:
         """A force that is added to the rendered one, N. Raises DaemonNotRunning, and RemoteError for a message
         before."""
-        most = MOST["force"]
+        most = MAX_COMPONENT_BY_KIND["force"]
         self._sender.send("force", arguments.within("fx", fx, most, "N"), arguments.within("fy", fy, most, "N"))
         self._pushed = True
         return self._sent

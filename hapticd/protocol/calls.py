@@ -10,7 +10,7 @@ from hapticd.base.codec import NotEncodableError
 from hapticd.base.errors import HapticdError, Problem, in_order, lines_of, shown
 from hapticd.protocol import messages
 
-TIMEOUT_S: Final = 5.0
+REPLY_TIMEOUT_S: Final = 5.0
 """How long a client waits for an answer by default."""
 
 Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
@@ -72,10 +72,10 @@ def encode_request(id: int, method: str, params: Mapping[str, object] | None) ->
         raise arguments.wrong("params", f"must be a mapping, is {shown(params)}")
     try:
         body = messages.request(id, method, params)
-        if len(body) > messages.MAX_BODY:
-            raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {messages.MAX_BODY})")
+        if len(body) > messages.MAX_BODY_BYTES:
+            raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {messages.MAX_BODY_BYTES})")
         if params:
-            messages.check_ours(body)
+            messages.check_encoded(body)
     except (messages.WireError, NotEncodableError) as error:
         arguments.plain((), params)  # says where
         raise HapticdError(f"{method}: {error}") from None

@@ -15,17 +15,17 @@ from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import Scene, SceneObject, Wall
 from hapticd.config.texture import Autoregressive
 
-MOST_CHANGED: Final = 1000
+MAX_LISTED_CHANGES: Final = 1000
 """Objects, or materials, that a change tells of one by one. Of more, whoever wants to know asks for the scene."""
-FLIGHT_OBJECTS: Final = 2000
+MAX_FLIGHT_OBJECTS: Final = 2000
 """A larger scene stays out of the flight recorder's files: putting it into words would hold up commands."""
-FLIGHT_PIECES: Final = 4000
+MAX_FLIGHT_PIECES: Final = 4000
 """One of more `pieces` does, too: its words would take tens of megabytes."""
-MOST_PIECES: Final = 4000
+MAX_CHANGE_PIECES: Final = 4000
 """The same of objects and materials with their patches and models, `pieces` of each."""
 
 
-_SHOWN: Final = tuple(name for name in Scene.model_fields if name != "objects")
+_SCENE_KEYS: Final = tuple(name for name in Scene.model_fields if name != "objects")
 
 
 class Revised(NamedTuple):
@@ -117,20 +117,20 @@ def revised(
     if old is not new:
         names = [name for name, item in new.items() if old.get(name) is not item and old.get(name) != item]
         names += [name for name in old if name not in new]
-    if max(len(ids), len(names)) > MOST_CHANGED or _too_long(after, ids, new, names):
+    if max(len(ids), len(names)) > MAX_LISTED_CHANGES or _too_long(after, ids, new, names):
         return Revised(revision, {}, {}, {}, (after, new))
     return Revised(
         revision,
-        _shown_otherwise(before, after),
+        _changed_keys(before, after),
         {id: after.objects.get(id) for id in ids},
         {name: new.get(name) for name in names},
         None,
     )
 
 
-def _shown_otherwise(before: Scene, after: Scene) -> dict[str, object]:
+def _changed_keys(before: Scene, after: Scene) -> dict[str, object]:
     old, new = before.__dict__, after.__dict__
-    return {name: new[name] for name in _SHOWN if new[name] is not old[name] and new[name] != old[name]}
+    return {name: new[name] for name in _SCENE_KEYS if new[name] is not old[name] and new[name] != old[name]}
 
 
 def _too_long(scene: Scene, ids: Collection[str], materials: Materials, names: Collection[str]) -> bool:
@@ -139,4 +139,4 @@ def _too_long(scene: Scene, ids: Collection[str], materials: Materials, names: C
         total += pieces(scene.objects.get(id))
     for name in names:
         total += pieces(materials.get(name))
-    return total > MOST_PIECES
+    return total > MAX_CHANGE_PIECES

@@ -24,7 +24,7 @@ from hapticd.rendering.displayability import (
 )
 from hapticd.rendering.undisplayable_text import Undisplayable, Use
 
-_KEYS: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove": ("texture",)}
+_PATH_BY_MODE: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove": ("texture",)}
 """Where a mode stands in its material, if not under its own name."""
 
 
@@ -55,7 +55,7 @@ class MaterialReport(NamedTuple):
         return [
             *(
                 Problem(
-                    path_text(("materials", name, *_KEYS.get(one.mode, (one.mode,)))),
+                    path_text(("materials", name, *_PATH_BY_MODE.get(one.mode, (one.mode,)))),
                     above_rate(one.frequency_hz, one.shown_hz, output),
                 )
                 for one in lacking

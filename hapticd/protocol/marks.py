@@ -15,7 +15,7 @@ from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.model import DescribedAs, Model
 from hapticd.base.yaml_source import Json
 
-MOST_DATA_BYTES: Final = 8192
+MAX_MARK_DATA_BYTES: Final = 8192
 """Of a mark's data, as JSON."""
 
 
@@ -24,7 +24,7 @@ class MarkParams(Model):
 
     text: Annotated[str, Field(min_length=1, max_length=1000)] = Field(description="what the mark says")
     data: Annotated[object, DescribedAs(None | bool | float | str | list[object] | dict[str, object])] = Field(
-        default=None, description=f"stored with the mark; at most {MOST_DATA_BYTES} bytes as JSON"
+        default=None, description=f"stored with the mark; at most {MAX_MARK_DATA_BYTES} bytes as JSON"
     )
 
 
@@ -45,8 +45,8 @@ def checked_data(data: object) -> Json:
         size = len(json.dumps(data, ensure_ascii=False, allow_nan=False).encode("utf-8", "surrogatepass"))
     except (TypeError, ValueError) as error:
         raise InvalidError([Problem("data", f"must be what JSON can hold: {error}")]) from None
-    if size > MOST_DATA_BYTES:
-        raise InvalidError([Problem("data", f"must have at most {MOST_DATA_BYTES} bytes as JSON, has {size}")])
+    if size > MAX_MARK_DATA_BYTES:
+        raise InvalidError([Problem("data", f"must have at most {MAX_MARK_DATA_BYTES} bytes as JSON, has {size}")])
     return data  # type: ignore[return-value]
 
 

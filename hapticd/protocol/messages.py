@@ -18,38 +18,38 @@ import msgpack
 from hapticd.base.codec import MAX_DEPTH, Encoded, encode, encoded_map
 from hapticd.base.errors import HapticdError
 
-PROTOCOL: Final = 1
+PROTOCOL_VERSION: Final = 1
 """Version of what is said over the sockets, apart from the version of the package."""
 
-GESTURE_ENDS: Final = 16
+MAX_GESTURE_ENDS: Final = 16
 """So many ends of gestures stand in a status."""
 
-MAX_BODY: Final = 2 * 1024 * 1024
+MAX_BODY_BYTES: Final = 2 * 1024 * 1024
 """Largest body of a request, bytes."""
 
-MAX_MEMBERS: Final = 65_536
+MAX_MAP_MEMBERS: Final = 65_536
 """Largest map of a body: building one is a single call, in which no other thread runs."""
 
-_OFTEN: Final = 64
+_MAX_SHARED_STRING_CHARACTERS: Final = 64
 """Strings of so many characters at most, names of materials above all, are kept once in a body."""
 
 # Up to this size a header can claim at most this many elements, which is cheap enough to try.
-_SMALL: Final = 4096
+_MAX_FLAT_BODY_BYTES: Final = 4096
 # The bytes that can open a map or an array, and an extension. They also occur inside strings and numbers, so that
 # counting them bounds the structure from above.
-_OPENERS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
-_EXTENSIONS: Final = bytes([0xC7, 0xC8, 0xC9, *range(0xD4, 0xD9)])
+_CONTAINER_TAGS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
+_EXTENSION_TAGS: Final = bytes([0xC7, 0xC8, 0xC9, *range(0xD4, 0xD9)])
 # What opens bytes of up to 255, which may be a key, and the type of a time (and the number -1).
-_OPENS_BYTES: Final = b"\xc4"
-_TYPE_OF_TIMES: Final = b"\xff"
+_BIN8_TAG: Final = b"\xc4"
+_TIMESTAMP_TYPE: Final = b"\xff"
 
-_MEMBERS: Final = frozenset(("jsonrpc", "id", "method", "params"))
+_REQUEST_MEMBERS: Final = frozenset(("jsonrpc", "id", "method", "params"))
 
 Id: TypeAlias = int | float | str | None
 
-_TO_ID: Final = b"\x83" + encode("jsonrpc") + encode("2.0") + encode("id")
+_REPLY_UP_TO_ID: Final = b"\x83" + encode("jsonrpc") + encode("2.0") + encode("id")
 """How an answer begins, up to its id, and what follows that."""
-_TO_RESULT: Final = encode("result")
+_RESULT_KEY: Final = encode("result")
 
 
 class Code(enum.IntEnum):
@@ -92,7 +92,7 @@ class WireError(HapticdError):
 # ---- bodies ------------------------------------------------------------------------------------------------
 
 
-def _bad(message: str) -> WireError:
+def _parse_error(message: str) -> WireError:
     return WireError(Code.PARSE, message)
 
 
@@ -106,19 +106,23 @@ def _map(strings: dict[str, str], pairs: list[tuple[str, object]]) -> dict[str, 
     result = {}
     for key, value in pairs:
         if key.__class__ is not str:
-            raise _bad(f"a key is of type {type(key).__name__}: keys are strings")
-        result[key] = strings.setdefault(value, value) if type(value) is str and len(value) <= _OFTEN else value
+            raise _parse_error(f"a key is of type {type(key).__name__}: keys are strings")
+        result[key] = (
+            strings.setdefault(value, value)
+            if type(value) is str and len(value) <= _MAX_SHARED_STRING_CHARACTERS
+            else value
+        )
     if len(result) != len(pairs):
         seen = set[str]()
         for key, _ in pairs:
             if key in seen:
-                raise _bad(f"duplicate key {key!r:.40}")
+                raise _parse_error(f"duplicate key {key!r:.40}")
             seen.add(key)
     return result
 
 
 def _extension(code: int, data: bytes) -> object:
-    raise _bad(f"extension type {code}: only nil, booleans, numbers, strings, bytes, arrays and maps")
+    raise _parse_error(f"extension type {code}: only nil, booleans, numbers, strings, bytes, arrays and maps")
 
 
 def _check_tree(root: object) -> None:
@@ -129,7 +133,7 @@ def _check_tree(root: object) -> None:
     while level:
         depth += 1
         if depth > MAX_DEPTH:
-            raise _bad(f"nested deeper than {MAX_DEPTH}")
+            raise _parse_error(f"nested deeper than {MAX_DEPTH}")
         below: list[object] = []
         for container in level:
             for value in container.values() if type(container) is dict else container:  # type: ignore[attr-defined]
@@ -143,13 +147,13 @@ def _check_tree(root: object) -> None:
 
 def _is_flat(body: bytes) -> bool:
     """Whether a body is so short, with so few bytes that could open a container, that it cannot be nested too deep."""
-    return len(body) <= _SMALL and len(body) - len(body.translate(None, _OPENERS)) <= MAX_DEPTH
+    return len(body) <= _MAX_FLAT_BODY_BYTES and len(body) - len(body.translate(None, _CONTAINER_TAGS)) <= MAX_DEPTH
 
 
-def check_ours(body: bytes) -> None:
+def check_encoded(body: bytes) -> None:
     """Raises as `decode` does, for a body that was packed here: a short one costs half as much."""
     # Keys of bytes and times, which msgpack itself unpacks, are refused by `decode` alone.
-    if _is_flat(body) and _OPENS_BYTES not in body and _TYPE_OF_TIMES not in body:
+    if _is_flat(body) and _BIN8_TAG not in body and _TIMESTAMP_TYPE not in body:
         try:
             msgpack.unpackb(body, max_bin_len=0, ext_hook=_extension)
         except ValueError:
@@ -159,7 +163,7 @@ def check_ours(body: bytes) -> None:
     decode(body)
 
 
-def decode(body: bytes, limit: int = MAX_BODY) -> object:
+def decode(body: bytes, limit: int = MAX_BODY_BYTES) -> object:
     """The object that `body` encodes; maps become dicts, arrays lists, bin bytes.
 
     Raises WireError(-32700) for a body over `limit` bytes, truncated, with trailing bytes, nested deeper
@@ -168,11 +172,11 @@ def decode(body: bytes, limit: int = MAX_BODY) -> object:
     """
     size = len(body)
     if size > limit:
-        raise _bad(_too_long(size, limit))
+        raise _parse_error(_too_long(size, limit))
     # A short body with few bytes that could open a container, and none that could open an extension, needs
     # no second look; most are so.
     flat = _is_flat(body)
-    plain = flat and len(body.translate(None, _EXTENSIONS)) == size
+    plain = flat and len(body.translate(None, _EXTENSION_TAGS)) == size
     try:
         if not flat:
             # Structure first, without building anything: a header that claims more than the body holds
@@ -181,29 +185,29 @@ def decode(body: bytes, limit: int = MAX_BODY) -> object:
             scanner.feed(body)
             scanner.skip()
             if scanner.tell() != size:
-                raise _bad(f"{size - scanner.tell()} trailing bytes")
+                raise _parse_error(f"{size - scanner.tell()} trailing bytes")
         result = msgpack.unpackb(
             body,
             raw=False,
             strict_map_key=False,
-            max_map_len=MAX_MEMBERS if size > MAX_MEMBERS else size,
+            max_map_len=MAX_MAP_MEMBERS if size > MAX_MAP_MEMBERS else size,
             object_pairs_hook=partial(_map, {}),
             ext_hook=_extension,
         )
     except WireError:
         raise
     except (msgpack.StackError, RecursionError):
-        raise _bad(f"nested deeper than {MAX_DEPTH}") from None
+        raise _parse_error(f"nested deeper than {MAX_DEPTH}") from None
     except msgpack.ExtraData as error:
-        raise _bad(f"{len(error.extra)} trailing bytes") from None
+        raise _parse_error(f"{len(error.extra)} trailing bytes") from None
     except msgpack.FormatError:
-        raise _bad("the body is not msgpack") from None
+        raise _parse_error("the body is not msgpack") from None
     except UnicodeDecodeError:
-        raise _bad("a string is not UTF-8") from None
+        raise _parse_error("a string is not UTF-8") from None
     except (ValueError, msgpack.UnpackException, OverflowError) as error:
-        if size > MAX_MEMBERS and "max_map_len" in str(error):
-            raise _bad(f"a map has more than {MAX_MEMBERS} members") from None
-        raise _bad("the body is empty" if size == 0 else "the body is truncated") from None
+        if size > MAX_MAP_MEMBERS and "max_map_len" in str(error):
+            raise _parse_error(f"a map has more than {MAX_MAP_MEMBERS} members") from None
+        raise _parse_error("the body is empty" if size == 0 else "the body is truncated") from None
     if not plain:
         _check_tree(result)
     return cast(object, result)
@@ -218,7 +222,7 @@ def decode_trusted(body: bytes) -> object:
     try:
         return cast(object, msgpack.unpackb(body, raw=False))
     except (ValueError, msgpack.UnpackException, RecursionError) as error:
-        raise _bad(f"the body is not msgpack: {error}") from None
+        raise _parse_error(f"the body is not msgpack: {error}") from None
 
 
 # ---- requests and replies ----------------------------------------------------------------------------------
@@ -253,8 +257,8 @@ def parse_request(message: object) -> Request:
     method = message.get("method")
     if type(method) is not str:
         raise WireError(Code.INVALID_REQUEST, "method: must be a string", id=id)
-    if not message.keys() <= _MEMBERS:
-        unknown = ", ".join(sorted(repr(key) for key in message.keys() - _MEMBERS))
+    if not message.keys() <= _REQUEST_MEMBERS:
+        unknown = ", ".join(sorted(repr(key) for key in message.keys() - _REQUEST_MEMBERS))
         raise WireError(Code.INVALID_REQUEST, f"unknown member {unknown:.80}", id=id)
     params = message.get("params", {})
     if type(params) is not dict:
@@ -270,7 +274,7 @@ def peek(body: bytes) -> Request | None:
         scanner = msgpack.Unpacker(max_buffer_size=max(len(body), 1), raw=False, strict_map_key=False)
         scanner.feed(body)
         members = scanner.read_map_header()
-        if members > len(_MEMBERS):
+        if members > len(_REQUEST_MEMBERS):
             return None
         for _ in range(members):
             key = scanner.unpack()
@@ -295,7 +299,7 @@ def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> 
 def result_reply(id: Id, result: object) -> bytes | Encoded:
     """The body that answers call `id` with its result; it may be encoded already, and so may a map's members."""
     if isinstance(result, Encoded) and len(result.parts) == 1:
-        return _TO_ID + encode(id) + _TO_RESULT + result.parts[0]
+        return _REPLY_UP_TO_ID + encode(id) + _RESULT_KEY + result.parts[0]
     if isinstance(result, dict) and any(isinstance(value, Encoded) for value in result.values()):
         reply = encoded_map({"jsonrpc": "2.0", "id": id, "result": encoded_map(result)})
         return reply if len(reply.parts) > 1 else reply.parts[0]
@@ -324,6 +328,6 @@ def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
     return delimited, None
 
 
-def too_long(size: int) -> bytes:
-    """The answer to a body of more than MAX_BODY bytes that nobody kept."""
-    return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY))
+def too_long_reply(size: int) -> bytes:
+    """The answer to a body of more than MAX_BODY_BYTES bytes that nobody kept."""
+    return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY_BYTES))

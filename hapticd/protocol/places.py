@@ -19,9 +19,9 @@ from hapticd.base.errors import HapticdError
 from hapticd.protocol.calls import DaemonNotRunning
 from hapticd.system.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
 
-ALIVE: Final = b"status"
+HEARTBEAT_TOPIC: Final = b"status"
 """A topic that comes every second from every daemon."""
-_TRY_EVERY_S: Final = 0.02
+_RETRY_PERIOD_S: Final = 0.02
 
 
 def place_of(directory: str | os.PathLike[str] | None) -> RuntimePaths:
@@ -39,7 +39,7 @@ def probe(paths: RuntimePaths) -> None:
             _try_connect(paths.command)
         except ConnectionRefusedError:
             # Nobody listens any more, or not yet: a daemon binds its socket first.
-            time.sleep(_TRY_EVERY_S)
+            time.sleep(_RETRY_PERIOD_S)
             _try_connect(paths.command)
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR):
@@ -48,7 +48,7 @@ def probe(paths: RuntimePaths) -> None:
                 other = f", or take the service's with: --runtime-dir {SYSTEM_DIRECTORY}"
             raise DaemonNotRunning(f"no daemon at {paths.directory}; start one with: hapticd run{other}") from None
         if error.errno == errno.EACCES:
-            raise HapticdError(_not_ours(paths)) from None
+            raise HapticdError(_permission_text(paths)) from None
         raise HapticdError(f"{paths.command}: {error.strerror}") from None
 
 
@@ -58,7 +58,7 @@ def _try_connect(path: Path) -> None:
         trial.connect(os.fspath(path))
 
 
-def _not_ours(paths: RuntimePaths) -> str:
+def _permission_text(paths: RuntimePaths) -> str:
     """Why the sockets may not be used, and whom they belong to."""
     refused = f"{paths.command}: permission denied"
     try:
@@ -88,7 +88,7 @@ def await_ready(place: RuntimePaths, wait_s: float, given_up: Callable[[], bool]
         with suppress(OSError):
             _try_connect(place.command)
             return
-        time.sleep(_TRY_EVERY_S)
+        time.sleep(_RETRY_PERIOD_S)
 
 
 def no_answer(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:

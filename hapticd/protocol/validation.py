@@ -71,7 +71,7 @@ def _no_object(id: str, scene: Scene) -> str:
     return f"there is no object of this id, and a new one needs a kind; {told}"
 
 
-def whole_materials(given: Mapping[str, object], before: Materials) -> Steps[dict[str, Material]]:
+def replaced_materials(given: Mapping[str, object], before: Materials) -> Steps[dict[str, Material]]:
     """All materials once those given took their places, with a pause after each. Raises InvalidError."""
     check_count(given, MAX_MATERIALS, ("materials",))
     told = "must be a mapping, is null; update_materials removes a material"
@@ -107,7 +107,7 @@ def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[t
     return materials, list(patched)
 
 
-def faults_beside(
+def further_faults(
     method: str, params: Mapping[str, object], scene: Scene, materials: Materials
 ) -> Steps[list[Problem]]:
     """Faults of the scene, objects and materials in parameters of which others are faulty, so that all are reported."""
@@ -116,7 +116,7 @@ def faults_beside(
     if method == "update_scene" and isinstance(objects, dict):
         looks.append(patched_objects(objects, scene))
     if method in ("set_materials", "apply") and isinstance(given, dict):
-        looks.append(whole_materials(given, materials))
+        looks.append(replaced_materials(given, materials))
     if method == "update_materials" and isinstance(given, dict):
         looks.append(patched_materials(given, materials))
     if method in ("set_scene", "apply") and "scene" in params:

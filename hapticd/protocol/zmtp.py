@@ -12,21 +12,21 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError, quoted
 
-MORE: Final = 1
-LONG: Final = 2
-COMMAND: Final = 4
+MORE_FLAG: Final = 1
+LONG_FLAG: Final = 2
+COMMAND_FLAG: Final = 4
 
-LONGEST_COMMAND: Final = 4096
+MAX_COMMAND_BYTES: Final = 4096
 """Bytes of a command, its name counted."""
 
-_SIGNATURE: Final = b"\xff" + bytes(8) + b"\x7f"
-_MECHANISM: Final = b"NULL".ljust(20, b"\0")
-_SIZE: Final = struct.Struct(">Q")
-_WHOLE_FRAMES: Final = 2
+_GREETING_SIGNATURE: Final = b"\xff" + bytes(8) + b"\x7f"
+_NULL_MECHANISM: Final = b"NULL".ljust(20, b"\0")
+_LONG_SIZE_FORMAT: Final = struct.Struct(">Q")
+_MAX_KEPT_FRAMES: Final = 2
 _NO_FRAME: Final = -1
 _NO_GREETING: Final = -2
 
-GREETING: Final = _SIGNATURE + b"\x03\x01" + _MECHANISM + bytes(32)
+ZMTP_GREETING: Final = _GREETING_SIGNATURE + b"\x03\x01" + _NULL_MECHANISM + bytes(32)
 """What both sides send first, whole and without waiting for the other's."""
 
 
@@ -78,18 +78,18 @@ Event = Message | Command | Greeted
 
 def header(size: int, flags: int = 0) -> bytes:
     """What stands before `size` bytes of a frame."""
-    return bytes((flags, size)) if size < 256 else bytes((flags | LONG,)) + _SIZE.pack(size)
+    return bytes((flags, size)) if size < 256 else bytes((flags | LONG_FLAG,)) + _LONG_SIZE_FORMAT.pack(size)
 
 
 def message(frames: list[bytes]) -> bytes:
     """A message as it is sent."""
     last = len(frames) - 1
-    return b"".join([header(len(each), MORE if n < last else 0) + each for n, each in enumerate(frames)])
+    return b"".join([header(len(each), MORE_FLAG if n < last else 0) + each for n, each in enumerate(frames)])
 
 
 def command(name: bytes, data: bytes = b"") -> bytes:
     """A command as it is sent."""
-    return header(1 + len(name) + len(data), COMMAND) + bytes((len(name),)) + name + data
+    return header(1 + len(name) + len(data), COMMAND_FLAG) + bytes((len(name),)) + name + data
 
 
 def ready(socket_type: bytes, **others: bytes) -> bytes:
@@ -173,11 +173,11 @@ class Parser:
                 self._keep(body)
                 body = bytes(self._part)
                 self._part = bytearray()
-            if self._flags & COMMAND:
+            if self._flags & COMMAND_FLAG:
                 return self._command(body)
-            if self._count <= _WHOLE_FRAMES + 1:
+            if self._count <= _MAX_KEPT_FRAMES + 1:
                 self._frames.append(body)
-            if not self._flags & MORE:
+            if not self._flags & MORE_FLAG:
                 found = Message(self._frames, self._size)
                 self._frames, self._count, self._size, self._cut = [], 0, 0, False
                 return found
@@ -189,12 +189,12 @@ class Parser:
             raise ZmtpError("what it sends is not ZMTP 3")
         if len(came) > 10 and came[10] < 3:
             raise ZmtpError(f"it speaks ZMTP {came[10]}, and only 3 is spoken here")
-        if len(came) >= 32 and came[12:32] != _MECHANISM:
+        if len(came) >= 32 and came[12:32] != _NULL_MECHANISM:
             mechanism = came[12:32].strip(b"\0").decode("ascii", "replace")
             raise ZmtpError(f"its mechanism is {quoted(mechanism)}, not NULL")
-        if len(came) < len(GREETING):
+        if len(came) < len(ZMTP_GREETING):
             return None
-        self._at, self._left = len(GREETING), _NO_FRAME
+        self._at, self._left = len(ZMTP_GREETING), _NO_FRAME
         return Greeted()
 
     def _open(self) -> bool:
@@ -203,20 +203,20 @@ class Parser:
         if len(buffer) - at < 2:
             return False
         flags = buffer[at]
-        if flags & LONG:
+        if flags & LONG_FLAG:
             if len(buffer) - at < 9:
                 return False
-            size: int = _SIZE.unpack_from(buffer, at + 1)[0]
+            size: int = _LONG_SIZE_FORMAT.unpack_from(buffer, at + 1)[0]
             self._at = at + 9
         else:
             size = buffer[at + 1]
             self._at = at + 2
-        if flags & ~(MORE | LONG | COMMAND) or (flags & COMMAND and flags & MORE):
+        if flags & ~(MORE_FLAG | LONG_FLAG | COMMAND_FLAG) or (flags & COMMAND_FLAG and flags & MORE_FLAG):
             raise ZmtpError("what it sends is not ZMTP 3")
         self._flags, self._left = flags, size
-        if flags & COMMAND:
-            if size > LONGEST_COMMAND:
-                raise ZmtpError(f"a command of {size:,} bytes: at most {LONGEST_COMMAND:,} are taken")
+        if flags & COMMAND_FLAG:
+            if size > MAX_COMMAND_BYTES:
+                raise ZmtpError(f"a command of {size:,} bytes: at most {MAX_COMMAND_BYTES:,} are taken")
             return True
         self._count += 1
         self._size += size
@@ -224,14 +224,14 @@ class Parser:
             raise ZmtpError(f"a message of more than {self._bounds.frames:,} parts")
         if self._size > self._bounds.size:
             raise ZmtpError(f"a message of more than {self._bounds.size:,} bytes")
-        if not self._cut and (self._size > self._bounds.kept or self._count > _WHOLE_FRAMES):
+        if not self._cut and (self._size > self._bounds.kept or self._count > _MAX_KEPT_FRAMES):
             self._cut = True
             self._frames = [each[:1] for each in self._frames]
         return True
 
     def _keep(self, chunk: bytes) -> None:
         """Of a frame that does not come at once."""
-        if not self._cut or self._flags & COMMAND:
+        if not self._cut or self._flags & COMMAND_FLAG:
             self._part += chunk
         elif not self._part:
             self._part += chunk[:1]

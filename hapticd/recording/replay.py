@@ -34,7 +34,7 @@ from hapticd.config.materials import Material, validate_materials
 from hapticd.config.modes import Mode
 from hapticd.config.scene import Scene, materials_of, validate_object, validate_scene
 from hapticd.config.texture import Autoregressive, Stochastic
-from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES
+from hapticd.protocol.changes import MAX_FLIGHT_OBJECTS, MAX_FLIGHT_PIECES
 from hapticd.protocol.events import event_map
 from hapticd.recording.missed_periods import rates_of
 from hapticd.recording.recording import Recording, load, recording_into, recording_path
@@ -155,7 +155,8 @@ def replay(path: str | os.PathLike[str]) -> Replay:
     if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
         raise HapticdError(
             f"{os.fspath(path)}: cannot be rendered again: its scene is not in it, as of all scenes of more than "
-            f"{FLIGHT_OBJECTS:,} objects, or {FLIGHT_PIECES:,} patches and models, in files of the flight recorder"
+            f"{MAX_FLIGHT_OBJECTS:,} objects, or {MAX_FLIGHT_PIECES:,} patches and models, in files of the flight "
+            "recorder"
         )
     if missing:
         raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with (no {', '.join(missing)})")

@@ -38,9 +38,7 @@ def said(kernel: Kernel, capsys: pytest.CaptureFixture[str], *words: str) -> tup
 def test_the_only_one_that_can_be_driven_is_claimed_and_released(
     kernel: Kernel, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = (
-        "/dev/hidraw7 (Stick) is claimed: other programs cannot open its event nodes; its driver is hid-generic"
-    )
+    text = "/dev/hidraw7 (Stick) is claimed: other programs cannot open its event nodes; its driver is hid-generic"
     assert said(kernel, capsys, "claim") == (0, text)
     assert kernel.modes(STICK) == {0o600}
     assert said(kernel, capsys, "claim")[0] == 1

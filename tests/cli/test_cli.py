@@ -140,9 +140,7 @@ def test_commands_that_are_not_understood(capsys: pytest.CaptureFixture[str], ar
 
 
 def test_materials_without_a_daemon_are_the_shipped_ones(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    note = (
-        f"hapticd: no daemon at {tmp_path}/hapticd; start one with: hapticd run; showing the shipped materials"
-    )
+    note = f"hapticd: no daemon at {tmp_path}/hapticd; start one with: hapticd run; showing the shipped materials"
     for arguments, names in ((["list"], list(shipped_materials())), (["get", "steel"], ["steel"])):
         assert main(["material", *arguments]) == 0
         captured = capsys.readouterr()

@@ -152,9 +152,7 @@ def test_force_on_says_what_the_check_of_signs_waits_for(tmp_path: Path, capsys:
 
     with fake_daemon(tmp_path, answer):
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 0
-        assert capsys.readouterr().out == (
-            "forces on, once the check of signs has passed: let go of the handle\n"
-        )
+        assert capsys.readouterr().out == ("forces on, once the check of signs has passed: let go of the handle\n")
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 1
         assert capsys.readouterr().err == (
             "hapticd: forces are off because a force along x moves the handle the other way: "

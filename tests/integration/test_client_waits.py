@@ -16,7 +16,7 @@ from hapticd import DaemonNotRunning, HapticdError, TimedOut
 from hapticd.client.blocking import Client
 from hapticd.client.methods import gesture_end
 from hapticd.protocol import places
-from hapticd.protocol.messages import GESTURE_ENDS
+from hapticd.protocol.messages import MAX_GESTURE_ENDS
 from tests.support.daemon_process import Daemon, connect
 from tests.support.fake_daemon import fake_daemon, result
 
@@ -157,7 +157,7 @@ def test_a_client_waits_for_what_it_asked_for(client: Client, daemon: Daemon) ->
         client.wait_gesture()
     client.set_operator(SHORT)
     with connect(daemon.directory) as other:
-        for _ in range(GESTURE_ENDS + 1):
+        for _ in range(MAX_GESTURE_ENDS + 1):
             other.set_operator(SHORT)
             other.wait_gesture()
     with pytest.raises(HapticdError, match="knows nothing of the operator that tick"):

@@ -174,12 +174,18 @@ def test_a_participant_that_cannot_be_simulated_is_a_row_with_the_reason(monkeyp
         (["--participant", "simulated:A", "--count", "3"], "need --offline and simulated participants"),
         (["--participant", "simulated:A", "--workers", "2"], "need --offline and simulated participants"),
         (["--participant", "P01", "--offline", "--count", "3"], "--offline needs a simulated participant"),
-        (["--participant", "simulated:A", "--offline", "--count", "3", "--telemetry"], "--telemetry cannot be combined"),
+        (
+            ["--participant", "simulated:A", "--offline", "--count", "3", "--telemetry"],
+            "--telemetry cannot be combined",
+        ),
         (
             ["--participant", "simulated:A", "--participant", "simulated:B", "--offline", "--count", "3"],
             "--count needs a single",
         ),
-        (["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"], "cannot be combined"),
+        (
+            ["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"],
+            "cannot be combined",
+        ),
         (["--participant", f"simulated:{'A' * 29}", "--offline", "--count", "3"], "must be 1 to 32 letters and digits"),
     ],
 )
