@@ -404,7 +404,7 @@ def test_what_was_told_to_a_dead_daemon_never_reaches_the_next(tmp_path: Path) -
 
 def test_messages_that_are_too_large_are_refused_here(fake: FakeDaemon) -> None:
     with connect(fake.directory) as client:
-        with pytest.raises(HapticdError, match=r"set_scene: \d+ bytes in one message \(at most 2097152\)"):
+        with pytest.raises(HapticdError, match=r"set_scene: message too long: must be at most 2097152 bytes, is \d+"):
             client.set_scene({"objects": {"x": "y" * 3_000_000}})
         with pytest.raises(
             HapticdError, match=r"^scene\.objects: must be what JSON can hold, is a Python object of type function$"

@@ -31,7 +31,7 @@ def fake(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FakeDaemon]:
 
 
 WRONG: list[tuple[str, Call]] = [
-    ("method: must be a text, is 3", lambda d: d.call(3)),
+    ("method: must be a string, is 3", lambda d: d.call(3)),
     ("params: must be a mapping, is a list", lambda d: d.call("get_status", [])),
     ("scene: must be a mapping, the path of a file or a hapticd.Scene, is 3", lambda d: d.set_scene(3)),
     ("scene: must be a path, is empty", lambda d: d.set_scene("")),

@@ -32,7 +32,6 @@ EXEMPT_PATHS: Final = (
     "hapticd/experiment",
     "hapticd/fit",
     "hapticd/hid",
-    "hapticd/protocol",
     "hapticd/recording",
     "hapticd/rendering",
     "hapticd/sweeps",
