@@ -97,7 +97,7 @@ def test_scenes_from_files_and_models(daemon: Daemon, tmp_path: Path) -> None:
         with pytest.raises(InvalidError, match=r"scene\.yaml:2:\d+: objects\.a\.normal: must have a direction"):
             client.set_scene(scene)
         update.write_text("- 1\n")
-        with pytest.raises(HapticdError, match=r"update\.yaml:1:\d+: must be a mapping, the objects by their names"):
+        with pytest.raises(HapticdError, match=r"update\.yaml:1:\d+: must be a mapping of names to objects"):
             client.update_scene(update)
         materials.write_text("materials:\n  felt: null\nscene: {}\n")
         with pytest.raises(InvalidError, match=r"materials\.yaml: holds materials and a scene; use: hapticd apply "):

@@ -61,7 +61,7 @@ WRONG: list[tuple[str, Call]] = [
     ("newest: must be True or False, is 2", lambda d: d.states(newest=2)),
     ("topic: unknown topic \"sample\"; did you mean samples?",
      lambda d: d.telemetry("state", "sample")),
-    ("telemetry: needs a topic or several; known: samples, state, event, change, status",
+    ("telemetry: needs at least one topic; known: samples, state, event, change, status",
      lambda d: d.telemetry()),
 ]  # fmt: skip
 

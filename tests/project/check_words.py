@@ -25,7 +25,6 @@ CHECKED_PATHS: Final = ("hapticd",)
 EXEMPT_PATHS: Final = (
     "hapticd/analysis",
     "hapticd/base",
-    "hapticd/client",
     "hapticd/config",
     "hapticd/daemon",
     "hapticd/doctor",
