@@ -270,7 +270,7 @@ def test_the_clients_have_the_same_methods_and_say_the_same_of_them() -> None:
         result = result.replace("AsyncIterator", "Iterator")
         assert inspect.signature(member).return_annotation == result, name
     assert parameters(client_module.connect) == parameters(hapticd.aio.connect)
-    same = "`timeout_s` is how long each call waits"
+    same = "`runtime_dir` is by default"
     texts = [inspect.getdoc(each.connect) or "" for each in (client_module, hapticd.aio)]
     assert texts[0][texts[0].index(same) :] == texts[1][texts[1].index(same) :]
 

@@ -440,7 +440,7 @@ def test_a_block_is_recorded_from_its_first_to_its_last_command(daemon: Daemon, 
     with connect(daemon.directory) as client:
         with client.record(target, subject=3, hand="left") as recorder:
             first = client.mark("first", {"trial": 1})["tick"]
-            with pytest.raises(HapticdError, match="is not finished"):
+            with pytest.raises(HapticdError, match="not complete"):
                 _ = recorder.result
             last = client.mark("last")["tick"]
         with pytest.raises(HapticdError, match="is there already"), client.record(target):
