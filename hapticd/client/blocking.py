@@ -135,7 +135,7 @@ def run(coroutine: Coroutine[Any, Any, T]) -> T:
         result: T = end.value
         return result
     coroutine.close()
-    raise RuntimeError(f"{coroutine} was suspended; a blocking client has no event loop to resume it")
+    raise RuntimeError(f"{coroutine} has paused, which a coroutine of a blocking client must not do")
 
 
 def _like(method: F, described: Callable[..., Any]) -> F:
