@@ -103,12 +103,12 @@ def _verdict(item: Found) -> str:
 
 def _one(device: str | None, found: Sequence[Found], what: str) -> Found:
     """Return the device named by path or VENDOR:PRODUCT, or the only one found; `what` describes them in the error."""
-    meant = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
-    if len(meant) == 1:
-        return meant[0]
-    listed = ", ".join(map(str, meant or found)) or "none"
-    if meant:
-        raise HapticdError(f"{len(meant)} devices {what}; name one by its path: {listed}")
+    matching = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
+    if len(matching) == 1:
+        return matching[0]
+    listed = ", ".join(map(str, matching or found)) or "none"
+    if matching:
+        raise HapticdError(f"{len(matching)} devices {what}; name one by its path: {listed}")
     if device is None:
         raise HapticdError(f"no device {what}; name one")
     raise HapticdError(f"no HID device {quoted(device)}; connected: {listed}")
