@@ -229,10 +229,10 @@ def protocol(page: str) -> str:
         page,
         "body",
         [
-            ("version of the protocol", messages.PROTOCOL),
-            ("length", f"{messages.MAX_BODY // mib} MiB"),
+            ("version of the protocol", messages.PROTOCOL_VERSION),
+            ("length", f"{messages.MAX_BODY_BYTES // mib} MiB"),
             ("depth, the body itself counted", codec.MAX_DEPTH),
-            ("members of a map", f"{messages.MAX_MEMBERS:,}"),
+            ("members of a map", f"{messages.MAX_MAP_MEMBERS:,}"),
             ("messages that are kept for a slow subscriber", publisher.QUEUED_MESSAGES),
             ("bytes that are kept for it", f"{publisher.QUEUED_BYTES // mib} MiB"),
         ],

@@ -21,7 +21,7 @@ from click_man.core import write_man_pages
 import hapticd.cli
 from hapticd._version import __version__
 from hapticd.base.files import check_regular
-from hapticd.cli.machine import SHELLS, script
+from hapticd.cli.machine import SCRIPT_PATH_BY_SHELL, script
 
 _CHANGELOG_PATH: Final = Path(__file__).resolve().parent.parent / "CHANGELOG.md"
 _LITERAL_PARAGRAPH: Final = re.compile(r"\x08\n(.*?)(?=\n\n|\Z)", re.DOTALL)
@@ -31,12 +31,12 @@ _LITERAL_PARAGRAPH: Final = re.compile(r"\x08\n(.*?)(?=\n\n|\Z)", re.DOTALL)
 def write(folder: Path) -> list[str]:
     """Write all files, share/... below `folder`, and return their names there."""
     root = _commands()
-    files = [*(f"share/man/man1/{name}" for name in _page_names(root)), *SHELLS.values()]
+    files = [*(f"share/man/man1/{name}" for name in _page_names(root)), *SCRIPT_PATH_BY_SHELL.values()]
     for file in files:
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         check_regular(folder / file)
     write_man_pages("hapticd", root, version=__version__, target_dir=str(folder / "share/man/man1"), date=_date())
-    for shell, file in SHELLS.items():
+    for shell, file in SCRIPT_PATH_BY_SHELL.items():
         (folder / file).write_text(script(shell), encoding="utf-8")
     return files
 

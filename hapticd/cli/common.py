@@ -1,4 +1,4 @@
-"""What the commands share: options, finding the daemon, and printing results for people or for programs."""
+"""Options that commands share, the client of the daemon, and the printing of results as text or JSON."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ if TYPE_CHECKING:
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
-_UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+_SECONDS_BY_UNIT = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
 class Finite(click.FloatRange):
-    """A range of numbers without not-a-number and infinity, which click's own takes."""
+    """A range of finite numbers. click.FloatRange accepts NaN and infinity."""
 
     name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number; fail if it is not finite or out of range."""
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{number} is not a finite number", param, ctx)
@@ -43,23 +44,22 @@ class Finite(click.FloatRange):
 
 
 def configs_option(help: str) -> Callable[[_F], _F]:
-    """The option `-c`, as the parameter `configs`: files, in their order."""
+    """Return the option `-c`: configuration files in their order, as the parameter `configs`."""
     return click.option(
         "-c", "--config", "configs", multiple=True, metavar="FILE", shell_complete=names.scenes, help=help
     )
 
 
 config_option = configs_option(
-    "Configuration, a scene, or the name of a shipped scene; later files override earlier ones  [env var: "
-    "HAPTICD_CONFIG; default: ~/.config/hapticd/config.yaml, /etc/hapticd/config.yaml or, without these, the "
-    "simulated joystick]"
+    "Configuration, scene or name of a shipped scene; later files override earlier ones  [env var: HAPTICD_CONFIG; "
+    "default: ~/.config/hapticd/config.yaml, else /etc/hapticd/config.yaml, else the simulated joystick]"
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
-overwrite_option = click.option("--overwrite", is_flag=True, help="Replace files that are there.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing files.")
 
 
 def options(*decorators: Callable[[Any], Any]) -> Callable[[_F], _F]:
-    """Several options as one decorator; `--help` lists them in this order."""
+    """Combine several options into one decorator; `--help` lists them in this order."""
 
     def decorated(command: _F) -> _F:
         for decorator in reversed(decorators):
@@ -71,25 +71,25 @@ def options(*decorators: Callable[[Any], Any]) -> Callable[[_F], _F]:
 
 log_options = options(
     click.option("-q", "--quiet", "log_level", flag_value="warning", help="Log only warnings and errors."),
-    click.option("-v", "--verbose", "log_level", flag_value="debug", help="Log each request and each event, too."),
+    click.option("-v", "--verbose", "log_level", flag_value="debug", help="Log each request and event as well."),
     click.option(
         "--log-level",
         type=click.Choice(LOG_LEVELS),
         default="info",
         show_default=True,
-        help="The least important line of the log; of several of these options the last one holds.",
+        help="Lowest level that is logged; the last of -q, -v and --log-level wins.",
     ),
 )
-"""How much stands in the log of a command that runs until it is ended, as the parameter `log_level`."""
+"""Log options of a command that runs until it is stopped, as the parameter `log_level`."""
 
 
 def output_option(help: str, metavar: str = "FILE", **more: Any) -> Callable[[_F], _F]:
-    """The option `-o`, as the parameter `output`: a file."""
+    """Return the option `-o`: a file, as the parameter `output`."""
     return click.option("-o", "--output", type=click.Path(), metavar=metavar, help=help, **more)
 
 
 def results_option(default: str) -> Callable[[_F], _F]:
-    """The option `-o`, as the parameter `output`: the folder of a command's results; `default` says which without."""
+    """Return the option `-o`: a folder of results, as the parameter `output`. `default` describes its default."""
     return click.option(
         "-o",
         "--output",
@@ -100,15 +100,15 @@ def results_option(default: str) -> Callable[[_F], _F]:
 
 
 def for_option(shown: str, default: str | None = None) -> Callable[[_F], _F]:
-    """The option `--for`, as the parameter `duration_s`; `shown` says how long it is without."""
-    told = f"How long: 5s, 500ms, 2min [default: {shown}]."
-    return click.option("--for", "duration_s", type=duration, metavar="TIME", default=default, help=told)
+    """Return the option `--for`: a duration, as the parameter `duration_s`. `shown` describes the default."""
+    help = f"Duration, as 5s, 500ms or 2min [default: {shown}]."
+    return click.option("--for", "duration_s", type=duration, metavar="TIME", default=default, help=help)
 
 
 def duration(text: str) -> float:
-    """The seconds of a time such as 500ms, 5s or 2min; a bare number is seconds."""
+    """Return the seconds of a text such as 500ms, 5s or 2min; a number without a unit is in seconds."""
     match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*(ms|s|min|h)?", text.strip())
-    seconds = float(match[1]) * _UNITS[match[2] or "s"] if match else 0.0
+    seconds = float(match[1]) * _SECONDS_BY_UNIT[match[2] or "s"] if match else 0.0
     if not seconds > 0:
         raise click.BadParameter(f"{text!r} is not a time such as 5s, 500ms or 2min")
     return seconds
@@ -124,7 +124,7 @@ def _key_and_value(text: str) -> tuple[str, str]:
 def _notes(ctx: click.Context, param: click.Parameter, pairs: tuple[tuple[str, str], ...]) -> dict[str, str]:
     notes = dict(pairs)
     if len(notes) < len(pairs):
-        raise click.BadParameter("a key is given twice")
+        raise click.BadParameter("duplicate key")
     return notes
 
 
@@ -135,41 +135,41 @@ notes_option = click.option(
     multiple=True,
     metavar="KEY=VALUE",
     callback=_notes,
-    help="Keep a note in the recording; may be given several times.",
+    help="Note for the recording; may be repeated.",
 )
-"""The notes as a dictionary."""
+"""Notes of a recording, as the parameter `notes`: a dictionary."""
 
 
 # ---- The daemon ------------------------------------------------------------------------------------------------------
 
 
 def runtime_dir() -> str | None:
-    """What `--runtime-dir` names."""
+    """Return the value of `--runtime-dir`."""
     return cast("str | None", click.get_current_context().find_root().obj)
 
 
 def daemon(timeout_s: float | None = None) -> Client:
-    """A client of the daemon that the command line names; raises DaemonNotRunning where there is none."""
+    """Return a client of the daemon at `--runtime-dir`. Raises DaemonNotRunning if none runs there."""
     from hapticd.client.blocking import connect
-    from hapticd.protocol.calls import TIMEOUT_S
+    from hapticd.protocol.calls import REPLY_TIMEOUT_S
 
-    return connect(runtime_dir(), TIMEOUT_S if timeout_s is None else timeout_s)
+    return connect(runtime_dir(), REPLY_TIMEOUT_S if timeout_s is None else timeout_s)
 
 
 class Stop(threading.Event):
-    """Set once a command that runs for a while is to end."""
+    """Event that is set when a command that runs for a while has to end."""
 
     signal: int | None = None
-    """SIGINT or SIGTERM, if one of them has set it; the first that came."""
+    """SIGINT or SIGTERM, whichever came first; None if neither did."""
 
     def exit_code(self, duration_s: float | None) -> int:
-        """0 where the time is over, or there was none and a signal ended it."""
+        """Return 0 if the duration is over or was not limited, otherwise 128 + signal."""
         return 0 if self.signal is None or duration_s is None else 128 + self.signal
 
 
 @contextmanager
 def stopped_by_signals() -> Iterator[Stop]:
-    """Meanwhile Ctrl-C and SIGTERM set the Stop that is given, and interrupt nothing."""
+    """Yield a Stop that Ctrl-C and SIGTERM set, instead of interrupting the command."""
     stop = Stop()
 
     def end(number: int, frame: object) -> None:
@@ -184,18 +184,18 @@ def stopped_by_signals() -> Iterator[Stop]:
             signal.signal(number, handler)
 
 
-# ---- What is printed -------------------------------------------------------------------------------------------------
+# ---- Output ----------------------------------------------------------------------------------------------------------
 
 
 def print_json(value: object) -> None:
-    """One line of JSON."""
+    """Print one line of JSON."""
     click.echo(json.dumps(value, ensure_ascii=False))
 
 
 def note(text: str) -> None:
-    """A line for people beside the result: on stderr, since stdout is the result's.
+    """Print a line to stderr, since stdout is for the result.
 
-    With --json it is left out: the result says the same, and stderr holds nothing but the object of an error.
+    With --json nothing is printed: the result has the same information, and stderr is for the object of an error.
     """
     ctx = click.get_current_context(silent=True)
     if ctx is not None and ctx.params.get("as_json"):
@@ -205,7 +205,7 @@ def note(text: str) -> None:
 
 
 def print_result(result: object, as_json: bool, text: str) -> None:
-    """The result as JSON, which holds its warnings, or `text`, and the warnings on stderr."""
+    """Print the result as JSON with its warnings, or else `text`, and the warnings to stderr."""
     if as_json:
         print_json(result)
         return
@@ -217,7 +217,7 @@ def print_result(result: object, as_json: bool, text: str) -> None:
 
 
 def print_pairs(pairs: Iterable[tuple[str, str]]) -> None:
-    """Names and what is said of them, below one another."""
+    """Print names and their descriptions in two columns."""
     listed = list(pairs)
     width = max(len(name) for name, _ in listed)
     for name, text in listed:
@@ -225,7 +225,7 @@ def print_pairs(pairs: Iterable[tuple[str, str]]) -> None:
 
 
 def print_shipped(folder: Folder, as_json: bool) -> None:
-    """The studies of a folder that ships, by name, each with the question that it asks."""
+    """Print the names of the studies in a shipped folder, each with the question that it asks."""
     from hapticd.config.shipped_files import described
 
     studies = described(folder)
@@ -244,8 +244,11 @@ def print_table(
     stderr: bool = False,
     width: int | None = None,
 ) -> None:
-    """A table for people, of `width` characters at most [default: as the terminal]. A name that begins with > stands
-    above a column of numbers; the column `broken` alone gives way where there is too little room."""
+    """Print a table of at most `width` characters, by default the width of the terminal.
+
+    A column whose name begins with > has numbers, aligned to the right. If the table is too wide, only the cells of the
+    column `broken` are wrapped.
+    """
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -267,8 +270,7 @@ def print_table(
 
 @contextmanager
 def doing() -> Iterator[Callable[[str], None]]:
-    """Shows what is being done in one line of the terminal, if stderr is one; it is gone afterwards, and where the text
-    is empty."""
+    """Yield a function that shows a status line if stderr is a terminal; an empty text and the end erase the line."""
     try:
         yield _show
     finally:
@@ -281,7 +283,7 @@ _line_shown = False
 def _show(text: str) -> None:
     global _line_shown
     if (text or _line_shown) and sys.stderr is not None and sys.stderr.isatty():
-        import shutil  # which loads three compressions
+        import shutil  # imported here, since it loads three compression modules
 
         width = shutil.get_terminal_size().columns - 1
         click.echo(f"\r\x1b[K{text[:width]}", nl=False, err=True)

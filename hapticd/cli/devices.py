@@ -1,4 +1,4 @@
-"""`devices`: HID devices, and what their report descriptors say."""
+"""`hapticd devices`: HID devices and their report descriptors."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ if TYPE_CHECKING:
     from hapticd.hid.discovery import Found
     from hapticd.hid.verdict import Verdict
 
-_MAX_FILE_BYTES: Final = 1 << 20
-"""More than any report descriptor is as text; what lies behind is not read."""
+_MAX_DESCRIPTOR_FILE_BYTES: Final = 1 << 20
+"""At most this much of a file with a report descriptor is read, in bytes; no descriptor is longer as hex text."""
 
 
-@click.group("devices", invoke_without_command=True, short_help="HID devices, and which can be driven.")
+@click.group("devices", invoke_without_command=True, short_help="List HID devices, or set one up.")
 @config_option
 @json_option
 @click.pass_context
 def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> None:
-    """List HID devices, and say which of them can be driven; or do what a command below says.
+    """List HID devices, and whether each can be driven or the reason why not.
 
-    The devices that the configuration may mean are judged by its device.hid, the others by the defaults.
+    Devices that match device.hid of the configuration are judged by it, others by the defaults.
     """
     if ctx.invoked_subcommand is not None:
         return
@@ -57,7 +57,7 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
         print_json([{**item.to_dict(), "claimed": item.hid_name in claimed} for item in found])
         return
     if not found:
-        note("no HID device is connected, or the kernel has no hidraw")
+        note("no HID device is connected, or the kernel lacks hidraw")
     for item in found:
         click.echo(f"{item}, {item.bus}")
         click.echo(f"    {_verdict(item)}")
@@ -66,13 +66,13 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
             condition, action = unseen_reset_text(item.path)
             click.echo(f"    {condition}" if mine else f"    {condition}\n    {action}")
         if mine:
-            click.echo(f"    claimed: `hapticd devices release {item.path}` lets other programs at it again")
+            click.echo(f"    claimed: `hapticd devices release {item.path}` lets other programs use it again")
 
 
 def _hid_of(configs: tuple[str, ...]) -> Hid:
-    """What the daemon would be started with: `device.hid` of a configuration for a HID device, else the defaults.
+    """Return `device.hid` as `hapticd run` would use it, or the defaults if the configuration has no HID device.
 
-    A faulty configuration is an error where it was named, and a note where it was only found.
+    A faulty configuration is an error if it was given with -c; if it was found at its default place, only a note.
     """
     from hapticd.config.configuration import config_of
     from hapticd.config.hid import Hid
@@ -82,7 +82,7 @@ def _hid_of(configs: tuple[str, ...]) -> Hid:
     except HapticdError as error:
         if configs:
             raise
-        note(f"judged by the defaults, as the configuration is faulty: {error}")
+        note(f"using the defaults, as the configuration is faulty: {error}")
         return Hid()
     return device.hid if device.kind == "hid" else Hid()
 
@@ -92,37 +92,39 @@ def _verdict(item: Found) -> str:
 
     why_not = item.verdict.why_not
     if why_not is not None:
-        return f"cannot be driven{' without a description' if item.lacks_forces else ''}: {why_not}"
-    said = "can be driven"
+        return f"cannot be driven{' without a description' if item.is_other else ''}: {why_not}"
+    text = "can be driven"
     if item.out_interval_s:
-        said += f", a report every {wording.si(item.out_interval_s, 's')}"
+        text += f", a report every {wording.si(item.out_interval_s, 's')}"
     if item.verdict.plan is not None and item.verdict.plan.leak_text:
-        said += f"; {item.verdict.plan.leak_text}"
-    return said + (f"; but no permission: {PERMISSION_HINT}" if item.permission == "denied" else "")
+        text += f"; {item.verdict.plan.leak_text}"
+    return text + (f"; but no permission: {PERMISSION_HINT}" if item.permission == "denied" else "")
 
 
 def _one(device: str | None, found: Sequence[Found], what: str) -> Found:
-    """The device that is named, or the only one of those that are, or can be, `what`."""
-    meant = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
-    if len(meant) == 1:
-        return meant[0]
-    listed = ", ".join(map(str, meant or found)) or "none"
-    if meant:
-        raise HapticdError(f"{len(meant)} devices {what}, name one by its path: {listed}")
+    """Return the device named by path or VENDOR:PRODUCT, or the only one found; `what` describes them in the error."""
+    matching = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
+    if len(matching) == 1:
+        return matching[0]
+    listed = ", ".join(map(str, matching or found)) or "none"
+    if matching:
+        raise HapticdError(f"{len(matching)} devices {what}; name one by its path: {listed}")
     if device is None:
         raise HapticdError(f"no device {what}; name one")
-    raise HapticdError(f"no HID device {quoted(device)}; there are: {listed}")
+    raise HapticdError(f"no HID device {quoted(device)}; connected: {listed}")
 
 
-@devices_command.command("dump", short_help="Record what a device reports.")
+@devices_command.command("dump", short_help="Record the reports of a device.")
 @click.argument("device", metavar="DEVICE")
-@output_option("Where the recording goes.", required=True)
+@output_option("File of the recording.", required=True)
 @for_option("5s", "5s")
 @overwrite_option
 @json_option
 def dump_command(device: str, output: str, duration_s: float, overwrite: bool, as_json: bool) -> None:
-    """Record what DEVICE reports (its path, or VENDOR:PRODUCT in hex), with its report descriptor: for a bug report,
-    or to be played with `device: {kind: replay}`. Move the handle meanwhile."""
+    """Record the report descriptor and the input reports of DEVICE, its path or VENDOR:PRODUCT in hex.
+
+    Move the handle meanwhile. The file is for a bug report, or for `device: {kind: replay}`.
+    """
     from hapticd.hid.discovery import find
     from hapticd.hid.replay import Recording, record, save
 
@@ -142,26 +144,28 @@ def dump_command(device: str, output: str, duration_s: float, overwrite: bool, a
 @click.argument("device", metavar="[DEVICE]", required=False)
 @json_option
 def claim_command(device: str | None, as_json: bool) -> None:
-    """Keep other programs off DEVICE (its path, or VENDOR:PRODUCT in hex; by default the only one that can be driven),
-    until it is released or unplugged. Needs root.
+    """Keep other programs off DEVICE until it is released or unplugged.
 
-    It is taken from the kernel's driver, which ends what programs have open of it, and bound again with event and
-    joystick nodes that belong to root alone. A daemon that drives it sets it up again; forces are off then.
+    DEVICE is a path or VENDOR:PRODUCT in hex, by default the only device that can be driven. Needs root. The kernel
+    driver is unbound, which closes the device in other programs, and bound again; its event and joystick nodes then
+    belong to root. A daemon that drives the device sets it up again; forces are off then.
     """
     _hand_over(device, as_json, release=False)
 
 
-@devices_command.command("release", short_help="Let other programs at a device again.")
+@devices_command.command("release", short_help="Let other programs use a device again.")
 @click.argument("device", metavar="[DEVICE]", required=False)
 @json_option
 def release_command(device: str | None, as_json: bool) -> None:
-    """Let other programs at DEVICE again (its path, or VENDOR:PRODUCT in hex; by default the only one that is claimed).
-    Needs root."""
+    """Let other programs use DEVICE again.
+
+    DEVICE is a path or VENDOR:PRODUCT in hex, by default the only claimed device. Needs root.
+    """
     _hand_over(device, as_json, release=True)
 
 
 def _hand_over(device: str | None, as_json: bool, *, release: bool) -> None:
-    """Claims or releases the device that is named, or the only one that this can be done to."""
+    """Claim or release the named device, or the only one that can be."""
     from hapticd.hid.claim import Claims
     from hapticd.hid.discovery import find
 
@@ -171,28 +175,28 @@ def _hand_over(device: str | None, as_json: bool, *, release: bool) -> None:
         found = [item for item in found if (item.hid_name in names if release else item.usable)]
     item = _one(device, found, "is claimed" if release else "can be driven")
     driver = claims.release(item) if release else claims.claim(item)
-    told = {"device": item.hid_name, "path": claims.path(item.hid_name), "driver": driver}
-    what = "claimed: other programs have no access to its event nodes"
+    result = {"device": item.hid_name, "path": claims.path(item.hid_name), "driver": driver}
+    what = "claimed: other programs cannot open its event nodes"
     if release:
         what = "released: other programs may use it"
-    print_result(told, as_json, f"{told['path']} ({item.name or 'no name'}) is {what}; its driver is {driver}")
+    print_result(result, as_json, f"{result['path']} ({item.name or 'no name'}) is {what}; its driver is {driver}")
 
 
-@devices_command.command("calibrate", short_help="Find out which way a device pushes.")
+@devices_command.command("calibrate", short_help="Measure in which direction a device pushes.")
 @config_option
 @click.option(
-    "--force", "force_n", type=Finite(0, min_open=True), metavar="N", help="Force to push with [default: 5 % of full]."
+    "--force", "force_n", type=Finite(0, min_open=True), metavar="N", help="Test force [default: 5 % of full scale]."
 )
-@output_option("Write the section there, too.")
+@output_option("File for the section, in addition to the output.")
 @overwrite_option
-@click.option("--yes", is_flag=True, help="Nobody holds the handle; do not ask.")
+@click.option("--yes", is_flag=True, help="Do not ask whether the handle is free.")
 @json_option
 def calibrate_command(
     configs: tuple[str, ...], force_n: float | None, output: str | None, overwrite: bool, yes: bool, as_json: bool
 ) -> None:
-    """Find out which way a device pushes, and print the configuration that says so.
+    """Measure in which direction a device pushes, and print the section device.hid of the configuration.
 
-    The handle is pushed gently along each axis, both ways; nobody may hold it.
+    The handle is pushed gently along each axis, in both directions; nobody may hold it.
     """
     from hapticd.config.configuration import config_of
     from hapticd.config.hid import ForceAxes
@@ -200,7 +204,7 @@ def calibrate_command(
     from hapticd.hid.sources import open_hid
 
     if output is not None and any(os.path.realpath(output) == os.path.realpath(path) for path in configs):
-        raise click.UsageError(f"-o {output}: would take the place of the configuration; name another file")
+        raise click.UsageError(f"-o {output}: is the configuration file; name another file")
     if output is not None:
         check_new(output, overwrite)
     config = config_of(configs)
@@ -208,37 +212,38 @@ def calibrate_command(
     most_n = MAX_FORCE_SHARE * hid.full_scale_force_n
     force_n = 0.5 * most_n if force_n is None else force_n
     if force_n > most_n:
-        raise click.UsageError(f"--force {force_n:g}: at most {most_n:g}, a tenth of device.hid.full_scale_force_n")
+        raise click.UsageError(
+            f"--force must be at most {most_n:g} N, a tenth of device.hid.full_scale_force_n, is {force_n:g}"
+        )
     opened = open_hid(hid.model_copy(update={"force_axes": ForceAxes()}))
     try:
         if not yes:
-            click.confirm(
-                f"{opened.name} at {opened.device.path} will move. Is every hand off it?", abort=True, err=True
-            )
+            click.confirm(f"{opened.name} at {opened.device.path} will move. Is the handle free?", abort=True, err=True)
         found = calibrate(opened.device, opened.driver, hid, force_n)
     finally:
         opened.device.close()
     measured = {**hid.to_dict(), "force_axes": found.force_axes.to_dict(), "signs": "trust"}
     section = {"device": {"kind": "hid", "hid": measured}}
     text = yaml_text(section)
-    print_result(section, as_json, text)  # whatever becomes of the file
+    print_result(section, as_json, text)  # first, since the file may fail
     if output is not None:
         write_whole(output, text + "\n", overwrite)
 
 
-@devices_command.command("parse", short_help="Show which axes and forces of a report descriptor are driven.")
+@devices_command.command("parse", short_help="Show the axes and forces in a report descriptor.")
 @click.argument("file", metavar="FILE", type=click.Path(dir_okay=False))
 @config_option
 @json_option
 def parse_command(file: str, configs: tuple[str, ...], as_json: bool) -> None:
-    """Say what would be driven of a device with the report descriptor in FILE, binary or hex text; - is the input.
+    """Show which axes and forces of the report descriptor in FILE hapticd would use.
 
-    It is judged as `hapticd run` would judge it with the same configuration. --json shows all reports and fields.
+    FILE is binary or hex text; - is standard input. The result is that of `hapticd run` with the same configuration.
+    --json lists all reports and fields.
     """
     from hapticd.hid.verdict import verdict_of
 
     with click.open_file(file, "rb") as stream:
-        data = stream.read(_MAX_FILE_BYTES)
+        data = stream.read(_MAX_DESCRIPTOR_FILE_BYTES)
     descriptor = descriptor_bytes(data, "the standard input" if file == "-" else Path(file).name)
     verdict = verdict_of(_hid_of(configs), descriptor)
     if verdict.layout is None and not verdict.drivable:
@@ -247,10 +252,10 @@ def parse_command(file: str, configs: tuple[str, ...], as_json: bool) -> None:
 
 
 def descriptor_bytes(data: bytes, name: str) -> bytes:
-    """The bytes of a file that holds a report descriptor, as they are or as hex text.
+    """Return the report descriptor in a file, which is binary or hex text.
 
-    Hex text is pairs of digits, between them white space, commas or `0x`; `#` and `//` begin a comment. Raises
-    HapticdError for text that is something else.
+    Hex text is pairs of digits, separated by white space, commas or `0x`; `#` and `//` begin a comment. Raises
+    HapticdError for any other text.
     """
     if any(byte > 126 or (byte < 32 and byte not in b"\t\n\r\f\v") for byte in data):
         return data
@@ -267,7 +272,7 @@ def descriptor_bytes(data: bytes, name: str) -> bytes:
 
 
 def _lines(verdict: Verdict) -> Iterator[str]:
-    """Whether it can be driven, along which axes and by what, and what of it is not used."""
+    """Yield the lines of `devices parse`: verdict, axes, forces, and unused parts of the descriptor."""
     if verdict.plan is None:
         yield f"cannot be driven: {verdict.why_not}"
     else:
@@ -275,7 +280,7 @@ def _lines(verdict: Verdict) -> Iterator[str]:
         plan = verdict.plan
         pushed = [name for name, step_n in zip("xy", plan.force_steps_n, strict=True) if step_n > 0.0]
         along = f"forces: along {' and '.join(pushed)}{' only' if len(pushed) == 1 else ''}"
-        # A device with reports of its own has no effects.
+        # A device that is driven by vendor reports (device.hid.report) has no effects.
         yield along if plan.foreign_s is None else f"{along}, by {wording.count(len(plan.renew), 'effect')}"
         yield from filter(None, [plan.leak_text])
     if verdict.layout is None:

@@ -1,5 +1,4 @@
-"""What a device can display: found before anything moves (`check`), measured of the handle and the hand on it
-(`calibrate`), and of what it displays (`verify`)."""
+"""What a device can display: computed (`check`), or measured of the handle (`calibrate`) or of materials (`verify`)."""
 
 from __future__ import annotations
 
@@ -29,23 +28,26 @@ if TYPE_CHECKING:
     from hapticd.analysis.check import Checked, Report
     from hapticd.rendering.stability import Margin
 
-DEFAULT_FORCE_N: Final = 1.0
-TAKE_HOLD_S: Final = 5.0
-"""To take the handle, where nobody is asked."""
-_ACCELEROMETER_HELP: Final = "Recording of an accelerometer on the handle (.npz or .csv: time_s, acceleration_m_per_s2)"
-_LET_GO_TEXT: Final = "Let go of the handle, in the middle."
-_TAKE_HOLD_TEXT: Final = "Hold the handle in the middle as it will be used."
+DEFAULT_DRIVE_FORCE_N: Final = 1.0
+"""Largest force of `hapticd calibrate` by default, in N."""
+TAKE_HOLD_PAUSE_S: Final = 5.0
+"""Pause of `hapticd calibrate --yes` in which the handle is taken, in s."""
+_ACCELEROMETER_HELP: Final = (
+    "Recording of an accelerometer on the handle, .npz or .csv with time_s and acceleration_m_per_s2"
+)
+_LET_GO_TEXT: Final = "Let go of the handle in the middle of its travel."
+_TAKE_HOLD_TEXT: Final = "Hold the handle in the middle of its travel as it will be used."
 
 
-@click.command("check", short_help="Check what can be displayed, and what may oscillate.")
+@click.command("check", short_help="Check what can be displayed and what may oscillate.")
 @config_option
 @json_option
 def check_command(configs: tuple[str, ...], as_json: bool) -> int:
-    """Check which materials and surfaces can be displayed with this device, rate and grip. Nothing moves,
-    and no daemon is needed.
+    """Check which materials and surfaces can be displayed with this device, rate and grip.
 
-    The exit code is 0 if all of the scene can be displayed as written and nothing of it oscillates, otherwise 1. If the
-    stability is unknown, as of a joystick without device.handle, or not proved, this is printed and does not count.
+    Nothing moves, and no daemon is needed. The exit code is 0 if all of the scene can be displayed as written and
+    nothing may oscillate, otherwise 1. Unknown stability, as of a joystick without device.handle, and stability that is
+    not proved are reported, and do not change the exit code.
     """
     from hapticd.analysis.check import check
     from hapticd.config.configuration import config_of
@@ -68,11 +70,12 @@ def _print(report: Report) -> None:
     link = "" if output.link_rate_hz is None else f", forces carried at {wording.si(output.link_rate_hz, 'Hz')}"
     click.echo(f"device: {report.device}; servo at {wording.si(output.rate_hz, 'Hz')}{link}")
     if stability.assumed is not None:
-        told, timing = stability.assumed.dynamics, stability.assumed.timing
+        dynamics, timing = stability.assumed.dynamics, stability.assumed.timing
         click.echo(
-            f"handle: {told.handle_mass_kg:g} kg, {told.handle_damping_n_s_per_m:g} N s/m, {told.friction_n:g} N dry; "
-            f"hand: {told.grip_mass_kg:g} kg, {told.grip_damping_n_s_per_m:g} N s/m, "
-            f"{told.grip_stiffness_n_per_m:g} N/m; positions {1e3 * timing.delay_s:.4g} ms old, forces held for "
+            f"handle: {dynamics.handle_mass_kg:g} kg, {dynamics.handle_damping_n_s_per_m:g} N s/m, "
+            f"{dynamics.friction_n:g} N dry friction; "
+            f"hand: {dynamics.grip_mass_kg:g} kg, {dynamics.grip_damping_n_s_per_m:g} N s/m, "
+            f"{dynamics.grip_stiffness_n_per_m:g} N/m; positions {1e3 * timing.delay_s:.4g} ms old, forces held for "
             f"{1e3 * timing.period_s:.4g} ms, encoder step {1e6 * stability.assumed.encoder_step_m:g} um"
         )
     columns = ["", "in the scene", ">N/m", "sounds", ">error"]
@@ -93,15 +96,15 @@ def _print(report: Report) -> None:
         columns = ["objects", *numbers, "verdict", "by"]
         print_table(columns, map(_set_row, stability.worst), "What can be touched together", broken="objects")
         if stability.sets > len(stability.worst):
-            least = f"shown are those with the least margin of {stability.sets} sets"
-            click.echo(f"{least}, {stability.unsafe} of them not safe")
+            shown = f"shown: {len(stability.worst)} of {stability.sets} sets, those with the least margins"
+            click.echo(f"{shown}; {stability.unsafe} of all sets are not safe")
     for what, text in stability_words(stability.to_dict()):
         if what != "unsafe":  # these are among the problems below
             click.echo(f"{what}: {text}")
     for problem in (*report.refused, *report.undisplayable, *report.warnings, *stability.problems(), *report.notes):
         click.echo(str(problem))
     if report.faults == 0:
-        click.echo("all of the scene can be shown")
+        click.echo("all of the scene can be displayed")
 
 
 def _material_row(material: Checked) -> tuple[str, ...]:
@@ -131,22 +134,22 @@ def _set_row(margin: Margin) -> tuple[str, ...]:
     )
 
 
-@click.command("calibrate", short_help="Measure handle and grip.")
+@click.command("calibrate", short_help="Measure the handle and the grip on it.")
 @config_option
-@output_option("Write the device section there, too.")
+@output_option("File for the device section, in addition to the output.")
 @overwrite_option
-@click.option("--plot", type=click.Path(), metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
+@click.option("--plot", type=click.Path(), metavar="FILE.png", help="Plot of response and fit; needs matplotlib.")
 @click.option("--accelerometer", type=click.Path(), metavar="FILE", help=f"{_ACCELEROMETER_HELP}.")
-@click.option("--axis", type=click.Choice(["x", "y"]), default="x", show_default=True, help="The axis that is driven.")
+@click.option("--axis", type=click.Choice(["x", "y"]), default="x", show_default=True, help="Axis to drive.")
 @click.option(
     "--force-n",
     type=Finite(min=0.05),
-    default=DEFAULT_FORCE_N,
+    default=DEFAULT_DRIVE_FORCE_N,
     show_default=True,
     metavar="N",
-    help="Largest force; never more than the device's max_force_n.",
+    help="Largest force, limited to max_force_n of the device.",
 )
-@click.option("--yes", is_flag=True, help="Begin at once: first the handle is free, 5 s later it is held.")
+@click.option("--yes", is_flag=True, help="Do not ask; take the handle within 5 s after the first drive.")
 @json_option
 def calibrate_command(
     configs: tuple[str, ...],
@@ -161,15 +164,16 @@ def calibrate_command(
 ) -> None:
     """Measure mass, damping and dry friction of the handle, and mass, damping and stiffness of the hand on it.
 
-    The handle is driven along one axis by weak bursts from a few hertz up to where they move it by less than a step of
-    its encoder: half a minute alone, then half a minute held as it will be used. The difference of the two is the hand.
-    A handle that leaves the middle third of its travel ends it. Ctrl-C takes the force away.
+    Weak bursts drive the handle along one axis: half a minute alone, then half a minute held as it will be used. Their
+    frequencies go from a few hertz to the one at which the motion is less than an encoder step. The hand is the
+    difference of the two drives. The command fails if the handle leaves the middle third of its travel. Ctrl-C sets the
+    force to zero.
     """
     from hapticd.analysis.calibration import handle
     from hapticd.analysis.calibration.accelerometer import check_name
     from hapticd.config.configuration import config_of
 
-    # Nobody holds a handle for a minute to hear then that the result has no place to go.
+    # Checked before the drives, which take a minute.
     for target in (output, plot):
         if target is not None:
             check_new(target, overwrite)
@@ -185,7 +189,7 @@ def calibrate_command(
             drive = f"It will move for half a minute with up to {force_n:g} N. Ready?"
             click.confirm(f"{_TAKE_HOLD_TEXT if held else _LET_GO_TEXT} {drive}", abort=True, err=True)
         elif held and config.device.kind != "sim":
-            time.sleep(TAKE_HOLD_S)
+            time.sleep(TAKE_HOLD_PAUSE_S)
 
     try:
         with doing() as show:
@@ -200,16 +204,16 @@ def calibrate_command(
     if as_json:
         print_json({**found.to_dict(), **section})
     else:
-        # The section is what is read on, where it goes to no file: then the table is beside it.
-        beside = output is None
+        # Without -o stdout is for the section, and the table goes to stderr.
+        table_on_stderr = output is None
         rows = [
             (name, f"{each.value:.4g}", f"{each.low:.4g} to {each.high:.4g}", unit) for name, each, unit in found.rows()
         ]
         title = f"{found.kind}, axis {found.axis}"
-        print_table(("", ">value", ">95 % bounds", "unit"), rows, title, stderr=beside)
+        print_table(("", ">value", ">95 % bounds", "unit"), rows, title, stderr=table_on_stderr)
         for line in found.notes():
-            click.echo(line, err=beside)
-        if beside:
+            click.echo(line, err=table_on_stderr)
+        if table_on_stderr:
             click.echo(yaml_text(section))
     if output is not None:
         write_whole(output, yaml_text(section) + "\n", overwrite)
@@ -222,16 +226,18 @@ def _ask_for(recording: str, asks: bool) -> None:
         click.confirm(f"Stop the accelerometer. Is its recording in {recording}?", abort=True, err=True)
 
 
-@click.command("verify", short_help="Measure how materials are displayed.")
+@click.command("verify", short_help="Measure how well materials are displayed.")
 @config_option
-@click.option("--recording", type=click.Path(), metavar="FILE", help=f"{_ACCELEROMETER_HELP}; a real device needs one.")
+@click.option(
+    "--recording", type=click.Path(), metavar="FILE", help=f"{_ACCELEROMETER_HELP}; required for a real device."
+)
 @click.option(
     "--scale",
     type=Finite(-1e6, 1e6),
     default=1.0,
     show_default=True,
     metavar="FACTOR",
-    help="The recording's numbers are multiplied by it.",
+    help="Factor for the accelerations of the recording.",
 )
 @click.option(
     "--speed", type=Finite(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S", help="Speed of a tap."
@@ -241,9 +247,9 @@ def _ask_for(recording: str, asks: bool) -> None:
     type=click.Choice(["x", "y"]),
     default="y",
     show_default=True,
-    help="Axis along which materials are struck.",
+    help="Axis of the strikes.",
 )
-@click.option("--yes", is_flag=True, help="Begin at once, without a question.")
+@click.option("--yes", is_flag=True, help="Begin without asking.")
 @json_option
 def verify_command(
     configs: tuple[str, ...],
@@ -254,14 +260,14 @@ def verify_command(
     yes: bool,
     as_json: bool,
 ) -> None:
-    """Strike each material's tap, groove and rupture, and say how far the handle's acceleration is from the library.
+    """Measure how far the acceleration of the handle is from the library, for each tap, groove and rupture.
 
-    A tap is struck as at --speed, a groove as at that speed under 1 N. The error is the RMS of the difference over the
-    RMS of the library's, from 30 Hz to 0.4 of the rate.
+    Taps and grooves are struck as at --speed, grooves with a normal force of 1 N. The error is the RMS of the
+    difference over the RMS of the library, from 30 Hz to 0.4 of the servo rate.
 
-    The motion of the simulated handle is known exactly; each tap is also measured on a wall of its material. With a
-    real device an accelerometer must record meanwhile; strikes are half a second apart. Hold the handle as it will
-    be used.
+    With the simulated joystick the motion is known exactly, and each tap is also measured on a wall of its material. A
+    real device needs an accelerometer that records meanwhile. Hold the handle as it will be used. Strikes are half a
+    second from each other.
     """
     from hapticd.analysis.calibration import verify
     from hapticd.analysis.calibration.accelerometer import load_recording
@@ -270,7 +276,7 @@ def verify_command(
     config = config_of(configs)
     simulated = config.device.kind == "sim"
     if not simulated and recording is None:
-        raise HapticdError("a real device is verified by an accelerometer on its handle: give --recording FILE")
+        raise HapticdError("a real device needs an accelerometer on its handle: give --recording FILE")
     if not simulated and not yes:
         click.confirm("Hold the handle, and start the accelerometer. Ready?", abort=True, err=True)
     strikes = verify.strikes_of(config.materials, speed)

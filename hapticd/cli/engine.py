@@ -1,4 +1,4 @@
-"""What commands share that compute many pieces on dask: where, how far it is, and what came of it."""
+"""Options, progress and result of commands that compute many pieces on dask."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from hapticd.sweeps.work import Work
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_EVERY_S: Final = 10.0
-"""Between two lines of progress where no terminal is."""
+_PROGRESS_PERIOD_S: Final = 10.0
+"""Time between two lines of progress if stderr is not a terminal, in s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """Where it is computed, as the options say."""
+    """The values of the options that say where to compute."""
 
     workers: int | None
     threads: bool
@@ -36,34 +36,32 @@ class Where:
 
 
 def engine_options(what: str) -> Callable[[_F], _F]:
-    """`--workers`, `--threads`, `--scheduler` and `--again`; `what` is computed: points."""
+    """Return the options `--workers`, `--threads`, `--scheduler` and `--again`. `what` names the pieces: points."""
     return options(
+        click.option("--workers", type=click.IntRange(1, 1024), help="Number of processes [default: the processors]."),
+        click.option("--threads", is_flag=True, help="Compute in threads instead of processes; no port is opened."),
         click.option(
-            "--workers", type=click.IntRange(1, 1024), help="How many processes [default: as many as processors]."
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Address of a running dask scheduler: tcp://HOST:PORT or tls://HOST:PORT.",
         ),
-        click.option(
-            "--threads", is_flag=True, help="Threads of this process instead of processes; no port is opened."
-        ),
-        click.option(
-            "--scheduler", metavar="ADDRESS", help="A dask scheduler that runs: tcp://HOST:PORT, tls://HOST:PORT."
-        ),
-        click.option("--again", is_flag=True, help=f"Compute {what} anew whose row has an error."),
+        click.option("--again", is_flag=True, help=f"Compute again the {what} whose row has an error."),
     )
 
 
 def require_engine(where: Where) -> None:
-    """Raises click.UsageError for options that exclude one another, HapticdError where the extra is missing."""
+    """Raise click.UsageError if options exclude each other, HapticdError if the extra `cluster` is not installed."""
     from hapticd.sweeps.cluster import require_dask
     from hapticd.sweeps.store import require_pyarrow
 
     if where.scheduler is not None and (where.workers is not None or where.threads):
-        raise click.UsageError("--scheduler has its own workers: leave out --workers and --threads")
+        raise click.UsageError("--scheduler cannot be combined with --workers or --threads: it has its own workers")
     require_dask()
     require_pyarrow()
 
 
 def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome, Store]:
-    """Computes what the folder does not hold, with progress on stderr; `what` is one of it: point."""
+    """Compute the pieces that the folder lacks, with progress on stderr. `what` names one piece: point."""
     from hapticd.sweeps import engine
     from hapticd.sweeps.cluster import client_of
     from hapticd.sweeps.interrupts import sigterm_ends
@@ -82,29 +80,29 @@ def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome
         with sigterm_ends(), _progress(what) as report:
             return engine.run(work, store, opened, note, report, where.again), store
     except (KeyboardInterrupt, SystemExit):
-        note(f"interrupted; what is done is in {folder}: the same command goes on")
+        note(f"interrupted; {folder} has the finished part: the same command continues")
         raise
 
 
 def outcome_dict(outcome: Outcome, folder: Path, digest: str, what: str) -> dict[str, object]:
-    """What --json says of it; `what` is computed: points."""
-    told = asdict(outcome)
+    """Return the outcome for --json. `what` names the pieces: points."""
+    fields = asdict(outcome)
     for name in ("seconds", "worker_seconds"):
-        told[name] = round(told[name], 3)
-    return {"folder": str(folder), what: told.pop("points"), **told, "sha256": digest}
+        fields[name] = round(fields[name], 3)
+    return {"folder": str(folder), what: fields.pop("points"), **fields, "sha256": digest}
 
 
 def outcome_text(outcome: Outcome, what: str) -> str:
-    """One line; `what` is one of what is computed: point."""
+    """Return the outcome in one line. `what` names one piece: point."""
     return (
         f"{wording.count(outcome.points, what)}: {outcome.computed} computed in {outcome.seconds:.1f} s "
-        f"({outcome.worker_seconds:.1f} s of workers), {outcome.reused} were there, {outcome.failed} failed"
+        f"({outcome.worker_seconds:.1f} s of workers), {outcome.reused} already existed, {outcome.failed} failed"
     )
 
 
 @contextmanager
 def _progress(what: str) -> Iterator[Callable[[Progress], None]]:
-    """How far it is, in one line on a terminal, else in a line every ten seconds."""
+    """Yield a function that reports progress: a status line on a terminal, else a line every ten seconds."""
     last = monotonic()
 
     def report(at: Progress) -> None:
@@ -113,7 +111,7 @@ def _progress(what: str) -> Iterator[Callable[[Progress], None]]:
         failed = f", {at.failed} failed" if at.failed else ""
         line = f"{at.done} of {wording.count(at.total, what)}{left}{failed}"
         show(line)
-        if not sys.stderr.isatty() and monotonic() - last >= _EVERY_S:
+        if not sys.stderr.isatty() and monotonic() - last >= _PROGRESS_PERIOD_S:
             last = monotonic()
             note(line)
 

@@ -16,26 +16,33 @@ if TYPE_CHECKING:
     from hapticd.experiment.check import StudyReport
 
 
-@click.group("experiment", no_args_is_help=False, short_help="Experiments with people.")
+@click.group("experiment", no_args_is_help=False, short_help="Run and analyze experiments with people.")
 def experiment_command() -> None:
-    """Experiments with people: studies in YAML, of which some ship with hapticd."""
+    """Run and analyze experiments with people.
+
+    An experiment is a study in YAML. Some studies ship with hapticd.
+    """
 
 
 @click.command("list", short_help="List the studies that ship with hapticd.")
 @json_option
 def list_command(as_json: bool) -> None:
-    """List the studies that ship with hapticd: each name does where a command takes a study."""
+    """List the studies that ship with hapticd.
+
+    Wherever a command takes a study, it also takes one of these names.
+    """
     print_shipped("experiments", as_json)
 
 
-@click.command("check", short_help="Check what of a study can be displayed, its duration and its power.")
+@click.command("check", short_help="Check the stimuli, duration and power of a study.")
 @click.argument("study", shell_complete=names.experiments)
 @config_option
 @json_option
 def check_command(study: str, configs: tuple[str, ...], as_json: bool) -> int:
-    """Check STUDY, a YAML file or the name of a shipped study, for the device of the configuration. Nothing moves.
+    """Check whether the device can display the stimuli of STUDY, how long it takes, and its statistical power.
 
-    The exit code is 0 if every stimulus can be displayed as written, otherwise 1.
+    STUDY is a YAML file or the name of a shipped study; the device is that of the configuration. Nothing moves. The
+    exit code is 0 if every stimulus can be displayed as written, otherwise 1.
     """
     from hapticd.config.configuration import config_of
     from hapticd.experiment.check import check_study
@@ -72,14 +79,15 @@ def _print(report: StudyReport) -> None:
         begin = f"{condition}: " if condition else ""
         of_each = f"{wording.count(len(cells), 'cell')} of {most}{wording.count(trials, 'trial')}"
         click.echo(f"  {begin}{of_each}: {'; '.join(cells)}")
-    click.echo(f"correct: {report.correct or 'no answer is; the analysis has no per cent correct'}")
+    click.echo(f"correct: {report.correct or 'not defined; the analysis has no percentage correct'}")
     if report.correct is not None:
-        no_test = "not named (analysis.chance); the analysis makes no test against it"
-        click.echo(f"chance: {no_test if report.chance is None else wording.percent(report.chance)}")
+        no_test = "not set (analysis.chance); the analysis does not test against it"
+        chance = no_test if report.chance is None else wording.percent(report.chance)
+        click.echo(f"chance: {chance}")
     if report.power is not None:
         power = report.power
         click.echo(
-            f"power: {wording.percent(power.power)} to find the stated effect with "
+            f"power: {wording.percent(power.power)} to detect the stated effect with "
             f"{wording.count(power.participants, 'participant')} (simulated, standard error "
             f"{wording.percent(power.standard_error, 2)}; {power.test})"
         )
@@ -87,9 +95,9 @@ def _print(report: StudyReport) -> None:
     for problem in (*report.to_look_at, *report.undisplayable):
         click.echo(str(problem))
     if report.faults == 0:
-        click.echo("every stimulus can be shown")
+        click.echo("every stimulus can be displayed as written")
 
 
-# Subcommands, in the order in which a person meets them.
+# Subcommands in the order in which --help lists them.
 for _command in (list_command, check_command, run_command, resume_command, analyze_command):
     experiment_command.add_command(_command)

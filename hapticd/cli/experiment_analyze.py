@@ -1,4 +1,4 @@
-"""`hapticd experiment analyze`: the statistics of sessions, as tables, CSV and a page."""
+"""`hapticd experiment analyze`: statistics of sessions, as tables, CSV and an HTML report."""
 
 from __future__ import annotations
 
@@ -15,34 +15,36 @@ from hapticd.cli.common import json_option, note, overwrite_option, print_json
 if TYPE_CHECKING:
     from hapticd.experiment.analyze import Analysis
 
-_WIDEST = 500
-"""Characters of a table that is to be read."""
+_MAX_TABLE_WIDTH = 500
+"""Largest width of a printed table, in characters."""
 
 
-@click.command("analyze", short_help="Statistics of sessions, and a report.")
+@click.command("analyze", short_help="Compute statistics of sessions.")
 @click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FOLDER...")
-@click.option("-o", "--output", type=click.Path(), metavar="FILE.html", help="Write a report with pictures there.")
-@click.option("--csv", "csv_folder", type=click.Path(), metavar="DIR", help="Write each table there, as CSV.")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE.html", help="HTML report with figures.")
+@click.option(
+    "--csv", "csv_folder", type=click.Path(), metavar="DIR", help="Existing folder for the tables as CSV files."
+)
 @overwrite_option
 @json_option
 def analyze_command(
     folders: tuple[Path, ...], output: str | None, csv_folder: str | None, overwrite: bool, as_json: bool
 ) -> None:
-    """Statistics of the sessions below each FOLDER: of a session, a participant, or a whole data set.
+    """Compute statistics of the sessions in each FOLDER of a session, a participant or a data set.
 
-    Percent correct against chance, pairs, scales, confusions, psychometric functions and measures of the motion,
-    whichever the study has. Where it names published results, they stand beside its own.
+    Depending on the study these are percentage correct against chance, pairs, scales, confusions, psychometric
+    functions and measures of the motion, with the published results that the study names for comparison.
     """
     from hapticd.experiment import report
     from hapticd.experiment.analyze import analyze
 
     if output is not None:
         if not output.lower().endswith(".html"):
-            raise HapticdError(f"{output}: is no kind of report: must end in .html")
+            raise HapticdError(f"{output}: must end in .html")
         report.require()
         check_new(output, overwrite)
     if csv_folder is not None and not Path(csv_folder).is_dir():
-        raise HapticdError(f"{csv_folder}: there is no such folder; make it, or give another one")
+        raise HapticdError(f"{csv_folder}: no such folder; create it, or give another one")
     found = analyze(folders)
     files = report.texts(found.tables) if csv_folder is not None else {}
     for name in files:
@@ -54,10 +56,10 @@ def analyze_command(
     if as_json:
         print_json(found.to_dict())
     else:
-        _tell(found)
+        _print_tables(found)
 
 
-def _tell(found: Analysis) -> None:
+def _print_tables(found: Analysis) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -69,14 +71,16 @@ def _tell(found: Analysis) -> None:
         rows = each.text()
         table = Table(title=each.title, title_justify="left", box=box.SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
         for place, (head, is_text) in enumerate(zip(each.columns, each.of_text(), strict=True)):
-            # A head is as wide as the cells, or as its longest word.
+            # A heading is wrapped to the width of the cells, or of its longest word.
             widest = max((len(text) for text in (*head.split(), *(row[place] for row in rows))), default=1)
             lines = textwrap.wrap(head, max(1, widest), break_long_words=False)
             table.add_column("\n".join(lines), justify="left" if is_text else "right", no_wrap=True)
         for row in rows:
             table.add_row(*row)
-        # A table that is wider than the terminal is easier to read than one whose words are broken.
-        console.width = max(width, console.measure(table, options=console.options.update(max_width=_WIDEST)).maximum)
+        # The table may be wider than the terminal: that is easier to read than broken words.
+        console.width = max(
+            width, console.measure(table, options=console.options.update(max_width=_MAX_TABLE_WIDTH)).maximum
+        )
         console.print()
         console.print(table)
         if each.note:

@@ -1,4 +1,4 @@
-"""`hapticd experiment run --offline --count`: many simulated participants on all processors, or a cluster."""
+"""`hapticd experiment run --offline --count`: many simulated participants in parallel, or on a cluster."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ from hapticd.cli.engine import Where, computed, outcome_text, require_engine
 if TYPE_CHECKING:
     from hapticd.experiment.keys import Study
 
-ANSWERS: Final = Path("sourcedata", "simulated")
-"""Folder of the rows in a data set, where BIDS has what files were made of."""
+SIMULATED_ROWS_FOLDER: Final = Path("sourcedata", "simulated")
+"""Folder of the Parquet rows in a data set. BIDS keeps source data in `sourcedata`."""
 
 
 def run_bulk(
     study: Study, source: bytes, labels: tuple[str, ...], session: int, seed: int, output: Path, where: Where
 ) -> int:
-    """One session of each participant: rows of Parquet in the data set's ANSWERS, and the folder of each session.
+    """Simulate one session of each participant that the data set lacks, and return the exit code.
 
-    What the data set holds is not computed again. The exit code is 0 if every session is complete. Raises HapticdError.
+    Writes rows of Parquet into SIMULATED_ROWS_FOLDER of the data set, and the folder of each session. The exit code is
+    0 if every session is complete, otherwise 1. Raises HapticdError.
     """
     require_engine(where)
     from hapticd.sweeps.participants.bulk import Participants
     from hapticd.sweeps.participants.session_folders import SessionFolders
 
-    work, rows = Participants(study, session, seed, labels), output / ANSWERS
+    work, rows = Participants(study, session, seed, labels), output / SIMULATED_ROWS_FOLDER
     folders = SessionFolders(output, rows, source, work)
     outcome, store = computed(work, rows, where, "participant")
     written = folders.write(store.rows())
     click.echo(outcome_text(outcome, "participant"))
     click.echo(
-        f"{output}: {wording.count(written, 'session')} written, {len(folders.present)} were there; "
+        f"{output}: {wording.count(written, 'session')} written, {len(folders.present)} already existed; "
         f"rows: {rows}/pieces/*.parquet, sha256 {store.digest()[:16]}"
     )
     if outcome.failed:
-        note(f"{wording.count(outcome.failed, 'participant')} could not be simulated: the column error says why")
+        note(f"{wording.count(outcome.failed, 'participant')} could not be simulated; the column error has the reasons")
     return 1 if outcome.failed else 0

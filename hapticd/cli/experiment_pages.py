@@ -1,4 +1,4 @@
-"""A session in the browser: the options of `hapticd experiment run` and `resume` for its two pages."""
+"""The two pages of a session in the browser, their options, and the daemon of a session."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ if TYPE_CHECKING:
     from hapticd.experiment.stage import Stage
     from hapticd.system.paths import RuntimePaths
 
-PORT = 8766
+PARTICIPANT_PAGE_PORT = 8766
+"""Default port of the participant's page; `hapticd web` uses the one before."""
 
 pages_options = listening_options(
     "both pages",
-    PORT,
-    "The port of the participant's page; the experimenter's is the next one. 0 takes free ones.",
+    PARTICIPANT_PAGE_PORT,
+    "Port of the participant's page; the experimenter's page gets the next one. 0 chooses free ports.",
     last_port=65534,
 )
 demo_option = click.option(
-    "--demo", is_flag=True, help="Start a daemon with the simulated joystick, and end it afterwards."
+    "--demo", is_flag=True, help="Start a separate daemon with the simulated joystick for this command."
 )
 
 
 @contextmanager
 def place_of_session(ctx: click.Context, demo: bool) -> Iterator[RuntimePaths]:
-    """Where the daemon of a session is; with `demo` one of its own, as long as the context lasts."""
+    """Yield the paths of the session's daemon; with `demo` start a separate daemon for the `with`."""
     if not demo:
         from hapticd.protocol.places import place_of
 
@@ -49,7 +50,7 @@ def place_of_session(ctx: click.Context, demo: bool) -> Iterator[RuntimePaths]:
 
 
 def rig_at(place: RuntimePaths) -> Config:
-    """Servo and device of the daemon at `place`."""
+    """Return the configuration of the daemon at `place`, with its servo and device."""
     from hapticd.client.blocking import Client
     from hapticd.config.configuration import load_config
 
@@ -59,7 +60,7 @@ def rig_at(place: RuntimePaths) -> Config:
 
 @contextmanager
 def live_stage(place: RuntimePaths, lsl: bool) -> Iterator[DaemonStage]:
-    """The daemon at `place` as a stage; with `lsl` what happens goes to Lab Streaming Layer, too."""
+    """Yield the daemon at `place` as a stage; with `lsl` also stream samples and events to Lab Streaming Layer."""
     from hapticd.client.blocking import Client
     from hapticd.experiment.daemon_stage import DaemonStage
 
@@ -80,8 +81,10 @@ def run_on_pages(
     lsl: bool,
     session: Callable[[Stage, PagesFront], int],
 ) -> int:
-    """Shows both pages while `session` runs on the daemon at `place`; returns what it returns. `simulated`: that daemon
-    has the simulated joystick."""
+    """Serve both pages while `session` runs on the daemon at `place`, and return its exit code.
+
+    `simulated` says whether that daemon has the simulated joystick.
+    """
     if importlib.util.find_spec("aiohttp") is None:
         raise HapticdError("the pages of a session need aiohttp: pip install 'hapticd[experiment,web]'")
     from hapticd.experiment.pages.pages_front import PagesFront

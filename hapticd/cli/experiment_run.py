@@ -27,14 +27,15 @@ if TYPE_CHECKING:
     from hapticd.experiment.session_log import SessionLog
     from hapticd.experiment.stage import Stage
 
-_SIMULATED = "simulated:"
-_OPEN: TypeAlias = "Callable[[Stage], tuple[SessionFolder, SessionLog]]"
-"""Makes or opens the folder and the log of a session on a stage."""
+_SIMULATED_PREFIX = "simulated:"
+"""Prefix of the value of --participant for a simulated participant."""
+_SessionOpener: TypeAlias = "Callable[[Stage], tuple[SessionFolder, SessionLog]]"
+"""A function that creates or opens the folder and the log of a session on a stage."""
 
-_NO_HAND = "--text has no hand for the simulated joystick of --demo: leave one of them out"
+_TEXT_WITH_DEMO_ERROR = "--text cannot be combined with --demo: only a page moves the hand of the simulated joystick"
 
 _lsl_option = click.option(
-    "--lsl", is_flag=True, help="Samples and event codes as outlets of Lab Streaming Layer, as `hapticd lsl`."
+    "--lsl", is_flag=True, help="Stream samples and event codes to Lab Streaming Layer, as `hapticd lsl` does."
 )
 
 
@@ -46,28 +47,30 @@ _lsl_option = click.option(
     required=True,
     multiple=True,
     metavar="LABEL",
-    help="Letters and digits, or simulated:NAME for a simulated one. With --offline several may be given.",
+    help="Letters and digits, or simulated:NAME for a simulated participant. May be repeated with --offline.",
 )
 @click.option(
     "--count",
     type=click.IntRange(1, 999_999),
-    help="With --offline: so many participants of a simulated NAME, NAME000001 and on, side by side.",
+    help="Number of simulated participants that --offline computes in parallel: NAME000001, NAME000002, ...",
 )
 @engine_options("participants")
 @click.option("--session", type=click.IntRange(1, 99), default=1, show_default=True, help="Number of the session.")
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), help="Seed of the order [default: the study's].")
+@click.option(
+    "--seed", type=click.IntRange(0, 2**32 - 1), help="Random seed of the order of trials [default: that of the study]."
+)
 @click.option(
     "-o",
     "--output",
     type=click.Path(file_okay=False, path_type=Path),
     default=Path("."),
     metavar="DIR",
-    help="Folder of the data set, which gets sub-LABEL/ses-NN [default: this one].",
+    help="Folder of the data set, for sub-LABEL/ses-NN [default: the current one].",
 )
-@click.option("--text", is_flag=True, help="At this terminal, without pages.")
-@click.option("--offline", is_flag=True, help="A simulated participant without a daemon, faster than real time.")
+@click.option("--text", is_flag=True, help="Run at this terminal, without pages.")
+@click.option("--offline", is_flag=True, help="Simulate the participant without a daemon, faster than real time.")
 @_lsl_option
-@click.option("--telemetry/--no-telemetry", default=None, help="Whether --offline keeps a .npz of each trial.")
+@click.option("--telemetry/--no-telemetry", default=None, help="Whether --offline writes a .npz of each trial.")
 @demo_option
 @pages_options
 @click.pass_context
@@ -88,14 +91,14 @@ def run_command(
     listening: Listening,
     **where: Any,
 ) -> int:
-    """Run STUDY (a YAML file, or the name of a shipped study) with a participant, trial by trial.
+    """Run a session of STUDY with a participant, trial by trial.
 
-    Prints the addresses of two pages: the participant's, and the experimenter's, who lets the forces on. SIGUSR1 prints
-    new ones. Each answer is on disk before the next trial begins. Whatever ends the session, `hapticd experiment
-    resume` goes on.
+    STUDY is a YAML file or the name of a shipped study. The command prints the addresses of two pages: one for the
+    participant, one for the experimenter, who switches the forces on. SIGUSR1 prints new addresses. Each answer is on
+    disk before the next trial begins. `hapticd experiment resume` continues a session that was interrupted.
 
-    With --count, --workers, --threads or --scheduler simulated participants are computed side by side. The same command
-    goes on where it was interrupted.
+    With --count, --workers, --threads or --scheduler, simulated participants are computed in parallel. If that is
+    interrupted, the same command continues it.
     """
     from hapticd.config.configuration import load_config
     from hapticd.config.shipped_files import file_of
@@ -108,34 +111,36 @@ def run_command(
     labels = [_participant(each) for each in participants]
     everyone_simulated = all(simulated for _, simulated in labels)
     if offline and not everyone_simulated:
-        raise click.UsageError("--offline is for a simulated participant: --participant simulated:NAME", ctx)
+        raise click.UsageError("--offline needs a simulated participant: --participant simulated:NAME", ctx)
     if text and demo and not everyone_simulated:
-        raise click.UsageError(_NO_HAND, ctx)
+        raise click.UsageError(_TEXT_WITH_DEMO_ERROR, ctx)
     if len(labels) > 1 and not offline:
-        raise click.UsageError("several participants are for --offline; on a daemon run them one after the other", ctx)
+        raise click.UsageError("several participants need --offline; on a daemon, run one session after the other", ctx)
     if offline and demo:
-        raise click.UsageError("--offline takes no daemon, and --demo starts one: give one of them", ctx)
+        raise click.UsageError("--offline cannot be combined with --demo: it uses no daemon", ctx)
     if telemetry is not None and not offline:
-        raise click.UsageError("--telemetry and --no-telemetry are for --offline; a daemon's is always kept", ctx)
+        raise click.UsageError(
+            "--telemetry and --no-telemetry need --offline; on a daemon telemetry is always kept", ctx
+        )
     if lsl and offline:
-        raise click.UsageError("--lsl is for a daemon, in real time: leave --offline out", ctx)
+        raise click.UsageError("--lsl cannot be combined with --offline: it needs a daemon, in real time", ctx)
     engine = Where(**where)
     side_by_side = count is not None or engine != Where(None, False, None, False)
     if side_by_side and not offline:
         raise click.UsageError(
-            "--count, --workers, --threads, --scheduler and --again are for simulated participants with --offline", ctx
+            "--count, --workers, --threads, --scheduler and --again need --offline and simulated participants", ctx
         )
     if side_by_side and telemetry:
         raise click.UsageError(
-            "--telemetry is for participants one after the other: leave --count and --workers out", ctx
+            "--telemetry cannot be combined with --count, --workers, --threads, --scheduler or --again", ctx
         )
     if count is not None and len(labels) > 1:
-        raise click.UsageError("--count is of one --participant simulated:NAME", ctx)
+        raise click.UsageError("--count needs a single --participant simulated:NAME", ctx)
     found = load_study(study)
     source = Path(file_of(study, "experiments")).read_bytes()
     check_one_study(output, found.title)  # before a daemon or a page is started
     if (other := other_version(output, source)) is not None:
-        note(f"{study}: was changed since the session in {other}, which `analyze` will put together with this one")
+        note(f"{study}: changed since the session in {other}; `analyze` will combine both")
     if offline:
         _note_undisplayable(found, load_config({}), named=True)
     if side_by_side:
@@ -161,15 +166,15 @@ def run_command(
     return max(run_one(*each) for each in labels)
 
 
-@click.command("resume", short_help="Go on with a session.")
+@click.command("resume", short_help="Resume an interrupted session.")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
-@click.option("--text", is_flag=True, help="At this terminal, without pages.")
+@click.option("--text", is_flag=True, help="Run at this terminal, without pages.")
 @_lsl_option
 @demo_option
 @pages_options
 @click.pass_context
 def resume_command(ctx: click.Context, folder: Path, text: bool, lsl: bool, demo: bool, listening: Listening) -> int:
-    """Go on with the session in FOLDER (sub-LABEL/ses-NN): the same order, after the last answer."""
+    """Resume the session in FOLDER (sub-LABEL/ses-NN), in the same order, after the last answer."""
     from hapticd.experiment.progress import check_not_over, progress_of
     from hapticd.experiment.session import plan_of
     from hapticd.experiment.session_folder import SessionFolder
@@ -180,9 +185,11 @@ def resume_command(ctx: click.Context, folder: Path, text: bool, lsl: bool, demo
     assert isinstance(stage_was, dict)
     simulated, offline = bool(stage_was.get("simulated")), stage_was.get("kind") == "offline"
     if text and demo and not simulated:
-        raise click.UsageError(_NO_HAND, ctx)
+        raise click.UsageError(_TEXT_WITH_DEMO_ERROR, ctx)
     if lsl and offline:
-        raise click.UsageError("--lsl is for a daemon, in real time: this session is an offline one", ctx)
+        raise click.UsageError(
+            "--lsl cannot be used: this session is offline, and --lsl needs a daemon, in real time", ctx
+        )
     return _with_stage(
         ctx,
         plan_of(opened),
@@ -196,13 +203,13 @@ def resume_command(ctx: click.Context, folder: Path, text: bool, lsl: bool, demo
 
 
 def _participant(given: str) -> tuple[str, bool]:
-    """The label of a participant, and whether it is a simulated one."""
+    """Return the label of a participant, and whether the participant is simulated."""
     from hapticd.experiment.session_folder import participant_label
 
-    simulated = given.startswith(_SIMULATED)
-    name = given.removeprefix(_SIMULATED)
+    simulated = given.startswith(_SIMULATED_PREFIX)
+    name = given.removeprefix(_SIMULATED_PREFIX)
     if simulated and not name.isalnum():
-        raise HapticdError(f"--participant {quoted(given)}: a simulated one is simulated:NAME, letters and digits")
+        raise HapticdError(f"--participant {quoted(given)}: must be simulated:NAME, with letters and digits in NAME")
     return participant_label(f"sim{name}" if simulated else name), simulated
 
 
@@ -213,7 +220,7 @@ def _about(stage: Stage, simulated: bool, offline: bool, telemetry: bool | None)
 def _with_stage(
     ctx: click.Context,
     made: Plan,
-    opens: _OPEN,
+    opens: _SessionOpener,
     *,
     pages: Listening | None,
     demo: bool,
@@ -221,7 +228,7 @@ def _with_stage(
     lsl: bool,
     telemetry: bool,
 ) -> int:
-    """Runs the session that `opens` gives of a stage: offline, at the terminal, or with pages."""
+    """Run the session that `opens` creates or opens on a stage: offline, at the terminal, or with pages."""
     from hapticd.experiment.offline_stage import OfflineStage
 
     if offline:
@@ -246,8 +253,10 @@ def _with_stage(
 
 
 def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
-    """What of the study is not displayed as written: the session begins all the same. `named`: with the names of
-    stimuli, which a participant at this terminal is not to read."""
+    """Warn of stimuli that the device does not display as written; the session begins nevertheless.
+
+    `named` adds the names of the stimuli, which a participant at this terminal must not read.
+    """
     from hapticd.experiment.cells import cells_of
     from hapticd.experiment.check import display_problems
 
@@ -256,11 +265,11 @@ def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
         note(f"on this device: {problem}")
     if problems and not named:
         things = wording.count(len(problems), "thing")
-        note(f"{things} of the study cannot be displayed as written; `hapticd experiment check` says which")
+        note(f"{things} of the study cannot be displayed as written; `hapticd experiment check` lists them")
 
 
-def _run_shown(stage: Stage, front: PagesFront, opens: _OPEN, made: Plan, demo: bool) -> int:
-    """As `_run`; the pages say how it ended."""
+def _run_shown(stage: Stage, front: PagesFront, opens: _SessionOpener, made: Plan, demo: bool) -> int:
+    """Run the session as `_run` does, and show its end on the pages."""
     thanks = "# Thank you\n\nThis was all. You can take your hand off the handle."
     stopped = "# The session has stopped\n\nThe forces are off. You can take your hand off the handle."
     try:
@@ -268,14 +277,14 @@ def _run_shown(stage: Stage, front: PagesFront, opens: _OPEN, made: Plan, demo: 
         front.opened(log.records)
         code = _run(stage, folder, log, made, front, demo)
     except HapticdError as error:
-        # Whether the forces went is not known: the daemon may be gone.
+        # The forces may still be on, as the daemon may not answer.
         front.over(
             str(error), "# The session has stopped\n\nLet go of the handle, and wait for the experimenter.", False
         )
         raise
     ended = code == 0
-    told = "complete" if ended else f"stopped; {_how_to_resume(folder, demo)}"
-    front.over(told, thanks if ended else stopped, ended)
+    summary = "complete" if ended else f"stopped; {_how_to_resume(folder, demo)}"
+    front.over(summary, thanks if ended else stopped, ended)
     return code
 
 
@@ -312,11 +321,11 @@ def _run(
     try:
         ending = session.run()
     finally:
-        # Also of a session that stopped: the tables hold what is in its log.
+        # Also after an interruption: the tables have everything in the log.
         write_tables(folder)
     unneeded = len(session.done) - session.answered
     most = "at most " if made.study.may_end_early else ""
-    besides = f" ({unneeded} were not needed)" if unneeded else ""
+    besides = f" ({unneeded} not needed)" if unneeded else ""
     done = f"{folder.path}: {session.answered} of {most}{session.total} trials"
     if ending == "ended":
         click.echo(f"{done}, complete{besides}")
@@ -326,11 +335,11 @@ def _run(
 
 
 def _how_to_resume(folder: SessionFolder, demo: bool) -> str:
-    return f"go on with `hapticd experiment resume {folder.path}{' --demo' if demo else ''}`"
+    return f"continue with `hapticd experiment resume {folder.path}{' --demo' if demo else ''}`"
 
 
 def _front(folder: SessionFolder, made: Plan) -> Front:
-    """The one at the terminal, or the simulated participant of the session."""
+    """Return the simulated participant of the session, or else the front at the terminal."""
     from hapticd.experiment.participants.simulated import SimulatedFront, task_of
     from hapticd.experiment.text_front import TextFront
 

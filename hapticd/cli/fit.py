@@ -40,70 +40,70 @@ if TYPE_CHECKING:
     from hapticd.fit.speed_law import LawKind
     from hapticd.sweeps.batches.ranking import MaterialResult
 
-_MOST_ROWS: Final = 100
-"""Of a ranking that is printed."""
-_COLUMNS_OF_A_FILE: Final = 4096
-"""So wide is a ranking at most that goes to no terminal."""
+_MAX_RANKING_ROWS: Final = 100
+"""Largest number of rows of a printed ranking."""
+_REDIRECTED_RANKING_WIDTH: Final = 4096
+"""Largest width of a ranking that is not printed to a terminal, in characters."""
 
 
-@click.group("fit", no_args_is_help=False, short_help="Make a material from recordings.")
+@click.group("fit", no_args_is_help=False, short_help="Fit a material to recordings.")
 def fit_command() -> None:
-    """Make a material from recordings of a stylus: acceleration, force and position, as CSV, npz or WAV.
+    """Fit a material to recordings of a stylus: acceleration, force and position, as CSV, npz or WAV.
 
-    Columns may have other names and units than the known ones: FILE.yaml beside FILE describes them.
+    A file FILE.yaml next to FILE describes columns with other names or units.
     """
 
 
 fit_command.add_command(synthesize_command)
 _options = options(
     click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILES..."),
-    output_option("Write the material there, as YAML."),
-    click.option("--name", metavar="NAME", help="Name of the material [default: the output's, without .yaml]."),
+    output_option("YAML file for the material."),
+    click.option("--name", metavar="NAME", help="Name of the material [default: that of the output, without .yaml]."),
     click.option(
-        "--report", type=click.Path(), metavar="FILE.html|.png", help="Draw recording and model (needs matplotlib)."
+        "--report", type=click.Path(), metavar="FILE.html|.png", help="Plot of recordings and model; needs matplotlib."
     ),
     click.option(
         "--stiffness",
         "stiffness_n_per_m",
         type=Finite(min=0, max=1e5),
         metavar="N/M",
-        help=f"Stiffness of the material if the recordings do not determine it [default: {STIFFNESS_N_PER_M:g}].",
+        help=f"Stiffness, if the recordings do not determine it [default: {STIFFNESS_N_PER_M:g}].",
     ),
-    click.option("--merge", is_flag=True, help="Add to what the output holds, instead of replacing it."),
-    click.option("--strict", is_flag=True, help="Refuse what would be left out: a bad file, a clipped tap."),
+    click.option("--merge", is_flag=True, help="Add the material to the output, instead of replacing the file."),
+    click.option("--strict", is_flag=True, help="Fail instead of leaving out a bad file or a clipped tap."),
     overwrite_option,
     json_option,
 )
 
 
-@fit_command.command("tap", short_help="Slope, frequency and decay of a tap.")
+@fit_command.command("tap", short_help="Fit slope, frequency and decay of a tap.")
 @_options
 @click.option(
     "--attack",
     type=click.Choice(["coefficient", "first_peak"]),
-    help="What the slope in the material means [default: coefficient].",
+    help="Definition of the slope in the material [default: coefficient].",
 )
 @click.option(
     "--law",
     type=click.Choice(["line", "power", "table"]),
-    help="How the amplitude of the material follows the speed [default: the law with the lowest AICc].",
+    help="Law of the amplitude over the speed [default: the one with the lowest AICc].",
 )
-@click.option("--table", "law", flag_value="table", help="The same as --law table: amplitudes over speed.")
+@click.option("--table", "law", flag_value="table", help="Same as --law table: amplitudes over speed.")
 @click.option(
     "--two-modes/--one-mode",
     default=None,
-    help="Two modes in the material, or one [default: two where one explains too little].",
+    help="Number of modes in the material [default: two if one explains too little].",
 )
 @click.option(
     "--as",
     "form",
     type=click.Choice(["auto", "mode", "waveform"]),
-    help="A mode that rings, a waveform of a pulse, or the one that explains the taps better [default: auto].",
+    help="Model: a ringing mode, the waveform of a pulse, or whichever explains the taps better [default: auto].",
 )
 @click.option(
     "--mode-table/--no-mode-table",
     default=None,
-    help="Frequency and decay over the speed, or one of each [default: a table if they change].",
+    help="Table of frequency and decay over the speed, or one value of each [default: a table if they change].",
 )
 def tap_command(
     attack: Attack | None,
@@ -113,8 +113,8 @@ def tap_command(
     mode_table: bool | None,
     **given: Any,
 ) -> None:
-    """Slope, frequency and decay of a tap, or its waveform, from recordings of taps and their speeds."""
-    words = {
+    """Fit slope, frequency and decay of a tap, or its waveform, to recordings of taps and their speeds."""
+    option_by_field = {
         "form": "--as",
         "law": f"--law {law}",
         "two_modes": "--two-modes" if two_modes else "--one-mode",
@@ -122,31 +122,31 @@ def tap_command(
         "attack": "--attack",
     }
     asked = FitOptions(form, attack, law, two_modes, mode_table)
-    fault = asked.fault(words.__getitem__)
+    fault = asked.fault(option_by_field.__getitem__)
     if fault is not None:
         raise click.UsageError(fault[1])
     _run("tap", asked, **given)
 
 
-@fit_command.command("grooves")
+@fit_command.command("grooves", short_help="Fit spacing, mode and gains of grooves.")
 @_options
 def grooves_command(**given: Any) -> None:
-    """Spacing, mode and gains of grooves, from strokes over them."""
+    """Fit spacing, mode and gains of grooves to recordings of strokes over them."""
     _run("grooves", FitOptions(), **given)
 
 
-@fit_command.command("texture")
+@fit_command.command("texture", short_help="Fit spectrum and loudness of a texture.")
 @_options
-@click.option("--ar", "autoregressive", is_flag=True, help="Autoregressive models over speed and force.")
+@click.option("--ar", "autoregressive", is_flag=True, help="Fit autoregressive models over speed and force.")
 def texture_command(autoregressive: bool, **given: Any) -> None:
-    """Spectrum and loudness of a texture, from strokes over it."""
+    """Fit spectrum and loudness of a texture to recordings of strokes over it."""
     _run("texture", FitOptions(autoregressive=autoregressive), **given)
 
 
-@fit_command.command("puncture", short_help="Stiffness, rupture and mode of a membrane.")
+@fit_command.command("puncture", short_help="Fit stiffness, rupture and mode of a membrane.")
 @_options
 def puncture_command(**given: Any) -> None:
-    """Stiffness, rupture and mode of a membrane, from recordings of punctures."""
+    """Fit stiffness, rupture and mode of a membrane to recordings of punctures."""
     _run("puncture", FitOptions(), **given)
 
 
@@ -170,18 +170,18 @@ def _run(
     from hapticd.fit.from_files import fitted_files, materials_of
     from hapticd.fit.result import estimates, finite, plain_figures
 
-    # What can be refused before anything is read.
+    # Arguments are checked before any file is read.
     require_scipy()
     if merge and output is None:
-        raise click.UsageError("--merge adds to the file of -o, which is missing")
+        raise click.UsageError("--merge needs -o, the file that it adds to")
     name = name if name is not None else kind if output is None else Path(output).stem
     validate_materials({name: {"stiffness_n_per_m": STIFFNESS_N_PER_M}})
     if len(files) > MAX_PROVENANCE_FILES:
-        raise HapticdError(f"{len(files)} recordings are too many: {MAX_PROVENANCE_FILES} are the most of one material")
+        raise HapticdError(f"too many recordings: {len(files)}, a material may have at most {MAX_PROVENANCE_FILES}")
     taken = {os.path.realpath(file) for file in files}
     for target in filter(None, (output, report)):
         if os.path.realpath(target) in taken:
-            raise HapticdError(f"{target}: is a file of this command already; give another name")
+            raise HapticdError(f"{target}: used twice in this command; give another name")
         taken.add(os.path.realpath(target))
         check_new(target, overwrite or (merge and target == output))
     if report is not None:
@@ -194,7 +194,7 @@ def _run(
     part = contribution_of(kind, fitted, recordings)
     found = added(part, name, datetime.date.today(), onto=library.get(name), stiffness_n_per_m=stiffness_n_per_m)
     if found.assumed_n_per_m is not None:
-        notes.append(f"the stiffness, {found.assumed_n_per_m:g} N/m, is not in the recordings; --stiffness sets it")
+        notes.append(f"the stiffness, {found.assumed_n_per_m:g} N/m, is assumed, not measured; --stiffness sets it")
     notes += [f"{key} of {name} in {output} is replaced" for key in found.replaced]
     fresh = {"materials": {name: found.material.to_dict()}}
     picture = None
@@ -203,35 +203,35 @@ def _run(
 
         picture = drawing.drawn(report, page_of(kind, f"{name}: {kind}", fit, recordings, unused))
     if output is not None:
-        whole = {key: each.to_dict() for key, each in {**library, name: found.material}.items()}
-        write_whole(output, yaml_text({"materials": whole}) + "\n", overwrite or merge)
+        materials = {key: each.to_dict() for key, each in {**library, name: found.material}.items()}
+        write_whole(output, yaml_text({"materials": materials}) + "\n", overwrite or merge)
     if report is not None and picture is not None:
         write_whole(report, picture, overwrite)
     if as_json:
         print_json({"kind": kind, "fit": finite(fit.to_dict()), "notes": notes, **fresh})
         return
-    # The material is what is read on, where it goes to no file: then the table is beside it.
-    beside = output is None
+    # Without -o stdout is for the material, and the table goes to stderr.
+    table_on_stderr = output is None
     rows = drawing.figure_rows(estimates(fit), plain_figures(fit))
-    print_table((kind, ">value", ">95 % interval", "unit"), rows, stderr=beside)
-    click.echo(fit.verdict, err=beside)
+    print_table((kind, ">value", ">95 % interval", "unit"), rows, stderr=table_on_stderr)
+    click.echo(fit.verdict, err=table_on_stderr)
     for line in (*fit.warnings, *notes):
         note(line)
-    if beside:
+    if table_on_stderr:
         click.echo(yaml_text(fresh))
 
 
-@fit_command.command("batch", short_help="Fit a tree of folders, one a material, side by side.")
+@fit_command.command("batch", short_help="Fit many materials: a tree of folders.")
 @click.argument("tree", type=click.Path(), metavar="TREE")
 @results_option("the tree's name with -fits")
 @engine_options("fits")
 @json_option
 def batch_command(tree: str, output: Path | None, as_json: bool, **where: Any) -> int:
-    """Fit the recordings of TREE/MATERIAL/KIND, where KIND is tap, grooves, texture or puncture, side by side.
+    """Fit the recordings in each folder TREE/MATERIAL/KIND in parallel.
 
-    Materials, tables and a page with a ranking by verdict go to the folder of results. What it holds is not fitted
-    again; Ctrl-C keeps what is done. A fit that is refused is a row with its reason. The exit code is 0 if none was,
-    otherwise 1.
+    KIND is tap, grooves, texture or puncture. The folder of results gets the materials, tables and a page that ranks
+    them by verdict. Fits that are in it are not computed again; Ctrl-C keeps the finished ones. A refused fit is a row
+    with its reason. The exit code is 1 if a fit was refused, otherwise 0.
     """
     from hapticd.analysis.statistics import require_scipy
     from hapticd.sweeps.batches.batch import Batch
@@ -247,10 +247,10 @@ def batch_command(tree: str, output: Path | None, as_json: bool, **where: Any) -
     found = read_tree(tree)
     check_folder(folder, tree)
     if found.others:
-        note(f"{wording.count(len(found.others), 'file')} left out, no recordings: {shown_files(found.others)}")
+        note(f"{wording.count(len(found.others), 'file')} left out, not recordings: {shown_files(found.others)}")
     batch = Batch(found)
     with warnings.catch_warnings():
-        # Each fit does so as well; of fits in threads, the last to end would restore what another one had set.
+        # Each fit does this as well; but in threads, the last fit to end would restore the filter of another one.
         warnings.simplefilter("ignore", RuntimeWarning)
         outcome, store = computed(batch, folder, engine, "fit")
     results = ranked(batch, store.table().to_pylist(), datetime.date.today())
@@ -259,16 +259,16 @@ def batch_command(tree: str, output: Path | None, as_json: bool, **where: Any) -
     drawn = _can_draw()
     write_page(batch.title, results, files, folder, drawn, note)
     if as_json:
-        told = [result_dict(rank, each, files.get(each.name)) for rank, each in enumerate(results, 1)]
+        materials = [result_dict(rank, each, files.get(each.name)) for rank, each in enumerate(results, 1)]
         about = outcome_dict(outcome, folder, store.digest(), "fits")
-        print_json({**about, "qualities": counts(results), "materials": told})
+        print_json({**about, "qualities": counts(results), "materials": materials})
     else:
         _print_ranking(results)
         click.echo(summary(results))
         click.echo(outcome_text(outcome, "fit"))
-        click.echo(f"materials: {folder}/materials/*.yaml; ranking.csv, figures.csv and report.html beside them")
+        click.echo(f"materials: {folder}/materials/*.yaml; ranking.csv, figures.csv and report.html in {folder}")
     if left:
-        note(f"{wording.count(len(left), 'file')} of an earlier batch, left as they are: {shown_files(left)}")
+        note(f"{wording.count(len(left), 'file')} of an earlier batch kept: {shown_files(left)}")
     return 1 if any(each.quality == "refused" for each in results) else 0
 
 
@@ -278,20 +278,20 @@ def _can_draw() -> bool:
     try:
         require("report.html")
     except HapticdError as error:
-        note(f"the page has no pictures: {error}")
+        note(f"the page has no figures: {error}")
         return False
     return True
 
 
 def _print_ranking(results: Sequence[MaterialResult]) -> None:
-    """The ranking; of a long one its end, where there is something to do. For a program that reads it, a line each."""
-    hidden = max(0, len(results) - _MOST_ROWS)
+    """Print the ranking: of a long one the worst fits, which need attention; one line each if not on a terminal."""
+    hidden = max(0, len(results) - _MAX_RANKING_ROWS)
     if hidden:
-        click.echo(f"the best {hidden} are left out here, and stand in ranking.csv")
+        click.echo(f"the best {hidden} are not shown; see ranking.csv")
     rows = []
     for rank, each in list(enumerate(results, 1))[hidden:]:
         kinds = ", ".join(fit.kind for fit in each.fits)
         count = sum(len(fit.recordings.files) for fit in each.fits)
         rows.append((str(rank), each.name, each.quality, kinds, str(count), each.shown_reasons))
     columns = (">rank", "material", "verdict", "fits", ">recordings", "reasons")
-    print_table(columns, rows, broken="reasons", width=None if sys.stdout.isatty() else _COLUMNS_OF_A_FILE)
+    print_table(columns, rows, broken="reasons", width=None if sys.stdout.isatty() else _REDIRECTED_RANKING_WIDTH)

@@ -1,4 +1,4 @@
-"""Options of what serves pages: where it listens, and whether the browser is opened; and a daemon of its own."""
+"""Options of commands that serve pages: address, port, TLS, password, browser; and a check for `--demo`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 class Listening(TypedDict):
-    """The options, by the names of their parameters."""
+    """The values of the options, by the names of their parameters."""
 
     open_browser: bool
     host: str
@@ -24,15 +24,20 @@ class Listening(TypedDict):
 
 
 def listening_options(what: str, port: int, port_help: str, last_port: int = 65535) -> Callable[[_F], _F]:
-    """The options as the parameter `listening`; `what` is opened, `last_port` the largest that may be given."""
+    """Return the options as the parameter `listening`. --open opens `what`; `last_port` is the largest port allowed."""
 
     def decorate(command: _F) -> _F:
         @click.option("--open", "open_browser", is_flag=True, help=f"Open {what} in the browser.")
-        @click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="Where to listen.")
+        @click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="Address to listen on.")
         @click.option("--port", type=click.IntRange(0, last_port), default=port, show_default=True, help=port_help)
-        @click.option("--tls-cert", type=click.Path(), metavar="FILE", help="The certificate with its chain.")
-        @click.option("--tls-key", type=click.Path(), metavar="FILE", help="The certificate's key.")
-        @click.option("--password-file", type=click.Path(), metavar="FILE", help="Let in who knows the password, too.")
+        @click.option("--tls-cert", type=click.Path(), metavar="FILE", help="TLS certificate with its chain.")
+        @click.option("--tls-key", type=click.Path(), metavar="FILE", help="Key of the TLS certificate.")
+        @click.option(
+            "--password-file",
+            type=click.Path(),
+            metavar="FILE",
+            help="Accept the password in FILE as well.",
+        )
         @functools.wraps(command)
         def with_listening(*args: Any, **options: Any) -> Any:
             listening = {name: options.pop(name) for name in Listening.__annotations__}
@@ -44,6 +49,6 @@ def listening_options(what: str, port: int, port_help: str, last_port: int = 655
 
 
 def refuse_another_daemon(ctx: click.Context) -> None:
-    """For --demo. Raises UsageError where the command line says which daemon to take."""
+    """Raise UsageError if --demo is combined with --runtime-dir, which names another daemon."""
     if ctx.find_root().get_parameter_source("runtime_dir") == ParameterSource.COMMANDLINE:
-        raise click.UsageError("--demo starts a daemon of its own: leave --runtime-dir out", ctx)
+        raise click.UsageError("--demo cannot be combined with --runtime-dir: it starts a separate daemon", ctx)

@@ -1,5 +1,4 @@
-"""This machine: whether it is ready and how fast, where everything is, what editors and shells are told, and the
-service of systemd."""
+"""Commands for this machine: readiness, speed, paths, schemas, completion, the service of systemd."""
 
 from __future__ import annotations
 
@@ -26,30 +25,30 @@ if TYPE_CHECKING:
     from hapticd.config.shipped_files import Folder
     from hapticd.system.service_files import Action
 
-_ANSWER_S = 2.0
-_SHIPPED: Final[tuple[Folder, ...]] = ("scenes", "operators", "materials", "experiments", "sweeps")
-TREE = Path(__file__).resolve().parent.parent.parent
-"""The source tree, where this is one."""
-SHELLS: Final = {
+_STATUS_TIMEOUT_S = 2.0
+"""Longest wait of `hapticd doctor` for the status of the daemon, in s."""
+_SHIPPED_FOLDERS: Final[tuple[Folder, ...]] = ("scenes", "operators", "materials", "experiments", "sweeps")
+SOURCE_TREE = Path(__file__).resolve().parent.parent.parent
+"""Root of the source tree, if hapticd is imported from one; the benchmarks are there."""
+SCRIPT_PATH_BY_SHELL: Final = {
     "bash": "share/bash-completion/completions/hapticd",
     "zsh": "share/zsh/site-functions/_hapticd",
     "fish": "share/fish/vendor_completions.d/hapticd.fish",
 }
-"""The shells, and where below a prefix each looks for the scripts of packages."""
+"""Path of the completion script of each shell, below the prefix of an installation."""
 
-# Where click's scripts ask hapticd: the end of that command, before the bracket that ends the substitution.
-_QUESTION: Final = re.compile(r"(_complete \$1|_complete hapticd|\(commandline -t\) hapticd)(?=\))")
+_COMPLETION_CALL: Final = re.compile(r"(_complete \$1|_complete hapticd|\(commandline -t\) hapticd)(?=\))")
+"""End of the call of hapticd in a completion script of click, without the bracket that closes the substitution."""
 
 
 @click.command("doctor", short_help="Check whether this machine is ready.")
 @config_option
 @json_option
 def doctor_command(configs: tuple[str, ...], as_json: bool) -> int:
-    """Check whether this machine is ready for the daemon, and say what to do about each problem.
+    """Check whether this machine is ready for the daemon, with a remedy for each problem.
 
-    The rights shown are those of the user who runs the command; nothing is changed. It waits at most 5 s
-    for systemd and 2 s for a daemon that runs and does not answer. The exit code is 1
-    if something fails that the configuration needs.
+    The permissions are those of the user who runs the command. Nothing is changed. The command waits at most 5 s for
+    systemd and 2 s for the daemon. The exit code is 1 if something that the configuration needs is missing.
     """
     from hapticd._version import __version__
     from hapticd.config.locations import choose
@@ -75,8 +74,10 @@ def doctor_command(configs: tuple[str, ...], as_json: bool) -> int:
 
 
 def _status() -> Mapping[str, object] | None:
-    """The status of our own daemon, or else of the service's; None: there is none. Raises HapticdError for one that
-    does not answer."""
+    """Return the status of the daemon of this user, else of the service, else None.
+
+    Raises HapticdError if a daemon runs and does not answer.
+    """
     from hapticd.client.blocking import connect
     from hapticd.doctor.machine import socket_holder
     from hapticd.protocol.calls import DaemonNotRunning
@@ -86,24 +87,24 @@ def _status() -> Mapping[str, object] | None:
     for place in (named,) if named is not None else (daemon_paths().directory, SYSTEM_DIRECTORY):
         pid, is_stopped = socket_holder(runtime_paths(place).command) or (None, False)
         if is_stopped:
-            raise HapticdError(f"process {pid} holds {place} and does not answer: it is stopped")
+            raise HapticdError(f"process {pid}, which holds {place}, is stopped and does not answer")
         try:
-            with connect(place, _ANSWER_S) as client:
+            with connect(place, _STATUS_TIMEOUT_S) as client:
                 return client.get_status()
         except DaemonNotRunning:
             if pid is not None:
-                waited = f"did not answer within {_ANSWER_S:g} s"
-                raise HapticdError(f"process {pid} holds {place} and {waited}") from None
+                unanswered = f"did not answer within {_STATUS_TIMEOUT_S:g} s"
+                raise HapticdError(f"process {pid}, which holds {place}, {unanswered}") from None
     return None
 
 
-@click.command("paths", short_help="List the places of files and sockets.")
+@click.command("paths", short_help="Print the paths of files and sockets.")
 @config_option
 @json_option
 def paths_command(configs: tuple[str, ...], as_json: bool) -> int:
-    """Say where the configuration, the sockets, the flight files and what ships with hapticd are.
+    """Print the paths of the configuration, the sockets, the flight files and the shipped files.
 
-    Nothing is made, and no daemon is asked. The exit code is 1 if the configuration is faulty.
+    Nothing is created, and no daemon is needed. The exit code is 1 if the configuration is faulty.
     """
     from hapticd.config.configuration import chosen_config
     from hapticd.config.locations import choose
@@ -123,7 +124,7 @@ def paths_command(configs: tuple[str, ...], as_json: bool) -> int:
         "telemetry_socket": str(runtime.telemetry),
         "flight_files": flight,
     }
-    ships = {folder: (str(folder_of(folder)), list(shipped(folder))) for folder in _SHIPPED}
+    ships = {folder: (str(folder_of(folder)), list(shipped(folder))) for folder in _SHIPPED_FOLDERS}
     units = str(units_folder())
     if as_json:
         configuration = {
@@ -148,18 +149,18 @@ def paths_command(configs: tuple[str, ...], as_json: bool) -> int:
 
 def _place(path: str | None) -> str:
     if path is None:
-        return "not known"
-    return path if os.path.lexists(path) else f"{path} (not there now)"
+        return "unknown"
+    return path if os.path.lexists(path) else f"{path} (does not exist)"
 
 
-@click.command("schema", short_help="Print the schema of the configuration or the protocol.")
+@click.command("schema", short_help="Print a schema of the configuration or protocol.")
 @click.option(
     "--protocol",
     type=click.Choice(["openrpc", "asyncapi"]),
-    help="Of the protocol instead: OpenRPC of the requests, or AsyncAPI of telemetry and streams.",
+    help="Print the protocol instead: its requests as OpenRPC, or telemetry and streams as AsyncAPI.",
 )
 def schema_command(protocol: str | None) -> None:
-    """Print the JSON Schema of the configuration, for editors; or a description of the protocol, for programs."""
+    """Print the JSON Schema of the configuration, or with --protocol a description of the protocol."""
     from hapticd.config.schema import config_schema
     from hapticd.daemon.described.documents import asyncapi_document, openrpc_document
 
@@ -167,114 +168,116 @@ def schema_command(protocol: str | None) -> None:
     click.echo(json.dumps(documents[protocol](), indent=2, ensure_ascii=False))
 
 
-@click.command("install-service", short_help="Put the service of systemd in place.")
-@click.option("--user", is_flag=True, help="For yourself alone, without rights of the system's.")
-@click.option("--dry-run", is_flag=True, help="Print the commands, and run none.")
-@click.option("--uninstall", is_flag=True, help="Remove it again; users and configuration stay.")
+@click.command("install-service", short_help="Install the service of systemd.")
+@click.option("--user", is_flag=True, help="Install for the current user only, without root.")
+@click.option("--dry-run", is_flag=True, help="Print the commands without running them.")
+@click.option("--uninstall", is_flag=True, help="Remove the service; keep users and configuration.")
 @click.option(
     "--root",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Write below DIR, as for a package; the running system is not touched.",
+    help="Install below DIR, as for a package, without changing the running system.",
 )
 def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Path | None) -> None:
-    """Install units, users, folders and udev rules, and print each command."""
+    """Install the service of systemd: units, users, folders and udev rules. Each command is printed."""
     from hapticd.system.service_files import Installation, run
 
     if user and root is not None:
-        raise click.UsageError("--root is for the system's service, not for --user")
+        raise click.UsageError("--root cannot be combined with --user")
     scope = "user" if user else "system"
     action = cast("Action", f"remove-{scope}" if uninstall else scope)
     for line in run(action, Installation.this(), root, dry_run):
         click.echo(line)
     if uninstall:
-        note("configuration, users and /var/lib/hapticd are left as they are")
+        note("configuration, users and /var/lib/hapticd are kept")
     elif root is None:
-        note(f"start it: systemctl {'--user ' if user else ''}enable --now hapticd")
+        note(f"to start the service: systemctl {'--user ' if user else ''}enable --now hapticd")
 
 
-@click.command("stop-device", short_help="Stop a device that a daemon left.")
+@click.command("stop-device", short_help="Stop the device of a killed daemon.")
 @json_option
 def stop_device_command(as_json: bool) -> None:
-    """Tell the device of a daemon that was killed that its force is zero, and stop its effects.
+    """Set the force of a killed daemon's device to zero, and stop its effects.
 
-    systemd runs it whatever ended the daemon. It needs nothing but what the daemon wrote into its runtime directory.
+    systemd runs this command whenever the daemon ends. It needs only the file of the daemon in the runtime directory.
     """
     from hapticd.hid.stopper import stop_device
     from hapticd.system.paths import runtime_paths
 
     done = stop_device(runtime_paths(runtime_dir()).device)
-    print_result({"stopped": done}, as_json, done or "no device was left: nothing to stop")
+    print_result({"stopped": done}, as_json, done or "nothing to stop: no daemon has left a device")
 
 
 def script(shell: str) -> str:
-    """click's script for a shell, with three things mended: what goes wrong while a key is pressed is kept from the
-    terminal, fish shows help texts beyond their first comma, and zsh, where it loads the script from its fpath, does
-    not lose the second key."""
+    """Return the completion script of click for a shell, with three corrections.
+
+    Errors during a completion do not appear on the terminal; fish shows help texts beyond their first comma; zsh, if it
+    loads the script from its fpath, completes at the second key press as well.
+    """
     from hapticd.cli import cli
 
     kind = get_completion_class(shell)
     assert kind is not None
-    # The class's own source() asks the bash that is installed for its version; the text is the same for all.
+    # source() of the subclass runs bash to check its version; the text does not depend on it.
     source = ShellComplete.source(kind(cli, {}, "hapticd", "_HAPTICD_COMPLETE"))
-    source = _QUESTION.sub(r"\1 2>/dev/null", source)
+    source = _COMPLETION_CALL.sub(r"\1 2>/dev/null", source)
     source = source.replace("$zsh_eval_context[-1] == loadautofunc", "$funcstack[1] == _hapticd")
     return source.replace('string split ","', 'string split -m 1 ","')
 
 
 @click.command("completion", short_help="Print the completion script of a shell.")
-@click.argument("shell", type=click.Choice(list(SHELLS)))
+@click.argument("shell", type=click.Choice(list(SCRIPT_PATH_BY_SHELL)))
 def completion_command(shell: str) -> None:
-    """Print the script by which SHELL completes commands, options, files, scenes, materials and objects.
+    """Print the script with which SHELL completes commands, options, files, scenes, materials and objects.
 
-    For the terminal that is open:
+    For the current terminal:
 
     \b
     eval "$(hapticd completion bash)"
     eval "$(hapticd completion zsh)"           # after compinit
     hapticd completion fish | source
 
-    For every new one, the same line in ~/.bashrc or ~/.zshrc; for fish:
+    For every new terminal, put the line into ~/.bashrc or ~/.zshrc; for fish:
 
     \b
     hapticd completion fish > ~/.config/fish/completions/hapticd.fish
 
-    An installation into /usr or /usr/local brings the scripts with it, where the shells look for them.
+    An installation into /usr or /usr/local puts the scripts where the shells find them.
     """
     click.echo(script(shell), nl=False)
 
 
 def _bench() -> ModuleType:
-    """The benchmarks' main module. Raises HapticdError where they are not, or what they need is not."""
-    if not (TREE / "bench" / "report.py").is_file():
+    """Return the main module of the benchmarks. Raises HapticdError if they or a dependency are not installed."""
+    if not (SOURCE_TREE / "bench" / "report.py").is_file():
         raise HapticdError(
-            "the benchmarks are not installed with hapticd: run this in a source tree, after pip install -e '.[dev]'"
+            "hapticd bench: not in a source tree; the benchmarks need one, after pip install -e '.[dev]'"
         )
-    if str(TREE) not in sys.path:
-        sys.path.insert(0, str(TREE))
+    if str(SOURCE_TREE) not in sys.path:
+        sys.path.insert(0, str(SOURCE_TREE))
     try:
         return importlib.import_module("bench.__main__")
     except ModuleNotFoundError as error:
         raise HapticdError(
-            f"the benchmarks need {error.name}, which is not installed: pip install -e '.[dev]' in {TREE}"
+            f"hapticd bench: {error.name} is not installed; pip install -e '.[dev]' in {SOURCE_TREE}"
         ) from None
 
 
-@click.command("bench", short_help="Measure speed and error on this machine.")
+@click.command("bench", short_help="Measure speed and accuracy on this machine.")
 @click.argument("names", nargs=-1)
-@click.option("--list", "list_names", is_flag=True, help="Say what can be measured, and stop.")
-@click.option("--quick", is_flag=True, help="A minute or two: shows that it runs, not how fast.")
+@click.option("--list", "list_names", is_flag=True, help="List the names of the benchmarks.")
+@click.option("--quick", is_flag=True, help="Run for a minute or two; the figures are not precise.")
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Where the pages go [default: docs of the source tree, of a whole run].",
+    help="Folder of the pages [default: docs of the source tree if everything is measured].",
 )
-@click.option("--overwrite", is_flag=True, help="Replace the pages that are there; of a part, its sections of them.")
+@click.option("--overwrite", is_flag=True, help="Replace existing pages; of a partial run, its sections only.")
 def bench_command(names: tuple[str, ...], list_names: bool, quick: bool, out: Path | None, overwrite: bool) -> int:
-    """Measure NAMES, or everything: what each part costs, or how wrong it is.
+    """Measure speed and accuracy on this machine: the benchmarks NAMES, or all of them.
 
-    A whole run says at its end how long it took. Works in a source tree, where the benchmarks are.
+    A run of all ends with its duration. The benchmarks are in the source tree, so the command works only there.
     """
     bench = _bench()
     if list_names:

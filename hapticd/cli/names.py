@@ -1,7 +1,7 @@
-"""What a shell offers where a command takes a name: shipped scenes, materials, objects.
+"""Completion of names in a shell: shipped files, materials, objects.
 
-A key was pressed, and somebody waits: nothing here loads more than it needs or asks another machine, and what cannot be
-found out is not offered.
+The user waits for the result of a key. So each completion imports only what it needs, asks no other machine, and offers
+nothing if an error occurs.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ if TYPE_CHECKING:
 
 Complete: TypeAlias = "Callable[[click.Context, click.Parameter, str], list[CompletionItem[str]]]"
 
-_PATIENCE_S: Final = 0.3
-# Names that no shell has to quote.
-_PLAIN: Final = re.compile(r"[\w.+-]+")
+_COMPLETION_TIMEOUT_S: Final = 0.3
+"""Longest wait for an answer of the daemon, in s."""
+_UNQUOTED_NAME: Final = re.compile(r"[\w.+-]+")
+"""File names that no shell has to quote; others are not offered."""
 
 
 def _offered(known: Callable[[click.Context], Iterable[str]], otherwise: str | None = None) -> Complete:
-    """Offers the names that begin so; where there is none, what a shell does `otherwise`."""
+    """Return a completion of the known names. If none matches, the shell completes the type `otherwise`, as file."""
 
     def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
         found = [CompletionItem(name) for name in known(ctx) if name.startswith(incomplete)]
@@ -38,22 +39,25 @@ def _offered(known: Callable[[click.Context], Iterable[str]], otherwise: str | N
 
 
 def _files(folder: Folder) -> Complete:
-    """What ships in a folder and YAML files of this one; where neither begins so, any file."""
+    """Return a completion of shipped names and YAML files of the current folder; if none matches, of any file."""
 
     def known(ctx: click.Context) -> list[str]:
         from hapticd.config.shipped_files import shipped
 
-        return [*shipped(folder), *sorted(path.name for path in Path().glob("*.yaml") if _PLAIN.fullmatch(path.name))]
+        return [
+            *shipped(folder),
+            *sorted(path.name for path in Path().glob("*.yaml") if _UNQUOTED_NAME.fullmatch(path.name)),
+        ]
 
     return _offered(known, otherwise="file")
 
 
 def _asked(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
-    """The names in what the daemon of this machine says; nothing where there is none, or none that answers soon."""
+    """Return the keys of the mapping that `ask` gets from the daemon; none if it does not answer in time."""
     from hapticd.client.blocking import connect
 
     try:
-        with connect(ctx.find_root().params.get("runtime_dir"), _PATIENCE_S) as client:
+        with connect(ctx.find_root().params.get("runtime_dir"), _COMPLETION_TIMEOUT_S) as client:
             return _names(ask(client))
     except (HapticdError, OSError):
         return []
@@ -80,6 +84,6 @@ shipped_materials = _offered(_shipped_materials)
 materials = _offered(
     lambda ctx: _asked(ctx, lambda client: client.get_materials()["materials"]) or _shipped_materials(ctx)
 )
-"""Of the daemon, or the shipped ones where none answers."""
+"""Completion of the materials of the daemon, or of the shipped ones if it does not answer."""
 objects = _offered(lambda ctx: _asked(ctx, lambda client: client.get_scene()["scene"].get("objects")))
-"""Of the daemon's scene."""
+"""Completion of the objects in the scene of the daemon."""

@@ -1,4 +1,4 @@
-"""Recordings: what watches and records a daemon, what simulates without one, and what is done with the files."""
+"""Commands that watch, record or stream a daemon, simulate without one, or process recordings."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from hapticd.cli.common import (
     stopped_by_signals,
 )
 
-_EXPORT_HELP = "(.npz; .csv and .mcap are exported from the .npz beside it)"
+_EXPORT_HELP = "(.npz; .csv or .mcap, exported from a .npz of the same name)"
 
 
-@click.command("watch", short_help="Show what happens, live.")
+@click.command("watch", short_help="Show position, forces and events live.")
 @for_option("until Ctrl-C")
 @json_option
 def watch_command(duration_s: float | None, as_json: bool) -> None:
-    """Show position, forces, contacts and faults live, for some time or until Ctrl-C.
+    """Show position, forces, contacts and faults live.
 
-    Into a file or a pipe it prints a line a second, and one for each event.
+    If stdout is a file or a pipe, print a line per second and a line for each event.
     """
     from hapticd.client.watch import watch
 
     def end(number: int, frame: object) -> None:
         raise SystemExit(128 + number)
 
-    signal.signal(signal.SIGTERM, end)  # so that the terminal is put back as it was
+    signal.signal(signal.SIGTERM, end)  # SystemExit restores the terminal
     with daemon() as client:
         watch(client, as_json, duration_s=duration_s)
 
@@ -54,11 +54,11 @@ def watch_command(duration_s: float | None, as_json: bool) -> None:
 @overwrite_option
 @json_option
 def record_command(file: str, duration_s: float | None, notes: dict[str, str], overwrite: bool, as_json: bool) -> int:
-    """Record every tick and event into FILE (.npz), and what they were rendered with, for `hapticd replay`. FILE is
-    there once the recording is complete.
+    """Record every tick and event to FILE (.npz), with the configuration, scene and materials for `hapticd replay`.
 
-    If FILE ends in .mcap or .csv, the recording goes into the .npz of the same name, and FILE is exported from it at
-    the end. If an earlier recording into FILE was killed, the command says so; `hapticd recover FILE` recovers it.
+    FILE appears when the recording is complete. If its suffix is .mcap or .csv, the recording goes to the .npz of the
+    same name, and FILE is exported from it at the end. If an earlier recording to FILE was killed, a note says so;
+    `hapticd recover FILE` recovers it.
     """
     from hapticd.client.record import record
     from hapticd.recording.recording import check_target
@@ -80,20 +80,19 @@ def record_command(file: str, duration_s: float | None, notes: dict[str, str], o
         )
     print_result(asdict(recording), as_json, recording.summary())
     if stop.signal is None and recording.ended_because is not None:
-        note(f"{recording.ended_because}; {recording.file} holds what came before")
+        note(f"{recording.ended_because}; {recording.file} has everything before that")
         return 1
     return stop.exit_code(duration_s)
 
 
-@click.command("recover", short_help="Make a file from the parts of a killed recording.")
+@click.command("recover", short_help="Recover the partial files of a killed recording.")
 @click.argument("file", type=click.Path(dir_okay=False))
 @json_option
 def recover_command(file: str, as_json: bool) -> int:
-    """Make NAME.recovered.npz of each recording into FILE that was killed, or whose file could
-    not be written to its end.
+    """Recover each recording to FILE that was killed or could not be completed, as NAME.recovered.npz.
 
-    What cannot be read and what is still being recorded stays as it is, and is reported. Ends with 1 if no file was
-    made.
+    Files that cannot be read and recordings that are running are kept and reported. The exit code is 1 if nothing was
+    recovered.
     """
     from hapticd.recording.recovery import recover
 
@@ -102,21 +101,21 @@ def recover_command(file: str, as_json: bool) -> int:
         note(problem)
     files = [os.fspath(path) for path in found.files]
     if not files and not found.problems:
-        raise HapticdError(f"{file}: no recording into it left anything")
+        raise HapticdError(f"{file}: no partial files of a recording to this file")
     if files or as_json:
         print_result({"files": files, "told": found.problems}, as_json, "\n".join(files))
     return 0 if files else 1
 
 
-@click.command("export", short_help="Write a recording in another form.")
+@click.command("export", short_help="Convert a recording to .csv or .mcap.")
 @click.argument("file", type=click.Path(dir_okay=False))
 @click.argument("target", type=click.Path())
 @overwrite_option
 def export_command(file: str, target: str, overwrite: bool) -> None:
-    """Write FILE (.npz of `record`, `simulate` or `flight`) to TARGET: .mcap for the tools of robotics, .csv for
-    everything else.
+    """Convert the recording FILE to TARGET: .mcap for robotics tools, .csv for other programs.
 
-    With .csv the events go into a second file, NAME.events.csv, and scene and materials into a third, NAME.about.json.
+    FILE is a .npz of `record`, `simulate` or `flight`. With .csv the events go to a second file, NAME.events.csv, and
+    scene and materials to a third, NAME.about.json.
     """
     from hapticd.recording.recording import check_saved, load
 
@@ -126,15 +125,14 @@ def export_command(file: str, target: str, overwrite: bool) -> None:
     click.echo(f"{saved}: {len(recording.samples):,} ticks, {len(recording.events):,} events")
 
 
-@click.command("flight", short_help="Write the last seconds to a file.")
+@click.command("flight", short_help="Write the last seconds of samples to a file.")
 @click.argument("file", required=False, type=click.Path())
 @overwrite_option
 @json_option
 def flight_command(file: str | None, overwrite: bool, as_json: bool) -> None:
-    """Have the flight recorder write the last seconds of samples and events to a file, and write what is in it to FILE
-    (.npz, or an export to .csv or .mcap), too.
+    """Write the last seconds of samples and events to a flight file of the daemon, and to FILE if given.
 
-    The file of a daemon on another machine stays there.
+    FILE is .npz, .csv or .mcap. The flight file is on the machine of the daemon.
     """
     from hapticd.client.flight_summary import summed_up, written_flight
     from hapticd.recording.recording import check_saved
@@ -150,16 +148,15 @@ def flight_command(file: str | None, overwrite: bool, as_json: bool) -> None:
     print_result(found, as_json, line)
 
 
-@click.command("replay", short_help="Render a recording again, and compare.")
+@click.command("replay", short_help="Render a recording again and compare forces.")
 @click.argument("file", type=click.Path(dir_okay=False))
-@output_option(f"Where what was rendered goes {_EXPORT_HELP}.")
+@output_option(f"File for the rendered recording {_EXPORT_HELP}.")
 @overwrite_option
 @json_option
 def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool) -> int:
-    """Render FILE (.npz of `record`, `simulate` or `flight`) again, without daemon and clock, and
-    compare the forces.
+    """Render FILE again, without daemon and clock, and compare the forces with the recorded ones.
 
-    Ends with 1 if they differ from the recorded ones in any bit.
+    FILE is a .npz of `record`, `simulate` or `flight`. The exit code is 1 if any bit of the forces differs.
     """
     from hapticd.recording.recording import check_target
     from hapticd.recording.replay import replay
@@ -173,16 +170,16 @@ def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool
     return 0 if again.identical == len(again.samples) else 1
 
 
-@click.command("simulate", short_help="Run a scene without daemon and clock.")
+@click.command("simulate", short_help="Simulate a scene without daemon and clock.")
 @click.argument("scene", shell_complete=names.scenes)
 @click.option(
     "--operator",
     metavar="FILE",
     shell_complete=names.operators,
-    help="What the hand does (YAML or CSV), or a shipped operator's name  [default: of a shipped scene, its own]",
+    help="Motion of the hand, as YAML, CSV or a shipped operator  [default: the operator of a shipped scene]",
 )
-@output_option(f"Where the samples go {_EXPORT_HELP}  [default: nowhere, the summary alone is printed]")
-@for_option("as long as the operator")
+@output_option(f"File for the samples {_EXPORT_HELP}  [default: none, only a summary is printed]")
+@for_option("until the operator ends")
 @click.option(
     "--rate",
     "rate_hz",
@@ -203,11 +200,11 @@ def simulate_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Run SCENE (YAML: a scene or a whole configuration; or the name of a shipped scene) with the simulated joystick,
-    without daemon and clock.
+    """Simulate SCENE with the simulated joystick, without daemon and clock.
 
-    The same core as the daemon's; the result is the same on every run. The handle starts at the first
-    waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
+    SCENE is YAML with a scene or a complete configuration, or the name of a shipped scene. The core is that of the
+    daemon, and every run has the same result. The handle starts at the first waypoint if that is at 0 s; otherwise, and
+    with a gesture, at device.sim.start_m of the configuration.
     """
     from hapticd.config.shipped_files import file_of, shipped, shipped_scenes
     from hapticd.recording.simulated import configuration, simulate_files
@@ -217,11 +214,11 @@ def simulate_command(
     operator = operator or next((each.operator for each in shipped_scenes() if each.file == file), None)
     if operator is None:
         if file != "/dev/stdin":
-            configuration(file)  # what is no scene is reported first
+            configuration(file)  # a fault of the scene is reported first
         known = ", ".join(shipped("operators"))
-        raise click.UsageError(f"Missing option '--operator': a file that says what the hand does, or one of {known}")
+        raise click.UsageError(f"Missing option '--operator': a file with the motion of the hand, or one of {known}")
     if output is None and (notes or overwrite):
-        raise click.UsageError("--note and --overwrite are for a file: name it with -o")
+        raise click.UsageError("--note and --overwrite need -o, the file of the recording")
     result = simulate_files(
         file, file_of(operator, "operators"), output, duration_s, rate_hz, overwrite=overwrite, notes=notes
     )
@@ -229,19 +226,20 @@ def simulate_command(
         note(undisplayable_text(mode))
     length = f"{wording.count(result['ticks'], 'tick')} in {result['duration_s']:.3f} s"
     kinds = ", ".join(wording.count(number, kind) for kind, number in result["event_counts"].items())
-    told = f"{wording.count(result['events'], 'event')}{f' ({kinds})' if kinds else ''}"
+    events = f"{wording.count(result['events'], 'event')}{f' ({kinds})' if kinds else ''}"
     force = f"largest force {wording.si(result['largest_force_n'], 'N')}"
-    print_result(result, as_json, f"{result['file'] or scene}: {length}, {told}, {force}")
+    print_result(result, as_json, f"{result['file'] or scene}: {length}, {events}, {force}")
 
 
-@click.command("lsl", short_help="Samples and event codes as outlets of Lab Streaming Layer.")
+@click.command("lsl", short_help="Stream samples and events to Lab Streaming Layer.")
 @for_option("until Ctrl-C")
 @json_option
 def lsl_command(duration_s: float | None, as_json: bool) -> int:
-    """Pass every sample of the daemon, and the event codes of sessions, on to Lab Streaming Layer.
+    """Stream the samples of the daemon and the event codes of sessions to Lab Streaming Layer.
 
-    Two outlets: `hapticd samples`, a number for each axis and quantity, and `hapticd events`, the codes that
-    docs/experiments.md lists. It needs the extra `lsl`, and runs on the daemon's machine, whose clock it uses.
+    The outlet `hapticd samples` has a number for each axis and quantity, `hapticd events` the codes that
+    docs/experiments.md lists. The command needs the extra `lsl`. It must run on the machine of the daemon, whose clock
+    it uses.
     """
     from hapticd.experiment.lsl import EVENTS_OUTLET, SAMPLES_OUTLET, stream
 
@@ -249,7 +247,7 @@ def lsl_command(duration_s: float | None, as_json: bool) -> int:
         timer = threading.Timer(duration_s or 0.0, stop.set)
 
         def started() -> None:
-            note(f"{SAMPLES_OUTLET!r} and {EVENTS_OUTLET!r} are there")
+            note(f"the outlets {SAMPLES_OUTLET!r} and {EVENTS_OUTLET!r} are open")
             if duration_s is not None:
                 timer.start()
 
@@ -260,5 +258,5 @@ def lsl_command(duration_s: float | None, as_json: bool) -> int:
     line = f"{wording.count(sent.samples, 'sample')} and {wording.count(sent.events, 'event')} sent"
     print_result(asdict(sent), as_json, line)
     if sent.lost or sent.dropped:
-        note(f"{sent.lost:,} samples were lost on the way here, {sent.dropped:,} in the daemon's ring")
+        note(f"{sent.lost:,} samples were lost between daemon and command, {sent.dropped:,} in the ring of the daemon")
     return stop.exit_code(duration_s)

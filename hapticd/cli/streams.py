@@ -1,4 +1,4 @@
-"""Standard output and error of a command: what cannot be written ends it in one line, and never at its exit."""
+"""Standard output and error of a command: a failed write is reported in one line, without a traceback."""
 
 from __future__ import annotations
 
@@ -15,23 +15,26 @@ if TYPE_CHECKING:
 
 
 class OutputLost(HapticdError, OSError):
-    """Nobody takes the command's output: a closed pipe, a full disk, a terminal that is gone.
+    """Standard output cannot be written: a closed pipe, a full disk, a closed terminal.
 
-    It has no `errno`: click and rich end a program without a word where they see that of a closed pipe.
+    `errno` is not set: click and rich exit without a message if they see that of a closed pipe.
     """
 
 
 class _Stream(io.FileIO):
-    """What cannot be written to it is lost, as a daemon goes on without its log; `raises`: the first time it says so,
-    and what is flushed at the exit is no error any more."""
+    """A stream that discards what cannot be written, so that a daemon continues without its log.
+
+    With `raises` only the first failed write raises OutputLost, so that flushing at the exit raises nothing.
+    """
 
     def __init__(self, descriptor: int, raises: bool) -> None:
         super().__init__(descriptor, "wb", closefd=False)
         self._raises = raises
         self.lost = False
-        """What was written last did not arrive."""
+        """Whether the last write failed."""
 
     def write(self, data: Buffer, /) -> int:
+        """Write `data` or discard it; return its length in bytes."""
         try:
             written = super().write(data)
         except OSError as error:
@@ -45,10 +48,10 @@ class _Stream(io.FileIO):
 
 @contextmanager
 def guarded() -> Iterator[Callable[[], bool]]:
-    """Meanwhile `sys.stdout` raises OutputLost where it cannot be written, and `sys.stderr` nothing; the function that
-    is given returns whether the last line for stderr was lost, as there is nowhere to say so.
+    """Make a failed write to `sys.stdout` raise OutputLost, and one to `sys.stderr` nothing, within a `with`.
 
-    Streams that somebody else put in their places are left as they are.
+    Yields a function that returns whether the last write to stderr failed, for the exit code. Streams that the caller
+    has replaced are left as they are.
     """
     before, errors = (sys.stdout, sys.stderr), None
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout is sys.__stdout__:

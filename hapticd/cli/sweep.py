@@ -1,4 +1,4 @@
-"""`hapticd sweep list | run | show`: studies of many points."""
+"""`hapticd sweep list | run | show`: simulations at many points."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from hapticd.cli.engine import Where, computed, engine_options, outcome_dict, ou
 from hapticd.cli.sweep_show import show_command
 
 
-@click.group("sweep", no_args_is_help=False, short_help="Studies of many points: stability, error, designs.")
+@click.group("sweep", no_args_is_help=False, short_help="Simulate many configurations and show the results.")
 def sweep_command() -> None:
-    """Studies of many points: each is a configuration that is simulated and measured, on all processors or a cluster.
+    """Simulate many configurations, the points of a sweep, on all processors or a cluster.
 
-    Results are rows of Parquet in a folder; what it holds is not computed again.
+    The results are rows of Parquet in a folder. Points that are in it are not computed again.
     """
 
 
-@click.command("run", short_help="Compute the points of a study.")
+@click.command("run", short_help="Compute the points of a sweep.")
 @click.argument("study", type=click.Path(), metavar="STUDY.yaml", shell_complete=names.sweeps)
-@results_option("the study's name without .yaml")
+@results_option("the name of the study without .yaml")
 @engine_options("points")
 @json_option
 def run_command(study: str, output: Path | None, as_json: bool, **where: Any) -> int:
-    """Compute the points of STUDY.yaml, or of a sweep that ships, that the folder of results does not hold.
+    """Compute the points of STUDY.yaml that the folder of results lacks.
 
-    Ctrl-C keeps what is done; the same command goes on. A point that cannot be computed is a row with its reason. The
-    exit code is 0 if every point has a result, otherwise 1.
+    STUDY.yaml may be the name of a shipped sweep. Ctrl-C keeps the finished points; the same command continues. A point
+    that cannot be computed is a row with its reason. The exit code is 0 if every point has a result, otherwise 1.
     """
     from hapticd.sweeps.study import load_sweep
 
@@ -47,14 +47,14 @@ def run_command(study: str, output: Path | None, as_json: bool, **where: Any) ->
         click.echo(outcome_text(outcome, "point"))
         click.echo(f"rows: {folder}/pieces/*.parquet, sha256 {digest[:16]}; see: hapticd sweep show {folder}")
     if outcome.failed:
-        note(f"{wording.count(outcome.failed, 'point')} could not be computed: the column error says why")
+        note(f"{wording.count(outcome.failed, 'point')} could not be computed; the column error has the reasons")
     return 1 if outcome.failed else 0
 
 
 @click.command("list", short_help="List the sweeps that ship with hapticd.")
 @json_option
 def list_command(as_json: bool) -> None:
-    """List the sweeps that ship with hapticd: `hapticd sweep run` takes each by its name."""
+    """List the sweeps that ship with hapticd. `hapticd sweep run` accepts their names."""
     print_shipped("sweeps", as_json)
 
 

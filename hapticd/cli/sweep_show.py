@@ -1,4 +1,4 @@
-"""`hapticd sweep show`: the results of a study as a table, as figures and as a page."""
+"""`hapticd sweep show`: the results of a sweep as a table, figures and an HTML page."""
 
 from __future__ import annotations
 
@@ -16,43 +16,47 @@ if TYPE_CHECKING:
     from hapticd.sweeps.columns import Column, Value
     from hapticd.sweeps.store import Store
 
-_MOST_ROWS: Final = 40
-_WIDEST: Final = 4096
-_HTML: Final = ".html"
-_SHOWN_BY: Final = {
-    "batch": "a batch of fits; hapticd fit batch shows it, as does its report.html",
-    "participants": "sessions of simulated participants; hapticd experiment analyze shows them",
+_MAX_PRINTED_ROWS: Final = 40
+"""Largest number of rows of the printed table; --json has all."""
+_MAX_MEASURED_WIDTH: Final = 4096
+"""Upper bound of the width of a printed table, in characters."""
+_PAGE_SUFFIX: Final = ".html"
+_OTHER_RESULTS_BY_KIND: Final = {
+    "batch": "results of hapticd fit batch; see its report.html",
+    "participants": "sessions of simulated participants; use: hapticd experiment analyze",
 }
-"""What else the engine computes into a folder, and what shows it."""
+"""Folders of other commands that use the engine of sweeps: their contents, and what shows them."""
 
 
-@click.command("show", short_help="Show the results of a study: table, figures, page.")
+@click.command("show", short_help="Show the results of a sweep.")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), metavar="DIR")
 @click.option(
     "--figures",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Draw the study's figures there, as PNG.",
+    help="Folder for figures of the results as PNG.",
 )
-@click.option("--html", "page", type=click.Path(), metavar="FILE.html", help="Write figures, tables and study there.")
 @click.option(
-    "--where", multiple=True, metavar="COLUMN=VALUE", help="Print only rows that have this value; may be repeated."
+    "--html", "page", type=click.Path(), metavar="FILE.html", help="HTML page with figures, tables and study."
+)
+@click.option(
+    "--where", multiple=True, metavar="COLUMN=VALUE", help="Print only rows with this value; may be repeated."
 )
 @overwrite_option
 @json_option
 def show_command(
     folder: Path, figures: Path | None, page: str | None, where: tuple[str, ...], overwrite: bool, as_json: bool
 ) -> None:
-    """Show the rows of the study in DIR as a table.
+    """Show the results of the sweep in DIR as a table, and optionally as figures or a page.
 
-    The key `figures` of the study says what is drawn; without it, what suits the study is. The page is one file.
+    The key `figures` of the study defines the figures; without it they are chosen from its columns.
     """
     from hapticd.sweeps.results import in_order, with_values
     from hapticd.sweeps.store import Store
 
     store = Store(folder, note)
     manifest = store.manifest()
-    if (other := _SHOWN_BY.get(manifest.get("kind", ""))) is not None:
+    if (other := _OTHER_RESULTS_BY_KIND.get(manifest.get("kind", ""))) is not None:
         raise HapticdError(f"{folder}: holds {other}")
     title, columns = manifest["title"], store.columns()
     kept = dict(_condition(text, columns) for text in where)
@@ -64,18 +68,18 @@ def show_command(
         print_json({"title": title, "columns": [[column.name, column.unit] for column in columns], "rows": shown})
         return
     if not rows:
-        raise HapticdError(f"{folder}: no point has been computed yet: hapticd sweep run goes on")
+        raise HapticdError(f"{folder}: no point has been computed yet; continue with: hapticd sweep run")
     _print(folder, title, columns, shown)
 
 
 def _draw(store: Store, folder: Path | None, page: str | None, overwrite: bool) -> None:
-    """Writes figures and page; whatever is in the way is said before anything is drawn."""
+    """Write the figures and the page. Raises HapticdError before drawing if a target cannot be written."""
     from hapticd.analysis.drawing import require_matplotlib
     from hapticd.sweeps import figures, report_page
     from hapticd.sweeps.results import load_results
 
-    if page is not None and not page.lower().endswith(_HTML):
-        raise HapticdError(f"{page}: is no kind of page: must end in {_HTML}")
+    if page is not None and not page.lower().endswith(_PAGE_SUFFIX):
+        raise HapticdError(f"{page}: must end in {_PAGE_SUFFIX}")
     require_matplotlib("a figure", "fit")
     results = load_results(store)
     drawings = figures.drawings_of(results)
@@ -83,12 +87,12 @@ def _draw(store: Store, folder: Path | None, page: str | None, overwrite: bool) 
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise HapticdError(f"{folder}: cannot be made: {error.strerror}") from None
+            raise HapticdError(f"{folder}: cannot be created: {error.strerror}") from None
     files = [] if folder is None else [str(folder / name) for name in figures.file_names(drawings)]
     for file in (*files, *([] if page is None else [page])):
         check_new(file, overwrite)
     if not drawings:
-        note("nothing is drawn: no number is varied, and the study names no figures")
+        note("no figures: no number is varied, and the study has no key figures")
     for file, drawing in zip(files, drawings, strict=False):
         write_whole(file, drawing.png(), overwrite)
         note(f"figure: {file}")
@@ -98,7 +102,10 @@ def _draw(store: Store, folder: Path | None, page: str | None, overwrite: bool) 
 
 
 def _condition(text: str, columns: Sequence[Column]) -> tuple[str, Value]:
-    """Column and value of `suffices=yes`; a column may be given by the end of its name, if no other ends so."""
+    """Parse a condition such as `suffices=yes` into column and value.
+
+    A column may be named by the part after its last dot if no other column has the same.
+    """
     name, equals, value = text.partition("=")
     if not equals:
         raise HapticdError(f"--where {text}: must be COLUMN=VALUE")
@@ -106,8 +113,10 @@ def _condition(text: str, columns: Sequence[Column]) -> tuple[str, Value]:
     exact = [column for column in found if column.name == name]
     if len(exact or found) != 1:
         listed = ", ".join(column.name for column in found)
-        known = f"may be {listed}" if found else known_names(name, [column.name for column in columns])
-        raise HapticdError(f"--where {text}: no one column is called {name}; {known}")
+        if found:
+            raise HapticdError(f"--where {text}: ambiguous column {name}: may be {listed}")
+        known = known_names(name, [column.name for column in columns])
+        raise HapticdError(f"--where {text}: unknown column {name}; {known}")
     column = (exact or found)[0]
     return column.name, _value(text, value, column)
 
@@ -118,12 +127,12 @@ def _value(text: str, value: str, column: Column) -> Value:
     if column.kind == "boolean":
         known = {"yes": True, "true": True, "no": False, "false": False}
         if value not in known:
-            raise HapticdError(f"--where {text}: {column.name} is yes or no")
+            raise HapticdError(f"--where {text}: {column.name} must be yes or no")
         return known[value]
     try:
         return float(value)
     except ValueError:
-        raise HapticdError(f"--where {text}: {column.name} is a number") from None
+        raise HapticdError(f"--where {text}: {column.name} must be a number") from None
 
 
 def _print(folder: Path, title: str, columns: Sequence[Column], rows: Sequence[dict[str, Any]]) -> None:
@@ -141,10 +150,12 @@ def _print(folder: Path, title: str, columns: Sequence[Column], rows: Sequence[d
         name = end if ends.count(end) == 1 else column.name
         head = f"{name}, {column.unit}" if column.unit else name
         table.add_column(head, justify="left" if column.kind == "text" else "right", no_wrap=True)
-    for row in rows[:_MOST_ROWS]:
+    for row in rows[:_MAX_PRINTED_ROWS]:
         table.add_row(*(shown(row[column.name]) for column in drawn))
-    # As wide as it is: a terminal wraps a line, and a number that is cut off is none.
-    wide = Measurement.get(Console(width=_WIDEST), Console(width=_WIDEST).options, table).maximum
+    # At its full width: a terminal wraps long lines, while rich would cut numbers off.
+    wide = Measurement.get(
+        Console(width=_MAX_MEASURED_WIDTH), Console(width=_MAX_MEASURED_WIDTH).options, table
+    ).maximum
     Console(width=wide, soft_wrap=True).print(table)
-    if len(rows) > _MOST_ROWS:
-        click.echo(f"and {len(rows) - _MOST_ROWS} more rows: {folder}/pieces/*.parquet, or --json")
+    if len(rows) > _MAX_PRINTED_ROWS:
+        click.echo(f"and {len(rows) - _MAX_PRINTED_ROWS} more rows: {folder}/pieces/*.parquet, or --json")

@@ -1,4 +1,4 @@
-"""`hapticd fit synthesize`: recordings whose truth is known, to see what a fit can resolve."""
+"""`hapticd fit synthesize`: synthetic recordings with known parameters, to test what a fit can resolve."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ if TYPE_CHECKING:
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _Truth = dict[str, float]
-"""The figures that recordings are made of."""
-ENDING: Final = ".npz"
+"""The parameters of synthetic recordings, by name."""
+RECORDING_SUFFIX: Final = ".npz"
 MATERIAL_BY_KIND: Final = {"tap": "wood", "grooves": "comb", "texture": "sandpaper_100", "puncture": "cellophane"}
-"""The kinds of recordings, and what is recorded by default."""
-TAP_SPEEDS: Final = (0.08, 0.11, 0.14, 0.17, 0.2, 0.23, 0.26, 0.29, 0.32, 0.35)
-PUNCTURE_SPEEDS: Final = (0.03, 0.05, 0.08, 0.12)
-STROKE_SPEEDS: Final = (0.05, 0.12)
-STROKE_FORCES: Final = (0.5, 1.5)
-STROKES_S: Final = {"grooves": 1.0, "texture": 10.0}
+"""The kinds of recordings, each with its default material."""
+TAP_SPEEDS_M_PER_S: Final = (0.08, 0.11, 0.14, 0.17, 0.2, 0.23, 0.26, 0.29, 0.32, 0.35)
+PUNCTURE_SPEEDS_M_PER_S: Final = (0.03, 0.05, 0.08, 0.12)
+STROKE_SPEEDS_M_PER_S: Final = (0.05, 0.12)
+STROKE_FORCES_N: Final = (0.5, 1.5)
+STROKE_DURATION_S_BY_KIND: Final = {"grooves": 1.0, "texture": 10.0}
 
 
 def _number(
@@ -60,35 +60,34 @@ def _several(flag: str, name: str, high: float, unit: str, text: str) -> Callabl
 
 
 _stylus_options: Final = options(
-    _number("--rate", "rate_hz", 100.0, 1e6, "HZ", "Samples a second.", 25_000.0),
+    _number("--rate", "rate_hz", 100.0, 1e6, "HZ", "Samples per second.", 25_000.0),
     _number("--noise", "noise_rms", 0.0, 10.0, "PART", "Noise RMS, as a fraction of the peak acceleration.", 0.02),
-    _number("--mounting", "mounting_hz", 1.0, 1e6, "HZ", "Resonance of the sensor on its mounting."),
+    _number("--mounting", "mounting_hz", 1.0, 1e6, "HZ", "Resonance frequency of the sensor on its mounting."),
     _number("--mounting-damping", "mounting_damping", 1e-4, 0.999, "PART", "Damping ratio of that resonance.", 0.05),
-    _number("--filter", "filter_hz", 1.0, 1e6, "HZ", "Corner of a low-pass filter, Butterworth's."),
+    _number("--filter", "filter_hz", 1.0, 1e6, "HZ", "Corner frequency of a Butterworth low-pass filter."),
     _count("--filter-order", 1, 8, 2, "Order of the filter."),
-    _number("--full-scale", "full_scale_m_per_s2", 1e-3, 1e9, "M/S^2", "The sensor clips larger accelerations."),
+    _number("--full-scale", "full_scale_m_per_s2", 1e-3, 1e9, "M/S^2", "Acceleration at which the sensor clips."),
     _number("--tremor", "tremor_m_per_s2", 0.0, 1e3, "M/S^2", "Amplitude of the hand's tremor.", 0.0),
     _number("--drift", "drift_m_per_s3", -1e3, 1e3, "M/S^3", "Drift of the acceleration.", 0.0),
-    _number("--position-step", "position_step_m", 0.0, 1.0, "M", "Step of the positions; 0: exact.", 0.0),
-    _count("--seed", 0, None, 1, "Seed of noise, tremor and scatter."),
+    _number("--position-step", "position_step_m", 0.0, 1.0, "M", "Resolution of the positions; 0: exact.", 0.0),
+    _count("--seed", 0, None, 1, "Random seed of noise, tremor and scatter."),
 )
-"""What lies between the surface and the numbers."""
+"""Options of the synthetic stylus: sensor, filter, hand and noise."""
 
 
-@click.command("synthesize", short_help="Make recordings whose truth is known.")
+@click.command("synthesize", short_help="Synthesize recordings with known parameters.")
 @click.argument("kind", type=click.Choice(list(MATERIAL_BY_KIND)), metavar="KIND")
-@output_option("Write the recording there; several get numbers.", f"FILE{ENDING}", required=True)
+@output_option("File of the recording; several recordings are numbered.", f"FILE{RECORDING_SUFFIX}", required=True)
 @click.option(
     "--material",
     "name",
     metavar="NAME",
     shell_complete=names.shipped_materials,
-    help="A material of the library, or of a file that is given with -c [default: wood, comb, sandpaper_100 or "
-    "cellophane].",
+    help="Material of the library or of a file given with -c [default: wood, comb, sandpaper_100 or cellophane].",
 )
 @config_option
-@_several("--speed", "speeds", 10.0, "M/S", "Speed of a tap, a stroke or a puncture; several: one at each.")
-@_several("--force", "forces", 100.0, "N", "Normal force of a stroke; several: one at each speed and force.")
+@_several("--speed", "speeds", 10.0, "M/S", "Speed of a tap, stroke or puncture; may be repeated.")
+@_several("--force", "forces", 100.0, "N", "Normal force of a stroke; may be repeated.")
 @_number(
     "--duration", "duration_s", 0.05, 600.0, "S", "Duration of a stroke [default: 1 s of grooves, 10 s of texture]."
 )
@@ -108,37 +107,39 @@ def synthesize_command(
     as_json: bool,
     **stylus: Any,
 ) -> None:
-    """Make recordings as a stylus would, of a material of the library, and print their truth.
+    """Synthesize recordings of a material by a stylus, and print the parameters that a fit should find.
 
-    KIND is tap (several speeds in one recording), grooves, texture or puncture (each stroke and each puncture in a
-    recording of its own). Without --speed and --force they are ten taps, four strokes or four punctures. Fitted again,
-    they show what a fit can resolve with this rate, noise and sensor.
+    KIND is tap (all speeds in one recording), grooves, texture or puncture (a separate recording for each stroke or
+    puncture). With several --speed and --force there is a stroke for each pair; without them there are ten taps, four
+    strokes or four punctures. A fit of the recordings shows what can be resolved with this rate, noise and sensor.
     """
     from hapticd.config.configuration import config_of
     from hapticd.config.schema import unit_of
     from hapticd.fit.recording import npz_of
     from hapticd.fit.synthesize import Stylus
 
-    if os.path.splitext(output)[1].lower() != ENDING:
-        raise HapticdError(f"{output}: is no recording: must end in {ENDING}")
-    if kind not in STROKES_S and (forces or duration_s is not None):
-        raise click.UsageError("--force and --duration are of strokes: of grooves and texture")
+    if os.path.splitext(output)[1].lower() != RECORDING_SUFFIX:
+        raise HapticdError(f"{output}: must end in {RECORDING_SUFFIX}")
+    if kind not in STROKE_DURATION_S_BY_KIND and (forces or duration_s is not None):
+        raise click.UsageError("--force and --duration need KIND grooves or texture")
     materials: Mapping[str, Material] = config_of(configs).materials
     name = name or MATERIAL_BY_KIND[kind]
     if name not in materials:
         known = known_names(name, materials)
-        raise HapticdError(f"unknown material {quoted(name)}; {known}; a material of your own is given with -c FILE")
+        raise HapticdError(f"unknown material {quoted(name)}; {known}; -c FILE adds other materials")
     made = Stylus(**stylus, full_scale_m_per_s2=math.inf if full_scale_m_per_s2 is None else full_scale_m_per_s2)
     try:
         if kind == "tap":
-            recordings, truth = _taps(materials[name], made, speeds or TAP_SPEEDS)
+            recordings, truth = _taps(materials[name], made, speeds or TAP_SPEEDS_M_PER_S)
         elif kind == "puncture":
-            recordings, truth = _punctures(materials[name], made, speeds or PUNCTURE_SPEEDS)
+            recordings, truth = _punctures(materials[name], made, speeds or PUNCTURE_SPEEDS_M_PER_S)
         else:
-            pairs = [(speed, force) for speed in speeds or STROKE_SPEEDS for force in forces or STROKE_FORCES]
-            recordings, truth = _strokes(kind, materials[name], made, pairs, duration_s or STROKES_S[kind])
+            pairs = [(speed, force) for speed in speeds or STROKE_SPEEDS_M_PER_S for force in forces or STROKE_FORCES_N]
+            recordings, truth = _strokes(
+                kind, materials[name], made, pairs, duration_s or STROKE_DURATION_S_BY_KIND[kind]
+            )
     except ValueError as error:
-        raise HapticdError(f"{quoted(name)} cannot be recorded: {error}") from None
+        raise HapticdError(f"cannot synthesize recordings of {quoted(name)}: {error}") from None
     targets = _targets(output, len(recordings))
     for target in targets:
         check_new(target, overwrite)
@@ -150,7 +151,7 @@ def synthesize_command(
     for key, value in truth.items():
         click.echo(f"{key}: {value:.6g} {unit_of(key) or ''}".rstrip())
     if not truth:
-        note(f"the truth of {name} is its models")
+        note(f"the parameters of {name} are its autoregressive models")
     note(f"{wording.count(len(targets), 'recording')} of {name}: {', '.join(targets)}")
 
 
@@ -159,11 +160,11 @@ def _taps(material: Material, stylus: Stylus, speeds: Sequence[float]) -> tuple[
 
     tap = material.tap
     if tap is None:
-        raise ValueError("it has no tap")
+        raise ValueError("the material has no tap")
     if tap.second is not None:
-        raise ValueError("synthetic taps ring with one mode, and it has two")
+        raise ValueError("its tap has two modes, synthetic taps have one")
     if tap.waveform is not None:
-        raise ValueError("synthetic taps ring, and its tap is a waveform")
+        raise ValueError("its tap is a waveform, synthetic taps are modes")
     recording, truth = taps(tap, speeds, stylus)
     slope = {"slope_per_s": truth.slope_per_s, "first_peak_slope_per_s": truth.slope_per_s * truth.mode.peak}
     return [recording], slope | _of(truth.mode, "frequency_hz", "decay_time_s")
@@ -176,18 +177,18 @@ def _strokes(
     pairs: Sequence[tuple[float, float]],
     duration_s: float,
 ) -> tuple[list[Recording], _Truth]:
-    """A stroke at each speed and force."""
+    """Return a stroke for each pair of speed and force, and their parameters."""
     from hapticd.config.texture import Autoregressive, Grooves
     from hapticd.fit.synthesize import Hand, grooves, texture
 
     coarse, hand = material.texture, Hand(duration_s=duration_s)
     if kind == "grooves" and isinstance(coarse, Grooves) and coarse.frequency_table is not None:
-        raise ValueError("its frequency follows speed and force; the fit finds grooves of one frequency")
+        raise ValueError("the frequency of its grooves depends on speed and force, which the fit does not support")
     stroke = grooves if kind == "grooves" else texture
     made = zip(pairs, _others(stylus, len(pairs)), strict=True)
     found = [stroke(material, *pair, each, hand) for pair, each in made]
     if isinstance(coarse, Autoregressive):
-        return found, {}  # the truth is the models of the material itself
+        return found, {}  # the parameters are the models of the material
     gains = _of(coarse, "velocity_gain_per_s", "force_gain_m_per_s2_per_n")
     if kind == "texture":
         return found, _of(coarse, "peak_hz", "mean_hz") | gains
@@ -200,7 +201,7 @@ def _punctures(material: Material, stylus: Stylus, speeds: Sequence[float]) -> t
     made = zip(speeds, _others(stylus, len(speeds)), strict=True)
     found = [puncture(material, speed, each) for speed, each in made]
     rupture = material.rupture
-    assert rupture is not None  # otherwise there are no punctures of it
+    assert rupture is not None  # puncture() raises ValueError without it
     depth_m, stiffness = rupture.rupture_depth_m, material.stiffness_n_per_m
     truth = {"stiffness_n_per_m": stiffness, "depth_m": depth_m, "force_n": stiffness * depth_m}
     return found, truth | _of(rupture, "amplitude_m_per_s2") | _of(rupture.mode, "frequency_hz", "decay_rate_per_s")
@@ -211,12 +212,12 @@ def _of(owner: object, *figures: str) -> _Truth:
 
 
 def _others(stylus: Stylus, count: int) -> list[Stylus]:
-    """A stylus for each recording; those of two commands with seeds side by side have no seed in common."""
+    """Return a stylus for each recording. Commands with different seeds share no seed, up to 1000 recordings each."""
     return [replace(stylus, seed=1000 * stylus.seed + index) for index in range(count)]
 
 
 def _targets(output: str, count: int) -> list[str]:
-    """Names of so many files: the one that was given, or that with -1, -2 and so on."""
+    """Return the names of `count` files: the given one, or several with -1, -2 and so on."""
     if count == 1:
         return [output]
     stem, ending = os.path.splitext(output)

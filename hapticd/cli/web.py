@@ -13,18 +13,22 @@ from hapticd.cli.common import configs_option, log_options
 from hapticd.cli.listening import Listening, listening_options, refuse_another_daemon
 
 
-@click.command("web", short_help="Show a page in the browser.")
-@click.option("--demo", is_flag=True, help="Start a daemon with the simulated joystick, and end it afterwards.")
-@configs_option("What the daemon of --demo runs with, instead of a scene that shows everything: as `hapticd run -c`.")
-@listening_options("the page", 8765, "The port; 0 takes a free one.")
-@click.option("--set-password", type=click.Path(), metavar="FILE", help="Ask for a password, write FILE, and end.")
+@click.command("web", short_help="Serve a page for the browser.")
+@click.option("--demo", is_flag=True, help="Start a separate daemon with the simulated joystick for this command.")
+@configs_option(
+    "Configuration of the daemon of --demo, as `hapticd run -c`  [default: a scene with every kind of surface]"
+)
+@listening_options("the page", 8765, "Port to listen on; 0 chooses a free one.")
+@click.option(
+    "--set-password", type=click.Path(), metavar="FILE", help="Ask for a password, write its hash to FILE and exit."
+)
 @click.option(
     "--recordings",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Folder of what is recorded on the page; by default $XDG_DATA_HOME/hapticd/recordings.",
+    help="Folder of recordings made on the page [default: $XDG_DATA_HOME/hapticd/recordings].",
 )
-@click.option("--metrics", type=click.IntRange(0, 65535), metavar="PORT", help="Serve figures for Prometheus at PORT.")
+@click.option("--metrics", type=click.IntRange(0, 65535), metavar="PORT", help="Port for Prometheus metrics.")
 @log_options
 @click.pass_context
 def web_command(
@@ -37,10 +41,10 @@ def web_command(
     metrics: int | None,
     log_level: str,
 ) -> int:
-    """Show scene, forces and an oscilloscope in a page of the browser, and let its mouse be the hand.
+    """Serve a page for the browser with scene, forces and an oscilloscope, in which the mouse can be the hand.
 
-    Prints an address that lets in one browser, once; SIGUSR1 prints another. An ADDRESS that other machines reach takes
-    --tls-cert, --tls-key and --password-file. Ends with Ctrl-C.
+    The command prints an address that lets in one browser, once; SIGUSR1 prints another. An ADDRESS that other machines
+    can reach requires --tls-cert, --tls-key and --password-file. Ctrl-C ends the command.
     """
     if importlib.util.find_spec("aiohttp") is None:
         raise HapticdError("hapticd web needs aiohttp: pip install 'hapticd[web]'")
@@ -50,7 +54,7 @@ def web_command(
     if demo:
         refuse_another_daemon(ctx)
     if configs and not demo:
-        raise click.UsageError("--config is for --demo: a daemon that runs has a configuration already", ctx)
+        raise click.UsageError("--config needs --demo: a running daemon has its configuration", ctx)
     from hapticd.protocol.places import place_of
     from hapticd.web.process import Options, run
 
@@ -71,7 +75,7 @@ def _set_password(path: str) -> None:
     from hapticd.web.passwords import write_password
 
     if sys.stdin.isatty():
-        password = click.prompt("password", hide_input=True, confirmation_prompt="the same again", err=True)
+        password = click.prompt("password", hide_input=True, confirmation_prompt="repeat the password", err=True)
     else:
         password = sys.stdin.readline().rstrip("\n")
     write_password(path, password)

@@ -1,21 +1,21 @@
 """Clients of a daemon: blocking and asyncio, samples, recordings, the live view.
 
-    methods         the client: the daemon's methods and subscriptions as coroutines, without an event loop
-    asynchronous    `hapticd.aio.connect`: them on an event loop
-    blocking        `hapticd.connect`: them on the caller's thread, as ordinary calls
-    sources         scenes, patches and operators that are given as files or models
-    streams         the connection over which a client streams targets and forces
-    samples         batches of samples as numpy arrays, and what was lost on the way
-    record          records a running daemon into a file, also while a block of code runs
-    flight_summary  what a file of the flight recorder holds
+    methods         the client: methods of the daemon and subscriptions, as coroutines without an event loop
+    asynchronous    `hapticd.aio.connect`: the coroutines on an event loop
+    blocking        `hapticd.connect`: the coroutines as blocking calls on the caller's thread
+    sources         scenes, patches and operators given as mappings, models or files
+    streams         the connection for streamed targets and forces
+    samples         batches of samples as numpy arrays, and counts of lost samples
+    record          recordings of a running daemon, for a duration or while a block of code runs
+    flight_summary  the contents of a flight file
     watch           the live view of `hapticd watch`
-    base            how a socket is connected, which line a warning is about
+    base            connecting a socket, and warnings at the line of the caller
 
 Questions, and where to begin:
 
     How does a method of the protocol become one of a client?
-        A coroutine of methods; blocking lists it once more (_method).
-    Where is an answer decoded, and an error raised?
+        As a coroutine in methods; blocking wraps it (_method).
+    Where is a reply decoded, and an error raised?
         protocol/calls (decode_response, result_of).
     How are lost samples noticed?
         samples (SampleStream).

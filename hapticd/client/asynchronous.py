@@ -1,6 +1,6 @@
 """The client for asyncio: `async with hapticd.aio.connect() as daemon: ...`.
 
-The methods of `methods.py` on an event loop; several calls may be under way at once.
+It runs the coroutines of `methods.py` on an event loop; several calls may run at the same time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hapticd.client import blocking, methods
 from hapticd.client.base import connect_commands
 from hapticd.client.methods import Response, Wait
 from hapticd.protocol import calls
-from hapticd.protocol.calls import TIMEOUT_S
+from hapticd.protocol.calls import REPLY_TIMEOUT_S
 from hapticd.system.paths import RuntimePaths
 
 T = TypeVar("T")
@@ -28,25 +28,23 @@ T = TypeVar("T")
 
 def connect(
     runtime_dir: str | os.PathLike[str] | None = None,
-    timeout_s: float = TIMEOUT_S,
+    timeout_s: float = REPLY_TIMEOUT_S,
     *,
     wait_s: float = 0.0,
 ) -> Connecting:
-    """A client of the daemon at `runtime_dir` (by default where the environment says):
-    `async with connect() as daemon`, or `daemon = await connect()`, which is to be closed.
+    """Return a client of a daemon, to be used in `async with`, or awaited and closed.
 
-    `timeout_s` is how long each call waits for its answer. `wait_s` is how long to wait for a daemon that is not ready
-    yet. Raises DaemonNotRunning where nobody listens.
-
-    Without `runtime_dir` HAPTICD_RUNTIME_DIR counts, then the user's own. A daemon on another machine is reached by a
-    directory of forwarded sockets (docs/remote.md).
+    `runtime_dir` is by default HAPTICD_RUNTIME_DIR, or else the runtime directory of the user; for a daemon on another
+    machine it is a directory with forwarded sockets (docs/remote.md). `timeout_s` is the time that each call waits for
+    its reply, `wait_s` the time to wait for a daemon that is starting, both in s. Raises DaemonNotRunning if no daemon
+    listens.
     """
     timeout_s, wait_s = arguments.seconds("timeout_s", timeout_s), arguments.seconds("wait_s", wait_s, zero=True)
     return Connecting(lambda: Client._connected(runtime_dir, timeout_s, wait_s))
 
 
 class Connecting:
-    """A client that is still to be connected: await it, or enter it."""
+    """A client that is not yet connected: await it, or use it in `async with`."""
 
     def __init__(self, connected: Callable[[], Coroutine[Any, Any, Client]]) -> None:
         self._connected = connected
@@ -65,16 +63,16 @@ class Connecting:
 
 
 class Client(methods.Client):
-    """The daemon's methods, by their names in the protocol; each returns the protocol's result as a dictionary.
+    """The methods of the daemon, with the names of the protocol; each returns its result as a dictionary.
 
-    Belongs to the event loop that was running when it was made. Every method raises RemoteError where the
-    daemon refuses, and DaemonNotRunning where it does not answer within `timeout_s`.
+    A client belongs to the event loop in which it was created. Every method raises RemoteError if the daemon refuses
+    the call, and DaemonNotRunning if it does not reply within `timeout_s`.
     """
 
-    def __init__(self, place: RuntimePaths, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, place: RuntimePaths, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         super().__init__(place, timeout_s)
         self._waiting: dict[int, asyncio.Future[Response]] = {}
-        # Opened when it is first used: a subscription needs none.
+        # Opened by the first call: subscriptions do not need it.
         self._socket: zmq.asyncio.Socket | None = None
         self._reader: asyncio.Task[None] | None = None
 
@@ -90,7 +88,7 @@ class Client(methods.Client):
         try:
             while True:
                 id, response = calls.decode_response(await socket.recv())
-                # An error without an id says that some message was no call; ours are, so that it belongs to none.
+                # An error without an id is about a message that is not a call; this client sends only calls.
                 future = self._waiting.get(id) if isinstance(id, int) else None
                 if future is not None and not future.done():
                     future.set_result(response)
@@ -125,7 +123,7 @@ class Client(methods.Client):
         return zmq.asyncio.Context.instance().socket(zmq.SUB)
 
     async def _receive(self, socket: zmq.Socket[Any], timeout_s: float) -> list[bytes]:
-        # Not with a time-out around it: a message that was taken from the socket at the last moment would be lost.
+        # asyncio.timeout could cancel recv_multipart after it has taken a message, which would be lost.
         awaited = cast(zmq.asyncio.Socket, socket)
         if not await awaited.poll(min(math.ceil(timeout_s * 1e3), 2**31 - 1)):
             raise zmq.Again

@@ -1,4 +1,4 @@
-"""What the modules of the clients share: how a socket is connected, which line a warning is about."""
+"""Functions that the modules of clients share: connecting a socket, and warnings at the line of the caller."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import zmq
 from hapticd.system.paths import RuntimePaths
 
 _OWN_MODULES: Final = (__package__, "contextlib")
-"""Packages and modules whose lines no warning is about."""
+"""Prefixes of modules that a warning skips to find the line of the caller."""
 
 
 def connect_commands(socket: zmq.Socket[Any], place: RuntimePaths) -> None:
-    """Connects a DEALER socket to the commands of a daemon."""
+    """Connect a DEALER socket to the command socket of a daemon."""
     socket.setsockopt(zmq.LINGER, 0)
-    # Nothing waits in a queue for a daemon that is not there: what was meant for a dead one must not reach the next.
+    # Queue no messages while no daemon is connected: a message for a dead daemon must not reach the next one.
     socket.setsockopt(zmq.IMMEDIATE, 1)
     socket.connect(place.command_endpoint)
 
 
 def warn(warning: Warning) -> None:
-    """Warns of the line that called the client, through however many functions of ours."""
+    """Issue a warning at the line that called the client, whatever the number of frames of this package between."""
     frame, level = sys._getframe(1), 2
     while frame.f_globals.get("__name__", "").startswith(_OWN_MODULES) and frame.f_back is not None:
         frame, level = frame.f_back, level + 1

@@ -1,8 +1,8 @@
-"""The client for ordinary, blocking code: `with hapticd.connect() as daemon: ...`.
+"""The client for blocking code: `with hapticd.connect() as daemon: ...`.
 
-Each method runs the coroutine of the same name in `methods.py` on the caller's thread (`run`). One DEALER socket for
-commands, used under a lock, so that a client may be shared between threads; each subscription has a separate SUB
-socket and belongs to one thread.
+Each method runs the coroutine of the same name in `methods.py` on the caller's thread (`run`). A lock protects the
+DEALER socket for commands, so that threads may share a client. Each subscription has a separate SUB socket and belongs
+to one thread.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hapticd.client import methods, streams
 from hapticd.client.base import connect_commands
 from hapticd.client.methods import Response, Wait
 from hapticd.protocol import calls
-from hapticd.protocol.calls import TIMEOUT_S
+from hapticd.protocol.calls import REPLY_TIMEOUT_S
 from hapticd.system.paths import RuntimePaths
 
 P = ParamSpec("P")
@@ -34,17 +34,16 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def connect(
     runtime_dir: str | os.PathLike[str] | None = None,
-    timeout_s: float = TIMEOUT_S,
+    timeout_s: float = REPLY_TIMEOUT_S,
     *,
     wait_s: float = 0.0,
 ) -> Client:
-    """A client of the daemon at `runtime_dir` (by default where the environment says), to be used in `with`.
+    """Return a client of a daemon, to be used in `with`.
 
-    `timeout_s` is how long each call waits for its answer. `wait_s` is how long to wait for a daemon that is not ready
-    yet. Raises DaemonNotRunning where nobody listens.
-
-    Without `runtime_dir` HAPTICD_RUNTIME_DIR counts, then the user's own. A daemon on another machine is reached by a
-    directory of forwarded sockets (docs/remote.md).
+    `runtime_dir` is by default HAPTICD_RUNTIME_DIR, or else the runtime directory of the user; for a daemon on another
+    machine it is a directory with forwarded sockets (docs/remote.md). `timeout_s` is the time that each call waits for
+    its reply, `wait_s` the time to wait for a daemon that is starting, both in s. Raises DaemonNotRunning if no daemon
+    listens.
     """
     return Client(runtime_dir, timeout_s, wait_s=wait_s)
 
@@ -53,12 +52,12 @@ def connect(
 
 
 class _OnThread(methods.Client):
-    """The client whose coroutines block where another's would pause: each runs to its end at the first step."""
+    """A client whose coroutines block instead of suspending, so that each runs to its end in one step."""
 
-    def __init__(self, place: RuntimePaths, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, place: RuntimePaths, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         super().__init__(place, timeout_s)
         self._lock = threading.Lock()
-        # Opened when it is first used: a subscription needs none.
+        # Opened by the first call: subscriptions do not need it.
         self._socket: zmq.Socket[bytes] | None = None
 
     def _open(self) -> zmq.Socket[bytes]:
@@ -76,7 +75,7 @@ class _OnThread(methods.Client):
             deadline_s = time.monotonic() + self.timeout_s
             try:
                 socket.send(body)
-                # Answers to calls that were interrupted may come before ours.
+                # Replies to calls that were interrupted may arrive first.
                 while True:
                     answered, response = calls.decode_response(socket.recv())
                     if answered in (id, None):
@@ -84,7 +83,7 @@ class _OnThread(methods.Client):
                     if time.monotonic() > deadline_s:
                         raise zmq.Again
             except zmq.Again:
-                # The call may still be under way; its answer goes with the socket.
+                # Closing the socket discards a late reply to this call.
                 socket.close()
                 self._socket = None
                 raise
@@ -129,18 +128,18 @@ def _milliseconds(timeout_s: float) -> int:
 
 
 def run(coroutine: Coroutine[Any, Any, T]) -> T:
-    """What a coroutine of such a client returns."""
+    """Run a coroutine of a blocking client and return its result."""
     try:
         coroutine.send(None)
     except StopIteration as end:
         result: T = end.value
         return result
     coroutine.close()
-    raise RuntimeError(f"{coroutine} has paused; nothing goes on with it")
+    raise RuntimeError(f"{coroutine} has paused, which a coroutine of a blocking client must not do")
 
 
 def _like(method: F, described: Callable[..., Any]) -> F:
-    """`method` with the name, the parameters and the documentation of the coroutine that it runs."""
+    """Give `method` the name, the signature and the docstring of the coroutine that it runs, and return it."""
     made: Any = method
     signature = inspect.signature(described)
     result = signature.return_annotation.replace("AsyncIterator", "Iterator")
@@ -178,7 +177,7 @@ def _subscription(
 
 
 class _Block(AbstractContextManager[T]):
-    """An asynchronous context for `with`."""
+    """A context manager for `with` that runs an asynchronous one."""
 
     def __init__(self, context: AbstractAsyncContextManager[T]) -> None:
         self._context = context
@@ -194,28 +193,27 @@ class _Block(AbstractContextManager[T]):
 
 
 class Client:
-    """The daemon's methods, by their names in the protocol; each returns the protocol's result as a
-    dictionary.
+    """The methods of the daemon, with the names of the protocol; each returns its result as a dictionary.
 
-    Every method raises RemoteError where the daemon refuses, and DaemonNotRunning where it does not answer
-    within `timeout_s`; such a call is not repeated later automatically.
+    Every method raises RemoteError if the daemon refuses the call, and DaemonNotRunning if it does not reply within
+    `timeout_s`. A failed call is not repeated.
     """
 
     def __init__(
         self,
         runtime_dir: str | os.PathLike[str] | None = None,
-        timeout_s: float = TIMEOUT_S,
+        timeout_s: float = REPLY_TIMEOUT_S,
         *,
         wait_s: float = 0.0,
     ) -> None:
-        """As `connect`."""
+        """Connect to a daemon; the arguments are those of `connect`."""
         timeout_s, wait_s = arguments.seconds("timeout_s", timeout_s), arguments.seconds("wait_s", wait_s, zero=True)
         self._client = run(_OnThread._connected(runtime_dir, timeout_s, wait_s))
         self.paths: RuntimePaths = self._client.paths
 
     @property
     def timeout_s(self) -> float:
-        """How long each call waits for its answer."""
+        """Time that each call waits for its reply, in s."""
         return self._client.timeout_s
 
     @timeout_s.setter
@@ -259,6 +257,7 @@ class Client:
     telemetry = _subscription(methods.Client.telemetry)
 
     def stream(self) -> Stream:
+        """Return a stream, as described by methods.Client.stream."""
         self._client._refuse_closed()
         return Stream(self._client._sender, None)
 
@@ -266,11 +265,11 @@ class Client:
 
 
 class Stream(streams.Stream[None]):
-    """Targets and forces, in `with daemon.stream() as stream`. For any thread; `target` and `force` return None."""
+    """A stream of targets and forces, for `with daemon.stream() as stream`. Any thread may use it."""
 
 
 class Subscription(Generic[T]):
-    """An endless iterator over telemetry, in effect from its creation until `close` or the end of `with`."""
+    """An endless iterator over telemetry, subscribed from its creation until `close` or the end of `with`."""
 
     def __init__(self, subscription: methods.Subscription[T]) -> None:
         self._subscription = subscription
@@ -282,13 +281,15 @@ class Subscription(Generic[T]):
 
     @property
     def closed(self) -> bool:
+        """Whether the subscription has ended."""
         return self._subscription.closed
 
     def close(self) -> None:
-        """Ends the subscription; it may be closed twice."""
+        """End the subscription. Closing it again has no effect."""
         self._subscription.close()
 
     def receive(self, timeout_s: float) -> T | None:
+        """Return the next item, as described by methods.Subscription.receive."""
         return run(self._subscription.receive(timeout_s))
 
     receive = _like(receive, methods.Subscription.receive)

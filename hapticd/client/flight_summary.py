@@ -1,4 +1,4 @@
-"""What a file of the flight recorder holds, in figures and in a line for people; copies it where that is asked for."""
+"""Writing a flight file, a summary of its contents as figures and as a line of text, and an optional copy."""
 
 from __future__ import annotations
 
@@ -13,25 +13,28 @@ from hapticd.recording.recording import load
 
 
 def written_flight(client: Client) -> str:
-    """Has the flight recorder write its file: its name on the daemon's machine, once it is whole.
+    """Have the flight recorder write a file, wait until it is complete, and return its path on the daemon's machine.
 
-    Raises HapticdError where it cannot be written.
+    Raises HapticdError if it cannot be written.
     """
     file = client.dump_flight()["file"]
-    # The file's name appears when it is whole; where it does not come, the status says why.
+    # The file appears when it is complete; if it does not, the status has the reason.
     while not os.path.exists(file):
         flight = client.get_status()["flight"]
         if flight is None or (flight["under_way"] == 0 and flight["problem"] is not None):
-            problem = "its log says why" if flight is None else flight["problem"]
+            problem = "the log of the daemon has the reason" if flight is None else flight["problem"]
             raise HapticdError(f"the flight recorder did not write {file}: {problem}")
         if flight["under_way"] == 0:
-            break  # by a daemon on another machine, where its sockets are forwarded to this one
+            break  # written on another machine, from which the sockets are forwarded
         time.sleep(0.05)
     return file
 
 
 def summed_up(written: str, copy: str | None, overwrite: bool) -> tuple[dict[str, object], str]:
-    """What is in the file, which is written to `copy`, too; as JSON, and as a line for people. Raises HapticdError."""
+    """Return a summary of a flight file as JSON and as a line of text. With `copy`, also save it there.
+
+    Raises HapticdError if a file cannot be read or written.
+    """
     recording = load(written)
     if copy is not None:
         recording.save(copy, overwrite)

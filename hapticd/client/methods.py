@@ -1,8 +1,8 @@
-"""The one client: the daemon's methods, subscriptions, leases and recordings, as coroutines.
+"""The client: methods of the daemon, subscriptions, leases and recordings, as coroutines.
 
-`asynchronous.py` and `blocking.py` say how it sends and waits (the abstract methods of Client): with an event loop, or
-on the caller's thread, where a coroutine runs to its end without a pause. asyncio is not imported here: blocking
-programs start without it.
+`asynchronous.py` and `blocking.py` implement the abstract methods of Client, which send and wait: on an event loop, or
+on the caller's thread, where a coroutine runs to its end without suspending. asyncio is not imported here, since
+blocking programs do not need it.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from hapticd.client.sources import (
     scene_tree,
 )
 from hapticd.protocol import calls, messages, places
-from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning, ForcesOff, RemoteError, TimedOut, Topic
-from hapticd.protocol.places import ALIVE
+from hapticd.protocol.calls import REPLY_TIMEOUT_S, DaemonNotRunning, ForcesOff, RemoteError, TimedOut, Topic
+from hapticd.protocol.places import HEARTBEAT_TOPIC
 from hapticd.protocol.results import (
     ConfigResult,
     Event,
@@ -62,14 +62,15 @@ T = TypeVar("T")
 Stream: TypeAlias = streams.Stream[streams.AlreadySent]
 Response: TypeAlias = object | RemoteError
 Wait: TypeAlias = Callable[[float], Awaitable[bool]]
-"""Waits for so many seconds, or until the work is to end: then true."""
+"""A function that waits for a number of seconds, and returns true if the work has to end before that."""
 READY_TOPIC: Final = b"state"
+"""Topic whose first message shows that a subscription is in effect; the daemon publishes it 60 times a second."""
 
 
 class Client(ABC):
-    """What the clients have in common: all but how they send and wait."""
+    """The base of both clients. Subclasses implement sending and waiting."""
 
-    def __init__(self, place: RuntimePaths, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, place: RuntimePaths, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         self.paths: RuntimePaths = place
         self.timeout_s = timeout_s
         self._closed = False
@@ -77,17 +78,17 @@ class Client(ABC):
         self._sender = streams.Sender(place, timeout_s)
         self._subscriptions: set[Subscription[Any]] = set()
         self._operator_tick: int | None = None
-        """At which the last operator was set here."""
+        """Tick of the last `set_operator` of this client."""
 
     @classmethod
     async def _connected(cls, runtime_dir: str | os.PathLike[str] | None, timeout_s: float, wait_s: float) -> Self:
-        """A client of a daemon that listens, at the latest after `wait_s`. Raises DaemonNotRunning."""
+        """Return a client, after waiting at most `wait_s` for a daemon to listen. Raises DaemonNotRunning."""
         place = places.place_of(runtime_dir)
         given_up = threading.Event()
         try:
             if wait_s > 0:
                 await cls._in_thread(places.await_ready, place, wait_s, given_up.is_set)
-                # The runtime directory may have been made meanwhile.
+                # The daemon may have created its runtime directory meanwhile.
                 place = places.place_of(runtime_dir)
             await cls._in_thread(places.probe, place)
         except DaemonNotRunning as error:
@@ -96,36 +97,36 @@ class Client(ABC):
             given_up.set()
         return cls(place, timeout_s)
 
-    # ---- How it sends and waits --------------------------------------------------------------------------------------
+    # ---- Sending and waiting --------------------------------------------------------------------------------------
 
     @abstractmethod
     async def _exchange(self, id: int, body: bytes) -> Response:
-        """Sends a call and returns its answer. Raises zmq.Again after `timeout_s`."""
+        """Send a call and return its reply. Raises zmq.Again after `timeout_s`."""
 
     @abstractmethod
     async def _disconnect(self) -> None:
-        """Closes the connection for calls."""
+        """Close the connection for calls."""
 
     @abstractmethod
     def _subscriber(self) -> zmq.Socket[Any]:
-        """A SUB socket for `_receive`."""
+        """Return a new SUB socket for `_receive`."""
 
     @abstractmethod
     async def _receive(self, socket: zmq.Socket[Any], timeout_s: float) -> list[bytes]:
-        """The next message. Raises zmq.Again after `timeout_s`."""
+        """Return the frames of the next message. Raises zmq.Again after `timeout_s`."""
 
     @staticmethod
     @abstractmethod
     async def _in_thread(work: Callable[..., T], /, *given: Any) -> T:
-        """Calls what blocks."""
+        """Call a blocking function and return its result."""
 
     @abstractmethod
     def _start(self, name: str, work: Callable[[Wait], Coroutine[Any, Any, None]]) -> Callable[[], Awaitable[None]]:
-        """Starts background work; the function that is returned ends it, and raises what it raised."""
+        """Start background work; return a function that ends it and raises its error, if any."""
 
     @abstractmethod
     def _blocking(self) -> AbstractContextManager[Daemon]:
-        """A blocking client of the same daemon, for another thread."""
+        """Return a blocking client of the same daemon, for another thread."""
 
     # ---- Calls -------------------------------------------------------------------------------------------------------
 
@@ -134,7 +135,7 @@ class Client(ABC):
             raise HapticdError("the client is closed")
 
     async def close(self) -> None:
-        """Closes the client and its subscriptions; it may be closed twice."""
+        """Close the client and its subscriptions. Closing it again has no effect."""
         self._closed = True
         await self._disconnect()
         self._sender.close()
@@ -148,7 +149,7 @@ class Client(ABC):
         await self.close()
 
     async def call(self, method: str, params: Mapping[str, object] | None = None) -> object:
-        """Calls any method of the protocol by its name; returns its result."""
+        """Call any method of the protocol by its name, and return its result."""
         id = next(self._ids)
         body = calls.encode_request(id, method, params)
         try:
@@ -167,60 +168,64 @@ class Client(ABC):
         return cast(RevisionResult, await self.call(method, params))
 
     async def get_status(self, detail: bool = False) -> Status:
-        """Version, device, rate, real-time rights, revision, tick, forces, faults and counters; `detail`: histograms,
-        too."""
+        """Return version, device, rate, real-time rights, revision, tick, forces, faults and counters.
+
+        With `detail` also histograms.
+        """
         return cast(Status, await self.call("get_status", {"detail": True} if detail else {}))
 
     async def get_state(self) -> State:
-        """The newest sample, as `states` yields it."""
+        """Return the newest sample, as `states` yields it."""
         return cast(State, await self.call("get_state"))
 
     async def state(self) -> State:
-        """The newest sample: `get_state` by its short name."""
+        """Return the newest sample; short for `get_state`."""
         return await self.get_state()
 
     async def get_config(self) -> ConfigResult:
-        """The configuration's servo and device."""
+        """Return the keys `servo` and `device` of the configuration."""
         return cast(ConfigResult, await self.call("get_config"))
 
     async def get_scene(self) -> SceneResult:
-        """The scene and its revision."""
+        """Return the scene and its revision."""
         return cast(SceneResult, await self.call("get_scene"))
 
     async def set_scene(
         self, scene: SceneSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
-        """Replaces the scene, all or nothing.
+        """Replace the scene.
 
-        `scene` is a mapping, the path of a YAML file that holds a scene, or a `hapticd.Scene`. With
-        `expect_revision` the daemon refuses (-32001) if the scene has another revision; with `wait` the
-        result has the first `tick` rendered with it.
+        `scene` is a mapping, the path of a YAML file with a scene, or a `hapticd.Scene`. With `expect_revision` the
+        daemon refuses the change (-32001) if the scene has another revision. With `wait` the result has the first
+        `tick` that was rendered with the new scene.
         """
         return await self._change("set_scene", {"scene": scene_tree(scene)}, expect_revision, wait)
 
     async def update_scene(
         self, objects: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
-        """Changes objects by id: a JSON Merge Patch (RFC 7396) over the scene's `objects`; None removes."""
+        """Merge changes into objects, by id: a JSON Merge Patch (RFC 7396) of `objects` of the scene; None removes."""
         params: dict[str, object] = {"objects": patch_tree(objects, "scene", "objects")}
         return await self._change("update_scene", params, expect_revision, wait)
 
     async def get_materials(self) -> MaterialsResult:
-        """All materials by name, the shipped ones among them."""
+        """Return all materials by name, including the shipped ones."""
         return cast(MaterialsResult, await self.call("get_materials"))
 
     async def set_materials(
         self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
-        """Adds materials by name, and replaces those of the same name whole; others stay. A mapping or the path of a
-        YAML file."""
+        """Add materials, or replace those of the same name; others are kept.
+
+        `materials` is a mapping by name, or the path of a YAML file.
+        """
         params: dict[str, object] = {"materials": patch_tree(materials, "materials")}
         return await self._change("set_materials", params, expect_revision, wait)
 
     async def update_materials(
         self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
-        """Changes materials by name: a JSON Merge Patch, as a mapping or the path of a YAML file."""
+        """Merge changes into materials, by name: a JSON Merge Patch, as a mapping or the path of a YAML file."""
         params: dict[str, object] = {"materials": patch_tree(materials, "materials")}
         return await self._change("update_materials", params, expect_revision, wait)
 
@@ -232,8 +237,10 @@ class Client(ABC):
         expect_revision: int | None = None,
         wait: bool = False,
     ) -> RevisionResult:
-        """Materials as `set_materials` and the scene as `set_scene`, or one of them: one change at one tick, all or
-        nothing."""
+        """Set materials as `set_materials` does and the scene as `set_scene` does, as one change at one tick.
+
+        If one of them is invalid, nothing is changed.
+        """
         params: dict[str, object] = {}
         if materials is not None:
             params["materials"] = patch_tree(materials, "materials")
@@ -249,7 +256,7 @@ class Client(ABC):
         direction: Iterable[float] = (0.0, 1.0),
         amplitude_m_per_s2: float,
     ) -> PlayResult:
-        """Strikes a mode, or a material's tap, along `direction` [x, y], whatever is touched."""
+        """Play a mode, or the tap of a material, along `direction` [x, y], whether or not anything is touched."""
         params: dict[str, object] = {
             "direction": arguments.numbers("direction", direction),
             "amplitude_m_per_s2": amplitude_m_per_s2,
@@ -261,19 +268,22 @@ class Client(ABC):
         return cast(PlayResult, await self.call("play", params))
 
     async def reset(self, objects: Iterable[str] | None = None) -> TickResult:
-        """Heals membranes and clears contact state, of the objects with these ids or of all."""
+        """Heal membranes and clear contacts of the objects with these ids, or of all objects."""
         params = None if objects is None else {"objects": arguments.texts("objects", objects)}
         return cast(TickResult, await self.call("reset", params))
 
     async def mark(self, text: str, data: Json = None) -> TickResult:
-        """Leaves a mark in the event stream and in every recording; the result has its `tick`.
+        """Put a mark into the event stream, and so into every recording; the result has its `tick`.
 
-        `text` has up to 1000 characters, `data` is anything that JSON can hold, up to 8 KiB.
+        `text` has at most 1000 characters, `data` is a JSON value of at most 8 KiB.
         """
         return cast(TickResult, await self.call("mark", {"text": text, "data": data}))
 
     async def set_forces(self, enabled: bool) -> ForcesResult:
-        """Forces on or off; on clears a latched fault whose cause is gone, else is refused (-32003)."""
+        """Turn forces on or off.
+
+        Turning them on clears a latched fault if its cause is gone, and is refused (-32003) otherwise.
+        """
         return cast(ForcesResult, await self.call("set_forces", {"enabled": enabled}))
 
     async def set_operator(
@@ -283,26 +293,27 @@ class Client(ABC):
         interpolation: Interpolation | None = None,
         gesture: Mapping[str, object] | None = None,
     ) -> OperatorResult:
-        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], a gesture, or the path of a file
-        (YAML, JSON, CSV) that holds either."""
+        """Move the hand of the simulated joystick along waypoints, or by a gesture.
+
+        `waypoints` are [[t_s, x_m, y_m], ...], or the path of a file (YAML, JSON, CSV) with waypoints or a gesture.
+        """
         params = operator_params(waypoints, interpolation, gesture)
         result = cast(OperatorResult, await self.call("set_operator", params))
         self._operator_tick = result["tick"]
         return result
 
     async def wait_gesture(self, timeout_s: float | None = None) -> GestureEnd:
-        """Waits until the hand has done what this client last sent by `set_operator`; returns the event
-        `gesture_end`, at once where it is over already.
+        """Wait for the end of the last motion that this client set by `set_operator`; return the event `gesture_end`.
 
-        Where another operator took its place before the end, by whomever, the event has `completed` false. Raises
-        TimedOut after `timeout_s` (None: however long it takes), and DaemonNotRunning for a daemon that goes away.
+        `completed` is false in the event if another operator replaced the motion. Raises TimedOut after `timeout_s`
+        (None: no limit), and DaemonNotRunning if the daemon ends.
         """
         started_tick = self._operator_tick
         if started_tick is None:
-            raise HapticdError("wait_gesture: this client has called no set_operator yet")
+            raise HapticdError("wait_gesture: this client has not called set_operator")
         within_s = math.inf if timeout_s is None else arguments.seconds("timeout_s", timeout_s, zero=True)
         deadline_s = time.monotonic() + within_s
-        # Who listens first and then asks misses no end.
+        # Subscribed before the status is read, so that the end cannot be missed.
         async with self.telemetry("event", "status") as subscription:
             end = gesture_end(started_tick, "status", cast("dict[str, object]", await self.get_status()))
             while end is None:
@@ -311,34 +322,34 @@ class Client(ABC):
                 if message is not None:
                     end = gesture_end(started_tick, *message)
                 elif left_s <= self.timeout_s:
-                    raise TimedOut(f"wait_gesture: the hand was still under way after {timeout_s:g} s")
+                    raise TimedOut(f"wait_gesture: the hand was still moving after {timeout_s:g} s")
                 else:
                     raise await self._in_thread(places.no_telemetry, self.paths, self.timeout_s)
         return end
 
     async def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
-        """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
+        """Take a lease, or renew that with `token`; a duration of 0 ends it. If it lapses, forces fade out."""
         params = {"duration_s": duration_s} if token is None else {"duration_s": duration_s, "token": token}
         return cast(LeaseResult, await self.call("lease", params))
 
     async def reload(self, expect_revision: int | None = None, wait: bool = False) -> RevisionResult:
-        """The daemon reads its configuration files again: scene and materials, all or nothing."""
+        """Reload scene and materials from the configuration files of the daemon."""
         return await self._change("reload", {}, expect_revision, wait)
 
     async def dump_flight(self) -> FlightResult:
-        """Has the last seconds of telemetry written to a file on the daemon's machine; its name."""
+        """Write the last seconds of telemetry to a flight file on the daemon's machine; the result has its path."""
         return cast(FlightResult, await self.call("dump_flight"))
 
     # ---- While a block of code runs ----------------------------------------------------------------------------------
 
     @asynccontextmanager
     async def hold_lease(self, duration_s: float = 1.0) -> AsyncIterator[str]:
-        """Holds a lease while the block runs, and gives its token.
+        """Hold a lease while the block runs; yields its token.
 
-        A thread renews it three times within `duration_s`, over a separate connection, and dies with the process: then
-        the forces fade. In asyncio it is a task, and the forces fade, too, where the event loop is held up for longer.
-        Raises at the end of the block where the lease was lost meanwhile. Warns (ForcesOff) where a fault keeps the
-        forces off until `set_forces(True)`.
+        A thread renews the lease three times within `duration_s`, over a separate connection. If the process ends, the
+        forces fade out. In asyncio a task renews it, so the forces also fade out if the event loop is blocked for that
+        long. Raises at the end of the block if the lease was lost. Warns (ForcesOff) if a fault keeps the forces off
+        until `set_forces(True)`.
         """
         lease = await self.lease(duration_s)
         token = lease["token"]
@@ -350,7 +361,7 @@ class Client(ABC):
         async def renew(wait: Wait) -> None:
             async with type(self)(self.paths, duration_s / 3) as renewer:
                 while not await wait(duration_s / 3):
-                    # A daemon that is away may come back in time; if not, its answer says that the lease lapsed.
+                    # The daemon may answer again in time; if not, its reply says that the lease lapsed.
                     with suppress(DaemonNotRunning):
                         await renewer.lease(duration_s, token)
 
@@ -358,7 +369,7 @@ class Client(ABC):
         try:
             yield token
         except BaseException:
-            # What went wrong in the block is reported.
+            # The error of the block is raised, not those of ending the lease.
             with suppress(Exception):
                 await end()
             with suppress(Exception):
@@ -371,13 +382,13 @@ class Client(ABC):
     async def record(
         self, /, path: str | os.PathLike[str], overwrite: bool = False, **notes: object
     ) -> AsyncIterator[Recorder]:
-        """Records every tick and every event while the block runs, into `path`: .npz, or an export of it.
+        """Record every tick and every event to `path` while the block runs: .npz, or an export of it.
 
-        A thread with a separate connection records. The first sample is taken before the block begins, and what the
-        block did last is in the file. `notes` are kept in it as they are, whatever JSON can hold. Gives a Recorder,
-        whose `result` is there after the block. Raises HapticdError before the block where `path` is there already
-        (unless `overwrite`) or cannot be written, and at its end where the recording ended before. Warns
-        (MissedPeriods) at its end where the servo missed too many periods.
+        A thread with a separate connection records, from before the block begins until all its effects are recorded.
+        `notes` are JSON values, which are stored in the file. Yields a Recorder, whose `result` is available after the
+        block. Raises HapticdError before the block if `path` already exists (unless `overwrite`) or cannot be written,
+        and after the block if the recording ended early. Warns (MissedPeriods) after the block if the servo missed too
+        many periods.
         """
         from hapticd.client.record import Recorder
 
@@ -386,20 +397,19 @@ class Client(ABC):
             await self._in_thread(recorder.begin)
             yield recorder
         except BaseException:
-            with suppress(HapticdError):  # what went wrong in the block is reported
+            with suppress(HapticdError):  # the error of the block is raised, not that of the recording
                 await self._in_thread(recorder.end)
             raise
         for warning in await self._in_thread(recorder.end):
             warn(warning)
 
     def stream(self) -> Stream:
-        """Streams targets of the simulated hand, or forces, while the block runs: up to 1,000 a second of each.
+        """Stream targets of the simulated hand, or forces, while the block runs: up to 1,000 of each per second.
 
-        The servo goes from one to the next in a straight line. Without a message for the time-out (20 ms by default) a
-        force fades to zero and the hand stays; the end of the block sends a force of zero. No message waits for an
-        answer. The first one of each kind, and one in half a second, asks for one all the same: what the daemon refuses
-        is raised (RemoteError) by a later message or at the end of the block, and forces that are off are warned of
-        (ForcesOff).
+        The servo interpolates linearly between messages. If no message arrives within the time-out (20 ms by default),
+        a force fades to zero and the hand stays. The end of the block sends a force of zero. Messages do not wait for
+        replies. The first of each kind, and then one every half second, requests a reply: if the daemon refuses a
+        message, a later message or the end of the block raises RemoteError; if forces are off, ForcesOff is warned.
         """
         self._refuse_closed()
         return Stream(self._sender, streams.AlreadySent())
@@ -407,14 +417,14 @@ class Client(ABC):
     # ---- Telemetry ---------------------------------------------------------------------------------------------------
 
     def samples(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[SampleBatch]:
-        """Every tick, in batches of 20 ms: numpy structured arrays that know what of them was lost (`lost`).
+        """Subscribe to the samples of all ticks, in batches of 20 ms: numpy structured arrays with `lost`, a count.
 
-        Begins when this returns, in asyncio with `async with` or the first item. Iteration raises DaemonNotRunning
-        where nothing comes for `timeout_s` (by default the client's), and warns (TelemetryLoss) where reading is too
-        slow.
+        The subscription begins at this call, in asyncio at `async with` or the first item. Iteration raises
+        DaemonNotRunning if nothing arrives for `timeout_s` (by default that of the client), and warns (TelemetryLoss)
+        if the program reads too slowly.
 
-        With `newest` each batch is the next one that the daemon sends once it is asked for; what it sent since the one
-        before is left out, which is no loss to warn of, and counted in `lost`.
+        With `newest` an item is the next batch that the daemon sends after it was requested. Batches between two items
+        are skipped: their samples are counted in `lost`, without a warning.
         """
         from hapticd.client.samples import SampleStream
 
@@ -422,33 +432,33 @@ class Client(ABC):
         return Subscription(self, ("samples",), SampleStream(warn=not newest).convert, timeout_s, newest)
 
     def states(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[State]:
-        """The newest sample as a dictionary, 60 times a second.
+        """Subscribe to the newest sample as a dictionary, 60 times a second.
 
-        With `newest` each one is the next that the daemon sends once it is asked for: who reads slowly never reads an
-        old one.
+        With `newest` an item is the next sample that the daemon sends after it was requested, so a slow reader never
+        gets an old one.
         """
         newest = arguments.flag("newest", newest)
         return Subscription(self, ("state",), lambda _, message: cast(State, message), timeout_s, newest)
 
     def events(self, timeout_s: float | None = None) -> Subscription[Event]:
-        """Contacts, releases, punctures, faults and the other events."""
+        """Subscribe to events: contacts, releases, punctures, faults and others."""
         return Subscription(self, ("event",), lambda _, message: cast("Event", message), timeout_s)
 
     def statuses(self, timeout_s: float | None = None) -> Subscription[Status]:
-        """The status, once a second."""
+        """Subscribe to the status, once a second."""
         return Subscription(self, ("status",), lambda _, message: cast(Status, message), timeout_s)
 
     def telemetry(
         self, *topics: Topic, timeout_s: float | None = None
     ) -> Subscription[tuple[Topic, dict[str, object]]]:
-        """Several topics on one socket, in the daemon's order: pairs of topic and message as it came."""
+        """Subscribe to several topics on one socket; items are pairs of topic and message, in the order of sending."""
         return Subscription(self, topics, lambda topic, message: (topic, message), timeout_s)
 
 
 class Subscription(Generic[T]):
-    """An endless asynchronous iterator over telemetry, until `close` or the end of `async with`.
+    """An endless asynchronous iterator over telemetry.
 
-    It is in effect from the entry into `async with`, or else from the first item on.
+    The subscription lasts from `async with`, or else the first item, until `close` or the end of `async with`.
     """
 
     def __init__(
@@ -459,26 +469,26 @@ class Subscription(Generic[T]):
         timeout_s: float | None,
         newest: bool = False,
     ) -> None:
-        """`newest`: each item is asked for when it is read, so that those before it are never sent."""
+        """Create a subscription. With `newest` each item is requested when it is read; others are not sent."""
         if not topics:
-            raise arguments.wrong("telemetry", f"needs a topic or several; known: {', '.join(get_args(Topic))}")
+            raise arguments.wrong("telemetry", f"needs at least one topic; known: {', '.join(get_args(Topic))}")
         for topic in topics:
             arguments.one_of("topic", topic, get_args(Topic))
         self._timeout_s = client.timeout_s if timeout_s is None else arguments.seconds("timeout_s", timeout_s)
         client._refuse_closed()
         self._client, self._convert = client, convert
         self._wanted = {topic.encode() for topic in topics}
-        self._on_demand = self._wanted - {ALIVE} if newest else set()
-        """Subscribed to for each item, and unsubscribed from after it."""
+        self._on_demand = self._wanted - {HEARTBEAT_TOPIC} if newest else set()
+        """Topics that are subscribed for each item, and unsubscribed after it."""
         self._first: T | None = None
-        """An item that came before it was asked for."""
+        """An item that arrived before the first request."""
         self._ready = False
         self._socket = client._subscriber()
         self._socket.setsockopt(zmq.LINGER, 0)
-        # Subscriptions take effect in their order, and `state` comes 60 times a second: the first message of any topic
-        # shows that all are in effect. `status` comes every second, so that silence means that the daemon is gone.
+        # Subscriptions take effect in their order, with READY_TOPIC last, so its first message shows that all are in
+        # effect. HEARTBEAT_TOPIC arrives every second, so silence means that the daemon has ended.
         try:
-            self._set(zmq.SUBSCRIBE, (*sorted((self._wanted | {ALIVE}) - {READY_TOPIC}), READY_TOPIC))
+            self._set(zmq.SUBSCRIBE, (*sorted((self._wanted | {HEARTBEAT_TOPIC}) - {READY_TOPIC}), READY_TOPIC))
             self._socket.connect(client.paths.telemetry_endpoint)
         except BaseException:
             self._socket.close()
@@ -491,15 +501,16 @@ class Subscription(Generic[T]):
 
     @property
     def closed(self) -> bool:
+        """Whether the subscription has ended."""
         return self._socket.closed
 
     def close(self) -> None:
-        """Ends the subscription; it may be closed twice."""
+        """End the subscription. Closing it again has no effect."""
         self._socket.close()
         self._client._subscriptions.discard(self)
 
     async def _take(self, timeout_s: float) -> T | None:
-        """What the next message yields: nothing where it was not asked for. Raises zmq.Again."""
+        """Return the item of the next message, or None if its topic is not wanted. Raises zmq.Again."""
         frames = await self._client._receive(self._socket, timeout_s)
         if not self._ready:
             self._ready = True
@@ -512,12 +523,15 @@ class Subscription(Generic[T]):
         return self._convert(topic, message)
 
     async def _item(self, left_s: Callable[[], float]) -> T | None:
-        """The next item; `left_s`: how long to wait for each message. None: it was closed. Raises zmq.Again."""
+        """Return the next item, or None if the subscription is closed. Raises zmq.Again.
+
+        `left_s` returns the time to wait for the next message, in s.
+        """
         item, self._first = self._first, None
         if item is not None:
             return item
         with suppress(zmq.Again):
-            while self._on_demand:  # what came since the last item is dropped
+            while self._on_demand:  # drop messages that arrived since the last item
                 await self._client._receive(self._socket, 0.0)
         self._set(zmq.SUBSCRIBE, self._on_demand)
         try:
@@ -532,10 +546,10 @@ class Subscription(Generic[T]):
         return await self._client._in_thread(places.no_telemetry, self._client.paths, self._timeout_s)
 
     async def receive(self, timeout_s: float) -> T | None:
-        """The next item, or None where none comes within `timeout_s`, in seconds. 0: only what has come already.
+        """Return the next item, or None if none arrives within `timeout_s`, in s; with 0 do not wait.
 
-        Raises InvalidError for a `timeout_s` that is negative or not finite. Unlike the iterator it raises nothing
-        where the daemon is silent.
+        Raises InvalidError if `timeout_s` is negative or not finite. Unlike the iterator it raises nothing if the
+        daemon is silent.
         """
         deadline_s = time.monotonic() + arguments.seconds("timeout_s", timeout_s, zero=True)
         with suppress(zmq.Again):
@@ -558,7 +572,7 @@ class Subscription(Generic[T]):
         return item
 
     async def __aenter__(self) -> Self:
-        """Waits for the first message of a daemon."""
+        """Wait for the first message of the daemon."""
         if not self._ready:
             try:
                 item = await self._take(self._timeout_s)
@@ -572,9 +586,9 @@ class Subscription(Generic[T]):
 
 
 def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) -> GestureEnd | None:
-    """The end of the operator that this tick took, where a message of telemetry, or a status, tells of it.
+    """Return the end of the motion that was set at a tick if a message of telemetry or a status has it, else None.
 
-    Raises HapticdError for a status of a daemon that knows nothing of such an operator.
+    Raises HapticdError if the daemon no longer has the motion.
     """
     if topic == "event":
         ours = message.get("event") == "gesture_end" and message.get("started_tick") == started_tick
@@ -585,10 +599,10 @@ def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) 
         if end["started_tick"] == started_tick:
             return end
     last = None if operator is None else operator["started_tick"]
-    forgotten = len(ends) == messages.GESTURE_ENDS and min(end["started_tick"] for end in ends) > started_tick
+    forgotten = len(ends) == messages.MAX_GESTURE_ENDS and min(end["started_tick"] for end in ends) > started_tick
     if last is None or last < started_tick or forgotten:
         raise HapticdError(
-            f"the daemon knows nothing of the operator that tick {started_tick} took: it was started anew since, or "
-            f"{messages.GESTURE_ENDS} others ended"
+            f"the daemon has no operator of tick {started_tick}: it was restarted, or {messages.MAX_GESTURE_ENDS} "
+            "later motions ended"
         )
     return None

@@ -1,7 +1,7 @@
-"""Recordings of a running daemon: its telemetry, and what the samples were rendered with, into a file; for a time, or
-by a thread while a block of code runs.
+"""Recordings of a running daemon: telemetry, configuration, scene and materials.
 
-recording/writer.py writes the files, recording/replay.py renders what is in them again.
+A recording lasts for a duration, until it is stopped, or while a block of code runs. recording/writer.py writes the
+files, recording/replay.py renders them again.
 """
 
 from __future__ import annotations
@@ -35,88 +35,96 @@ from hapticd.system.paths import RuntimePaths
 if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
 
-LAST_CHANGE_S: Final = 1.0
-"""How long without news, at the end, what was before it is waited for: the last tick, and the change that it was
-rendered with."""
+FINAL_CHANGE_TIMEOUT_S: Final = 1.0
+"""Longest wait at the end of a recording for its last tick, and for the change of the scene before it, in s."""
 
-STOPPED: Final = "stopped"
-"""Why a recording ended that somebody stopped."""
+STOPPED_REASON: Final = "stopped"
+"""`ended_because` of a recording that was stopped, as in the file."""
 
-ENDED: Final = "the daemon stopped"
-"""Why one ended whose daemon was ended, or killed."""
+DAEMON_STOPPED_REASON: Final = "the daemon stopped"
+"""`ended_because` of a recording whose daemon ended or was killed."""
 
-ENDED_AFTER_S: Final = 0.2
-"""A daemon's last samples are here once nothing came for so long after its socket was gone."""
+END_SILENCE_S: Final = 0.2
+"""Time without messages, in s, after which all samples of a daemon without a socket have arrived."""
 
-_ATTEMPTS: Final = 10
-"""Attempts to read scene and materials while somebody changes the materials."""
+_MAX_SCENE_READS: Final = 10
+"""Number of attempts to read scene and materials while other clients change the materials."""
 
 
 def ended_early(because: str | None) -> str | None:
-    """Why a recording ended before it was to end, by its `ended_because`; None where it did not: who stops one ends it
-    when it is to end."""
-    return None if because == STOPPED else because
+    """Return the reason why a recording ended early, or None if it did not. A stopped recording has not ended early."""
+    return None if because == STOPPED_REASON else because
 
 
 @dataclass(frozen=True, slots=True)
 class RecordSummary:
-    """What a recording holds, and what it lacks."""
+    """The contents of a recording, and what is missing in it."""
 
     file: str
-    """Where it is."""
+    """Path of the recording."""
     ticks: int
     duration_s: float
     events: int
     lost: int
-    """Samples that did not arrive here."""
+    """Number of samples lost between daemon and recording."""
     dropped: int
-    """Samples that the daemon's ring had no room for."""
+    """Number of samples dropped by the daemon because its ring was full."""
     missing_revisions: tuple[int, ...]
-    """Revisions of the scene that samples were rendered with and that are not in it."""
+    """Revisions of the scene that samples were rendered with and that are not in the recording."""
     missed_periods: int
-    """Periods in which the servo rendered no tick though one was due."""
+    """Number of periods in which the servo rendered no tick."""
     started: Moment | None
-    """The daemon's clocks at the start; None: of a daemon that does not tell them."""
+    """Clocks of the daemon at the start; None if the daemon does not report them."""
     ended: Moment | None
-    """The daemon's clocks at the end."""
+    """Clocks of the daemon at the end."""
     ended_because: str | None
-    """Why it ended early, None where it did not."""
+    """Reason of the end, STOPPED_REASON if the recording was stopped; None if its duration is over."""
     warning: str | None
-    """More periods were missed than `servo.overruns.threshold`; None: not so many."""
+    """Warning if the fraction of missed periods exceeds `servo.overruns.threshold`, otherwise None."""
 
     def summary(self) -> str:
-        """One line for people."""
+        """Return a line of text."""
         missing = self.lost + self.dropped
         lost = "nothing lost"
         if missing:
-            where = f"{self.lost:,} on the way here, {self.dropped:,} in the daemon's ring"
+            where = f"{self.lost:,} between daemon and recording, {self.dropped:,} in the ring of the daemon"
             lost = f"{wording.count(missing, 'tick')} lost ({where})"
         text = f"{self.file}: {wording.count(self.ticks, 'tick')} in {self.duration_s:.3f} s, "
         text += (
             f"{missed_text(self.missed_periods, self.ticks + missing)}, {lost}, {wording.count(self.events, 'event')}"
         )
         if self.missing_revisions:
-            text += f"; {wording.count(len(self.missing_revisions), 'revision')} of the scene not in it"
+            text += f"; {wording.count(len(self.missing_revisions), 'revision')} of the scene missing"
         return text
 
 
 class Messages(Protocol):
     """A subscription to telemetry."""
 
-    def receive(self, timeout_s: float) -> tuple[Topic, dict[str, object]] | None: ...
+    def receive(self, timeout_s: float) -> tuple[Topic, dict[str, object]] | None:
+        """Return topic and content of the next message, or None if none arrives within `timeout_s`."""
 
 
 class Daemon(Protocol):
-    """What a recording needs of a client, which itself needs recordings."""
+    """The methods of a client that a recording uses. The client itself imports this module."""
 
     paths: RuntimePaths
     timeout_s: float
 
-    def get_status(self, detail: bool = False) -> Status: ...
-    def get_config(self) -> ConfigResult: ...
-    def get_scene(self) -> SceneResult: ...
-    def get_materials(self) -> MaterialsResult: ...
-    def telemetry(self, *topics: Topic) -> AbstractContextManager[Messages]: ...
+    def get_status(self, detail: bool = False) -> Status:
+        """Return the status."""
+
+    def get_config(self) -> ConfigResult:
+        """Return servo and device of the configuration."""
+
+    def get_scene(self) -> SceneResult:
+        """Return the scene and its revision."""
+
+    def get_materials(self) -> MaterialsResult:
+        """Return all materials by name."""
+
+    def telemetry(self, *topics: Topic) -> AbstractContextManager[Messages]:
+        """Subscribe to topics."""
 
 
 def record(
@@ -130,14 +138,13 @@ def record(
     progress: Callable[[float], None] = lambda recorded_s: None,
     opened: Callable[[RecordingWriter], None] = lambda writer: None,
 ) -> RecordSummary:
-    """Records every tick and every event into `target`, for `duration_s` of the daemon's time or until
-    `stop` is set; then what the daemon had rendered by that time is in it.
+    """Record every tick and every event to `target`, for `duration_s` of the daemon's time or until `stop` is set.
 
-    What was recorded is kept when it is stopped, when the daemon goes away and when the disk is full. `notes` are kept
-    in it. `progress` is called with the time recorded so far, which is 0 until the first sample was taken; `opened`
-    with the writer, before anything is recorded: another thread may ask it how much it wrote. Raises HapticdError where
-    the target cannot be written, or is there already and `overwrite` does not say that it is to be replaced, before
-    anything is recorded.
+    A stopped recording has all ticks that the daemon had rendered when `stop` was set. If the daemon ends or the disk
+    is full, the recording is completed with what it has. `notes` are stored in it. `progress` is called with the
+    recorded time in s, which is 0 before the first sample; `opened` with the writer, before anything is recorded, so
+    that another thread can read how much is written. Raises HapticdError before anything is recorded if the target
+    cannot be written, or exists and `overwrite` is false.
     """
     with recording_into(target, overwrite) as writer:
         opened(writer)
@@ -151,7 +158,7 @@ def record(
             session.ask_status()
         if writer.count == 0:
             raise HapticdError(f"{target}: nothing was recorded{f' ({ended})' if ended else ''}")
-        # Told again where the disk was full, and the end gave way to what else is in the file.
+        # Called again if the disk was full and the end of the samples was cut off to make room.
         writer.finish(lambda: {"recording": session.account(ended)})
         account = session.account(ended)
         clocks = {name: moment_of(account[name]) for name in ("started", "ended")}
@@ -162,7 +169,7 @@ def record(
 
 
 class _Session:
-    """One recording under way."""
+    """A running recording."""
 
     def __init__(
         self, client: Daemon, writer: RecordingWriter, duration_s: float | None, notes: dict[str, Json]
@@ -175,24 +182,24 @@ class _Session:
         self._interval = _Interval(duration_s)
         self._gaps: list[tuple[int, int]] = []
         self._status: Mapping[str, Any] = {}
-        """At the start."""
+        """Status at the start."""
         self._newest: Mapping[str, Any] = {}
         self._rates: list[tuple[int, float]] = []
-        """The servo's from a tick on."""
+        """Pairs of a tick and the servo rate from it on, in Hz."""
         self._missed: list[tuple[int, int]] = []
-        """Of batches in which periods were missed, the last tick, and how many."""
+        """Pairs of the last tick of a batch and the number of missed periods in it, if any."""
 
     def run(self, stop: threading.Event, progress: Callable[[float], None]) -> str | None:
-        """Takes what comes; why it ended early, None where it did not."""
+        """Record until the end, and return its reason, or None if the duration is over."""
         client, interval = self._client, self._interval
-        # Who is not there says so at once to a question; to wait for telemetry takes longer.
+        # A missing daemon is noticed at once by a call; waiting for telemetry takes longer.
         client.get_status()
         with client.telemetry("samples", "event", "change", "status") as messages:
             self._begin()
             silent_since, ended = time.monotonic(), 0
             while not interval.over:
                 if stop.is_set() and not interval.ends:
-                    # What somebody did before stopping it is in it.
+                    # Everything that happened before the stop is recorded.
                     interval.end_at(self.ask_status())
                     continue
                 received = messages.receive(0.1)
@@ -200,10 +207,10 @@ class _Session:
                     silent_s = time.monotonic() - silent_since
                     if silent_s > client.timeout_s:
                         return str(no_telemetry(client.paths, client.timeout_s))
-                    # Twice in a row: what was on its way when its socket went is here then.
-                    ended = ended + 1 if silent_s > ENDED_AFTER_S and has_ended(client.paths) else 0
+                    # Twice in a row, so that messages sent before the socket was closed have arrived.
+                    ended = ended + 1 if silent_s > END_SILENCE_S and has_ended(client.paths) else 0
                     if ended > 1:
-                        return ENDED
+                        return DAEMON_STOPPED_REASON
                     continue
                 silent_since, ended = time.monotonic(), 0
                 topic, message = received
@@ -222,10 +229,10 @@ class _Session:
                 else:
                     self._newest = message
             self._await_changes(messages)
-        return STOPPED if interval.ends else None
+        return STOPPED_REASON if interval.ends else None
 
     def ask_status(self) -> int | None:
-        """The tick that the servo is at, and with it the clocks at the end; None where nobody answers."""
+        """Store the status of the end, with its clocks, and return the tick of the servo; None if there is no reply."""
         with suppress(HapticdError):
             self._newest = self._client.get_status()
             return cast("int | None", self._newest.get("tick"))
@@ -240,15 +247,15 @@ class _Session:
         self._writer.write_change({"revision": self._scenes.revision})
 
     def _await_changes(self, messages: Messages) -> None:
-        """The last samples may have come before the message of the change that they were rendered with."""
-        deadline = time.monotonic() + LAST_CHANGE_S
+        """Wait for the changes that the last samples were rendered with, which may arrive after them."""
+        deadline = time.monotonic() + FINAL_CHANGE_TIMEOUT_S
         while self._scenes.missing and (left_s := deadline - time.monotonic()) > 0:
             received = messages.receive(left_s)
             if received is not None and received[0] == "change":
                 self._scenes.apply(received[1])
 
     def _restarted(self) -> bool:
-        """Whether those whose samples are missing are another daemon's. Where nobody answers, silence will tell."""
+        """Whether the daemon was restarted. Without a reply return false; the end is then noticed by silence."""
         with suppress(DaemonNotRunning):
             return bool(self._client.get_status()["started_ns"] != self._status["started_ns"])
         return False
@@ -273,7 +280,7 @@ class _Session:
             self._writer.write_event(event)
 
     def account(self, ended: str | None) -> dict[str, Any]:
-        """What the recording holds and what it lacks, as its file says it."""
+        """Return the contents of the recording and what is missing, as stored in the file."""
         return {
             "ticks": self._writer.count,
             "duration_s": self._interval.duration_s(self._writer.last_time_ns),
@@ -290,7 +297,7 @@ class _Session:
         }
 
     def warning(self, account: Mapping[str, Any]) -> str | None:
-        """Where more periods were missed than the configuration puts up with."""
+        """Return the warning if more periods were missed than `servo.overruns.threshold`, otherwise None."""
         threshold = self._status.get("overruns", {}).get("threshold")
         missed, rendered = account["missed_periods"], account["ticks"] + account["lost"] + account["dropped"]
         if threshold is None or share(missed, rendered) <= threshold:
@@ -303,17 +310,17 @@ class _Session:
 
 
 class _Scenes:
-    """What the daemon renders: all of it at the start, and then what each change says.
+    """Scene and materials of the daemon: read at the start, then updated by each change.
 
-    Where changes were lost, or one is too large to be sent, all is read again. What samples were rendered with
-    meanwhile is missing in the recording, which says so.
+    If changes were lost, or one was too large to be sent, everything is read again. Revisions in between are missing in
+    the recording, and reported.
     """
 
     def __init__(self, client: Daemon, writer: RecordingWriter) -> None:
         self._client = client
         self._writer = writer
         self.revision = 0
-        """The newest one that is known."""
+        """Newest known revision."""
         self._known: set[int] = set()
         self._used: set[int] = set()
         self._scene: dict[str, Any] = {}
@@ -323,14 +330,14 @@ class _Scenes:
 
     @property
     def missing(self) -> tuple[int, ...]:
-        """Revisions that samples were rendered with, and nobody said what they are."""
+        """Revisions that samples were rendered with and that are unknown."""
         return tuple(sorted(self._used - self._known))
 
     def begin(self) -> dict[str, Any]:
-        """Status, scene and materials at the start."""
+        """Read and return status, scene and materials at the start."""
         read = self._read()
         if read is None:
-            raise HapticdError("the materials change too fast for a recording to begin")
+            raise HapticdError("the recording cannot begin: other clients change the materials too fast")
         self.revision, self._scene, self._objects, self._materials, status = read
         self._rate_hz = status["rate_hz"]
         self._known.add(self.revision)
@@ -338,15 +345,15 @@ class _Scenes:
         return {"status": status, "scene": scene, "materials": dict(self._materials)}
 
     def reached(self, revisions: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
-        """Those that are the newest one known, or come after it."""
+        """Return which revisions are the newest known one or later."""
         return (revisions - np.uint32(self.revision)).astype(np.int32) >= 0
 
     def note_used(self, revisions: npt.NDArray[np.uint32]) -> None:
-        """Samples were rendered with these."""
+        """Note revisions that samples were rendered with."""
         self._used.update(np.unique(revisions).tolist())
 
     def apply(self, change: dict[str, Any]) -> None:
-        """Takes what a message of the topic `change` says."""
+        """Apply a message of the topic `change`, and write it."""
         if "revision" not in change:
             self._writer.write_change(change)
             return
@@ -361,7 +368,7 @@ class _Scenes:
             self._read_again()
 
     def _read_again(self) -> None:
-        # What cannot be read is missing, and reported as that; silence will tell where the daemon is gone.
+        # Revisions that cannot be read are reported as missing; the end of a daemon is noticed by silence.
         with suppress(HapticdError):
             read = self._read()
             if read is not None and read[0] not in self._known:
@@ -382,32 +389,33 @@ class _Scenes:
         self._writer.write_change({name: part for name, part in change.items() if part != {}})
 
     def _read(self) -> tuple[int, dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]] | None:
-        """Revision, scene, objects, materials and status; None where materials or rate never stood still."""
+        """Return revision, scene, objects, materials and status; None if materials or rate changed at every attempt."""
         materials, status = self._materials_and_status()
-        for _ in range(_ATTEMPTS):
+        for _ in range(_MAX_SCENE_READS):
             scene, after = self._client.get_scene(), self._materials_and_status()
-            if after[0] == materials and after[1]["rate_hz"] == status["rate_hz"]:  # so they were in between, too
+            if (
+                after[0] == materials and after[1]["rate_hz"] == status["rate_hz"]
+            ):  # so they were the same when the scene was read
                 rest = dict(scene["scene"])
                 return scene["revision"], rest, cast("dict[str, Any]", rest.pop("objects")), materials, status
             materials, status = after
         return None
 
     def _materials_and_status(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What else a scene is rendered with: the materials, and the status, which has the rate."""
+        """Return the materials, and the status, which has the rate."""
         return dict(self._client.get_materials()["materials"]), dict(self._client.get_status(detail=True))
 
 
 def _changes(before: Mapping[str, object], after: Mapping[str, object]) -> dict[str, object]:
-    """What differs, by key; None for what is gone."""
+    """Return the members that differ, by key; None for removed ones."""
     changed = {name: value for name, value in after.items() if name not in before or before[name] != value}
     return changed | dict.fromkeys(name for name in before if name not in after)
 
 
 class _Interval:
-    """The stretch of the daemon's time that is recorded, from the first sample that came.
+    """The recorded interval of the daemon's time, from the first received sample on.
 
-    Events are sent before the samples of their ticks, so that those of a stretch are complete when its
-    samples are.
+    Events are sent before the samples of their ticks, so all events of an interval have arrived when its samples have.
     """
 
     def __init__(self, duration_s: float | None) -> None:
@@ -421,37 +429,39 @@ class _Interval:
         self._last_tick = 0
         self._give_up_at = 0.0
         self.ends = False
-        """Somebody stopped it."""
+        """Whether the recording was stopped."""
         self._complete: bool = False
 
     @property
     def over(self) -> bool:
-        """Nothing more is to be taken."""
+        """Whether the interval is complete."""
         if not self.ends:
             return self._complete
         return self._complete or self._end_tick > self._last_tick or time.monotonic() > self._give_up_at
 
     def end_at(self, tick: int | None) -> None:
-        """It is over once this tick was taken, or soon; None: at once."""
+        """End the interval after this tick, at the latest after a time-out; None: at once."""
         self.ends, self._complete = True, self._complete or tick is None
         self._last_tick = tick or 0
-        self._give_up_at = time.monotonic() + LAST_CHANGE_S
+        self._give_up_at = time.monotonic() + FINAL_CHANGE_TIMEOUT_S
 
     @property
     def recorded_s(self) -> float:
+        """Recorded time, in s."""
         if self._first_tick is None:
             return 0.0
         return self.duration_s(self._last_ns)
 
     def duration_s(self, last_ns: int) -> float:
-        """From the first sample to the end of one at `last_ns`."""
+        """Return the time from the first sample to the end of that at `last_ns`, in s."""
         return (last_ns + self._period_ns - self._first_ns) / 1e9
 
     def clip(self, batch: SampleBatch) -> Samples:
+        """Return the samples of a batch that are in the interval."""
         if len(batch) == 0:
             return batch
         times = batch["time_ns"]
-        self._give_up_at = time.monotonic() + LAST_CHANGE_S  # what comes late is waited for as long as something comes
+        self._give_up_at = time.monotonic() + FINAL_CHANGE_TIMEOUT_S  # prolonged while samples arrive
         if self._first_tick is None:
             self._first_tick = int(batch["tick"][0])
             self._first_ns = int(times[0])
@@ -459,8 +469,7 @@ class _Interval:
             self._period_ns = int(np.min(np.diff(times)))
         clipped: Samples = batch
         if self._duration_ns is not None:
-            # A deadline is rounded to whole nanoseconds: half a period decides which tick is the first
-            # outside.
+            # Deadlines are rounded to nanoseconds, so half a period of tolerance decides which tick is outside.
             inside = times - self._first_ns + self._period_ns // 2 < self._duration_ns
             clipped = batch[inside]
             self._complete = len(clipped) < len(batch)
@@ -470,10 +479,11 @@ class _Interval:
         return clipped
 
     def queue(self, event: dict[str, Any]) -> None:
+        """Store an event until the sample of its tick is recorded."""
         self._queued.append(event)
 
     def due_events(self) -> list[dict[str, Any]]:
-        """The events of the ticks recorded so far."""
+        """Return and remove the queued events of the recorded ticks."""
         if self._first_tick is None:
             return []
         ticks = [(int(event.get("tick", 0)), event) for event in self._queued]
@@ -485,7 +495,7 @@ class _Interval:
 
 
 class Recorder:
-    """One recording: under way in the block, finished after it."""
+    """A recording that runs during a block and is complete after it."""
 
     def __init__(
         self,
@@ -494,29 +504,29 @@ class Recorder:
         overwrite: bool,
         notes: Mapping[str, object],
     ) -> None:
-        """`connect` makes a client for the thread alone. Raises InvalidError for notes that JSON cannot hold."""
+        """Prepare a recording; `connect` returns a client for its thread. Raises InvalidError for notes beyond JSON."""
         self.path = arguments.path("path", path)
         self._connect = connect
         self._overwrite = arguments.flag("overwrite", overwrite)
         self._notes: dict[str, Json] = arguments.plain(("notes",), notes)
         self._stop = threading.Event()
         self._begun = threading.Event()
-        """The first sample was taken, or nothing will come of it."""
+        """Set when the first sample is recorded, or the recording has failed."""
         self._done: Future[RecordSummary] | None = None
 
     @property
     def result(self) -> RecordSummary:
-        """What was recorded. Raises HapticdError while the block still runs, and where nothing was."""
+        """Summary of the recording. Raises HapticdError before the end of the block, and if nothing was recorded."""
         if self._done is None or not self._done.done():
-            raise HapticdError(f"{self.path}: is not finished: the result is there after the block")
+            raise HapticdError(f"{self.path}: not complete: the result is available after the block")
         return self._done.result()
 
     def load(self) -> Recording:
-        """The recording, once the block is over."""
+        """Return the recording. Raises HapticdError before the end of the block."""
         return load(self.result.file)
 
     def begin(self) -> None:
-        """Returns once the first sample was taken. Raises what keeps the recording from beginning."""
+        """Start the recording, and wait for its first sample. Raises the error if it cannot start."""
         self._done = in_background("hapticd-record", self._record)
         self._done.add_done_callback(lambda _: self._begun.set())
         self._begun.wait()
@@ -524,18 +534,20 @@ class Recorder:
             self._done.result()
 
     def end(self) -> list[Warning]:
-        """Records what the daemon has rendered by now, and finishes the file; returns what is to be warned of. Raises
-        HapticdError where the recording ended before, or the file is not where it was to be."""
+        """Record all ticks rendered until now, complete the file, and return the warnings.
+
+        Raises HapticdError if the recording ended early, or the file could not be written.
+        """
         self._stop.set()
         if self._done is None:
-            raise HapticdError(f"{self.path}: was not recorded")
+            raise HapticdError(f"{self.path}: not recorded")
         result = self._done.result()
         if ended_early(result.ended_because) is not None:
-            raise HapticdError(f"{result.ended_because}; {result.file} holds what came before")
+            raise HapticdError(f"{result.ended_because}; {result.file} has everything before that")
         found: list[Warning] = []
         if result.lost:
             lost = wording.count(result.lost, "sample")
-            found.append(TelemetryLoss(f"{result.file}: {lost} were lost on the way here"))
+            found.append(TelemetryLoss(f"{result.file}: {lost} were lost between daemon and recording"))
         if result.warning is not None:
             found.append(MissedPeriods(f"{result.file}: {result.warning}"))
         return found

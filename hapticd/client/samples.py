@@ -1,4 +1,4 @@
-"""Batches of samples, as numpy structured arrays, and the account of what was lost on the way."""
+"""Batches of samples as numpy structured arrays, and counts of lost samples."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from hapticd.protocol.calls import TelemetryLoss, Topic
 
 
 class SampleBatch(np.ndarray[tuple[int], np.dtype[np.void]]):
-    """One batch: a structured array of shape (n,), one element a tick, read-only; `copy()` gives one to
-    write to.
+    """A batch of samples: a read-only structured array of shape (n,), with an element for each tick.
 
-    Fields and units are those of the sample (`tick`, `time_ns`, `position_m`, ...). Slices and copies are
-    plain views that keep the attributes of their batch.
+    Fields and units are those of the sample (`tick`, `time_ns`, `position_m`, ...). Slices and copies keep the
+    attributes of their batch; `copy()` can be written to.
     """
 
     first_tick: int
     """Tick of the first sample."""
     dropped: int
-    """Samples that the daemon's ring had no room for since it started."""
+    """Samples that the daemon has dropped since its start, because its ring was full."""
     lost: int
-    """Samples between the batch before and this one that the daemon sent and this subscriber missed."""
+    """Samples between the previous batch and this one that the daemon sent and this subscriber did not receive."""
 
     def __array_finalize__(self, obj: object) -> None:
         self.first_tick = getattr(obj, "first_tick", 0)
@@ -32,21 +31,21 @@ class SampleBatch(np.ndarray[tuple[int], np.dtype[np.void]]):
 
     def __getitem__(self, key: Any) -> Any:
         item = super().__getitem__(key)
-        # A field is ordinary numbers; only what still has fields is a batch.
+        # A single field becomes an ordinary array; only arrays with fields are batches.
         return item.view(np.ndarray) if isinstance(item, SampleBatch) and item.dtype.names is None else item
 
 
 def dtype_of(description: object) -> np.dtype[np.void]:
-    """The dtype that a message's `dtype` describes: numpy's descr, with lists in the place of its tuples."""
+    """Return the dtype that the member `dtype` of a message describes: numpy's descr, with lists instead of tuples."""
     fields = [(*field[:2], *map(tuple, field[2:])) for field in cast("list[list[Any]]", description)]
     return cast("np.dtype[np.void]", np.lib.format.descr_to_dtype(cast(Any, fields)))
 
 
 class SampleStream:
-    """Makes batches of messages, in their order, and keeps account of the ticks that are missing.
+    """Converts messages to batches, in their order, and counts missing ticks.
 
-    Ticks have no gaps in the servo. A tick that is missing here was dropped by the daemon's ring, which
-    counts it in `dropped`, or lost between the daemon and us.
+    Ticks of the servo have no gaps. A missing tick was dropped by the ring of the daemon, which counts it in `dropped`,
+    or was lost between daemon and subscriber.
     """
 
     def __init__(self, warn: bool = True) -> None:
@@ -56,18 +55,18 @@ class SampleStream:
         self._next_tick: int | None = None
         self._dropped_before = 0
         self._early = 0
-        """Samples that the ring counted as dropped before their gap arrived."""
+        """Samples that `dropped` already counts although their gap has not arrived."""
         self.received = 0
-        """Samples that arrived."""
+        """Number of received samples."""
         self.lost = 0
-        """Samples that were lost on the way here."""
+        """Number of samples lost between daemon and subscriber."""
         self.dropped = 0
-        """Samples that the daemon's ring dropped while we listened."""
+        """Number of samples that the ring of the daemon has dropped since the first batch."""
         self.restarts = 0
-        """How often the daemon began again from tick 0."""
+        """Number of restarts of the daemon, after which ticks begin at 0."""
 
     def convert(self, topic: Topic, message: dict[str, object]) -> SampleBatch:
-        """The batch in one `samples` message."""
+        """Return the batch in a `samples` message."""
         if self._dtype is None or message["dtype"] != self._description:
             self._description = message["dtype"]
             self._dtype = dtype_of(self._description)
@@ -76,11 +75,15 @@ class SampleStream:
         if len(batch):
             batch.lost = self._account(batch)
         if batch.lost and self._warn:
-            warn(TelemetryLoss(f"{batch.lost} samples before tick {batch.first_tick} were lost: read faster"))
+            warn(
+                TelemetryLoss(
+                    f"{batch.lost} samples before tick {batch.first_tick} were lost: the subscriber reads too slowly"
+                )
+            )
         return batch
 
     def _account(self, batch: SampleBatch) -> int:
-        """How many samples were lost on the way here since the batch before."""
+        """Return the number of samples lost between daemon and subscriber since the previous batch."""
         if self._next_tick is None or batch.first_tick < self._next_tick:
             self.restarts += self._next_tick is not None
             self._next_tick, self._dropped_before, self._early = batch.first_tick, batch.dropped, 0

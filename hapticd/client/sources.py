@@ -1,6 +1,6 @@
-"""What a method of a client may be given: scenes, patches and operators as mappings, models or files.
+"""Arguments of a client's methods: scenes, patches and operators as mappings, models or files.
 
-Files are read and validated here, so that their mistakes are reported by line before anything is sent.
+Files are read and validated here, so that their faults are reported by line before anything is sent.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 class Model(Protocol):
     """A validated model, such as `hapticd.Scene`."""
 
-    def to_dict(self) -> dict[str, Json]: ...
+    def to_dict(self) -> dict[str, Json]:
+        """Return the model as a mapping for JSON."""
 
 
 SceneSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str] | Model"
-"""A scene: the mapping itself, the path of a YAML file, or a `hapticd.Scene`."""
+"""A scene: a mapping, the path of a YAML file, or a `hapticd.Scene`."""
 WaypointsSource: TypeAlias = "Iterable[Iterable[float]] | str | os.PathLike[str]"
-"""Waypoints [[t_s, x_m, y_m], ...], or the path of a file with what the hand does: YAML, JSON or CSV."""
+"""Waypoints [[t_s, x_m, y_m], ...], or the path of a file with the motion of the hand: YAML, JSON or CSV."""
 PatchSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str]"
-"""A merge patch: the mapping itself, or the path of a YAML file."""
+"""A merge patch: a mapping, or the path of a YAML file."""
 
 
 def scene_tree(scene: SceneSource) -> Mapping[str, object]:
-    """The mapping that goes over the wire. A file is validated here, so that faults are reported with their line.
+    """Return a scene as a mapping for the request.
 
-    Raises HapticdError for a file that cannot be read, InvalidError for one that holds no valid scene.
+    Raises HapticdError for a file that cannot be read, InvalidError with lines for a file without a valid scene.
     """
     if isinstance(scene, Mapping):
         return scene
@@ -51,10 +52,10 @@ def scene_tree(scene: SceneSource) -> Mapping[str, object]:
 
 
 def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
-    """The mapping that goes over the wire; a file may hold it under `path`, as a configuration does, or bare.
+    """Return a patch as a mapping for the request. In a file it is at the keys `path`, or at the top level.
 
-    Raises HapticdError for a file that cannot be read or holds no mapping, InvalidError for one that is no
-    YAML or holds something else beside it.
+    Raises HapticdError for a file that cannot be read or has no mapping, InvalidError for a file that is not YAML or
+    has other keys next to `path`.
     """
     if isinstance(patch, Mapping):
         return patch
@@ -74,17 +75,19 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
             data = data[key]
             found += (key,)
     if not isinstance(data, dict):
-        raise HapticdError(f"{document.where(found)}: must be a mapping, the {path[-1]} by their names")
+        raise HapticdError(f"{document.where(found)}: must be a mapping of names to {path[-1]}")
     return FromFile(data, document, found)
 
 
 def operator_params(
     waypoints: WaypointsSource | None, interpolation: Interpolation | None, gesture: Mapping[str, object] | None
 ) -> dict[str, object]:
-    """The params of `set_operator`. Raises HapticdError for a file that holds no operator."""
+    """Return the params of `set_operator`. Raises HapticdError for a file without an operator."""
     if isinstance(waypoints, str | os.PathLike):
         if interpolation is not None or gesture is not None:
-            raise HapticdError(f"{os.fspath(waypoints)}: a file says all of it: interpolation and gesture, too")
+            raise HapticdError(
+                f"{os.fspath(waypoints)}: a file of waypoints cannot be combined with interpolation or gesture"
+            )
         from hapticd.config.file_faults import FromFile
         from hapticd.config.operator import load_operator
 

@@ -1,7 +1,7 @@
-"""The connection over which a client streams targets and forces, for both clients: nothing here waits for an answer.
+"""The connection over which both kinds of client stream targets and forces, without waiting for replies.
 
-It is one of its own, so that a message never stands behind a call. All streams of a client share it: to the daemon they
-are one sender.
+It is separate from that for calls, so that a message never waits for a call. All streams of a client share it; so the
+daemon sees one sender.
 """
 
 from __future__ import annotations
@@ -19,22 +19,24 @@ from hapticd.base.errors import HapticdError
 from hapticd.client.base import connect_commands, warn
 from hapticd.protocol import calls, messages, places, streams
 from hapticd.protocol.calls import ForcesOff, RemoteError
-from hapticd.protocol.streams import MOST, Kind
+from hapticd.protocol.streams import MAX_COMPONENT_BY_KIND, Kind
 from hapticd.system.paths import RuntimePaths
 
 Sent = TypeVar("Sent")
-"""What `target` and `force` return: None, or with asyncio AlreadySent."""
+"""Type of the result of `target` and `force`: None, or with asyncio AlreadySent."""
 
-ASK_EVERY_S: Final = 0.5
-"""One message of each kind in so long has an id: its answer says what is wrong."""
-_WAITING: Final = 200
-"""So many wait for a daemon that does not read just now; what comes then is dropped."""
-_PROBE_EVERY_S: Final = 0.1
-_LINGER_MS: Final = 1000
+REPLY_REQUEST_PERIOD_S: Final = 0.5
+"""Period in which one message of each kind has an id, in s. The reply to it reports errors."""
+_MAX_QUEUED_MESSAGES: Final = 200
+"""Largest number of messages that are queued for a daemon that does not read; further ones are dropped."""
+_PROBE_PERIOD_S: Final = 0.1
+"""Shortest time between two checks whether a daemon listens, in s."""
+_CLOSE_LINGER_MS: Final = 1000
+"""Longest time after `close` in which queued messages are still sent, in ms."""
 
 
 class Sender:
-    """Sends the streams of one client. For any thread, one at a time."""
+    """Sends the streams of one client. It is thread-safe."""
 
     def __init__(self, place: RuntimePaths, timeout_s: float) -> None:
         self._place, self._timeout_s = place, timeout_s
@@ -45,19 +47,22 @@ class Sender:
         self._last_id = 0
         self._sent_s = self._probe_at_s = 0.0
         self.unsent = 0
-        """Messages that were dropped here, as the daemon did not read those before; it counts them as lost."""
+        """Number of messages dropped because the queue was full. The daemon counts them as lost."""
 
     def open(self) -> None:
-        """Begins a stream: its first message of each kind asks. Connects, once. Raises DaemonNotRunning."""
+        """Begin a stream, whose first message of each kind requests a reply; connect if necessary.
+
+        Raises DaemonNotRunning.
+        """
         with self._lock:
             self._ask_at_s.clear()
             if self._socket is not None:
                 return
             places.probe(self._place)
             socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
-            socket.setsockopt(zmq.SNDHWM, _WAITING)
+            socket.setsockopt(zmq.SNDHWM, _MAX_QUEUED_MESSAGES)
             connect_commands(socket, self._place)
-            socket.setsockopt(zmq.LINGER, _LINGER_MS)  # the last force is zero
+            socket.setsockopt(zmq.LINGER, _CLOSE_LINGER_MS)  # so that the last message, a force of zero, is sent
             if not socket.poll(int(1e3 * self._timeout_s), zmq.POLLOUT):
                 socket.close(0)
                 raise places.no_answer(self._place, self._timeout_s)
@@ -65,49 +70,53 @@ class Sender:
             self._sent_s = time.monotonic()
 
     def send(self, kind: Kind, x: float, y: float) -> None:
-        """Sends one message, or drops it where the queue is full. Raises DaemonNotRunning, and RemoteError for what the
-        daemon answered to one before."""
+        """Send a message, or drop it if the queue is full.
+
+        Raises DaemonNotRunning, or RemoteError if the daemon has refused an earlier message.
+        """
         with self._lock:
             socket, now_s = self._opened(), time.monotonic()
             seq = self._seq[kind]
             self._seq[kind] = seq + 1
             asks = now_s >= self._ask_at_s.get(kind, 0.0)
             if asks:
-                body = self._request(f"stream_{kind}", {"seq": seq, streams.VECTORS[kind]: [x, y]})
+                body = self._request(f"stream_{kind}", {"seq": seq, streams.VECTOR_PARAM_BY_KIND[kind]: [x, y]})
             else:
                 body = streams.write(kind, seq, x, y)
             try:
                 socket.send(body, zmq.NOBLOCK)
             except zmq.Again:
-                self._not_taken(now_s)
+                self._not_queued(now_s)
             else:
                 self._sent_s = now_s
-                if asks:  # where nobody got the question, the next message asks
-                    self._ask_at_s[kind] = now_s + ASK_EVERY_S
+                if asks:  # if the message was dropped, the next one requests the reply
+                    self._ask_at_s[kind] = now_s + REPLY_REQUEST_PERIOD_S
             while socket.poll(0):
                 self._read(socket)
 
     def settle(self) -> None:
-        """Waits until the daemon has what was sent: it answers what comes after that. Raises what it answered, or
-        DaemonNotRunning."""
+        """Wait until the daemon has processed all sent messages, by a request after them.
+
+        Raises RemoteError if the daemon has refused a message, or DaemonNotRunning.
+        """
         with self._lock:
             socket = self._opened()
             deadline_s = time.monotonic() + self._timeout_s
             if socket.poll(int(1e3 * self._timeout_s), zmq.POLLOUT):
                 socket.send(self._request("get_config", {}), zmq.NOBLOCK)
-                # Answers come in the order of the questions.
+                # Replies arrive in the order of the requests.
                 while (left_s := deadline_s - time.monotonic()) > 0 and socket.poll(int(1e3 * left_s) + 1):
                     if self._read(socket) == self._last_id:
                         return
             raise places.no_answer(self._place, self._timeout_s)
 
     def _request(self, method: str, params: Mapping[str, object]) -> bytes:
-        """The body of a message that is answered."""
+        """Return the body of a message that requests a reply."""
         self._last_id += 1
         return messages.request(self._last_id, method, params)
 
     def close(self) -> None:
-        """What was sent still goes out, for a second at most. It may be closed twice, and is not opened again."""
+        """Close the connection for good. Queued messages are still sent, for at most a second."""
         with self._lock:
             if self._socket is not None:
                 self._socket.close()
@@ -117,17 +126,17 @@ class Sender:
             raise HapticdError("the stream is not open: use it in `with daemon.stream() as stream`")
         return self._socket
 
-    def _not_taken(self, now_s: float) -> None:
-        """The queue is full, or nobody is connected. Raises DaemonNotRunning."""
+    def _not_queued(self, now_s: float) -> None:
+        """Count a message that was dropped. Raises DaemonNotRunning if no daemon listens or reads."""
         self.unsent += 1
         if now_s - self._sent_s > self._timeout_s:
             raise places.no_answer(self._place, self._timeout_s)
         if now_s >= self._probe_at_s:
-            self._probe_at_s = now_s + _PROBE_EVERY_S
+            self._probe_at_s = now_s + _PROBE_PERIOD_S
             places.probe(self._place)
 
     def _read(self, socket: zmq.Socket[bytes]) -> object:
-        """The id of an answer. Raises the error in it."""
+        """Return the id of a reply. Raises the error in it."""
         id, response = calls.decode_response(socket.recv())
         if isinstance(response, RemoteError):
             raise response
@@ -137,41 +146,46 @@ class Sender:
 
 
 class AlreadySent:
-    """A message that was sent already; whoever awaits it lets other tasks run."""
+    """An awaitable for a message that is already sent; awaiting it lets other tasks run."""
 
     def __await__(self) -> Generator[Any, None, None]:
-        from asyncio import sleep  # which a blocking client does without
+        from asyncio import sleep  # not imported for a blocking client
 
         return sleep(0).__await__()
 
 
 class Stream(Generic[Sent]):
-    """Targets and forces, in `with daemon.stream() as stream`, with asyncio in `async with`. For any thread.
+    """A stream of targets and forces, for `with daemon.stream() as stream`, or `async with` in asyncio.
 
-    A message is sent when the method is called. With asyncio it may be awaited, which lets other tasks run.
+    A message is sent when the method is called, from any thread. In asyncio it may be awaited to let other tasks run.
     """
 
     def __init__(self, sender: Sender, sent: Sent) -> None:
-        """`sent`: what `target` and `force` return."""
+        """Create a stream whose methods `target` and `force` return `sent`."""
         self._sender, self._sent = sender, sent
         self._pushed = False
-        """Whether a force was streamed, which has to end."""
+        """Whether a force was streamed, so that the end of the block has to send a force of zero."""
 
     @property
     def unsent(self) -> int:
-        """Messages of this client that were dropped on our side, as the daemon did not read those before in time."""
+        """Number of messages that this client has dropped because the daemon did not read earlier ones in time."""
         return self._sender.unsent
 
     def target(self, x: float, y: float) -> Sent:
-        """Where the simulated hand wants to be, m. Raises DaemonNotRunning, and RemoteError for a message before."""
-        most = MOST["target"]
+        """Send a target position of the simulated hand, in m.
+
+        Raises DaemonNotRunning, or RemoteError if the daemon has refused an earlier message.
+        """
+        most = MAX_COMPONENT_BY_KIND["target"]
         self._sender.send("target", arguments.within("x", x, most, "m"), arguments.within("y", y, most, "m"))
         return self._sent
 
     def force(self, fx: float, fy: float) -> Sent:
-        """A force that is added to the rendered one, N. Raises DaemonNotRunning, and RemoteError for a message
-        before."""
-        most = MOST["force"]
+        """Send a force that is added to the rendered one, in N.
+
+        Raises DaemonNotRunning, or RemoteError if the daemon has refused an earlier message.
+        """
+        most = MAX_COMPONENT_BY_KIND["force"]
         self._sender.send("force", arguments.within("fx", fx, most, "N"), arguments.within("fy", fy, most, "N"))
         self._pushed = True
         return self._sent
@@ -193,12 +207,12 @@ class Stream(Generic[Sent]):
     async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
         from asyncio import to_thread
 
-        self._end_force(error)  # at once, whatever the threads are busy with
+        self._end_force(error)  # not in a thread, which might have to wait
         if error is None:
             await to_thread(self._sender.settle)
 
     def _end_force(self, error: BaseException | None) -> None:
-        """Raises as `Sender.send`, unless something went wrong in the block, which is reported."""
+        """Send a force of zero if one was streamed. Errors are raised only if the block has raised none."""
         if self._pushed:
             self._pushed = False
             with nullcontext() if error is None else suppress(HapticdError):

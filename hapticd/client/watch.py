@@ -1,7 +1,7 @@
-"""The live view: where the probe is, what it touches and feels, and how the daemon keeps time.
+"""The live view of `hapticd watch`: position, contacts, forces and timing.
 
-`View` takes telemetry in and gives text out, 80x24 or larger; it knows neither sockets nor clocks. `watch`
-connects it with a daemon: on a terminal as a picture 15 times a second, into a pipe as lines.
+`View` turns telemetry into text of 80x24 characters or more, without sockets and clocks. `watch` connects it to a
+daemon: on a terminal as a picture 15 times a second, in a pipe as lines.
 """
 
 from __future__ import annotations
@@ -27,22 +27,27 @@ from hapticd.client.blocking import Client, Subscription
 from hapticd.protocol.calls import Topic
 from hapticd.protocol.results import State, Status
 
-REFRESH_S: Final = 1 / 15
+FRAME_PERIOD_S: Final = 1 / 15
+"""Time between two pictures, in s."""
 LOST_AFTER_S: Final = 1.5
+"""Time without messages after which the daemon is shown as lost, in s. Its status arrives every second."""
 PANEL_WIDTH: Final = 33
+"""Width of the figures next to the picture, in characters."""
 EVENT_LINES: Final = 4
-HALF_VIEW_M: Final = 0.08
-"""Half the height of the plane that is shown at least."""
+"""Number of events below the picture."""
+MIN_HALF_VIEW_M: Final = 0.08
+"""Smallest half height of the plane in the picture, in m."""
 
-_BAR: Final = 12
-_IN_LINE: Final = ("tick", "position", "force x", "force y", "touching", "rate", "lateness", "missed", "faults")
-"""The labels of the view that a plain line shows, too."""
-# Shown by other means: what is touched, and a counter.
+_BAR_WIDTH: Final = 12
+"""Width of the bar of a force, in characters."""
+_LINE_LABELS: Final = ("tick", "position", "force x", "force y", "touching", "rate", "lateness", "missed", "faults")
+"""Labels of the figures that a plain line has."""
 _QUIET_EVENTS: Final = frozenset(("release", "overrun"))
+"""Events that are not listed, since the figures `touching` and `missed` show them."""
 
 
 class View:
-    """What is known of the daemon, and how it is drawn."""
+    """The state of a daemon, and its picture."""
 
     def __init__(self) -> None:
         self.status: Status | None = None
@@ -50,19 +55,19 @@ class View:
         self.scene: dict[str, Any] = {}
         self.scene_revision: int | None = None
         self.lost_for_s: float | None = None
-        """How long nothing has come; None while telemetry comes."""
+        """Time without telemetry, in s; None while it arrives."""
         self.rate_hz: float | None = None
         self._clock: deque[tuple[int, int]] = deque(maxlen=60)
         self._lateness: deque[int] = deque(maxlen=60)
         self._events: deque[tuple[str, Text]] = deque(maxlen=EVENT_LINES)
         self._largest_n = 1.0
-        self._half_m = HALF_VIEW_M
+        self._half_m = MIN_HALF_VIEW_M
         self._background: tuple[object, list[str]] | None = None
 
-    # ---- in ------------------------------------------------------------------------------------------------
+    # ---- Input ------------------------------------------------------------------------------------------------
 
     def feed(self, topic: str, message: Mapping[str, object]) -> None:
-        """Takes one telemetry message."""
+        """Take a telemetry message."""
         self.lost_for_s = None
         if topic == "status":
             self.status = cast(Status, message)
@@ -73,7 +78,7 @@ class View:
 
     def _feed_state(self, state: State) -> None:
         if self._clock and state["tick"] < self._clock[-1][0]:
-            self._clock.clear()  # another daemon, or the same started again
+            self._clock.clear()  # the daemon was restarted
             self.scene_revision = None
         self._clock.append((state["tick"], state["time_ns"]))
         self._lateness.append(state["lateness_ns"])
@@ -88,24 +93,24 @@ class View:
         kind = event["event"]
         if kind not in _QUIET_EVENTS:
             if kind in ("revision", "groove") and self._events and self._events[-1][0] == kind:
-                self._events.pop()  # of a stream of updates or grooves the newest tells all
+                self._events.pop()  # of several updates or grooves in a row only the newest is shown
             time_s = f"{event['time_ns'] / 1e9:12.3f}"
             self._events.append((kind, Text.assemble((time_s, "dim"), f"  {event_line(event)}")))
 
     @property
     def wants_scene(self) -> bool:
-        """Whether the daemon shows another scene than the one that is drawn."""
+        """Whether the scene in the picture is not that of the daemon."""
         return self.lost_for_s is None and self.state is not None and self.state["revision"] != self.scene_revision
 
     def set_scene(self, scene: Mapping[str, object], revision: int) -> None:
-        """Takes the scene that is drawn."""
+        """Set the scene of the picture."""
         self._background = None
         self.scene, self.scene_revision = dict(scene), revision
 
-    # ---- out -----------------------------------------------------------------------------------------------
+    # ---- Output -----------------------------------------------------------------------------------------------
 
     def render(self, width: int, height: int) -> Text:
-        """The whole view, `height` lines of at most `width` columns."""
+        """Return the complete view: `height` lines of at most `width` characters."""
         rows = max(1, height - EVENT_LINES - 2)
         columns = max(1, width - PANEL_WIDTH - 1)
         panel = [
@@ -139,7 +144,7 @@ class View:
         return Text.assemble((left.ljust(max(0, width - len(right))), "reverse"), (right, style))
 
     def _rows(self) -> Iterator[tuple[str, str, str, str]]:
-        """What is known of the state: label, bar, value and style of each."""
+        """Yield the figures: label, bar, value and style of each."""
         state, status = self.state, self.status
         if state is None:
             return
@@ -148,10 +153,10 @@ class View:
         yield "position", "", f"{x:+8.3f} {y:+8.3f} mm", ""
         yield "velocity", "", f"{vx:+8.1f} {vy:+8.1f} mm/s", ""
         for axis, force in zip("xy", state["force_n"], strict=True):
-            yield f"force {axis}", signed_bar(force, self._largest_n, _BAR), f" {force:+.2f} N", "cyan"
+            yield f"force {axis}", signed_bar(force, self._largest_n, _BAR_WIDTH), f" {force:+.2f} N", "cyan"
         for label, vector in (("contact", state["contact_force_n"]), ("vibration", state["vibration_force_n"])):
             force = math.hypot(*vector)
-            yield label, bar(force, self._largest_n, _BAR), f"  {force:.2f} N", "green"
+            yield label, bar(force, self._largest_n, _BAR_WIDTH), f"  {force:.2f} N", "green"
         touching, late_us = ", ".join(state["touching"]), [value / 1e3 for value in self._lateness]
         yield "touching", "", touching or "nothing", "bold" if touching else ""
         yield "rate", "", "" if self.rate_hz is None else f"{self.rate_hz:,.0f} Hz", ""
@@ -168,7 +173,7 @@ class View:
                 yield "lease", "", f"{status['lease_s']:.1f} s left", ""
 
     def _picture(self, columns: int, rows: int) -> list[Text]:
-        # A character is about twice as high as wide.
+        # A character is about twice as high as it is wide.
         cell_m = 2 * self._half_m / max(1, 2 * min(rows, columns // 2))
         key = (columns, rows, cell_m)
         if self._background is None or self._background[0] != key:
@@ -185,25 +190,25 @@ class View:
         return lines
 
     def line(self) -> str:
-        """The state as one plain line."""
+        """Return the state as a plain line."""
         values = {label: value for label, _, value, _ in self._rows()}
-        parts = [f"{label} {' '.join(values[label].split())}" for label in _IN_LINE if values.get(label)]
+        parts = [f"{label} {' '.join(values[label].split())}" for label in _LINE_LABELS if values.get(label)]
         return "  ".join(parts if self.status is None else [*parts, f"forces {self.status['forces']}"])
 
 
-# ---- pieces of text ----------------------------------------------------------------------------------------
+# ---- Texts ----------------------------------------------------------------------------------------
 
 
 def _contact(event: Mapping[str, Any]) -> str:
     if event.get("appeared"):
-        return "inside it when it appeared"
+        return "appeared around the probe"
     words = f"at {event['speed_m_per_s']:.3f} m/s, {event['amplitude_m_per_s2']:.1f} m/s²"
     if event["scale"] == 0:
         return f"{words} not displayed"
     return words if event["scale"] >= 1 else f"{words} scaled to {event['scale']:.2f} by the force limit"
 
 
-_WORDS: Final[dict[str, Callable[[Mapping[str, Any]], str]]] = {
+_EVENT_TEXT_BY_KIND: Final[dict[str, Callable[[Mapping[str, Any]], str]]] = {
     "contact": _contact,
     "groove": lambda event: f"{event['grooves']} struck in this contact",
     "puncture": lambda event: f"at {1e3 * event['depth_m']:.2f} mm",
@@ -216,33 +221,37 @@ _WORDS: Final[dict[str, Callable[[Mapping[str, Any]], str]]] = {
     "resumed": lambda event: f"after {wording.duration(round(event['suspended_s']))} of suspend",
     "memory_refused": lambda event: str(event["problem"]),
     "mark": lambda event: str(event["text"]),
-    "gesture_end": lambda event: "as it was meant" if event["completed"] else "replaced by another",
+    "gesture_end": lambda event: "completed" if event["completed"] else "replaced by another operator",
     "revision": lambda event: str(event["revision"]),
 }
-"""What a line says of an event of each kind beside its object."""
+"""Text of an event of each kind, after its object."""
 
 
 def event_line(event: Mapping[str, Any]) -> str:
-    """An event in words: its kind, its object, and its other members."""
+    """Return an event as a line of text: its kind, its object, and its other members."""
     kind = event["event"]
-    words = [kind.replace("_", " "), event.get("object"), _WORDS[kind](event) if kind in _WORDS else None]
+    words = [
+        kind.replace("_", " "),
+        event.get("object"),
+        _EVENT_TEXT_BY_KIND[kind](event) if kind in _EVENT_TEXT_BY_KIND else None,
+    ]
     return " ".join(each for each in words if each is not None)
 
 
 def bar(value: float, scale: float, width: int) -> str:
-    """A bar from the left, `width` columns for `scale`."""
+    """Return a bar from the left; `scale` has the full `width`, in characters."""
     filled = min(width, round(abs(value) / scale * width))
     return "█" * filled + "·" * (width - filled)
 
 
 def signed_bar(value: float, scale: float, width: int) -> str:
-    """A bar from the middle of `width` columns, to the left for negative values."""
+    """Return a bar from the middle of `width` characters, to the left for negative values."""
     left, right = (bar(max(0.0, part), scale, width // 2) for part in (-value, value))
     return f"{left[::-1]}│{right}"
 
 
 def draw_scene(scene: Mapping[str, Any], columns: int, rows: int, cell_m: float) -> list[str]:
-    """The plane in characters, rows from the top: solids shaded, membranes as lines.
+    """Return the picture of a scene, in rows from the top: solids are shaded, membranes are lines.
 
     The origin is in the middle; a character is `cell_m` wide and twice as high.
     """
@@ -251,7 +260,7 @@ def draw_scene(scene: Mapping[str, Any], columns: int, rows: int, cell_m: float)
     cells: npt.NDArray[np.str_] = np.full((rows, columns), " ")
 
     def slab(center: Sequence[float], size: Sequence[float], angle: float) -> npt.NDArray[np.bool_]:
-        """Cells of a rectangle; what is thinner than a character is drawn as one."""
+        """Return the cells of a rectangle, which is at least one character wide and high."""
         right, up = x - center[0], y - center[1]
         along = right * math.cos(angle) + up * math.sin(angle)
         across = up * math.cos(angle) - right * math.sin(angle)
@@ -273,16 +282,16 @@ def draw_scene(scene: Mapping[str, Any], columns: int, rows: int, cell_m: float)
     return ["".join(row) for row in cells]
 
 
-# ---- the loop ----------------------------------------------------------------------------------------------
+# ---- Loop ----------------------------------------------------------------------------------------------
 
 
 def watch(
     client: Client, as_json: bool = False, console: Console | None = None, duration_s: float | None = None
 ) -> None:
-    """Shows the daemon live for `duration_s` from its first message, or until it is interrupted (KeyboardInterrupt). A
-    daemon that goes away is waited for; a terminal that does raises HapticdError.
+    """Show the daemon live, for `duration_s` from its first message on, or until KeyboardInterrupt.
 
-    Where the console is no terminal, or for `as_json`, it prints a line a second and one for each event.
+    If the daemon ends, wait for the next one. If the console is not a terminal, or with `as_json`, print a line per
+    second and a line for each event. Raises HapticdError if the terminal is closed.
     """
     console = console or Console()
     lasts_s = math.inf if duration_s is None else duration_s
@@ -298,8 +307,8 @@ def watch(
         except OSError:
             if console.file.isatty():
                 raise
-        # Whose controlling terminal it is not is sent no SIGHUP.
-        raise HapticdError("the terminal is gone")
+        # No SIGHUP arrives if it is not the controlling terminal of this process.
+        raise HapticdError("the terminal was closed")
 
 
 _Item: TypeAlias = tuple[Topic, dict[str, object]]
@@ -307,7 +316,7 @@ _Messages: TypeAlias = Subscription[_Item]
 
 
 def _follow(view: View, client: Client, messages: _Messages, every_s: float, lasts_s: float) -> Iterator[_Item | None]:
-    """Feeds the view for a time from the first message; each message, or None where none came within `every_s`."""
+    """Feed the view until `lasts_s` after the first message; yield each message, None after `every_s` without."""
     heard_s, ends_s = time.monotonic(), math.inf
     view.feed("status", client.get_status())
     while (now_s := time.monotonic()) < ends_s:
@@ -322,20 +331,20 @@ def _follow(view: View, client: Client, messages: _Messages, every_s: float, las
 
 
 def _draw(client: Client, messages: _Messages, console: Console, lasts_s: float) -> bool:
-    """Draws until the time is over (true) or the terminal is gone (false)."""
+    """Draw until `lasts_s` are over (return true) or the terminal is closed (return false)."""
     view = View()
     shown_s = time.monotonic()
     asked_s = -math.inf
     with Live(console=console, screen=True, auto_refresh=False) as live:
-        for _ in _follow(view, client, messages, REFRESH_S, lasts_s):
+        for _ in _follow(view, client, messages, FRAME_PERIOD_S, lasts_s):
             now_s = time.monotonic()
             if view.wants_scene and now_s - asked_s > 1.0:
                 asked_s = now_s
-                # Asked again if there is no answer; that the daemon is gone shows by its silence.
+                # Requested again if there is no reply; the end of the daemon is noticed by silence.
                 with suppress(HapticdError):
                     answer = client.get_scene()
                     view.set_scene(answer["scene"], answer["revision"])
-            if now_s - shown_s >= REFRESH_S:
+            if now_s - shown_s >= FRAME_PERIOD_S:
                 shown_s = now_s
                 if not console.file.isatty():
                     return False

@@ -30,7 +30,7 @@ from hapticd.system.repeated_lines import Repeats
 
 MOST_WAITING: Final = 64
 """Changes that wait for their turn."""
-MOST_WAITING_BYTES: Final = 2 * messages.MAX_BODY
+MOST_WAITING_BYTES: Final = 2 * messages.MAX_BODY_BYTES
 """Of the bodies of the changes that wait."""
 SLICE_NS: Final = 5_000_000
 """So long a change goes on before other requests are looked at, and until the step is over that is under way then."""
@@ -111,12 +111,12 @@ class Dispatch:
                 )
             request = messages.parse_request(messages.decode(body))
         except messages.WireError as error:
-            if error.method in streams.METHODS:
+            if error.method in streams.STREAM_KIND_BY_METHOD:
                 self._methods.streams.refused(error.method)
             if not error.silent:
                 reply(messages.error_reply(error.id, error.code, error.message))
             return
-        if request.method in streams.METHODS:
+        if request.method in streams.STREAM_KIND_BY_METHOD:
             self._answer(request, lambda: self._methods.stream(request.method, request.params, sender), reply)
         elif request.method not in CHANGES:
             self._answer(request, lambda: self._methods.perform(request.method, request.params), reply)
@@ -223,7 +223,7 @@ def serve(
             break
         reply = partial(router.send, request.peer, request.delimited)
         if request.too_long:
-            reply(messages.too_long(request.size))
+            reply(messages.too_long_reply(request.size))
         else:
             dispatch.take(request.body, reply, request.peer)
     repeats.finish()

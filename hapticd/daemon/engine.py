@@ -59,7 +59,7 @@ from hapticd.hid.stopper import StopFile
 from hapticd.protocol.changes import Change, Reset, Revised, revised
 from hapticd.protocol.displayability_warnings import MaterialReport
 from hapticd.protocol.marks import Mark, Marks, MarksFullError
-from hapticd.protocol.messages import GESTURE_ENDS
+from hapticd.protocol.messages import MAX_GESTURE_ENDS
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import Output, loop_of, output_of
 from hapticd.rendering.displayability import (
@@ -168,7 +168,7 @@ class Engine:
         if self._offload is not None:
             self._offload.set_carried(self.output.carried_hz)
         self._operator_tick: int | None = None
-        self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
+        self._gesture_ends: deque[dict[str, object]] = deque(maxlen=MAX_GESTURE_ENDS)
         self._marks = Marks()
         self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._touched = ffi.new("struct hd_touched[]", lib.HD_TOUCHED_MAX)

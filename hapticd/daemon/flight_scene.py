@@ -15,7 +15,16 @@ from hapticd.base.merge_patch import replace_members
 from hapticd.base.model import Model
 from hapticd.config.materials import Material, Materials
 from hapticd.config.scene import Scene, SceneObject
-from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES, Change, Played, Reset, Revised, change_map, pieces
+from hapticd.protocol.changes import (
+    MAX_FLIGHT_OBJECTS,
+    MAX_FLIGHT_PIECES,
+    Change,
+    Played,
+    Reset,
+    Revised,
+    change_map,
+    pieces,
+)
 
 MOST_CHANGED: Final = 4000
 """Changes that are kept, each counted once and for each of the `pieces` in it."""
@@ -31,7 +40,7 @@ class _Base(NamedTuple):
     def is_too_large(self) -> bool:
         """For a file."""
         everything = chain(self.objects.values(), self.materials.values())
-        return len(self.objects) > FLIGHT_OBJECTS or sum(map(pieces, everything)) > FLIGHT_PIECES
+        return len(self.objects) > MAX_FLIGHT_OBJECTS or sum(map(pieces, everything)) > MAX_FLIGHT_PIECES
 
 
 @dataclass(frozen=True, slots=True)

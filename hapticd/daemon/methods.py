@@ -66,7 +66,7 @@ from hapticd.protocol.displayability_warnings import above_rate, change_warnings
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
 from hapticd.protocol.messages import Code, decode_trusted
-from hapticd.protocol.validation import faults_beside, patched_materials, patched_objects, whole_materials
+from hapticd.protocol.validation import further_faults, patched_materials, patched_objects, replaced_materials
 from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
@@ -161,7 +161,7 @@ class Methods:
             try:
                 changed = yield from cast("Steps[_Changed]", self._handled(method, params))
             except ValidationError as error:
-                more = yield from faults_beside(method, params, engine.scene, engine.materials)
+                more = yield from further_faults(method, params, engine.scene, engine.materials)
                 raise InvalidError([*problems_of(error), *more]) from None
             finally:
                 engine.forget_prepared()
@@ -311,7 +311,7 @@ class Methods:
 
     def _set_materials(self, params: SetMaterialsParams) -> Steps[_Changed]:
         engine = self._engine
-        materials = yield from whole_materials(params.materials, engine.materials)
+        materials = yield from replaced_materials(params.materials, engine.materials)
         return (yield from self._take(params, _Proposed(engine.scene, materials, sent=params.materials)))
 
     def _update_materials(self, params: UpdateMaterialsParams) -> Steps[_Changed]:
@@ -337,7 +337,7 @@ class Methods:
         new = _Proposed(engine.scene, engine.materials, sent=params.materials or ())
         if params.materials is not None:
             try:
-                new = new._replace(materials=(yield from whole_materials(params.materials, engine.materials)))
+                new = new._replace(materials=(yield from replaced_materials(params.materials, engine.materials)))
             except InvalidError as error:
                 problems += error.problems
         if has_scene:

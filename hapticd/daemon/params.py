@@ -14,7 +14,7 @@ from hapticd.config.materials import MAX_MATERIALS, Material
 from hapticd.config.modes import ModeKeys, given, one_of
 from hapticd.config.scene import ForceVector, Scene
 from hapticd.daemon.lease import MAX_DURATION_S
-from hapticd.protocol.streams import MOST_SEQ
+from hapticd.protocol.streams import MAX_SEQ
 
 _MATERIALS: Final = DescribedAs(Annotated[dict[Name, Material], Field(max_length=MAX_MATERIALS)])
 
@@ -105,7 +105,7 @@ class LeaseParams(Model):
 
 
 class StreamParams(Model):
-    seq: Annotated[int, Field(ge=0, le=MOST_SEQ)] = Field(description="greater than that of the previous message")
+    seq: Annotated[int, Field(ge=0, le=MAX_SEQ)] = Field(description="greater than that of the previous message")
 
 
 class StreamTargetParams(StreamParams):

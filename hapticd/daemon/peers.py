@@ -353,7 +353,7 @@ class Peers:
             self._enter(peer)
             if len(self._peers) > self._limits.connections:
                 self._end(self._most_connected(), f"all {self._limits.connections:,} connections are taken")
-            self._send(peer, zmtp.GREETING)
+            self._send(peer, zmtp.ZMTP_GREETING)
 
     def _enter(self, peer: Peer) -> None:
         descriptor = peer.sock.fileno()

@@ -94,7 +94,7 @@ class Publisher(Peers):
     def publish(self, topic: str, body: bytes, data: bytes | memoryview = b"") -> None:
         """To all who subscribed to it; `data` is sent from where it stands, behind `body`."""
         name = topic.encode()
-        head = zmtp.header(len(name), zmtp.MORE) + name + zmtp.header(len(body) + len(data)) + body
+        head = zmtp.header(len(name), zmtp.MORE_FLAG) + name + zmtp.header(len(body) + len(data)) + body
         waiting = [peer for peer in self._subscribers[name] if peer.out]
         if waiting:
             whole = b"".join((head, data))  # one copy for all: what stands in `data` is another message soon

@@ -19,7 +19,7 @@ MOST_FRAMES: Final = 1024
 LONGEST_LOOK_S: Final = 0.02
 """So long peers may go on sending parts of messages before somebody else has the thread."""
 
-LIMITS: Final = Limits(zmtp.Bounds(MOST_FRAMES, LARGEST_MESSAGE, messages.MAX_BODY))
+LIMITS: Final = Limits(zmtp.Bounds(MOST_FRAMES, LARGEST_MESSAGE, messages.MAX_BODY_BYTES))
 
 
 @dataclass(slots=True)
@@ -74,5 +74,5 @@ class Router(Peers):
         if peer.closed:
             return
         first, *rest = (body,) if isinstance(body, bytes) else body.parts
-        delimiter = zmtp.header(0, zmtp.MORE) if delimited else b""
+        delimiter = zmtp.header(0, zmtp.MORE_FLAG) if delimited else b""
         self._send(peer, delimiter + zmtp.header(len(body), 0) + first, *rest)

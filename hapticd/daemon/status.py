@@ -20,7 +20,7 @@ from hapticd.daemon.flight_recorder import Flight
 from hapticd.daemon.lease import Lease
 from hapticd.daemon.streams import Streams
 from hapticd.protocol.events import fault_names
-from hapticd.protocol.messages import PROTOCOL
+from hapticd.protocol.messages import PROTOCOL_VERSION
 
 
 class Status:
@@ -72,7 +72,7 @@ class Status:
         granted = engine.granted
         return {
             "version": __version__,
-            "protocol": PROTOCOL,
+            "protocol": PROTOCOL_VERSION,
             "started_ns": self._started_ns,
             "device": engine.config.device.kind,
             "rate_hz": engine.rate_hz,

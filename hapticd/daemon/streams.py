@@ -18,7 +18,7 @@ from hapticd.daemon.counters import StreamCounters
 from hapticd.daemon.refusal import MethodError
 from hapticd.protocol import streams as wire
 from hapticd.protocol.messages import Code
-from hapticd.protocol.streams import MOST, Kind
+from hapticd.protocol.streams import MAX_COMPONENT_BY_KIND, Kind
 
 
 class NotInTurnError(MethodError):
@@ -73,9 +73,9 @@ class Streams:
         if found is None:
             return False
         kind, seq, x, y = found
-        most = MOST[kind]
+        most = MAX_COMPONENT_BY_KIND[kind]
         # Comparisons with NaN are false.
-        if not (-most <= x <= most and -most <= y <= most) or seq > wire.MOST_SEQ:
+        if not (-most <= x <= most and -most <= y <= most) or seq > wire.MAX_SEQ:
             return False
         if kind == "target" and not self._hand:
             return False
@@ -87,7 +87,7 @@ class Streams:
 
     def refused(self, method: str) -> None:
         """Counts an invalid message of this method."""
-        self._streams[wire.METHODS[method]].refused += 1
+        self._streams[wire.STREAM_KIND_BY_METHOD[method]].refused += 1
 
     def take(self, sender: object, kind: Kind, seq: int, x: float, y: float) -> None:
         """Gives a valid message to the servo. Raises NotInTurnError where another connection owns the stream, or where

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from hapticd._version import __version__
 from hapticd.base.errors import HapticdError
 from hapticd.client.blocking import Client
-from hapticd.client.record import ENDED, ENDED_AFTER_S
+from hapticd.client.record import DAEMON_STOPPED_REASON, END_SILENCE_S
 from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.experiment.event_codes import TRIAL_NUMBER_OFFSET, EventCode, code_of
 from hapticd.protocol.places import has_ended, no_telemetry
@@ -221,8 +221,8 @@ def stream(client: Client, stop: threading.Event, started: Callable[[], None] = 
 def _check_silence(client: Client, silent_s: float) -> None:
     if silent_s > client.timeout_s:
         raise no_telemetry(client.paths, client.timeout_s)
-    if silent_s > ENDED_AFTER_S and has_ended(client.paths):
-        raise HapticdError(ENDED)
+    if silent_s > END_SILENCE_S and has_ended(client.paths):
+        raise HapticdError(DAEMON_STOPPED_REASON)
 
 
 @contextmanager

@@ -1,31 +1,31 @@
-"""What passes between a daemon and its clients: messages, calls, events, changes, keys.
+"""The protocol between a daemon and its clients: encoding, messages, results, events, changes.
 
-The wire:
+Encoding:
 
-    zmtp                     bytes of ZeroMQ's protocol to messages, and back
-    messages                 JSON-RPC 2.0 in msgpack: requests, answers, error codes, the frames around them
-    streams                  streamed targets and forces: one short notification each, written and read
-    calls                    the client's side of a call: what it sends, what an answer says, which exception it is
+    zmtp                     ZMTP, the wire protocol of ZeroMQ: parser and writer
+    messages                 JSON-RPC 2.0 in msgpack: requests, replies, error codes, frames
+    streams                  notifications of streamed targets and forces
+    calls                    a client's side of a call: request, reply, exceptions
 
-What messages say:
+Contents:
 
-    results                  the types of what methods answer and telemetry holds
-    validation               objects and materials of a message, validated with every fault at its place
-    displayability_warnings  what of a message cannot be displayed as it was meant
+    results                  types of the results of methods, and of telemetry
+    validation               objects and materials in a message, validated with every fault at its place
+    displayability_warnings  warnings of objects and materials that cannot be displayed as written
     events                   events as maps with named members
-    changes                  what commands changed, as the topic `change` publishes it
-    marks                    marks on their way through the servo
+    changes                  changes by commands, as the topic `change` publishes them
+    marks                    texts and data of marks that the servo has not yet returned
 
-Where a daemon is:
+Connection:
 
-    places                   whether a daemon is there, and why it does not answer
+    places                   the runtime directory of a daemon, and why a daemon does not answer
 
 Questions, and where to begin:
 
     What does a method take and answer?
         docs/protocol.md; parameters are in daemon/params, results in results.
     Where does an error get its code?
-        messages (Code) has the codes; daemon/methods decides which; calls (RemoteError) makes exceptions of them.
+        messages (Code) has the codes; daemon/methods chooses one; calls (RemoteError) raises it in a client.
     How does a method get its parameters checked?
         daemon/methods (call) by daemon/params; scenes and materials by validation.
 """

@@ -1,4 +1,4 @@
-"""Calls as they go over the wire, without I/O: how a client asks, what an answer says, and the errors it may be."""
+"""A client's side of a call, without I/O: encoding of requests, decoding of replies, exceptions and warnings."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from hapticd.base.codec import NotEncodableError
 from hapticd.base.errors import HapticdError, Problem, in_order, lines_of, shown
 from hapticd.protocol import messages
 
-TIMEOUT_S: Final = 5.0
-"""How long a client waits for an answer by default."""
+REPLY_TIMEOUT_S: Final = 5.0
+"""Default time a client waits for a reply, in s."""
 
 Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
 
 
 class RemoteError(HapticdError):
-    """The daemon answered with an error.
+    """The daemon replied with an error.
 
-    `code` is one of `hapticd.protocol.messages.Code`, `problems` holds the faults that were found in the params, `data`
-    is the error's data as it came.
+    `code` is one of `hapticd.protocol.messages.Code`, `data` the data of the error, and `problems` the faults of the
+    params in it.
     """
 
     def __init__(self, code: int, message: str, data: object = None) -> None:
@@ -45,19 +45,19 @@ def _problems(data: object) -> tuple[Problem, ...]:
 
 
 class DaemonNotRunning(HapticdError):
-    """Nobody answers at the runtime directory, or nobody any more."""
+    """No daemon answers at the runtime directory, or the daemon has stopped answering."""
 
 
 class TimedOut(HapticdError, TimeoutError):
-    """What was waited for did not come in the time that was given for it."""
+    """An awaited event or state did not occur within the timeout."""
 
 
 class TelemetryLoss(UserWarning):
-    """This subscriber was too slow: the daemon sent samples that never arrived here."""
+    """Samples were lost because this subscriber was too slow."""
 
 
 class MissedPeriods(UserWarning):
-    """The servo missed a greater part of its periods than `servo.overruns.threshold` while something was recorded."""
+    """The servo missed a larger fraction of its periods than `servo.overruns.threshold` during a recording."""
 
 
 class ForcesOff(UserWarning):
@@ -65,25 +65,30 @@ class ForcesOff(UserWarning):
 
 
 def encode_request(id: int, method: str, params: Mapping[str, object] | None) -> bytes:
-    """The body of a call; raises HapticdError for one that the daemon would refuse to read."""
+    """Return the body of a call. Raises HapticdError for a body that the daemon would refuse."""
     if not isinstance(method, str):
-        raise arguments.wrong("method", f"must be a text, is {shown(method)}")
+        raise arguments.wrong("method", f"must be a string, is {shown(method)}")
     if params is not None and not isinstance(params, Mapping):
         raise arguments.wrong("params", f"must be a mapping, is {shown(params)}")
     try:
         body = messages.request(id, method, params)
-        if len(body) > messages.MAX_BODY:
-            raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {messages.MAX_BODY})")
+        if len(body) > messages.MAX_BODY_BYTES:
+            raise HapticdError(
+                f"{method}: message too long: must be at most {messages.MAX_BODY_BYTES} bytes, is {len(body)}"
+            )
         if params:
-            messages.check_ours(body)
+            messages.check_encoded(body)
     except (messages.WireError, NotEncodableError) as error:
-        arguments.plain((), params)  # says where
+        arguments.plain((), params)  # raises an error with the place of the fault
         raise HapticdError(f"{method}: {error}") from None
     return body
 
 
 def result_of(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None) -> object:
-    """The result of a call, or its error raised; places in params that came from a file are those in the file."""
+    """Return the result of a call, or raise its error.
+
+    Faults and warnings of params that were read from a file get their places in that file.
+    """
     if isinstance(result, DaemonNotRunning):
         raise result
     if isinstance(result, RemoteError):
@@ -101,7 +106,7 @@ def result_of(result: object | RemoteError | DaemonNotRunning, params: Mapping[s
 
 
 def decode_response(body: bytes) -> tuple[messages.Id, object | RemoteError]:
-    """The id that an answer carries, and the result or the error in it."""
+    """Return the id of a reply, and the result or the error in it."""
     message = messages.decode_trusted(body)
     if not isinstance(message, dict):
         raise _not_an_answer()
@@ -116,4 +121,4 @@ def decode_response(body: bytes) -> tuple[messages.Id, object | RemoteError]:
 
 
 def _not_an_answer() -> messages.WireError:
-    return messages.WireError(messages.Code.INVALID_REQUEST, "the daemon's answer is not a JSON-RPC object")
+    return messages.WireError(messages.Code.INVALID_REQUEST, "the daemon's reply is not a JSON-RPC object")

@@ -1,7 +1,6 @@
-"""What commands changed, as the topic `change` tells it: with samples and events, all that a replay needs.
+"""Changes by commands, as the topic `change` publishes them. A replay needs them, the samples and the events.
 
-The thread that serves commands only keeps references to what is immutable anyway; the maps are made by the one that
-sends them.
+The command thread only stores references to immutable objects; the publishing thread makes the maps.
 """
 
 from __future__ import annotations
@@ -15,35 +14,33 @@ from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import Scene, SceneObject, Wall
 from hapticd.config.texture import Autoregressive
 
-MOST_CHANGED: Final = 1000
-"""Objects, or materials, that a change tells of one by one. Of more, whoever wants to know asks for the scene."""
-FLIGHT_OBJECTS: Final = 2000
-"""A larger scene stays out of the flight recorder's files: putting it into words would hold up commands."""
-FLIGHT_PIECES: Final = 4000
-"""One of more `pieces` does, too: its words would take tens of megabytes."""
-MOST_PIECES: Final = 4000
-"""The same of objects and materials with their patches and models, `pieces` of each."""
-
-
-_SHOWN: Final = tuple(name for name in Scene.model_fields if name != "objects")
+MAX_LISTED_CHANGES: Final = 1000
+"""Largest number of objects, and of materials, that a change lists. For more a client has to request the scene."""
+MAX_FLIGHT_OBJECTS: Final = 2000
+"""Largest number of objects of a scene in a flight file: encoding a larger scene would delay commands."""
+MAX_FLIGHT_PIECES: Final = 4000
+"""Largest number of `pieces` of a scene in a flight file: more would take tens of megabytes."""
+MAX_CHANGE_PIECES: Final = 4000
+"""Largest number of `pieces` of the objects and materials that a change lists."""
+_SCENE_KEYS: Final = tuple(name for name in Scene.model_fields if name != "objects")
 
 
 class Revised(NamedTuple):
-    """A revision of the scene or of the materials: what is new in it, and None for what is gone."""
+    """A revision of the scene or the materials: changed objects, materials and keys, with None for removed ones."""
 
     revision: int
     scene: Mapping[str, object]
-    """Keys beside `objects`."""
+    """Changed keys of the scene other than `objects`."""
     objects: Mapping[str, SceneObject | None]
     materials: Mapping[str, Material | None]
     whole: tuple[Scene, Materials] | None
-    """More changed than is published one by one; scene and materials as they are now."""
+    """The new scene and materials if more has changed than a change lists, otherwise None."""
     rate_hz: float | None = None
-    """The servo's from this revision on, where it is another one."""
+    """The new servo rate if it has changed, otherwise None."""
 
 
 class Played(NamedTuple):
-    """A mode struck by hand."""
+    """A mode struck by the method `play`."""
 
     tick: int
     mode: Mode
@@ -53,7 +50,7 @@ class Played(NamedTuple):
 
 
 class Reset(NamedTuple):
-    """Contact state cleared; None: of all objects."""
+    """Contact states cleared by `reset`: of the ids in `objects`, or of all objects if None."""
 
     tick: int
     objects: tuple[str, ...] | None
@@ -63,7 +60,7 @@ Change: TypeAlias = Revised | Played | Reset
 
 
 def change_map(change: Change) -> dict[str, object]:
-    """A change as docs/protocol.md describes it."""
+    """Return a change as a map, as docs/protocol.md describes it."""
     match change:
         case Played(tick, mode, attack, direction, amplitude):
             return {
@@ -96,7 +93,7 @@ def _plain(value: object) -> object:
 
 
 def pieces(item: Model | None) -> int:
-    """How much an object or a material is to put into words: itself, its patches, the models of its texture."""
+    """Return the size of an encoded object or material: 1, plus its patches or the models of its texture."""
     match item:
         case Wall():
             return 1 + len(item.patches)
@@ -109,28 +106,28 @@ def pieces(item: Model | None) -> int:
 def revised(
     revision: int, before: Scene, after: Scene, ids: Collection[str], old: Materials, new: Materials
 ) -> Revised:
-    """What a revision changed; `ids` are the objects that may have.
+    """Return the changes of a revision; `ids` are the objects that may have changed.
 
-    It keeps what changed, not the scenes, as long as that is little: many of them may wait to be published.
+    If they are few, the result references only them, not the scenes, since many revisions may wait to be published.
     """
     names: list[str] = []
     if old is not new:
         names = [name for name, item in new.items() if old.get(name) is not item and old.get(name) != item]
         names += [name for name in old if name not in new]
-    if max(len(ids), len(names)) > MOST_CHANGED or _too_long(after, ids, new, names):
+    if max(len(ids), len(names)) > MAX_LISTED_CHANGES or _too_long(after, ids, new, names):
         return Revised(revision, {}, {}, {}, (after, new))
     return Revised(
         revision,
-        _shown_otherwise(before, after),
+        _changed_keys(before, after),
         {id: after.objects.get(id) for id in ids},
         {name: new.get(name) for name in names},
         None,
     )
 
 
-def _shown_otherwise(before: Scene, after: Scene) -> dict[str, object]:
+def _changed_keys(before: Scene, after: Scene) -> dict[str, object]:
     old, new = before.__dict__, after.__dict__
-    return {name: new[name] for name in _SHOWN if new[name] is not old[name] and new[name] != old[name]}
+    return {name: new[name] for name in _SCENE_KEYS if new[name] is not old[name] and new[name] != old[name]}
 
 
 def _too_long(scene: Scene, ids: Collection[str], materials: Materials, names: Collection[str]) -> bool:
@@ -139,4 +136,4 @@ def _too_long(scene: Scene, ids: Collection[str], materials: Materials, names: C
         total += pieces(scene.objects.get(id))
     for name in names:
         total += pieces(materials.get(name))
-    return total > MOST_PIECES
+    return total > MAX_CHANGE_PIECES

@@ -1,6 +1,6 @@
-"""What of a message cannot be displayed as it was meant, reported at its place in the message's params.
+"""Warnings of objects and materials in a message that cannot be displayed as written, with their places in its params.
 
-It is what `get_status` says of the scene (rendering/displayability.py), of no more than the message held.
+`get_status` reports the same of the complete scene (rendering/displayability.py).
 """
 
 from collections.abc import Collection, Mapping
@@ -24,38 +24,42 @@ from hapticd.rendering.displayability import (
 )
 from hapticd.rendering.undisplayable_text import Undisplayable, Use
 
-_KEYS: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove": ("texture",)}
-"""Where a mode stands in its material, if not under its own name."""
+_PATH_BY_MODE: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove": ("texture",)}
+"""Path of a mode in its material, if it differs from the name of the mode."""
 
 
 class MaterialReport(NamedTuple):
-    """What of a material is not displayed as it was meant, at an output."""
+    """What an output cannot display of a material as written."""
 
     material: Material
     output: Output
     undisplayable: list[Undisplayable]
-    """What the rate cannot carry."""
+    """Modes and spectra above 0.4 of the rate."""
     warnings: list[Problem]
-    """What is shown otherwise."""
+    """Parts that are displayed differently."""
     fine: bool
-    """There is nothing of either, and no signal of the rate lacks anything."""
+    """Whether there is nothing to report, and no texture has a frequency above half the rate."""
 
     @classmethod
     def of(cls, name: str, material: Material, output: Output) -> Self:
+        """Return the report of a material at an output."""
         lacking, warnings = undisplayable({name: material}, output), material_warnings(name, material, output)
         fine = not (lacking or warnings or material_rate_faults(name, material, output))
         return cls(material, output, lacking, warnings, fine)
 
     def problems(self, name: str, played: Collection[tuple[str, str]]) -> list[Problem]:
-        """All of it, at its place in a configuration; `played`: materials and modes that the device plays itself."""
+        """Return all problems, with their paths in a configuration.
+
+        `played` are pairs of material and mode that the device plays itself.
+        """
         material, output, lacking, warnings, _ = self
         refused = material_rate_faults(name, material, output)
-        if refused:  # nobody uses it yet; whoever does is refused
+        if refused:  # no object uses the material yet; one that does is refused
             return refused
         return [
             *(
                 Problem(
-                    path_text(("materials", name, *_KEYS.get(one.mode, (one.mode,)))),
+                    path_text(("materials", name, *_PATH_BY_MODE.get(one.mode, (one.mode,)))),
                     above_rate(one.frequency_hz, one.shown_hz, output),
                 )
                 for one in lacking
@@ -66,7 +70,7 @@ class MaterialReport(NamedTuple):
 
 
 def above_rate(frequency_hz: float, shown_hz: float | None, output: Output) -> str:
-    """What becomes of a frequency that the rate cannot carry."""
+    """Return the warning of a frequency above 0.4 of the rate: silent, or displayed at another frequency."""
     shown = "it is silent" if shown_hz is None else f"it is shown at {shown_hz:g} Hz"
     return (
         f"{frequency_hz:g} Hz is above {DISPLAYABLE_RATE_FRACTION * output.carried_hz:g} Hz, 0.4 of the rate: {shown}"
@@ -80,11 +84,11 @@ def change_warnings(
     root: Path,
     played: Collection[tuple[str, str]] = (),
 ) -> list[Problem]:
-    """Of objects and materials that were sent, and of materials that these objects name, at most MAX_FAULTS.
+    """Return at most MAX_FAULTS warnings of the objects and materials in a message, and of materials they name.
 
-    `objects` stand below `root`, the materials named in `sent` below `materials`; another material is reported where
-    the first object names it. `reports` are those of all these materials; `played`: materials and modes that the device
-    plays itself.
+    Paths of objects begin with `root`, those of materials in `sent` with `materials`. Other materials are reported
+    at the first object that names them. `reports` has all these materials. `played` are pairs of material and mode that
+    the device plays itself.
     """
     if not sent and all(_is_fine(item, reports) for item in objects.values()):
         return []
@@ -98,21 +102,23 @@ def change_warnings(
     named = dict.fromkeys([*sent, *places])
     for name in islice(named, MAX_FAULTS):
         problems = reports[name].problems(name, played)
-        # Of a material that stood elsewhere, the whole warning is what is wrong with naming it.
+        # The material is not in the message, so its complete warning becomes the problem of the key that names it.
         found += problems if name in sent else [Problem(path_text(places[name]), str(each)) for each in problems]
     return found[:MAX_FAULTS]
 
 
 def _is_fine(item: SceneObject, reports: Mapping[str, MaterialReport]) -> bool:
-    """Whether there is surely nothing to report of an object."""
+    """Whether there is certainly nothing to report of an object."""
     if item.kind == "wall" and item.patches:
         return False
     return all(reports[name].fine for name in material_names(item))
 
 
 def operator_warnings(waypoints: npt.NDArray[np.float64], workspace_m: float, where: str | None) -> list[Problem]:
-    """Of waypoints, shape (n, 3), that the handle cannot follow, the first; `where` they came from, by default
-    `waypoints` themselves."""
+    """Return a warning of the first of the waypoints, shape (n, 3), that is beyond the stops of the handle.
+
+    `where` is the place of the warning, by default that of the waypoint.
+    """
     beyond = np.abs(waypoints[:, 1:]).max(axis=1) > workspace_m
     if not beyond.any():
         return []

@@ -1,4 +1,4 @@
-"""Events as people and programs read them: the C records as maps of named members.
+"""Events as maps with named members, made from the records of the core.
 
 Telemetry sends these maps, recordings and simulated runs store them; docs/protocol.md lists the members.
 """
@@ -14,13 +14,15 @@ from hapticd.protocol.marks import Mark
 
 
 def fault_names(faults: Fault) -> list[str]:
-    """Latched faults in lower case."""
+    """Return the names of latched faults, in lower case."""
     return [fault.name.lower() for fault in Fault if fault in faults and fault.name]
 
 
 def event_map(event: Any, object_id: str | None, mark: Mark | None = None) -> dict[str, object]:
-    """One record of `hapticd.base.core.EVENT_DTYPE` as a map; `object_id`: the object it speaks of, `mark`: the mark,
-    if any."""
+    """Return a record of `hapticd.base.core.EVENT_DTYPE` as a map.
+
+    `object_id` is the id of its object, `mark` its mark, if any.
+    """
     kind = EventKind(int(event["kind"]))
     time_ns = int(event["time_ns"])
     message: dict[str, object] = {
@@ -40,7 +42,7 @@ def event_map(event: Any, object_id: str | None, mark: Mark | None = None) -> di
             "speed_m_per_s": float(event["speed_m_per_s"]),
             "true_speed_m_per_s": None if math.isnan(true_speed) else true_speed,
             "amplitude_m_per_s2": amplitude,
-            # The core counts what is left of a strike; of none, nothing was taken.
+            # The core gives the fraction that the force limit left of a strike; without a strike nothing was limited.
             "scale": float(event["scale"]) if amplitude != 0.0 else 1.0,
         }
     match kind:

@@ -1,6 +1,6 @@
-"""Marks on their way through the servo: their text and data wait here, by number, for the events that bear the numbers.
+"""Text and data of pending marks, by number. The servo returns only the number, in an event.
 
-The thread that serves commands adds, the one that reads events takes.
+The command thread adds marks; the thread that reads events takes them.
 """
 
 from __future__ import annotations
@@ -15,50 +15,50 @@ from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.model import DescribedAs, Model
 from hapticd.base.yaml_source import Json
 
-MOST_DATA_BYTES: Final = 8192
-"""Of a mark's data, as JSON."""
+MAX_MARK_DATA_BYTES: Final = 8192
+"""Largest size of the data of a mark as JSON, in bytes."""
 
 
 class MarkParams(Model):
     """Params of `mark`."""
 
-    text: Annotated[str, Field(min_length=1, max_length=1000)] = Field(description="what the mark says")
+    text: Annotated[str, Field(min_length=1, max_length=1000)] = Field(description="text of the mark")
     data: Annotated[object, DescribedAs(None | bool | float | str | list[object] | dict[str, object])] = Field(
-        default=None, description=f"stored with the mark; at most {MOST_DATA_BYTES} bytes as JSON"
+        default=None, description=f"stored with the mark; at most {MAX_MARK_DATA_BYTES} bytes as JSON"
     )
 
 
 class Mark(NamedTuple):
-    """What a mark says."""
+    """Text and data of a mark."""
 
     text: str
     data: Json
 
 
 class MarksFullError(Exception):
-    """No further mark before the events of earlier ones were read."""
+    """Too many marks are pending: their events have not been read."""
 
 
 def checked_data(data: object) -> Json:
-    """Data of a mark, which a recording can keep as JSON. Raises InvalidError."""
+    """Return the data of a mark if it can be stored as JSON. Raises InvalidError otherwise."""
     try:
         size = len(json.dumps(data, ensure_ascii=False, allow_nan=False).encode("utf-8", "surrogatepass"))
     except (TypeError, ValueError) as error:
         raise InvalidError([Problem("data", f"must be what JSON can hold: {error}")]) from None
-    if size > MOST_DATA_BYTES:
-        raise InvalidError([Problem("data", f"must have at most {MOST_DATA_BYTES} bytes as JSON, has {size}")])
+    if size > MAX_MARK_DATA_BYTES:
+        raise InvalidError([Problem("data", f"must have at most {MAX_MARK_DATA_BYTES} bytes as JSON, has {size}")])
     return data  # type: ignore[return-value]
 
 
 class Marks:
-    """Marks under way."""
+    """Marks that were given to the servo and whose events have not been read."""
 
     def __init__(self) -> None:
         self._under_way: dict[int, Mark] = {}
         self._last = 0
 
     def add(self, mark: Mark) -> int:
-        """The number that the servo gives back. Raises MarksFullError."""
+        """Store a mark and return its number for the servo. Raises MarksFullError."""
         if len(self._under_way) >= MAX_PENDING_MARKS:
             raise MarksFullError
         self._last = self._last % 0xFFFFFFFF + 1
@@ -66,5 +66,5 @@ class Marks:
         return self._last
 
     def take(self, number: int) -> Mark:
-        """The mark of a number, which is not under way any more."""
+        """Remove the mark with this number and return it."""
         return self._under_way.pop(number)

@@ -1,7 +1,7 @@
-"""What daemon and client say to each other: JSON-RPC 2.0 objects in msgpack, and the frames around them.
+"""Messages between daemon and client: JSON-RPC 2.0 objects in msgpack, and the frames around them, without I/O.
 
-Nothing here does I/O. The decoder takes bytes from anybody: it allocates no more than the message is long
-(times a small constant), never recurses, and accepts exactly what `docs/protocol.md` says.
+The decoder accepts exactly what `docs/protocol.md` describes. It is safe for untrusted bytes: it uses at most a small
+multiple of the length of the message as memory, and it does not recurse.
 """
 
 from __future__ import annotations
@@ -18,42 +18,43 @@ import msgpack
 from hapticd.base.codec import MAX_DEPTH, Encoded, encode, encoded_map
 from hapticd.base.errors import HapticdError
 
-PROTOCOL: Final = 1
-"""Version of what is said over the sockets, apart from the version of the package."""
+PROTOCOL_VERSION: Final = 1
+"""Version of the protocol, which is independent of the version of the package."""
 
-GESTURE_ENDS: Final = 16
-"""So many ends of gestures stand in a status."""
+MAX_GESTURE_ENDS: Final = 16
+"""Number of the latest ends of gestures that a status lists."""
 
-MAX_BODY: Final = 2 * 1024 * 1024
-"""Largest body of a request, bytes."""
+MAX_BODY_BYTES: Final = 2 * 1024 * 1024
+"""Largest body of a request, in bytes."""
 
-MAX_MEMBERS: Final = 65_536
-"""Largest map of a body: building one is a single call, in which no other thread runs."""
+MAX_MAP_MEMBERS: Final = 65_536
+"""Largest number of members of a map in a body. A map is built in one call, in which no other thread runs."""
 
-_OFTEN: Final = 64
-"""Strings of so many characters at most, names of materials above all, are kept once in a body."""
+_MAX_SHARED_STRING_CHARACTERS: Final = 64
+"""Equal strings up to this length, in characters, share memory in a decoded body; most are names of materials."""
 
-# Up to this size a header can claim at most this many elements, which is cheap enough to try.
-_SMALL: Final = 4096
-# The bytes that can open a map or an array, and an extension. They also occur inside strings and numbers, so that
-# counting them bounds the structure from above.
-_OPENERS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
-_EXTENSIONS: Final = bytes([0xC7, 0xC8, 0xC9, *range(0xD4, 0xD9)])
-# What opens bytes of up to 255, which may be a key, and the type of a time (and the number -1).
-_OPENS_BYTES: Final = b"\xc4"
-_TYPE_OF_TIMES: Final = b"\xff"
+_MAX_FLAT_BODY_BYTES: Final = 4096
+"""Largest body decoded without a scan of its structure, in bytes. A header can claim at most as many elements."""
+# The tags of maps and arrays, and of extensions. They also occur inside strings and numbers, so their count is an upper
+# bound of the number of containers or extensions.
+_CONTAINER_TAGS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
+_EXTENSION_TAGS: Final = bytes([0xC7, 0xC8, 0xC9, *range(0xD4, 0xD9)])
+# The tag of up to 255 bytes, which may be a key, and the type of a timestamp, which is also the tag of the number -1.
+_BIN8_TAG: Final = b"\xc4"
+_TIMESTAMP_TYPE: Final = b"\xff"
 
-_MEMBERS: Final = frozenset(("jsonrpc", "id", "method", "params"))
+_REQUEST_MEMBERS: Final = frozenset(("jsonrpc", "id", "method", "params"))
 
 Id: TypeAlias = int | float | str | None
 
-_TO_ID: Final = b"\x83" + encode("jsonrpc") + encode("2.0") + encode("id")
-"""How an answer begins, up to its id, and what follows that."""
-_TO_RESULT: Final = encode("result")
+_REPLY_UP_TO_ID: Final = b"\x83" + encode("jsonrpc") + encode("2.0") + encode("id")
+"""First bytes of a reply, up to its id."""
+_RESULT_KEY: Final = encode("result")
+"""Bytes of a reply between its id and its result."""
 
 
 class Code(enum.IntEnum):
-    """The error codes of the protocol: those of JSON-RPC 2.0, and from -32000 down the daemon's own."""
+    """Error codes of the protocol: those of JSON-RPC 2.0 (-32700 to -32600) and of the daemon (-32010 to -32001)."""
 
     PARSE = -32700
     INVALID_REQUEST = -32600
@@ -72,10 +73,10 @@ class Code(enum.IntEnum):
 
 
 class WireError(HapticdError):
-    """A message that is not what the protocol says.
+    """A message violates the protocol.
 
-    `id` is the id that the answer carries (None where none could be read), `silent` is true where the
-    message was a notification, which is never answered. `method` is what it asked for, where that could be read.
+    `id` is the id for the reply and `method` the requested method, each None if it could not be read. `silent` is true
+    for a notification, which gets no reply.
     """
 
     def __init__(
@@ -89,47 +90,53 @@ class WireError(HapticdError):
         self.method = method
 
 
-# ---- bodies ------------------------------------------------------------------------------------------------
+# ---- Bodies ------------------------------------------------------------------------------------------------
 
 
-def _bad(message: str) -> WireError:
+def _parse_error(message: str) -> WireError:
     return WireError(Code.PARSE, message)
 
 
 def _too_long(size: int, limit: int) -> str:
-    return f"the body has {size} bytes: at most {limit} are taken"
+    return f"the body has {size} bytes: must be at most {limit}"
 
 
 def _map(strings: dict[str, str], pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """`strings` are those of the body that were met so far. (They are not interned: some versions of Python keep what
-    is interned for ever, and clients can think of any number.)"""
+    """Return the map of `pairs`. `strings` has the strings of the body that were decoded before.
+
+    Strings are not interned: some versions of Python never free interned strings, and clients can send any number.
+    """
     result = {}
     for key, value in pairs:
         if key.__class__ is not str:
-            raise _bad(f"a key is of type {type(key).__name__}: keys are strings")
-        result[key] = strings.setdefault(value, value) if type(value) is str and len(value) <= _OFTEN else value
+            raise _parse_error(f"a key is of type {type(key).__name__}: must be a string")
+        result[key] = (
+            strings.setdefault(value, value)
+            if type(value) is str and len(value) <= _MAX_SHARED_STRING_CHARACTERS
+            else value
+        )
     if len(result) != len(pairs):
         seen = set[str]()
         for key, _ in pairs:
             if key in seen:
-                raise _bad(f"duplicate key {key!r:.40}")
+                raise _parse_error(f"duplicate key {key!r:.40}")
             seen.add(key)
     return result
 
 
 def _extension(code: int, data: bytes) -> object:
-    raise _bad(f"extension type {code}: only nil, booleans, numbers, strings, bytes, arrays and maps")
+    raise _parse_error(f"extension type {code}: must be nil, a boolean, number, string, bytes, array or map")
 
 
 def _check_tree(root: object) -> None:
-    """Depth and extension types, level by level: no recursion."""
+    """Raise WireError for too deep nesting or timestamps. It works level by level, without recursion."""
     timestamp = msgpack.Timestamp
     level: list[object] = [[root]]
     depth = -1
     while level:
         depth += 1
         if depth > MAX_DEPTH:
-            raise _bad(f"nested deeper than {MAX_DEPTH}")
+            raise _parse_error(f"nested deeper than {MAX_DEPTH}")
         below: list[object] = []
         for container in level:
             for value in container.values() if type(container) is dict else container:  # type: ignore[attr-defined]
@@ -142,91 +149,90 @@ def _check_tree(root: object) -> None:
 
 
 def _is_flat(body: bytes) -> bool:
-    """Whether a body is so short, with so few bytes that could open a container, that it cannot be nested too deep."""
-    return len(body) <= _SMALL and len(body) - len(body.translate(None, _OPENERS)) <= MAX_DEPTH
+    """Whether a body is short and has at most MAX_DEPTH bytes that could be the tag of a container."""
+    return len(body) <= _MAX_FLAT_BODY_BYTES and len(body) - len(body.translate(None, _CONTAINER_TAGS)) <= MAX_DEPTH
 
 
-def check_ours(body: bytes) -> None:
-    """Raises as `decode` does, for a body that was packed here: a short one costs half as much."""
-    # Keys of bytes and times, which msgpack itself unpacks, are refused by `decode` alone.
-    if _is_flat(body) and _OPENS_BYTES not in body and _TYPE_OF_TIMES not in body:
+def check_encoded(body: bytes) -> None:
+    """Raise WireError as `decode` does, for a body encoded by this process. Short bodies take half the time."""
+    # msgpack accepts keys of bytes and timestamps, `decode` does not; so bodies that may have them go to `decode`.
+    if _is_flat(body) and _BIN8_TAG not in body and _TIMESTAMP_TYPE not in body:
         try:
             msgpack.unpackb(body, max_bin_len=0, ext_hook=_extension)
         except ValueError:
-            pass  # `decode` says what is wrong
+            pass  # `decode` raises an error with the reason
         else:
             return
     decode(body)
 
 
-def decode(body: bytes, limit: int = MAX_BODY) -> object:
-    """The object that `body` encodes; maps become dicts, arrays lists, bin bytes.
+def decode(body: bytes, limit: int = MAX_BODY_BYTES) -> object:
+    """Return the object in `body`: maps become dicts, arrays lists, binary data bytes.
 
-    Raises WireError(-32700) for a body over `limit` bytes, truncated, with trailing bytes, nested deeper
-    than 32, with a map of more than 65,536 members, with duplicate or non-string keys, extension types (timestamps too)
-    or invalid UTF-8.
+    Raises WireError(-32700) for a body that has more than `limit` bytes, is truncated, is followed by other bytes, or
+    has more than 32 levels, a map of more than 65,536 members, duplicate keys, keys that are not strings, extension
+    types such as timestamps, or invalid UTF-8.
     """
     size = len(body)
     if size > limit:
-        raise _bad(_too_long(size, limit))
-    # A short body with few bytes that could open a container, and none that could open an extension, needs
-    # no second look; most are so.
+        raise _parse_error(_too_long(size, limit))
+    # Most bodies are short, with few bytes that could be tags of containers and none that could be a tag of an
+    # extension; these need no check of the decoded object.
     flat = _is_flat(body)
-    plain = flat and len(body.translate(None, _EXTENSIONS)) == size
+    plain = flat and len(body.translate(None, _EXTENSION_TAGS)) == size
     try:
         if not flat:
-            # Structure first, without building anything: a header that claims more than the body holds
-            # allocates nothing, and nesting without end stops at the unpacker's own stack.
+            # Skip through the structure first, which builds no objects: a header with a wrong length allocates
+            # nothing, and unlimited nesting ends at the stack of the unpacker.
             scanner = msgpack.Unpacker(max_buffer_size=max(size, 1))
             scanner.feed(body)
             scanner.skip()
             if scanner.tell() != size:
-                raise _bad(f"{size - scanner.tell()} trailing bytes")
+                raise _parse_error(f"{size - scanner.tell()} trailing bytes")
         result = msgpack.unpackb(
             body,
             raw=False,
             strict_map_key=False,
-            max_map_len=MAX_MEMBERS if size > MAX_MEMBERS else size,
+            max_map_len=MAX_MAP_MEMBERS if size > MAX_MAP_MEMBERS else size,
             object_pairs_hook=partial(_map, {}),
             ext_hook=_extension,
         )
     except WireError:
         raise
     except (msgpack.StackError, RecursionError):
-        raise _bad(f"nested deeper than {MAX_DEPTH}") from None
+        raise _parse_error(f"nested deeper than {MAX_DEPTH}") from None
     except msgpack.ExtraData as error:
-        raise _bad(f"{len(error.extra)} trailing bytes") from None
+        raise _parse_error(f"{len(error.extra)} trailing bytes") from None
     except msgpack.FormatError:
-        raise _bad("the body is not msgpack") from None
+        raise _parse_error("the body is not msgpack") from None
     except UnicodeDecodeError:
-        raise _bad("a string is not UTF-8") from None
+        raise _parse_error("a string is not UTF-8") from None
     except (ValueError, msgpack.UnpackException, OverflowError) as error:
-        if size > MAX_MEMBERS and "max_map_len" in str(error):
-            raise _bad(f"a map has more than {MAX_MEMBERS} members") from None
-        raise _bad("the body is empty" if size == 0 else "the body is truncated") from None
+        if size > MAX_MAP_MEMBERS and "max_map_len" in str(error):
+            raise _parse_error(f"a map has more than {MAX_MAP_MEMBERS} members") from None
+        raise _parse_error("the body is empty" if size == 0 else "the body is truncated") from None
     if not plain:
         _check_tree(result)
     return cast(object, result)
 
 
 def decode_trusted(body: bytes) -> object:
-    """As `decode`, of a body that our own daemon wrote: only well-formed msgpack is asked for, not the
-    protocol's form.
+    """Return the object in a body that the daemon wrote, without the checks of `decode`.
 
-    Raises WireError(-32700).
+    Raises WireError(-32700) for a body that is not msgpack.
     """
     try:
         return cast(object, msgpack.unpackb(body, raw=False))
     except (ValueError, msgpack.UnpackException, RecursionError) as error:
-        raise _bad(f"the body is not msgpack: {error}") from None
+        raise _parse_error(f"the body is not msgpack: {error}") from None
 
 
-# ---- requests and replies ----------------------------------------------------------------------------------
+# ---- Requests and replies ----------------------------------------------------------------------------------
 
 
 @dataclass(slots=True)
 class Request:
-    """One call; without an id (`has_id` false) a notification, which is never answered."""
+    """A call; if `has_id` is false a notification, which gets no reply."""
 
     id: Id
     has_id: bool
@@ -240,10 +246,10 @@ def _is_id(value: object) -> TypeGuard[Id]:
 
 
 def parse_request(message: object) -> Request:
-    """The request in a decoded body; raises WireError with the code and the id of the answer."""
+    """Return the request in a decoded body. Raises WireError with the code and the id for the reply."""
     if type(message) is not dict:
-        what = "an array (there are no batches)" if type(message) is list else type(message).__name__
-        raise WireError(Code.INVALID_REQUEST, f"a request is a map, not {what}")
+        what = "an array (batches are not supported)" if type(message) is list else type(message).__name__
+        raise WireError(Code.INVALID_REQUEST, f"a request must be a map, is {what}")
     has_id = "id" in message
     id = message.get("id")
     if has_id and not _is_id(id):
@@ -253,8 +259,8 @@ def parse_request(message: object) -> Request:
     method = message.get("method")
     if type(method) is not str:
         raise WireError(Code.INVALID_REQUEST, "method: must be a string", id=id)
-    if not message.keys() <= _MEMBERS:
-        unknown = ", ".join(sorted(repr(key) for key in message.keys() - _MEMBERS))
+    if not message.keys() <= _REQUEST_MEMBERS:
+        unknown = ", ".join(sorted(repr(key) for key in message.keys() - _REQUEST_MEMBERS))
         raise WireError(Code.INVALID_REQUEST, f"unknown member {unknown:.80}", id=id)
     params = message.get("params", {})
     if type(params) is not dict:
@@ -263,14 +269,16 @@ def parse_request(message: object) -> Request:
 
 
 def peek(body: bytes) -> Request | None:
-    """Method and id of a large request, without its params; None for what is not one at a first look. It costs a
-    tenth of decoding it."""
+    """Return method and id of a large request without its params, or None if it is not a request.
+
+    This takes a tenth of the time of `decode`.
+    """
     found: dict[str, object] = {}
     try:
         scanner = msgpack.Unpacker(max_buffer_size=max(len(body), 1), raw=False, strict_map_key=False)
         scanner.feed(body)
         members = scanner.read_map_header()
-        if members > len(_MEMBERS):
+        if members > len(_REQUEST_MEMBERS):
             return None
         for _ in range(members):
             key = scanner.unpack()
@@ -285,7 +293,7 @@ def peek(body: bytes) -> Request | None:
 
 
 def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> bytes:
-    """The body of a call."""
+    """Return the body of a call."""
     message: dict[str, object] = {"jsonrpc": "2.0", "id": id, "method": method}
     if params:
         message["params"] = params
@@ -293,9 +301,9 @@ def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> 
 
 
 def result_reply(id: Id, result: object) -> bytes | Encoded:
-    """The body that answers call `id` with its result; it may be encoded already, and so may a map's members."""
+    """Return the body of the reply to call `id` with a result. The result or members of its map may be encoded."""
     if isinstance(result, Encoded) and len(result.parts) == 1:
-        return _TO_ID + encode(id) + _TO_RESULT + result.parts[0]
+        return _REPLY_UP_TO_ID + encode(id) + _RESULT_KEY + result.parts[0]
     if isinstance(result, dict) and any(isinstance(value, Encoded) for value in result.values()):
         reply = encoded_map({"jsonrpc": "2.0", "id": id, "result": encoded_map(result)})
         return reply if len(reply.parts) > 1 else reply.parts[0]
@@ -303,18 +311,21 @@ def result_reply(id: Id, result: object) -> bytes | Encoded:
 
 
 def error_reply(id: Id, code: int, message: str, data: object = None) -> bytes:
-    """The body that answers call `id` with an error; `data` is left out where there is none."""
+    """Return the body of the reply to call `id` with an error; `data` is optional."""
     error: dict[str, object] = {"code": int(code), "message": message}
     if data is not None:
         error["data"] = data
     return encode({"jsonrpc": "2.0", "id": id, "error": error})
 
 
-# ---- frames ------------------------------------------------------------------------------------------------
+# ---- Frames ------------------------------------------------------------------------------------------------
 
 
 def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
-    """Of the frames after the identity: is the reply delimited, and the body (None: wrong form)."""
+    """Return whether the reply needs an empty delimiter frame, and the body, or None if the frames are invalid.
+
+    `frames` are those after the identity.
+    """
     count = len(frames)
     if count == 1:
         return False, frames[0]
@@ -324,6 +335,6 @@ def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
     return delimited, None
 
 
-def too_long(size: int) -> bytes:
-    """The answer to a body of more than MAX_BODY bytes that nobody kept."""
-    return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY))
+def too_long_reply(size: int) -> bytes:
+    """Return the error reply to a body of more than MAX_BODY_BYTES bytes, which was not kept."""
+    return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY_BYTES))

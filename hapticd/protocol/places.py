@@ -1,4 +1,4 @@
-"""Whether a daemon is there, and why it does not answer."""
+"""The runtime directory of a daemon: whether a daemon listens there, and why it does not answer."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ from hapticd.base.errors import HapticdError
 from hapticd.protocol.calls import DaemonNotRunning
 from hapticd.system.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
 
-ALIVE: Final = b"status"
-"""A topic that comes every second from every daemon."""
-_TRY_EVERY_S: Final = 0.02
+HEARTBEAT_TOPIC: Final = b"status"
+"""Topic that every daemon publishes every second."""
+_RETRY_PERIOD_S: Final = 0.02
+"""Time between two attempts to connect, in s."""
 
 
 def place_of(directory: str | os.PathLike[str] | None) -> RuntimePaths:
-    """The runtime directory of a daemon; None: as the environment says. Raises HapticdError for what is no path."""
+    """Return the paths of a daemon, by default those of the environment. Raises HapticdError for an invalid path."""
     if directory is not None:
         arguments.path("runtime_dir", directory)
     threads.check_client()
@@ -33,66 +34,66 @@ def place_of(directory: str | os.PathLike[str] | None) -> RuntimePaths:
 
 
 def probe(paths: RuntimePaths) -> None:
-    """Raises DaemonNotRunning where nobody listens, HapticdError where we may not ask."""
+    """Raise DaemonNotRunning if no daemon listens at `paths`, HapticdError if this process has no permission."""
     try:
         try:
             _try_connect(paths.command)
         except ConnectionRefusedError:
-            # Nobody listens any more, or not yet: a daemon binds its socket first.
-            time.sleep(_TRY_EVERY_S)
+            # The daemon has ended, or has bound its socket and not yet called listen.
+            time.sleep(_RETRY_PERIOD_S)
             _try_connect(paths.command)
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR):
             other = ""
             if paths.directory != SYSTEM_DIRECTORY and SYSTEM_DIRECTORY.is_dir():
-                other = f", or take the service's with: --runtime-dir {SYSTEM_DIRECTORY}"
+                other = f", or use the service with: --runtime-dir {SYSTEM_DIRECTORY}"
             raise DaemonNotRunning(f"no daemon at {paths.directory}; start one with: hapticd run{other}") from None
         if error.errno == errno.EACCES:
-            raise HapticdError(_not_ours(paths)) from None
+            raise HapticdError(_permission_text(paths)) from None
         raise HapticdError(f"{paths.command}: {error.strerror}") from None
 
 
 def _try_connect(path: Path) -> None:
-    """To a socket, and lets go of it. Raises OSError."""
+    """Connect to a socket and close the connection. Raises OSError."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
         trial.connect(os.fspath(path))
 
 
-def _not_ours(paths: RuntimePaths) -> str:
-    """Why the sockets may not be used, and whom they belong to."""
+def _permission_text(paths: RuntimePaths) -> str:
+    """Return the error for missing permission to the sockets, with their owner."""
     refused = f"{paths.command}: permission denied"
     try:
         status = os.stat(paths.directory)
-    except OSError:  # a folder above it is closed
+    except OSError:  # a parent folder is not accessible
         return refused
     owner = f"user {_name_of(pwd.getpwuid, status.st_uid)}"
     if not status.st_mode & stat.S_IXGRP:
-        return f"{refused}: the daemon is {owner}'s alone"
+        return f"{refused}: only {owner} has access to the daemon"
     group = _name_of(grp.getgrgid, status.st_gid)
     return (
         f"{refused}: the daemon is {owner}'s and for the group {group}; join it (adduser YOU {group}) and log in again"
     )
 
 
-def _name_of(look_up: Callable[[int], Sequence[object]], number: int) -> str:
+def _name_of(entry_of: Callable[[int], Sequence[object]], number: int) -> str:
     try:
-        return str(look_up(number)[0])
+        return str(entry_of(number)[0])
     except KeyError:
         return str(number)
 
 
 def await_ready(place: RuntimePaths, wait_s: float, given_up: Callable[[], bool] = lambda: False) -> None:
-    """Returns once a daemon listens at `place`, or `wait_s` are over, or nobody waits any more."""
+    """Wait until a daemon listens at `place`, `wait_s` are over, or `given_up` returns true."""
     deadline = time.monotonic() + wait_s
     while time.monotonic() < deadline and not given_up():
         with suppress(OSError):
             _try_connect(place.command)
             return
-        time.sleep(_TRY_EVERY_S)
+        time.sleep(_RETRY_PERIOD_S)
 
 
 def no_answer(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
-    """Why there was no answer: nobody is there, or somebody does not speak."""
+    """Return the error for a missing answer: no daemon listens, or it did not answer within `timeout_s`."""
     try:
         probe(paths)
     except DaemonNotRunning as error:
@@ -103,19 +104,19 @@ def no_answer(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
 
 
 def after_waiting(error: DaemonNotRunning, wait_s: float) -> DaemonNotRunning:
-    """The same of somebody who was waited for."""
+    """Return the error with the time that was spent waiting for a daemon to start."""
     return DaemonNotRunning(f"{error} (waited {wait_s:g} s for it)" if wait_s > 0 else str(error))
 
 
 def has_ended(place: RuntimePaths) -> bool:
-    """Whether no daemon has its telemetry socket any more."""
+    """Whether no daemon listens on the telemetry socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
-        trial.setblocking(False)  # one that is stopped takes nobody, and must not be waited for
+        trial.setblocking(False)  # a stopped daemon accepts no connection
         return trial.connect_ex(os.fspath(place.telemetry)) in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR)
 
 
 def no_telemetry(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
-    """Why telemetry stopped, or never came."""
+    """Return the error for missing telemetry: no daemon listens, or it sent none for `timeout_s`."""
     try:
         probe(paths)
     except HapticdError as error:

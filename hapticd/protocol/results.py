@@ -1,4 +1,4 @@
-"""What the daemon's methods answer and its telemetry tells: dictionaries with the very names of `docs/protocol.md`."""
+"""Types of the results of methods and of telemetry: dictionaries with the names in `docs/protocol.md`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ if TYPE_CHECKING:
 
 
 class GestureEnd(TypedDict):
-    """The event at the end of what the hand was sent to do, `completed` or replaced by another operator before that;
-    `started_tick` is that of `set_operator`."""
+    """The event at the end of a motion of the simulated hand.
+
+    `completed` is false if another operator replaced it. `started_tick` is the tick of its `set_operator`.
+    """
 
     event: Literal["gesture_end"]
     tick: int
@@ -20,15 +22,17 @@ class GestureEnd(TypedDict):
 
 
 class OperatorStatus(TypedDict):
-    """The tick that took the last operator (None: none so far), and the last gestures that ended, oldest first."""
+    """The tick of the last `set_operator` (None if there was none), and the latest ends of gestures, oldest first."""
 
     started_tick: int | None
     ends: list[GestureEnd]
 
 
 class StreamStatus(TypedDict):
-    """What became of the messages of one kind of stream. Each that was received is used, superseded, late, held or
-    refused, or about to be used."""
+    """Counters of the messages of one kind of stream.
+
+    Each received message is used, superseded, late, held or refused, or waits to be used.
+    """
 
     active: bool
     seq: int | None
@@ -45,7 +49,7 @@ class StreamStatus(TypedDict):
 
 
 class Status(TypedDict):
-    """What the daemon is and does."""
+    """The state of the daemon."""
 
     version: str
     protocol: int
@@ -74,14 +78,17 @@ class Status(TypedDict):
 
 
 class ConfigResult(TypedDict):
-    """The configuration's servo and device, by these names."""
+    """The keys `servo` and `device` of the configuration."""
 
     config: dict[str, dict[str, Json]]
 
 
 class SceneResult(TypedDict):
-    """The scene, and the revision that it has. `margins`: how many times as stiff each surface could be by itself, by
-    id, None for any; absent where the handle's mass and damping are not known."""
+    """The scene and its revision.
+
+    `margins` has the stability margin of each surface alone, by id: the factor by which its stiffness could grow, None
+    if unlimited. It is absent if mass and damping of the handle are unknown.
+    """
 
     scene: dict[str, Json]
     revision: int
@@ -89,17 +96,17 @@ class SceneResult(TypedDict):
 
 
 class Warned(TypedDict):
-    """What of a message is not displayed as it was meant: a place in its params, or in the file that they came from."""
+    """A warning that a part of a message is not displayed as written, with its place in the params or in their file."""
 
     where: str
     problem: str
 
 
 class RevisionResult(TypedDict):
-    """The revision that a change made; with `wait`, also the first tick rendered with it or a later one.
+    """The revision of a change; with `wait`, also the first tick that was rendered with it or a later one.
 
-    `margins`: as in `get_scene`, of the surfaces that the change brought or changed. `warning`: why forces are off.
-    `warnings`: what of the change is not displayed as it was meant.
+    `margins` is as in `get_scene`, for new and changed surfaces. `warning` says why forces are off. `warnings` lists
+    parts of the change that are not displayed as written.
     """
 
     revision: int
@@ -110,27 +117,27 @@ class RevisionResult(TypedDict):
 
 
 class MaterialsResult(TypedDict):
-    """All materials by name, and the scene's revision with them."""
+    """All materials by name, and the revision."""
 
     materials: dict[str, dict[str, Json]]
     revision: int
 
 
 class TickResult(TypedDict):
-    """The tick that took a command."""
+    """The tick at which a command took effect."""
 
     tick: int
 
 
 class PlayResult(TickResult):
-    """Also the frequency that is shown, where the rate does not carry the mode's own."""
+    """The tick of `play`, and the displayed frequency of the mode, None if it is silent."""
 
     displayed_hz: float | None
     warnings: NotRequired[list[Warned]]
 
 
 class SignsCheck(TypedDict):
-    """How far the check of a device's signs is, and what to do."""
+    """State of the check of signs of a device, and what to do."""
 
     state: Literal["unchecked", "trusted", "checking", "waiting", "right", "wrong", "unclear"]
     axis: Literal["x", "y"] | None
@@ -139,45 +146,46 @@ class SignsCheck(TypedDict):
 
 
 class ForcesResult(TickResult):
-    """Also what the forces are now, and, where the scene is held back until then, the check of the device's signs."""
+    """The tick of `set_forces`, the state of the forces, and the check of signs if the scene waits for it."""
 
     forces: Literal["on", "off", "faulted"]
     signs: NotRequired[SignsCheck]
 
 
 class StreamedForceResult(TypedDict):
-    """What the forces are now, and, unless they are on, why nothing of the streamed force is felt."""
+    """The state of the forces and, unless they are on, the reason why the streamed force is not displayed."""
 
     forces: Literal["on", "off", "faulted"]
     warning: NotRequired[str]
 
 
 class OperatorResult(TickResult):
-    """Also how long the hand will be under way."""
+    """The tick of `set_operator`, and the duration of the motion."""
 
     duration_s: float
     warnings: NotRequired[list[Warned]]
 
 
 class LeaseResult(TypedDict):
-    """By this token the lease is renewed or ended; None once it is ended."""
+    """The token that renews or ends the lease, None after its end."""
 
     token: str | None
     warning: NotRequired[str]
 
 
 class FlightResult(TypedDict):
-    """The file that the flight recorder writes; it is there once it is whole."""
+    """The path of the flight file, which appears when it is complete."""
 
     file: str
 
 
 class State(TypedDict):
-    """The newest sample; vectors are [x, y]. `touching`: ids of objects; `flag_names`: the flags as words.
+    """The newest sample; vectors are [x, y].
 
-    `contact_force_n`: touched objects and fields, after the passivity controller. `vibration_force_n`: ringing modes
-    and the noise of textures. Both are before the force limit and the fade of set_forces, but for a strike or
-    a noise, which has the amplitude that the limit left it; `force_n` is after them.
+    `touching` has the ids of touched objects, `flag_names` the names of the flags. `contact_force_n` is the force of
+    touched objects and fields after the passivity controller, `vibration_force_n` that of ringing modes and the noise
+    of textures. Both are before the force limit and the fade of `set_forces`; only amplitudes of strikes and noise are
+    already limited. `force_n` is the force after limit and fade.
     """
 
     tick: int
@@ -196,8 +204,11 @@ class State(TypedDict):
 
 
 class Revised(TypedDict):
-    """A change of scene or materials: all that is other than at the revision before, None for what is gone. `large`:
-    more than is listed; `get_scene` and `get_materials` list it. `rate_hz`: the servo stepped down."""
+    """A change of scene or materials: all differences to the previous revision, None for removed objects and materials.
+
+    `large` says that more has changed than a change lists; `get_scene` and `get_materials` have it. `rate_hz` is the
+    new rate after the servo has lowered it.
+    """
 
     revision: int
     objects: NotRequired[dict[str, dict[str, Json] | None]]
@@ -208,7 +219,7 @@ class Revised(TypedDict):
 
 
 class StruckMode(TypedDict):
-    """The mode, and what `play` was told of it."""
+    """A mode, with the parameters of `play`."""
 
     angular_frequency_rad_per_s: float
     decay_rate_per_s: float
@@ -218,26 +229,26 @@ class StruckMode(TypedDict):
 
 
 class Played(TypedDict):
-    """A mode that `play` struck, and the tick that took it."""
+    """A mode that `play` struck, and its tick."""
 
     tick: int
     play: StruckMode
 
 
 class ResetObjects(TypedDict):
-    """Ids, where the command named them."""
+    """The ids that `reset` named; absent for all objects."""
 
     objects: NotRequired[list[str]]
 
 
 class ResetDone(TypedDict):
-    """Contacts that `reset` cleared, and the tick that took it."""
+    """The objects whose contacts `reset` cleared, and its tick."""
 
     tick: int
     reset: ResetObjects
 
 
 Change: TypeAlias = Revised | Played | ResetDone
-"""What a command changed."""
+"""A change by a command."""
 Event: TypeAlias = "dict[str, Json]"
-"""One event; `event` says which, `tick` and `time_ns` when, the other members depend on it."""
+"""An event: its kind `event`, its time `tick` and `time_ns`, and members that depend on the kind."""

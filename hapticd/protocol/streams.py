@@ -1,7 +1,7 @@
-"""Streamed targets and forces on the wire: one short notification each, written and read without a general decoder.
+"""Notifications of streamed targets and forces, written and read without a general decoder.
 
-A stream sends up to a thousand messages a second. What is read here has exactly the form that every msgpack library
-gives to a map in this order; any other form goes the way of all requests, and means the same.
+A stream sends up to a thousand messages a second. `read` accepts only the bytes to which msgpack libraries encode the
+members in this order. Other encodings of the same message are decoded as any request.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from hapticd.base.codec import encode
 
 Kind: TypeAlias = Literal["target", "force"]
 
-METHODS: Final[dict[str, Kind]] = {"stream_target": "target", "stream_force": "force"}
-"""The methods, and what each of them streams."""
-VECTORS: Final[dict[Kind, str]] = {"target": "position_m", "force": "force_n"}
-"""The parameter beside `seq`."""
-MOST: Final[dict[Kind, float]] = {"target": 10.0, "force": 100.0}
-"""The largest coordinate, m, and the largest component of a force, N."""
-MOST_SEQ: Final = 2**63 - 1
-"""The largest sequence number."""
+STREAM_KIND_BY_METHOD: Final[dict[str, Kind]] = {"stream_target": "target", "stream_force": "force"}
+"""The methods of streams, each with the kind of its stream."""
+VECTOR_PARAM_BY_KIND: Final[dict[Kind, str]] = {"target": "position_m", "force": "force_n"}
+"""The parameter of each kind that holds the vector; the other parameter is `seq`."""
+MAX_COMPONENT_BY_KIND: Final[dict[Kind, float]] = {"target": 10.0, "force": 100.0}
+"""Largest coordinate of a target, in m, and largest component of a force, in N."""
+MAX_SEQ: Final = 2**63 - 1
+"""Largest sequence number."""
 
 
 class Streamed(NamedTuple):
@@ -32,40 +32,40 @@ class Streamed(NamedTuple):
     y: float
 
 
-_FLOAT: Final = 0xCB
-_UINT64: Final = 0xCF
-_BY_TAG: Final = {0xCC: "xB", 0xCD: "xH", 0xCE: "xI", _UINT64: "xQ"}
-"""How the first byte of a number larger than 127 says that it goes on."""
+_FLOAT64_TAG: Final = 0xCB
+_UINT64_TAG: Final = 0xCF
+_NUMBER_FORMAT_BY_TAG: Final = {0xCC: "xB", 0xCD: "xH", 0xCE: "xI", _UINT64_TAG: "xQ"}
+"""Formats (module struct) of unsigned integers above 127, by their first byte in msgpack."""
 
 
 class _Form:
-    """The bytes of one method."""
+    """Fixed bytes and struct formats of the messages of one method."""
 
     def __init__(self, method: str) -> None:
-        self.kind = kind = METHODS[method]
+        self.kind = kind = STREAM_KIND_BY_METHOD[method]
         self.head = (
             b"\x83" + encode("jsonrpc") + encode("2.0") + encode("method") + encode(method) + encode("params") + b"\x82"
         ) + encode("seq")
-        # The key, an array of two, and the tag of the first number.
-        self.middle = encode(VECTORS[kind]) + bytes((0x92, _FLOAT))
+        # The key of the vector, the header of an array of two, and the tag of the first number.
+        self.middle = encode(VECTOR_PARAM_BY_KIND[kind]) + bytes((0x92, _FLOAT64_TAG))
         rest = f"{len(self.middle)}sdBd"
         self.small = struct.Struct(f">B{rest}")
-        self.large = {tag: struct.Struct(f">{number}{rest}") for tag, number in _BY_TAG.items()}
+        self.large = {tag: struct.Struct(f">{number}{rest}") for tag, number in _NUMBER_FORMAT_BY_TAG.items()}
         self.written = struct.Struct(f">{len(self.head)}sBQ{rest}")
 
 
-_FORMS: Final = {METHODS[method]: _Form(method) for method in METHODS}
-_TARGET, _FORCE = _FORMS["target"], _FORMS["force"]
+_FORM_BY_KIND: Final = {STREAM_KIND_BY_METHOD[method]: _Form(method) for method in STREAM_KIND_BY_METHOD}
+_TARGET, _FORCE = _FORM_BY_KIND["target"], _FORM_BY_KIND["force"]
 
 
 def write(kind: Kind, seq: int, x: float, y: float) -> bytes:
-    """The body of a notification. Raises struct.error for a number that is none."""
-    form = _FORMS[kind]
-    return form.written.pack(form.head, _UINT64, seq, form.middle, x, _FLOAT, y)
+    """Return the body of a notification. Raises struct.error for a value that is not a number."""
+    form = _FORM_BY_KIND[kind]
+    return form.written.pack(form.head, _UINT64_TAG, seq, form.middle, x, _FLOAT64_TAG, y)
 
 
 def read(body: bytes) -> Streamed | None:
-    """The message in a body of this very form; its numbers may be any. None for everything else."""
+    """Return the message in a body, or None if it is not encoded as by `write`; integers may be shorter."""
     if body.startswith(_TARGET.head):
         form = _TARGET
     elif body.startswith(_FORCE.head):
@@ -80,4 +80,4 @@ def read(body: bytes) -> Streamed | None:
     if rest is None or begin + rest.size != len(body):
         return None
     seq, middle, x, second, y = rest.unpack_from(body, begin)
-    return Streamed(form.kind, seq, x, y) if middle == form.middle and second == _FLOAT else None
+    return Streamed(form.kind, seq, x, y) if middle == form.middle and second == _FLOAT64_TAG else None

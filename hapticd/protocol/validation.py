@@ -1,6 +1,4 @@
-"""Objects and materials of a message, validated: what handlers take, and every fault where a parameter beside them is
-faulty, too.
-"""
+"""Validation of objects and materials in a message, also when other params of the message are faulty."""
 
 from __future__ import annotations
 
@@ -18,8 +16,10 @@ from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, scene_steps, v
 
 
 def _same_kind(before: SceneObject, patch: object) -> SceneObject | None:
-    """An object with some of its keys replaced, as most patches do: it is not written out and read again, and its kind
-    need not be found. None: it is another patch, or faulty."""
+    """Return the object with some keys replaced, without the slower way through a dictionary.
+
+    Returns None for a faulty patch, and for one that changes `kind` or `patches`, removes a key or merges a mapping.
+    """
     if not isinstance(patch, dict) or len(patch) > len(before.__dict__) or "kind" in patch or "patches" in patch:
         return None
     for value in patch.values():
@@ -32,15 +32,17 @@ def _same_kind(before: SceneObject, patch: object) -> SceneObject | None:
 
 
 def patched_objects(given: Mapping[str, object], scene: Scene) -> Steps[dict[str, SceneObject | None]]:
-    """What merge patches make of objects, with a pause after each; None for those that go. Raises InvalidError with the
-    faults of all."""
+    """Return the objects after merge patches, None for removed ones; in steps of one object.
+
+    Raises InvalidError with the faults of all objects.
+    """
     changes: dict[str, SceneObject | None] = {}
     problems: list[Problem] = []
     check_count(given, MAX_OBJECTS, ("objects",))
     for id, patch in given.items():
         yield
         if len(problems) > MAX_FAULTS:
-            problems.append(Problem("objects", "the other entries were not checked"))
+            problems.append(Problem("objects", "too many faults; the rest was not checked"))
             break
         before = scene.objects.get(id)
         if patch is None:
@@ -64,18 +66,18 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> Steps[dict[str
 
 
 def _no_object(id: str, scene: Scene) -> str:
-    """Why nothing can be merged into the object: there is none."""
+    """Return the problem of a patch to an object that does not exist."""
     if id in Scene.model_fields:
-        return "there is no object of this id: it is a key of the scene; set_scene changes it, with the whole scene"
-    told = known_names(id, scene.objects) if scene.objects else "the scene has none"
-    return f"there is no object of this id, and a new one needs a kind; {told}"
+        return "there is no object of this id: it is a key of the scene, which set_scene changes"
+    known = known_names(id, scene.objects) if scene.objects else "the scene has no objects"
+    return f"there is no object of this id, and a new one needs a kind; {known}"
 
 
-def whole_materials(given: Mapping[str, object], before: Materials) -> Steps[dict[str, Material]]:
-    """All materials once those given took their places, with a pause after each. Raises InvalidError."""
+def replaced_materials(given: Mapping[str, object], before: Materials) -> Steps[dict[str, Material]]:
+    """Return all materials after replacing those given, in steps of one material. Raises InvalidError."""
     check_count(given, MAX_MATERIALS, ("materials",))
-    told = "must be a mapping, is null; update_materials removes a material"
-    problems = [Problem(path_text(("materials", name)), told) for name, each in given.items() if each is None]
+    removed = "must be a mapping, is null; update_materials removes a material"
+    problems = [Problem(path_text(("materials", name)), removed) for name, each in given.items() if each is None]
     materials = dict(before)
     try:
         materials.update((yield from material_steps({name: each for name, each in given.items() if each is not None})))
@@ -88,8 +90,10 @@ def whole_materials(given: Mapping[str, object], before: Materials) -> Steps[dic
 
 
 def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[tuple[dict[str, Material], list[str]]]:
-    """All materials once those given were merged or removed, and the names of the merged; with a pause after each.
-    Raises InvalidError."""
+    """Return all materials after merge patches, and the names of the merged ones; in steps of one material.
+
+    The value null removes a material, or restores it if it is shipped. Raises InvalidError.
+    """
     check_count(given, MAX_MATERIALS, ("materials",))
     materials, shipped = dict(before), shipped_materials()
     patched: dict[str, object] = {}
@@ -107,24 +111,24 @@ def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[t
     return materials, list(patched)
 
 
-def faults_beside(
+def further_faults(
     method: str, params: Mapping[str, object], scene: Scene, materials: Materials
 ) -> Steps[list[Problem]]:
-    """Faults of the scene, objects and materials in parameters of which others are faulty, so that all are reported."""
+    """Return the faults of scene, objects and materials in params of which others are faulty, to report all faults."""
     objects, given = params.get("objects"), params.get("materials")
-    looks: list[Steps[object]] = []
+    checks: list[Steps[object]] = []
     if method == "update_scene" and isinstance(objects, dict):
-        looks.append(patched_objects(objects, scene))
+        checks.append(patched_objects(objects, scene))
     if method in ("set_materials", "apply") and isinstance(given, dict):
-        looks.append(whole_materials(given, materials))
+        checks.append(replaced_materials(given, materials))
     if method == "update_materials" and isinstance(given, dict):
-        looks.append(patched_materials(given, materials))
+        checks.append(patched_materials(given, materials))
     if method in ("set_scene", "apply") and "scene" in params:
-        looks.append(scene_steps(params["scene"], ("scene",)))
+        checks.append(scene_steps(params["scene"], ("scene",)))
     problems: list[Problem] = []
-    for look in looks:
+    for check in checks:
         try:
-            yield from look
+            yield from check
         except InvalidError as error:
             problems.extend(error.problems)
     return problems

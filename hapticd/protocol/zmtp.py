@@ -1,7 +1,7 @@
-"""ZMTP 3.0 and 3.1 without I/O: a peer's bytes in, its messages and commands out (RFC 23 and 37, mechanism NULL).
+"""ZMTP 3.0 and 3.1 without I/O: parser and writer of messages and commands (RFC 23 and 37, mechanism NULL).
 
-Whatever a peer sends, a `Parser` keeps no more than its bounds say: a frame is kept as it comes and not as it is
-announced, and of a message that is too long only the size.
+The memory of a `Parser` is limited by its bounds, whatever a peer sends: it allocates for received bytes, not for the
+length in a header, and keeps only the size of a message that is too long.
 """
 
 from __future__ import annotations
@@ -12,45 +12,51 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError, quoted
 
-MORE: Final = 1
-LONG: Final = 2
-COMMAND: Final = 4
+MORE_FLAG: Final = 1
+"""Flag of a frame: another frame of the message follows."""
+LONG_FLAG: Final = 2
+"""Flag of a frame: its size has eight bytes instead of one."""
+COMMAND_FLAG: Final = 4
+"""Flag of a frame: it is a command."""
 
-LONGEST_COMMAND: Final = 4096
-"""Bytes of a command, its name counted."""
+MAX_COMMAND_BYTES: Final = 4096
+"""Largest command including its name, in bytes."""
 
-_SIGNATURE: Final = b"\xff" + bytes(8) + b"\x7f"
-_MECHANISM: Final = b"NULL".ljust(20, b"\0")
-_SIZE: Final = struct.Struct(">Q")
-_WHOLE_FRAMES: Final = 2
+_GREETING_SIGNATURE: Final = b"\xff" + bytes(8) + b"\x7f"
+_NULL_MECHANISM: Final = b"NULL".ljust(20, b"\0")
+_LONG_SIZE_FORMAT: Final = struct.Struct(">Q")
+_MAX_KEPT_FRAMES: Final = 2
+"""Number of frames of a message up to which they are kept in full."""
 _NO_FRAME: Final = -1
+"""Value of `Parser._left` between two frames."""
 _NO_GREETING: Final = -2
+"""Value of `Parser._left` before the greeting."""
 
-GREETING: Final = _SIGNATURE + b"\x03\x01" + _MECHANISM + bytes(32)
-"""What both sides send first, whole and without waiting for the other's."""
+ZMTP_GREETING: Final = _GREETING_SIGNATURE + b"\x03\x01" + _NULL_MECHANISM + bytes(32)
+"""The greeting, which both sides send first, without waiting for that of the peer."""
 
 
 class ZmtpError(HapticdError):
-    """A peer says what is no ZMTP 3, or goes beyond a bound."""
+    """A peer violates ZMTP 3, or exceeds a bound."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """How much of one peer is borne with."""
+    """Limits of the messages of one peer."""
 
     frames: int
-    """Parts of a message."""
+    """Largest number of parts (frames) of a message."""
     size: int
-    """Bytes of a message, all parts together."""
+    """Largest size of a message, all frames together, in bytes."""
     kept: int
-    """Bytes of a message that are kept; of a longer one only the size is reported."""
+    """Largest size of a message that is kept, in bytes; of a longer one only the size is reported."""
 
 
 @dataclass(slots=True)
 class Message:
-    """A whole message: its first three frames, and how many bytes all its frames had.
+    """A complete message: its first three frames, and the size of all frames, in bytes.
 
-    A message that was too long, or has more than two frames, has only a byte left of each that was not empty.
+    If the message is too long or has more than two frames, only the first byte of each frame is kept.
     """
 
     frames: list[bytes]
@@ -59,7 +65,7 @@ class Message:
 
 @dataclass(slots=True)
 class Command:
-    """A command, for example `READY`, and what follows its name."""
+    """A command: its name, for example `READY`, and the data after the name."""
 
     name: bytes
     data: bytes
@@ -67,48 +73,48 @@ class Command:
 
 @dataclass(slots=True)
 class Greeted:
-    """The peer's greeting came."""
+    """The greeting of the peer was received."""
 
 
 Event = Message | Command | Greeted
 
 
-# ---- out ---------------------------------------------------------------------------------------------------
+# ---- Writer ---------------------------------------------------------------------------------------------------
 
 
 def header(size: int, flags: int = 0) -> bytes:
-    """What stands before `size` bytes of a frame."""
-    return bytes((flags, size)) if size < 256 else bytes((flags | LONG,)) + _SIZE.pack(size)
+    """Return the header of a frame of `size` bytes."""
+    return bytes((flags, size)) if size < 256 else bytes((flags | LONG_FLAG,)) + _LONG_SIZE_FORMAT.pack(size)
 
 
 def message(frames: list[bytes]) -> bytes:
-    """A message as it is sent."""
+    """Return the bytes of a message."""
     last = len(frames) - 1
-    return b"".join([header(len(each), MORE if n < last else 0) + each for n, each in enumerate(frames)])
+    return b"".join([header(len(each), MORE_FLAG if n < last else 0) + each for n, each in enumerate(frames)])
 
 
 def command(name: bytes, data: bytes = b"") -> bytes:
-    """A command as it is sent."""
-    return header(1 + len(name) + len(data), COMMAND) + bytes((len(name),)) + name + data
+    """Return the bytes of a command."""
+    return header(1 + len(name) + len(data), COMMAND_FLAG) + bytes((len(name),)) + name + data
 
 
 def ready(socket_type: bytes, **others: bytes) -> bytes:
-    """The command that ends the handshake on one side."""
-    told = {b"Socket-Type": socket_type, **{name.encode(): value for name, value in others.items()}}
-    pairs = [bytes((len(name),)) + name + len(value).to_bytes(4, "big") + value for name, value in told.items()]
+    """Return the command READY, which ends the handshake of one side, with the properties."""
+    values = {b"Socket-Type": socket_type, **{name.encode(): value for name, value in others.items()}}
+    pairs = [bytes((len(name),)) + name + len(value).to_bytes(4, "big") + value for name, value in values.items()]
     return command(b"READY", b"".join(pairs))
 
 
 def error(reason: bytes) -> bytes:
-    """The command that refuses a handshake."""
+    """Return the command ERROR, which refuses a handshake."""
     return command(b"ERROR", bytes((len(reason),)) + reason)
 
 
-# ---- in ----------------------------------------------------------------------------------------------------
+# ---- Parser ----------------------------------------------------------------------------------------------------
 
 
 def properties(data: bytes) -> dict[bytes, bytes]:
-    """What a READY says, by names in lower case. Raises ZmtpError."""
+    """Return the properties in a command READY, by names in lower case. Raises ZmtpError."""
     found = {}
     at = 0
     while at < len(data):
@@ -116,14 +122,14 @@ def properties(data: bytes) -> dict[bytes, bytes]:
         begin = named + 4
         end = begin + int.from_bytes(data[named:begin], "big")
         if end > len(data):
-            raise ZmtpError("properties of a READY that are cut off")
+            raise ZmtpError("the properties of READY are truncated")
         found[data[at + 1 : named].lower()] = data[begin:end]
         at = end
     return found
 
 
 class Parser:
-    """What one peer sent. After an error it is of no use any more."""
+    """The parser of the bytes of one peer. It cannot be used after an error."""
 
     __slots__ = ("_at", "_bounds", "_buffer", "_count", "_cut", "_flags", "_frames", "_left", "_part", "_size")
 
@@ -131,9 +137,9 @@ class Parser:
         self._bounds = bounds
         self._buffer = b""
         self._at = 0
-        self._left = _NO_GREETING  # bytes of the open frame that are still to come
+        self._left = _NO_GREETING  # missing bytes of the current frame
         self._flags = 0
-        # Of the message that is under way:
+        # State of the current message:
         self._frames: list[bytes] = []
         self._part = bytearray()
         self._count = 0
@@ -141,7 +147,7 @@ class Parser:
         self._cut = False
 
     def feed(self, data: bytes) -> None:
-        """More bytes, as they came. To be called when `next` has nothing more."""
+        """Add received bytes. Call it after `next` has returned None."""
         self._buffer = self._buffer[self._at :] + data if self._at < len(self._buffer) else data
         self._at = 0
 
@@ -152,11 +158,11 @@ class Parser:
 
     @property
     def held(self) -> int:
-        """Bytes kept of a message that is not whole yet, about."""
+        """Approximate number of bytes that are kept of an incomplete message."""
         return 0 if self._cut else self._size - max(self._left, 0)
 
     def next(self) -> Event | None:
-        """What came, one after the other; None: nothing more is whole. Raises ZmtpError."""
+        """Return the next message, command or greeting, or None if it is incomplete. Raises ZmtpError."""
         if self._left == _NO_GREETING:
             return self._greeting()
         while self._left >= 0 or self._open():
@@ -173,50 +179,50 @@ class Parser:
                 self._keep(body)
                 body = bytes(self._part)
                 self._part = bytearray()
-            if self._flags & COMMAND:
+            if self._flags & COMMAND_FLAG:
                 return self._command(body)
-            if self._count <= _WHOLE_FRAMES + 1:
+            if self._count <= _MAX_KEPT_FRAMES + 1:
                 self._frames.append(body)
-            if not self._flags & MORE:
+            if not self._flags & MORE_FLAG:
                 found = Message(self._frames, self._size)
                 self._frames, self._count, self._size, self._cut = [], 0, 0, False
                 return found
         return None
 
     def _greeting(self) -> Greeted | None:
-        came = self._buffer
-        if came[:1] not in (b"", b"\xff") or came[9:10] not in (b"", b"\x7f"):
-            raise ZmtpError("what it sends is not ZMTP 3")
-        if len(came) > 10 and came[10] < 3:
-            raise ZmtpError(f"it speaks ZMTP {came[10]}, and only 3 is spoken here")
-        if len(came) >= 32 and came[12:32] != _MECHANISM:
-            mechanism = came[12:32].strip(b"\0").decode("ascii", "replace")
-            raise ZmtpError(f"its mechanism is {quoted(mechanism)}, not NULL")
-        if len(came) < len(GREETING):
+        received = self._buffer
+        if received[:1] not in (b"", b"\xff") or received[9:10] not in (b"", b"\x7f"):
+            raise ZmtpError("its data is not ZMTP 3")
+        if len(received) > 10 and received[10] < 3:
+            raise ZmtpError(f"it speaks ZMTP {received[10]}: must be 3")
+        if len(received) >= 32 and received[12:32] != _NULL_MECHANISM:
+            mechanism = received[12:32].strip(b"\0").decode("ascii", "replace")
+            raise ZmtpError(f"its mechanism is {quoted(mechanism)}: must be NULL")
+        if len(received) < len(ZMTP_GREETING):
             return None
-        self._at, self._left = len(GREETING), _NO_FRAME
+        self._at, self._left = len(ZMTP_GREETING), _NO_FRAME
         return Greeted()
 
     def _open(self) -> bool:
-        """Begins the next frame, if its header is whole."""
+        """Begin the next frame; return false if its header is incomplete."""
         buffer, at = self._buffer, self._at
         if len(buffer) - at < 2:
             return False
         flags = buffer[at]
-        if flags & LONG:
+        if flags & LONG_FLAG:
             if len(buffer) - at < 9:
                 return False
-            size: int = _SIZE.unpack_from(buffer, at + 1)[0]
+            size: int = _LONG_SIZE_FORMAT.unpack_from(buffer, at + 1)[0]
             self._at = at + 9
         else:
             size = buffer[at + 1]
             self._at = at + 2
-        if flags & ~(MORE | LONG | COMMAND) or (flags & COMMAND and flags & MORE):
-            raise ZmtpError("what it sends is not ZMTP 3")
+        if flags & ~(MORE_FLAG | LONG_FLAG | COMMAND_FLAG) or (flags & COMMAND_FLAG and flags & MORE_FLAG):
+            raise ZmtpError("its data is not ZMTP 3")
         self._flags, self._left = flags, size
-        if flags & COMMAND:
-            if size > LONGEST_COMMAND:
-                raise ZmtpError(f"a command of {size:,} bytes: at most {LONGEST_COMMAND:,} are taken")
+        if flags & COMMAND_FLAG:
+            if size > MAX_COMMAND_BYTES:
+                raise ZmtpError(f"a command of {size:,} bytes: must be at most {MAX_COMMAND_BYTES:,}")
             return True
         self._count += 1
         self._size += size
@@ -224,14 +230,14 @@ class Parser:
             raise ZmtpError(f"a message of more than {self._bounds.frames:,} parts")
         if self._size > self._bounds.size:
             raise ZmtpError(f"a message of more than {self._bounds.size:,} bytes")
-        if not self._cut and (self._size > self._bounds.kept or self._count > _WHOLE_FRAMES):
+        if not self._cut and (self._size > self._bounds.kept or self._count > _MAX_KEPT_FRAMES):
             self._cut = True
             self._frames = [each[:1] for each in self._frames]
         return True
 
     def _keep(self, chunk: bytes) -> None:
-        """Of a frame that does not come at once."""
-        if not self._cut or self._flags & COMMAND:
+        """Keep a part of a frame that arrives in several parts."""
+        if not self._cut or self._flags & COMMAND_FLAG:
             self._part += chunk
         elif not self._part:
             self._part += chunk[:1]

@@ -17,7 +17,7 @@ import zmq.asyncio
 from hapticd.base.errors import HapticdError
 from hapticd.client.base import connect_commands
 from hapticd.protocol import messages, places
-from hapticd.protocol.calls import TIMEOUT_S
+from hapticd.protocol.calls import REPLY_TIMEOUT_S
 from hapticd.protocol.messages import Code, Id, Request
 from hapticd.system.paths import RuntimePaths
 
@@ -28,7 +28,9 @@ _CONNECT_S: Final = 1.0
 class DaemonRelay:
     """Belongs to the running event loop. `answer` is called with every answer that the page is to get."""
 
-    def __init__(self, place: RuntimePaths, answer: Callable[[bytes], None], timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(
+        self, place: RuntimePaths, answer: Callable[[bytes], None], timeout_s: float = REPLY_TIMEOUT_S
+    ) -> None:
         self._place, self._answer, self._timeout_s = place, answer, timeout_s
         self._under_way: dict[Id, asyncio.TimerHandle] = {}
         self._waiting: deque[tuple[Id, bytes, float]] = deque()

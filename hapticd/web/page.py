@@ -43,7 +43,7 @@ from hapticd.web.page_lease import PageLease
 from hapticd.web.page_limits import UNDER_WAY, PageLimits
 from hapticd.web.telemetry_hub import TelemetryHub
 
-MAX_MESSAGE: Final = messages.MAX_BODY
+MAX_MESSAGE: Final = messages.MAX_BODY_BYTES
 TOO_MUCH: Final = -32029
 """The error of a call beyond what a page may ask (page_limits)."""
 FROZEN_S: Final = 30.0

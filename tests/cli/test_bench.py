@@ -23,11 +23,11 @@ def test_the_command_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> 
 def test_an_installed_hapticd_says_where_the_benchmarks_are(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(machine, "TREE", tmp_path)
+    monkeypatch.setattr(machine, "SOURCE_TREE", tmp_path)
     assert cli.main(["bench"]) == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "the benchmarks are not installed with hapticd: run this in a source tree" in said
+    assert "hapticd bench: not in a source tree; the benchmarks need one" in said
 
 
 def test_quick_figures_do_not_replace_those_of_docs(capsys: pytest.CaptureFixture[str]) -> None:

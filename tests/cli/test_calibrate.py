@@ -204,7 +204,7 @@ def test_verify(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_real_device_needs_a_recording(capsys: pytest.CaptureFixture[str]) -> None:
     error = said(capsys, 1, "verify", "-c", "hid.yaml")
-    assert error == "hapticd: a real device is verified by an accelerometer on its handle: give --recording FILE\n"
+    assert error == "hapticd: a real device needs an accelerometer on its handle: give --recording FILE\n"
 
 
 # ---- A device at its servo ---------------------------------------------------------------------------------------

@@ -38,9 +38,7 @@ def said(kernel: Kernel, capsys: pytest.CaptureFixture[str], *words: str) -> tup
 def test_the_only_one_that_can_be_driven_is_claimed_and_released(
     kernel: Kernel, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = (
-        "/dev/hidraw7 (Stick) is claimed: other programs have no access to its event nodes; its driver is hid-generic"
-    )
+    text = "/dev/hidraw7 (Stick) is claimed: other programs cannot open its event nodes; its driver is hid-generic"
     assert said(kernel, capsys, "claim") == (0, text)
     assert kernel.modes(STICK) == {0o600}
     assert said(kernel, capsys, "claim")[0] == 1
@@ -62,13 +60,13 @@ def test_as_json_and_by_name(kernel: Kernel, capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize("what", ["claim", "release"])
 def test_a_device_that_is_not_there(kernel: Kernel, capsys: pytest.CaptureFixture[str], what: str) -> None:
     code, text = said(kernel, capsys, what, "1209:0001")
-    assert code == 1 and text.startswith('hapticd: no HID device "1209:0001"; there are: ') and "\n" not in text
+    assert code == 1 and text.startswith('hapticd: no HID device "1209:0001"; connected: ') and "\n" not in text
 
 
 def test_one_of_several_has_to_be_named(kernel: Kernel, capsys: pytest.CaptureFixture[str]) -> None:
     kernel.plug("0003:FFFF:2055.0009")
     code, text = said(kernel, capsys, "claim")
-    assert code == 1 and text.startswith("hapticd: 2 devices can be driven, name one by its path: /dev/hidraw5 (Stick")
+    assert code == 1 and text.startswith("hapticd: 2 devices can be driven; name one by its path: /dev/hidraw5 (Stick")
 
 
 def test_the_list_says_what_nobody_sees_and_what_to_do(kernel: Kernel, capsys: pytest.CaptureFixture[str]) -> None:
@@ -81,7 +79,7 @@ def test_the_list_says_what_nobody_sees_and_what_to_do(kernel: Kernel, capsys: p
     assert lines[3:] == [
         "    can be driven",
         condition.replace("hidraw5", "hidraw7"),
-        "    claimed: `hapticd devices release /dev/hidraw7` lets other programs at it again",
+        "    claimed: `hapticd devices release /dev/hidraw7` lets other programs use it again",
     ]
 
 

@@ -75,9 +75,9 @@ def test_a_descriptor_is_read_once_for_each_configuration(
 def test_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     here(monkeypatch)
     assert main(["devices"]) == 0
-    assert capsys.readouterr() == ("", "hapticd: no HID device is connected, or the kernel has no hidraw\n")
+    assert capsys.readouterr() == ("", "hapticd: no HID device is connected, or the kernel lacks hidraw\n")
     assert main(["devices", "dump", "/dev/hidraw0", "-o", "x"]) == 1
-    assert capsys.readouterr().err == 'hapticd: no HID device "/dev/hidraw0"; there are: none\n'
+    assert capsys.readouterr().err == 'hapticd: no HID device "/dev/hidraw0"; connected: none\n'
 
 
 def test_dump(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_dump(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     capsys.readouterr()
     here(monkeypatch, found(), found("/dev/hidraw1"))
     assert main(["devices", "dump", "1209:5aff", "-o", str(out), "--overwrite"]) == 1
-    assert "2 devices are 1209:5aff, name one by its path: /dev/hidraw0" in capsys.readouterr().err
+    assert "2 devices are 1209:5aff; name one by its path: /dev/hidraw0" in capsys.readouterr().err
 
 
 def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -141,8 +141,8 @@ def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
         assert seen.out == "" and seen.err.startswith(f"hapticd: {place}: {told}")
     assert sorted(item.name for item in tmp_path.iterdir()) == ["calibrated.yaml", "folder", "stick.yaml"]
     assert main(["devices", "calibrate", "-c", str(config), "-o", f"{tmp_path}/./stick.yaml", "--yes"]) == 2
-    assert "would take the place of the configuration" in capsys.readouterr().err
+    assert "is the configuration file; name another file" in capsys.readouterr().err
     assert config.read_text() == before
     assert main(["devices", "calibrate", "-c", str(config), "--force", "1"]) == 2
-    assert "--force 1: at most 0.89" in capsys.readouterr().err
+    assert "--force must be at most 0.89" in capsys.readouterr().err
     stick.close()

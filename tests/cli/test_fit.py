@@ -151,7 +151,7 @@ def test_a_fit_becomes_a_material_that_the_loader_takes(
     told = captured.err.splitlines()
     assert told == [
         "hapticd: the first tap is weak",
-        "hapticd: the stiffness, 800 N/m, is not in the recordings; --stiffness sets it",
+        "hapticd: the stiffness, 800 N/m, is assumed, not measured; --stiffness sets it",
     ]
     material = load_config("pine.yaml").materials["pine"]
     assert material.stiffness_n_per_m == 800
@@ -198,8 +198,8 @@ def test_options_that_exclude_one_another(fits: Fits, capsys: pytest.CaptureFixt
         ("--table", "--attack", "first_peak"),
         ("--two-modes", "--attack", "first_peak"),
     ):
-        assert "exclude each other" in said(capsys, 2, "fit", "tap", "a.csv", *options)
-    assert "--merge adds to the file of -o" in said(capsys, 2, "fit", "tap", "a.csv", "--merge")
+        assert "do not go together" in said(capsys, 2, "fit", "tap", "a.csv", *options)
+    assert "--merge needs -o" in said(capsys, 2, "fit", "tap", "a.csv", "--merge")
     assert fits.recordings == []
 
 
@@ -333,7 +333,7 @@ def test_for_programs(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
         "taps": [1.0, None],
     }
     assert validate_materials(told["materials"])["tap"].tap is not None
-    assert told["notes"] == ["the stiffness, 800 N/m, is not in the recordings; --stiffness sets it"]
+    assert told["notes"] == ["the stiffness, 800 N/m, is assumed, not measured; --stiffness sets it"]
 
 
 def test_texture_alone_has_autoregressive_models(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
@@ -351,11 +351,11 @@ def test_what_cannot_be_done_is_told_in_one_line(fits: Fits, capsys: pytest.Capt
     assert "does not exist" in said(capsys, 1, "fit", "tap", "a.csv", "-o", "no/x.yaml")
     assert "must end in .html or .png" in said(capsys, 1, "fit", "tap", "a.csv", "--report", "x.pdf")
     assert "must not hold a dot" in said(capsys, 1, "fit", "tap", "a.csv", "--name", "a.b", "--json")
-    assert "is a file of this command already" in said(capsys, 1, "fit", "tap", "a.csv", "-o", "./a.csv", "--overwrite")
+    assert "used twice in this command" in said(capsys, 1, "fit", "tap", "a.csv", "-o", "./a.csv", "--overwrite")
     both = ("-o", "x.png", "--report", "./x.png")
-    assert "is a file of this command already" in said(capsys, 1, "fit", "tap", "a.csv", *both)
+    assert "used twice in this command" in said(capsys, 1, "fit", "tap", "a.csv", *both)
     Path("twin.csv").write_bytes(Path("a.csv").read_bytes())
-    assert "1001 recordings are too many" in said(capsys, 1, "fit", "tap", *["a.csv"] * 1001)
+    assert "too many recordings: 1001" in said(capsys, 1, "fit", "tap", *["a.csv"] * 1001)
     assert fits.recordings == []
     fits.answer = HapticdError("a.csv: no onset")
     assert said(capsys, 1, "fit", "tap", "a.csv", "-o", "x.yaml") == "hapticd: a.csv: no onset\n"
@@ -549,12 +549,12 @@ def test_what_cannot_be_synthesized_is_told_in_one_line(
     for told, code, arguments in (
         ("Missing option '-o'", 2, ("tap",)),
         ("must end in .npz", 1, ("tap", "-o", "x.csv")),
-        ("already exists", 1, ("tap", "-o", "old.npz")),
-        ("does not exist", 1, ("tap", "-o", "no/x.npz")),
-        ("a material of your own is given with -c", 1, ("tap", "-o", "x.npz", "--material", "cork")),
+        ("is there already", 1, ("tap", "-o", "old.npz")),
+        ("there is no folder", 1, ("tap", "-o", "no/x.npz")),
+        ("-c FILE adds other materials", 1, ("tap", "-o", "x.npz", "--material", "cork")),
         ('unknown material "wod"', 1, ("tap", "-o", "x.npz", "--material", "wod")),
-        ("it has no tap", 1, ("tap", "-o", "x.npz", "--material", "cellophane")),
-        ("it has two", 1, ("tap", "-o", "x.npz", "--material", "two", "-c", "two.yaml")),
+        ("the material has no tap", 1, ("tap", "-o", "x.npz", "--material", "cellophane")),
+        ("its tap has two modes", 1, ("tap", "-o", "x.npz", "--material", "two", "-c", "two.yaml")),
         ("grooves", 1, ("grooves", "-o", "x.npz", "--material", "wood")),
         ("texture", 1, ("texture", "-o", "x.npz", "--material", "wood")),
         ("rupture", 1, ("puncture", "-o", "x.npz", "--material", "wood")),

@@ -17,7 +17,7 @@ from hapticd.base.core import Fault, SignsProblem, SignsState
 from hapticd.base.errors import HapticdError, InvalidError, Problem, in_order
 from hapticd.cli import main
 from hapticd.cli.common import print_result
-from hapticd.cli.failure import tell
+from hapticd.cli.failure import report_error
 from hapticd.client.sources import patch_tree
 from hapticd.daemon.counters import Granted
 from hapticd.daemon.status_text import FAULTS, lines, text_of
@@ -152,9 +152,7 @@ def test_force_on_says_what_the_check_of_signs_waits_for(tmp_path: Path, capsys:
 
     with fake_daemon(tmp_path, answer):
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 0
-        assert capsys.readouterr().out == (
-            "forces on; first the signs of the device are checked: let go of the handle\n"
-        )
+        assert capsys.readouterr().out == ("forces on, once the check of signs has passed: let go of the handle\n")
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 1
         assert capsys.readouterr().err == (
             "hapticd: forces are off because a force along x moves the handle the other way: "
@@ -193,13 +191,13 @@ def test_every_fault_has_words() -> None:
 def test_a_failure_for_programs(
     error: Exception, code: int | None, message: str, problems: object, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert tell(error, as_json=True) == 1
+    assert report_error(error, as_json=True) == 1
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1
     assert json.loads(captured.err) == {
         "error": {"message": message, "code": code, "exit_code": 1, "problems": problems}
     }
-    assert tell(error, as_json=False) == 1
+    assert report_error(error, as_json=False) == 1
     assert capsys.readouterr().err == f"hapticd: {message}\n"
 
 
@@ -270,13 +268,13 @@ def test_on_a_terminal_each_fault_has_a_line(monkeypatch: pytest.MonkeyPatch) ->
         terminal, pipe = Terminal(), io.StringIO()
         for stream in (terminal, pipe):
             monkeypatch.setattr("sys.stderr", stream)
-            assert tell(error, as_json=False) == 1
+            assert report_error(error, as_json=False) == 1
         nine, ten = (f"s.yaml:{line}:1: ramp_s: is negative" for line in (9, 10))
         assert terminal.getvalue() == f"hapticd: {nine}\nhapticd: {ten}\n"
         if type(error) is RemoteError:
             assert pipe.getvalue() == f"hapticd: {nine}; {ten}\n"
     monkeypatch.setattr("sys.stderr", Terminal())
-    tell(InvalidError(problems), as_json=True)
+    report_error(InvalidError(problems), as_json=True)
     assert isinstance(sys.stderr, Terminal)
     assert [each["where"] for each in json.loads(sys.stderr.getvalue())["error"]["problems"]] == [
         "s.yaml:9:1: ramp_s",
@@ -353,4 +351,4 @@ def test_forces_that_a_fault_keeps_off_are_told_so(
 
     monkeypatch.setattr(daemon, "daemon", lambda: nullcontext(Faulted()))
     assert main(["force", "off"]) == 0
-    assert capsys.readouterr().out == "forces off, and a fault is latched: `hapticd status` says which\n"
+    assert capsys.readouterr().out == "forces off: a fault is latched; see `hapticd status`\n"

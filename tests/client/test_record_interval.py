@@ -26,11 +26,11 @@ def test_what_comes_late_is_waited_for_as_long_as_something_comes(monkeypatch: p
     interval.end_at(59)
     for first in range(10, 60, 10):
         assert not interval.over
-        now_s[0] += 0.9 * record.LAST_CHANGE_S
+        now_s[0] += 0.9 * record.FINAL_CHANGE_TIMEOUT_S
         interval.clip(batch(first))
     assert interval.over  # tick 59 is here, 4.5 s after the end was asked for
     interval = record._Interval(None)
     interval.clip(batch(0))
     interval.end_at(59)
-    now_s[0] += 1.1 * record.LAST_CHANGE_S
+    now_s[0] += 1.1 * record.FINAL_CHANGE_TIMEOUT_S
     assert interval.over  # nothing came

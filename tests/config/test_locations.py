@@ -135,7 +135,7 @@ def test_paths_in_words(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert first == (
         f"configuration      built in; there is no {home}/.config/hapticd/config.yaml and no {locations.SYSTEM_CONFIG}"
     )
-    assert f"command socket     {home.parent}/hapticd/hapticd.command (not there now)" in rest
+    assert f"command socket     {home.parent}/hapticd/hapticd.command (does not exist)" in rest
     assert any(re.match(r"shipped studies    /.*/experiments: .*\bjnd_frequency\b", line) for line in rest)
     user = written(home / ".config/hapticd/config.yaml", 1002)
     Path(user).write_text("flight: {directory: /var/tmp/flights}\n")
@@ -156,7 +156,7 @@ def test_paths_with_a_configuration_that_cannot_be_read(home: Path, capsys: pyte
     captured = capsys.readouterr()
     first, second, *rest = captured.out.splitlines()
     assert (first, second) == (f"configuration      {user}", f"its fault          {fault}")
-    assert "flight files       not known" in rest and len(rest) == 10
+    assert "flight files       unknown" in rest and len(rest) == 10
     assert captured.err == "hapticd: the configuration is faulty\n"
 
 

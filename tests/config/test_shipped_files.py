@@ -56,7 +56,7 @@ def test_a_shipped_scene_is_simulated_by_its_name(name: str, capsys: pytest.Capt
 
 def test_a_scene_of_ones_own_needs_an_operator(capsys: pytest.CaptureFixture[str]) -> None:
     Path("s.yaml").write_text("objects: {}\n")
-    assert "Missing option '--operator': a file that says what the hand does, or one of around, corner," in said(
+    assert "Missing option '--operator': a file with the motion of the hand, or one of around, corner," in said(
         capsys, 2, "simulate", "s.yaml", "-o", "x.npz"
     )
     Path("s.yaml").write_text("gesture: {}\n")

@@ -8,8 +8,8 @@ from hapticd.config.configuration import default_config
 from hapticd.config.modes import Mode
 from hapticd.config.scene import MAX_PATCHES, Scene, SceneObject, validate_object, validate_scene
 from hapticd.daemon.flight_scene import MOST_CHANGED, FlightScene
-from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES, Change, Played, Reset, Revised, revised
-from hapticd.protocol.changes import MOST_CHANGED as MOST_TOLD
+from hapticd.protocol.changes import MAX_FLIGHT_OBJECTS, MAX_FLIGHT_PIECES, Change, Played, Reset, Revised, revised
+from hapticd.protocol.changes import MAX_LISTED_CHANGES as MOST_TOLD
 
 MATERIALS = default_config().materials
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
@@ -100,12 +100,12 @@ def test_a_change_that_is_too_large_to_be_told_is_a_new_beginning(scene: FlightS
 
 
 def test_a_scene_that_is_too_large_is_not_written() -> None:
-    objects = {f"disc{number}": disc(number / 1e4) for number in range(FLIGHT_OBJECTS + 1)}
+    objects = {f"disc{number}": disc(number / 1e4) for number in range(MAX_FLIGHT_OBJECTS + 1)}
     scene = FlightScene(Scene().with_objects(objects), MATERIALS, 1, RATE_HZ)
     assert scene.stretch().texts() == {"scene": None, "materials": None}
     scene.take(Revised(2, {}, {"disc0": None}, {}, None))
     scene.forget(9, 2)
-    assert len(told(scene)[1]) == FLIGHT_OBJECTS
+    assert len(told(scene)[1]) == MAX_FLIGHT_OBJECTS
 
 
 def patched(count: int) -> SceneObject:
@@ -118,7 +118,7 @@ def test_patches_count_as_objects_do() -> None:
     before = validate_scene({"objects": {"floor": FLOOR}})
     scene = FlightScene(before, MATERIALS, 1, RATE_HZ)
     large = patched(MAX_PATCHES)
-    walls = {f"wall{number}": large for number in range(FLIGHT_PIECES // MAX_PATCHES + 1)}
+    walls = {f"wall{number}": large for number in range(MAX_FLIGHT_PIECES // MAX_PATCHES + 1)}
     many = before.with_objects(walls)
     change = revised(2, before, many, list(walls), MATERIALS, MATERIALS)
     assert change.whole is not None and change.objects == {}

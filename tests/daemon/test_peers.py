@@ -43,7 +43,7 @@ class Raw:
         self.socket.settimeout(30)
         self.socket.connect(str(path))
         if shake:
-            self.socket.sendall(zmtp.GREETING + zmtp.ready(kind))
+            self.socket.sendall(zmtp.ZMTP_GREETING + zmtp.ready(kind))
 
     def ended(self) -> bool:
         """Waits for the end of the connection."""
@@ -279,8 +279,8 @@ def ends(
     [
         (b"\x01\x01x" * 1000, "a message of more than 1,024 parts"),
         (b"\x01\x00" * 1000, "a message of more than 1,024 parts"),
-        (zmtp.header(2**17, zmtp.MORE) + bytes(2**17), "a message of more than 67,108,864 bytes"),
-        (b"\x00\x00" + b"\x40", "what it sends is not ZMTP 3"),
+        (zmtp.header(2**17, zmtp.MORE_FLAG) + bytes(2**17), "a message of more than 67,108,864 bytes"),
+        (b"\x00\x00" + b"\x40", "its data is not ZMTP 3"),
         (zmtp.command(b"SUBSCRIBE", b"") + zmtp.command(b"READY", b""), "a command out of place"),
     ],
 )
@@ -409,7 +409,7 @@ def test_a_handshake_that_does_not_end_is_ended(path: Path, monkeypatch: pytest.
     monkeypatch.setattr(peers, "HANDSHAKE_S", 0.0)
     made = Router(listening(path))
     client = Raw(path, shake=False)
-    client.socket.sendall(zmtp.GREETING)
+    client.socket.sendall(zmtp.ZMTP_GREETING)
     thread = threading.Thread(target=client.ended)
     thread.start()
     while thread.is_alive():

@@ -150,10 +150,14 @@ def test_what_is_no_number_or_out_of_range_never_reaches_the_servo(kind: wire.Ki
 def test_a_number_above_the_largest_is_left_to_the_ordinary_way() -> None:
     bench = Bench()
     body = msgpack.packb(
-        {"jsonrpc": "2.0", "method": "stream_force", "params": {"seq": wire.MOST_SEQ + 1, "force_n": [0.0, 0.0]}}
+        {
+            "jsonrpc": "2.0",
+            "method": "stream_force",
+            "params": {"seq": wire.MAX_SEQ + 1, "force_n": [0.0, 0.0]},
+        }
     )
     assert not bench.streams.take_body("a", body)
-    assert bench.send("a", wire.MOST_SEQ)
+    assert bench.send("a", wire.MAX_SEQ)
 
 
 def test_without_a_simulated_hand_no_target_is_taken_and_forces_are() -> None:

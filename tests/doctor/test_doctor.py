@@ -549,15 +549,15 @@ def test_a_stopped_daemon_is_known_without_being_asked(
     assert socket_holder(tmp_path / "hapticd.command") == (silent.pid, True)
     monkeypatch.setattr("hapticd.client.blocking.connect", asked)
     line = of_the_daemon(tmp_path, capsys)
-    assert f"process {silent.pid} holds {tmp_path} and does not answer: it is stopped; kill -CONT" in line
+    assert f"process {silent.pid}, which holds {tmp_path}, is stopped and does not answer; kill -CONT" in line
 
 
 def test_a_daemon_that_runs_and_does_not_answer_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], silent: subprocess.Popen[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hapticd.cli.machine._ANSWER_S", 0.1)
+    monkeypatch.setattr("hapticd.cli.machine._STATUS_TIMEOUT_S", 0.1)
     line = of_the_daemon(tmp_path, capsys)
-    assert f"process {silent.pid} holds {tmp_path} and did not answer within 0.1 s" in line
+    assert f"process {silent.pid}, which holds {tmp_path}, did not answer within 0.1 s" in line
 
 
 def test_nobody_holds_what_nobody_listens_on(tmp_path: Path) -> None:

@@ -164,7 +164,7 @@ def test_the_command_prints_all_of_it_and_says_by_its_code_what_cannot_be_shown(
     told = capsys.readouterr().out
     assert "20 trials" in told and "10 cells of 1 trial" in told and "chance: 40 %" in told
     assert "correct: the answer that names the stimulus with the highest material" in told
-    assert "power: " in told and "every stimulus can be shown" in told
+    assert "power: " in told and "every stimulus can be displayed as written" in told
     assert main(["experiment", "check", str(file), "-c", str(slow)]) == 1
     assert main(["experiment", "check", str(file), "-c", str(fast), "--json"]) == 0
     capsys.readouterr()

@@ -83,7 +83,7 @@ def test_the_participant_is_sent_no_name_and_no_number_of_a_material(
     running, script = start(*run_study(tmp_path, study)), Script(most=4 * attempts)
     asyncio.run(script.play(running.links))
     code, out, _ = running.ended()
-    assert code == 1 and "go on with" in out
+    assert code == 1 and "continue with" in out
     assert len(answered(tmp_path)) == 4
     assert script.participant is not None
     names, numbers = _secrets(study)
@@ -108,7 +108,7 @@ def test_a_demo_has_a_daemon_of_its_own_and_ends_it(tmp_path: Path) -> None:
         code, out, _ = running.ended()
     finally:
         running.stop()
-    assert code == 1 and "1 of 24 trials; go on with" in out
+    assert code == 1 and "1 of 24 trials; continue with" in out
     about = json.loads((tmp_path / SESSION / "session.json").read_text())
     assert about["stage"]["device"] == "sim"
 

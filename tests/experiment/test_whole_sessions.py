@@ -109,7 +109,7 @@ def test_the_correct_ranking_is_what_the_study_says(ranked: Path) -> None:
 def test_several_participants_are_simulated_ones_offline(tmp_path: Path) -> None:
     study = tmp_path / "ranking.yaml"
     study.write_text(RANKING)
-    for more, text in (((), "several participants are for --offline"), (("--text",), "several participants")):
+    for more, text in (((), "several participants need --offline"), (("--text",), "several participants")):
         result = _run(study, tmp_path / "data", *more)
         assert result.exit_code == 2
         assert text in result.output
@@ -174,7 +174,7 @@ def test_a_demo_at_the_terminal_has_no_hand(ranked: Path, tmp_path: Path) -> Non
     study = ["experiment", "run", str(ranked.parent / "ranking.yaml"), "--participant", "P01"]
     result = CliRunner().invoke(cli, [*study, "-o", str(tmp_path), "--text", "--demo"])
     assert result.exit_code == 2
-    assert "--text has no hand for the simulated joystick of --demo" in result.output
+    assert "--text cannot be combined with --demo" in result.output
 
 
 @pytest.mark.long

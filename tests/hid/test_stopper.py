@@ -398,7 +398,7 @@ def test_a_daemon_stops_first_what_the_one_before_it_left(
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--runtime-dir", str(tmp_path), "stop-device"]) == 0
-    assert capsys.readouterr().out == "no device was left: nothing to stop\n"
+    assert capsys.readouterr().out == "nothing to stop: no daemon has left a device\n"
     (tmp_path / "hapticd.device").write_text("{}")
     assert main(["--runtime-dir", str(tmp_path), "stop-device", "--json"]) == 1
     captured = capsys.readouterr()

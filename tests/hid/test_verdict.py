@@ -329,5 +329,5 @@ def test_a_faulty_default_configuration_does_not_hide_the_devices(
     assert main(["devices"]) == 0
     captured = capsys.readouterr()
     assert "can be driven" in captured.out
-    assert captured.err.startswith("hapticd: judged by the defaults, as the configuration is faulty: ")
+    assert captured.err.startswith("hapticd: using the defaults, as the configuration is faulty: ")
     assert main(["devices", "-c", str(config)]) == 1

@@ -317,7 +317,7 @@ def test_play_force_reset_operator(shell: Shell) -> None:
     off = "hapticd: forces are off: `hapticd force on` or set_forces turns them on\n"
     assert shell.fails("play", "wood", "--amplitude", "2") == off
     noted = shell.noted("operator", "operator.yaml")
-    assert noted == "hapticd: forces are off: the hand moves, and nothing pushes it; `hapticd status` says why\n"
+    assert noted == "hapticd: forces are off: no force acts on the moving hand; `hapticd status` gives the reason\n"
     assert json.loads(shell("force", "on", "--json"))["forces"] == "on"
     assert shell.noted("operator", "operator.yaml") == ""
     assert shell("reset", "skin").startswith("reset at tick ")

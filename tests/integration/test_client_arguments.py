@@ -31,7 +31,7 @@ def fake(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FakeDaemon]:
 
 
 WRONG: list[tuple[str, Call]] = [
-    ("method: must be a text, is 3", lambda d: d.call(3)),
+    ("method: must be a string, is 3", lambda d: d.call(3)),
     ("params: must be a mapping, is a list", lambda d: d.call("get_status", [])),
     ("scene: must be a mapping, the path of a file or a hapticd.Scene, is 3", lambda d: d.set_scene(3)),
     ("scene: must be a path, is empty", lambda d: d.set_scene("")),
@@ -61,7 +61,7 @@ WRONG: list[tuple[str, Call]] = [
     ("newest: must be True or False, is 2", lambda d: d.states(newest=2)),
     ("topic: unknown topic \"sample\"; did you mean samples?",
      lambda d: d.telemetry("state", "sample")),
-    ("telemetry: needs a topic or several; known: samples, state, event, change, status",
+    ("telemetry: needs at least one topic; known: samples, state, event, change, status",
      lambda d: d.telemetry()),
 ]  # fmt: skip
 

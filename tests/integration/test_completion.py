@@ -17,7 +17,7 @@ import pytest
 from click.shell_completion import BashComplete
 
 from hapticd.cli import cli, main, names
-from hapticd.cli.machine import SHELLS, script
+from hapticd.cli.machine import SCRIPT_PATH_BY_SHELL, script
 from tests.support.daemon_process import PATIENCE_S, running_daemon
 from tests.support.marks import rest_slow
 
@@ -176,7 +176,7 @@ def test_fish_offers_the_same(folder: Path) -> None:
     assert any("\t" in each and "," in each.split("\t")[1] for each in fish("hapticd --conn"))
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", SCRIPT_PATH_BY_SHELL)
 def test_a_script_outlives_its_program(shell: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a terminal whose virtual environment was left or removed."""
     if shutil.which(shell) is None:
@@ -196,7 +196,7 @@ def test_a_script_outlives_its_program(shell: str, folder: Path, monkeypatch: py
         terminal.close()
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", SCRIPT_PATH_BY_SHELL)
 def test_the_command_prints_the_script(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", shell]) == 0
     printed = capsys.readouterr()
@@ -234,7 +234,7 @@ def offered(*words: str) -> list[str]:
 
 @pytest.mark.long
 def test_names_of_a_daemon(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(names, "_PATIENCE_S", 60.0)
+    monkeypatch.setattr(names, "_COMPLETION_TIMEOUT_S", 60.0)
     config = tmp_path / "config.yaml"
     config.write_text(
         "servo: {rate_hz: 1000, realtime: off}\n"

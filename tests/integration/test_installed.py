@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from hapticd import __version__
-from hapticd.cli.machine import SHELLS
+from hapticd.cli.machine import SCRIPT_PATH_BY_SHELL
 from tests.support.cli import page_names
 
 ROOT = Path(__file__).parents[2]
@@ -133,7 +133,7 @@ def test_a_wheel_made_of_the_sdist_is_whole(tmp_path: Path) -> None:
     assert float(environment.run("python", "-c", f"{render}; print(s['force_n'].max())", cwd=home)) > 0.5
 
     # Man pages and completion, where the prefix has them.
-    for shell, place in SHELLS.items():
+    for shell, place in SCRIPT_PATH_BY_SHELL.items():
         assert (environment.folder / place).read_text() == environment.run("hapticd", "completion", shell, cwd=home)
     assert {path.stem for path in (environment.folder / "share/man/man1").iterdir()} == page_names()
     if shutil.which("man") is None:

@@ -223,7 +223,7 @@ def test_a_full_disk_ends_a_recording_that_is_kept(daemon: Daemon, tmp_path: Pat
     with recording(daemon, target, limit=700_000) as process:
         out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
-    assert err == f"hapticd: {target}: cannot be written: File too large; {target} holds what came before\n"
+    assert err == f"hapticd: {target}: cannot be written: File too large; {target} has everything before that\n"
     assert os.listdir(tmp_path) == ["run.npz"]
     samples = load(target).samples
     assert f"{len(samples):,} ticks" in out and len(samples) > 0
@@ -298,7 +298,7 @@ def test_a_gap_is_told_and_stands_in_the_file(tmp_path: Path, directory: Path) -
     told = Told(directory, samples(0, 100), samples(500, 100))
     kept = told.record(tmp_path / "run.npz", 600)
     assert (kept.ticks, kept.lost, kept.ended_because) == (200, 400, "stopped")
-    assert "400 ticks lost (400 on the way here, 0 in the daemon's ring)" in kept.summary()
+    assert "400 ticks lost (400 between daemon and recording, 0 in the ring of the daemon)" in kept.summary()
     recorded = load(tmp_path / "run.npz")
     assert recorded.texts["recording"]["gaps"] == [[100, 400]]
     assert recorded.samples["tick"].tolist() == [*range(100), *range(500, 600)]
@@ -325,7 +325,7 @@ def test_a_change_that_was_lost_is_read_again(tmp_path: Path, directory: Path) -
     )
     kept = told.record(tmp_path / "run.npz", 400)
     assert kept.missing_revisions == (2,)
-    assert "1 revision of the scene not in it" in kept.summary()
+    assert "1 revision of the scene missing" in kept.summary()
     texts = load(tmp_path / "run.npz").texts
     assert texts["changes"] == [
         {"revision": 1},
@@ -440,7 +440,7 @@ def test_a_block_is_recorded_from_its_first_to_its_last_command(daemon: Daemon, 
     with connect(daemon.directory) as client:
         with client.record(target, subject=3, hand="left") as recorder:
             first = client.mark("first", {"trial": 1})["tick"]
-            with pytest.raises(HapticdError, match="is not finished"):
+            with pytest.raises(HapticdError, match="not complete"):
                 _ = recorder.result
             last = client.mark("last")["tick"]
         with pytest.raises(HapticdError, match="already exists"), client.record(target):

@@ -236,7 +236,7 @@ def test_bars() -> None:
             {"event": "contact", "object": "a", "speed_m_per_s": 0.1, "amplitude_m_per_s2": 31.0, "scale": 0.0},
             "contact a at 0.100 m/s, 31.0 m/s² not displayed",
         ),
-        ({"event": "contact", "object": "a", "appeared": True}, "contact a inside it when it appeared"),
+        ({"event": "contact", "object": "a", "appeared": True}, "contact a appeared around the probe"),
         ({"event": "puncture", "object": "skin", "depth_m": 0.004}, "puncture skin at 4.00 mm"),
         ({"event": "fault", "faults": ["lease", "device"]}, "fault lease, device"),
         ({"event": "fault", "faults": []}, "fault cleared"),
@@ -245,7 +245,7 @@ def test_bars() -> None:
         ({"event": "overload", "missed_share": 0.123}, "overload 12 % of a second's periods missed"),
         ({"event": "rate", "rate_hz": 5000.0}, "rate 5 kHz from now on"),
         ({"event": "mark", "text": "trial 3"}, "mark trial 3"),
-        ({"event": "gesture_end", "completed": True}, "gesture end as it was meant"),
+        ({"event": "gesture_end", "completed": True}, "gesture end completed"),
         ({"event": "glitch", "speed_m_per_s": 100.0}, "glitch a jump of 100 m/s"),
         ({"event": "revision", "revision": 4}, "revision 4"),
         ({"event": "device_lost"}, "device lost"),
@@ -427,4 +427,4 @@ def test_it_ends_with_its_terminal(daemon: Daemon) -> None:
     with Terminal(arguments(daemon)) as terminal:
         terminal.read_until("hapticd")
         code, said = terminal.hang_up()
-    assert (code, said) == (1, b"hapticd: the terminal is gone\n")
+    assert (code, said) == (1, b"hapticd: the terminal was closed\n")

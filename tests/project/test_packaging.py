@@ -16,7 +16,7 @@ import pytest
 from hapticd import __version__
 from hapticd._share import write
 from hapticd.base.errors import HapticdError
-from hapticd.cli.machine import SHELLS, script
+from hapticd.cli.machine import SCRIPT_PATH_BY_SHELL, script
 from tests.support.cli import contexts, page_names
 from tests.support.special_files import KINDS, special, untouched
 
@@ -108,7 +108,7 @@ def test_what_is_made_for_share_depends_on_the_commands_alone(share: Path, tmp_p
     assert done.returncode == 0, done.stderr
     for name in done.stdout.split():
         assert (tmp_path / name).read_text() == (share.parent / name).read_text(), name
-    assert all((tmp_path / place).read_text() == script(shell) for shell, place in SHELLS.items())
+    assert all((tmp_path / place).read_text() == script(shell) for shell, place in SCRIPT_PATH_BY_SHELL.items())
 
 
 def test_the_day_of_a_page_is_that_of_the_sources(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

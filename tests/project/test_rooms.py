@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hapticd.cli import _HOMES
+from hapticd.cli import _MODULE_BY_COMMAND
 
 PACKAGE = Path(__file__).parents[2] / "hapticd"
 ROOMS = sorted(path for path in PACKAGE.iterdir() if (path / "__init__.py").is_file())
@@ -45,7 +45,7 @@ def files_of(folder: Path) -> set[str]:
 def test_the_map_of_a_room_names_its_files(room: Path) -> None:
     named = names_of(room)
     assert len(named) == len(set(named))
-    commands = set(_HOMES.values()) if room.name == "cli" else set()
+    commands = set(_MODULE_BY_COMMAND.values()) if room.name == "cli" else set()
     assert {name for name in named if "/" not in name.rstrip("/")} | commands == files_of(room)
 
 

@@ -148,7 +148,7 @@ def test_what_is_encoded_is_decoded(tree: object) -> None:
 @example({b"x" * 300: None})
 def test_a_client_refuses_what_the_daemon_would(tree: object) -> None:
     def checked(body: bytes) -> object:
-        messages.check_ours(body)
+        messages.check_encoded(body)
         return messages.decode_trusted(body)
 
     body = msgpack.packb(tree)
@@ -189,16 +189,16 @@ def test_depth_is_limited(depth: int, pad: bytes) -> None:
     "body",
     [
         b"\x91" * 100_000,
-        b"\x91" * messages.MAX_BODY,
-        b"\x81\xa0" * (messages.MAX_BODY // 2),
+        b"\x91" * messages.MAX_BODY_BYTES,
+        b"\x81\xa0" * (messages.MAX_BODY_BYTES // 2),
         b"\xdd" + struct.pack(">I", 64_000_000),
         b"\xdf" + struct.pack(">I", 64_000_000),
         b"\xdb" + struct.pack(">I", 0xFFFFFFFF),
         b"\xc9" + struct.pack(">I", 0xFFFFFFFF) + b"\x01",
-        (b"\xdd" + struct.pack(">I", 2_000_000)) * (messages.MAX_BODY // 5),
-        (b"\xdd" + struct.pack(">I", 2_000_000)) * 20 + b"\x01" * (messages.MAX_BODY - 100),
+        (b"\xdd" + struct.pack(">I", 2_000_000)) * (messages.MAX_BODY_BYTES // 5),
+        (b"\xdd" + struct.pack(">I", 2_000_000)) * 20 + b"\x01" * (messages.MAX_BODY_BYTES - 100),
         (b"\xdd" + struct.pack(">I", 64_000_000)) * 30,
-        b"x" * (messages.MAX_BODY + 1),
+        b"x" * (messages.MAX_BODY_BYTES + 1),
     ],
     ids=range(11),
 )
@@ -212,10 +212,10 @@ def test_lies_about_size_cost_no_memory(body: bytes) -> None:
 
 
 def test_the_largest_body_is_taken_and_one_byte_more_is_not() -> None:
-    header = b"\xc6" + struct.pack(">I", messages.MAX_BODY - 5)
-    assert len(messages.decode(header + bytes(messages.MAX_BODY - 5))) == messages.MAX_BODY - 5  # type: ignore[arg-type]
-    header = b"\xc6" + struct.pack(">I", messages.MAX_BODY - 4)
-    assert code_of(header + bytes(messages.MAX_BODY - 4)) == Code.PARSE
+    header = b"\xc6" + struct.pack(">I", messages.MAX_BODY_BYTES - 5)
+    assert len(messages.decode(header + bytes(messages.MAX_BODY_BYTES - 5))) == messages.MAX_BODY_BYTES - 5  # type: ignore[arg-type]
+    header = b"\xc6" + struct.pack(">I", messages.MAX_BODY_BYTES - 4)
+    assert code_of(header + bytes(messages.MAX_BODY_BYTES - 4)) == Code.PARSE
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ def test_errors_say_what_is_wrong(body: bytes, told: str) -> None:
 
 
 def test_a_map_that_would_hold_everybody_up_is_refused_before_it_is_built() -> None:
-    most = {str(i): 0 for i in range(messages.MAX_MEMBERS)}
+    most = {str(i): 0 for i in range(messages.MAX_MAP_MEMBERS)}
     assert messages.decode(msgpack.packb({"params": most})) == {"params": most}
     with pytest.raises(messages.WireError, match="a map has more than 65536 members"):
         messages.decode(msgpack.packb({"params": {**most, "one": 0}}))

@@ -23,17 +23,17 @@ NUMBERS = st.one_of(st.integers(-100, 100), st.floats())
 
 
 def message(kind: str, seq: object, vector: object) -> dict[str, Any]:
-    params = {"seq": seq, streams.VECTORS[kind]: vector}  # type: ignore[index]
+    params = {"seq": seq, streams.VECTOR_PARAM_BY_KIND[kind]: vector}  # type: ignore[index]
     return {"jsonrpc": "2.0", "method": f"stream_{kind}", "params": params}
 
 
-@given(KINDS, st.integers(0, streams.MOST_SEQ), FLOATS, FLOATS)
+@given(KINDS, st.integers(0, streams.MAX_SEQ), FLOATS, FLOATS)
 def test_what_is_written_is_a_request_and_is_read(kind: streams.Kind, seq: int, x: float, y: float) -> None:
     body = streams.write(kind, seq, x, y)
     assert streams.read(body) == (kind, seq, x, y)
     request = messages.parse_request(messages.decode(body))
     assert not request.has_id and message(kind, seq, [x, y]) == messages.decode(body)
-    assert request.method in streams.METHODS
+    assert request.method in streams.STREAM_KIND_BY_METHOD
 
 
 @given(KINDS, SEQS, NUMBERS, NUMBERS)
@@ -58,9 +58,9 @@ def test_a_body_with_another_byte_is_read_as_the_decoder_reads_it_or_not_at_all(
     found = streams.read(bytes(body) + more[1:])
     if found is not None:
         params = messages.parse_request(messages.decode(bytes(body) + more[1:])).params
-        vector = params[streams.VECTORS[found.kind]]
+        vector = params[streams.VECTOR_PARAM_BY_KIND[found.kind]]
         assert struct.pack("dd", *vector) == struct.pack("dd", found.x, found.y)  # type: ignore[misc]
-        assert params == {"seq": found.seq, streams.VECTORS[found.kind]: vector}
+        assert params == {"seq": found.seq, streams.VECTOR_PARAM_BY_KIND[found.kind]: vector}
 
 
 @pytest.mark.parametrize(
@@ -86,9 +86,9 @@ def test_anything_else_is_left_to_the_decoder(body: bytes) -> None:
 
 def test_the_largest_values_are_those_that_the_params_allow() -> None:
     for model, kind in ((StreamTargetParams, "target"), (StreamForceParams, "force")):
-        most = streams.MOST[kind]  # type: ignore[index]
+        most = streams.MAX_COMPONENT_BY_KIND[kind]  # type: ignore[index]
         for value in (most, -most):
-            model.parsed({"seq": streams.MOST_SEQ, streams.VECTORS[kind]: [value, 0]})  # type: ignore[index]
+            model.parsed({"seq": streams.MAX_SEQ, streams.VECTOR_PARAM_BY_KIND[kind]: [value, 0]})  # type: ignore[index]
         for value in (math.nextafter(most, math.inf), -math.nextafter(most, math.inf), math.nan, math.inf, True, "1"):
-            with pytest.raises(ValueError, match=streams.VECTORS[kind]):  # type: ignore[index]
-                model.parsed({"seq": 0, streams.VECTORS[kind]: [value, 0]})  # type: ignore[index]
+            with pytest.raises(ValueError, match=streams.VECTOR_PARAM_BY_KIND[kind]):  # type: ignore[index]
+                model.parsed({"seq": 0, streams.VECTOR_PARAM_BY_KIND[kind]: [value, 0]})  # type: ignore[index]

@@ -211,4 +211,4 @@ def test_what_is_left_stays_where_the_disk_takes_no_file_of_it(tmp_path: Path, m
 
 def test_recover_says_that_nothing_lies_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["recover", str(tmp_path / "run.npz")]) == 1
-    assert capsys.readouterr().err == f"hapticd: {tmp_path}/run.npz: no recording into it left anything\n"
+    assert capsys.readouterr().err == f"hapticd: {tmp_path}/run.npz: no partial files of a recording to this file\n"

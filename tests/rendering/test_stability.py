@@ -558,7 +558,7 @@ def written(tmp_path: Path, source: dict[str, Any]) -> str:
 def test_check_says_that_all_is_well(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check"]) == 0
     printed = capsys.readouterr()
-    assert "all of the scene can be shown" in printed.out
+    assert "all of the scene can be displayed" in printed.out
     assert printed.err == ""
 
 

@@ -53,7 +53,7 @@ def open_to(path: Path, kind: bytes | None) -> socket.socket:
         made.settimeout(1)
         made.connect(str(path))
         if kind is not None:
-            made.sendall(zmtp.GREETING + zmtp.ready(kind))
+            made.sendall(zmtp.ZMTP_GREETING + zmtp.ready(kind))
     except OSError:
         made.close()
         raise
@@ -116,7 +116,7 @@ def connections(directory: Path) -> None:
 
 def garbage(path: Path) -> Iterator[None]:
     """Bytes without sense, and right ones with a mistake."""
-    right = zmtp.GREETING + zmtp.ready(b"DEALER") + zmtp.message([b"", messages.request(1, "get_status")]) * 3
+    right = zmtp.ZMTP_GREETING + zmtp.ready(b"DEALER") + zmtp.message([b"", messages.request(1, "get_status")]) * 3
     with open_to(path, None) as made:
         if random.random() < 0.3:
             made.sendall(random.randbytes(random.randrange(1, 5000)))
@@ -137,7 +137,7 @@ def garbage(path: Path) -> Iterator[None]:
 def parts(path: Path) -> Iterator[None]:
     """Messages without end."""
     chosen = random.choice(
-        (zmtp.header(60_000, zmtp.MORE) + bytes(60_000), b"\x01\x00" * 30_000, b"\x01\x01x" * 20_000)
+        (zmtp.header(60_000, zmtp.MORE_FLAG) + bytes(60_000), b"\x01\x00" * 30_000, b"\x01\x01x" * 20_000)
     )
     with open_to(path, b"DEALER") as made:
         while True:

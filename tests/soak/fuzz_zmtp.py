@@ -21,7 +21,7 @@ SIZES = (0, 1, 2, 7, 254, 255, 256, 257, 999, 1000, 1001)
 
 def conversation(source: random.Random) -> tuple[bytes, list[Event]]:
     """One that is right, and what is to be made of it."""
-    data, events = [zmtp.GREETING], list[Event]([Greeted()])
+    data, events = [zmtp.ZMTP_GREETING], list[Event]([Greeted()])
     for _ in range(source.randrange(6)):
         if source.random() < 0.3:
             name, said = source.choice((b"READY", b"PING", b"X" * 255)), source.randbytes(source.randrange(40))
@@ -68,7 +68,7 @@ def parsed(data: bytes, source: random.Random | None = None) -> tuple[list[Event
                 found.append(event)
                 if isinstance(event, Command) and event.name == b"READY":
                     zmtp.properties(event.data)
-            assert parser.held <= max(BOUNDS.kept, zmtp.LONGEST_COMMAND)
+            assert parser.held <= max(BOUNDS.kept, zmtp.MAX_COMMAND_BYTES)
     except ZmtpError as error:
         return found, str(error)
     return found, None

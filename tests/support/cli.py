@@ -16,7 +16,7 @@ HAPTICD = [
     sys.executable,
     "-c",
     "import sys, hapticd.protocol.calls; from hapticd.cli import main\n"
-    f"hapticd.protocol.calls.TIMEOUT_S = {PATIENCE_S}; sys.exit(main())",
+    f"hapticd.protocol.calls.REPLY_TIMEOUT_S = {PATIENCE_S}; sys.exit(main())",
 ]
 """The command in a process of its own; it waits for an answer as long as the tests do, not five seconds."""
 

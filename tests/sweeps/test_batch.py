@@ -148,14 +148,14 @@ def test_a_day_alone_changes_no_file(tree: Path, capsys: pytest.CaptureFixture[s
     assert main(["fit", "batch", "tree", "--threads"]) == 1
     assert older != "" and file.read_text() == older
     told = capsys.readouterr().err
-    assert "1 file of an earlier batch, left as they are: tree-fits/materials/elm.yaml" in told
+    assert "1 file of an earlier batch kept: tree-fits/materials/elm.yaml" in told
 
 
 def test_tables_and_page(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tree / "silk/notes.txt").write_text("")
     assert main(["fit", "batch", "tree", "--threads", "-o", "out"]) == 1
     printed = capsys.readouterr()
-    assert "hapticd: 1 file left out, no recordings: silk/notes.txt" in printed.err
+    assert "hapticd: 1 file left out, not recordings: silk/notes.txt" in printed.err
     assert "5 materials: " in printed.out and "1 refused" in printed.out
     lines = printed.out.splitlines()
     assert lines[0].split() == ["rank", "material", "verdict", "fits", "recordings", "reasons"]
@@ -178,9 +178,7 @@ def test_tables_and_page(tree: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert checked.open == [] and checked.anchors <= checked.ids
     assert checked.files == {f"materials/{n}.yaml" for n in ("wood", "steel", "comb", "silk")}
     assert main(["sweep", "show", "out"]) == 1
-    assert capsys.readouterr().err == (
-        "hapticd: out: holds a batch of fits; hapticd fit batch shows it, as does its report.html\n"
-    )
+    assert capsys.readouterr().err == ("hapticd: out: holds results of hapticd fit batch; see its report.html\n")
     # One picture a fit that was not refused, and one over the materials for taps alone: only they have two.
     assert text.count("data:image/png;base64,") == 5 + 1
 
@@ -216,7 +214,7 @@ def test_without_matplotlib_the_page_has_no_pictures(
         shutil.rmtree(tree / name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["fit", "batch", "tree", "--threads"]) == 0
-    assert "the page has no pictures: a report needs matplotlib" in capsys.readouterr().err
+    assert "the page has no figures: a report needs matplotlib" in capsys.readouterr().err
     assert "base64" not in Path("tree-fits/report.html").read_text()
 
 

@@ -48,7 +48,7 @@ def test_participants_in_bulk_are_those_that_are_simulated_alone(
     many, alone = tmp_path / "many", tmp_path / "alone"
     result = ran(file, "--offline", "--participant", "simulated:A", "--count", "2", "--threads", "-o", str(many))
     assert result.exit_code == 0, result.output
-    assert "2 participants: 2 computed" in result.output and "2 sessions written, 0 were there" in result.output
+    assert "2 participants: 2 computed" in result.output and "2 sessions written, 0 already existed" in result.output
     for label in LABELS[:2]:
         name = label.removeprefix("sim")
         assert ran(file, "--offline", "--participant", f"simulated:{name}", "-o", str(alone)).exit_code == 0
@@ -60,7 +60,7 @@ def test_participants_in_bulk_are_those_that_are_simulated_alone(
         assert (many / path).read_bytes() == (alone / path).read_bytes(), path
     rows = many / "sourcedata" / "simulated"
     assert main(["sweep", "show", str(rows)]) == 1
-    told = "holds sessions of simulated participants; hapticd experiment analyze shows them"
+    told = "holds sessions of simulated participants; use: hapticd experiment analyze"
     assert capsys.readouterr().err == f"hapticd: {rows}: {told}\n"
 
 
@@ -76,8 +76,8 @@ def test_rows_are_the_same_bits_from_threads_and_from_processes_and_more_are_onl
     assert told[0] == told[1]
     words = ["--offline", "--participant", "simulated:A", "--count", "5", "--threads", "-o", str(tmp_path / "threads")]
     result = ran(file, *words)
-    assert "5 participants: 2 computed" in result.stdout and "3 were there" in result.stdout
-    assert "2 sessions written, 3 were there" in result.stdout
+    assert "5 participants: 2 computed" in result.stdout and "3 already existed" in result.stdout
+    assert "2 sessions written, 3 already existed" in result.stdout
     people = (tmp_path / "threads" / "participants.tsv").read_text().split()
     assert people == ["participant_id", *(f"sub-{label}" for label in numbered("simA", 5))]
     assert CliRunner().invoke(cli, ["experiment", "analyze", str(tmp_path / "threads")]).exit_code == 0
@@ -112,7 +112,7 @@ def test_a_folder_of_which_the_disk_may_know_nothing_is_written_again(tmp_path: 
     expected = without_clock(log)
     log.write_bytes(b"")
     result = ran(file, *words)
-    assert result.exit_code == 0 and "1 session written, 1 were there" in result.stdout
+    assert result.exit_code == 0 and "1 session written, 1 already existed" in result.stdout
     assert without_clock(log) == expected and len(known.read_text().split()) == 2
 
 
@@ -171,13 +171,20 @@ def test_a_participant_that_cannot_be_simulated_is_a_row_with_the_reason(monkeyp
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--participant", "simulated:A", "--count", "3"], "are for simulated participants with --offline"),
-        (["--participant", "simulated:A", "--workers", "2"], "are for simulated participants with --offline"),
-        (["--participant", "P01", "--offline", "--count", "3"], "--offline is for a simulated participant"),
-        (["--participant", "simulated:A", "--offline", "--count", "3", "--telemetry"], "one after the other"),
+        (["--participant", "simulated:A", "--count", "3"], "need --offline and simulated participants"),
+        (["--participant", "simulated:A", "--workers", "2"], "need --offline and simulated participants"),
+        (["--participant", "P01", "--offline", "--count", "3"], "--offline needs a simulated participant"),
+        (
+            ["--participant", "simulated:A", "--offline", "--count", "3", "--telemetry"],
+            "--telemetry cannot be combined",
+        ),
         (
             ["--participant", "simulated:A", "--participant", "simulated:B", "--offline", "--count", "3"],
-            "--count is of",
+            "--count needs a single",
+        ),
+        (
+            ["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"],
+            "cannot be combined",
         ),
         (["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"], "leave out"),
         (

@@ -80,9 +80,9 @@ def test_where_keeps_rows(folder: str, capsys: pytest.CaptureFixture[str]) -> No
     ("words", "told"),
     [
         (["--where", "rate_hz"], "--where rate_hz: must be COLUMN=VALUE"),
-        (["--where", "rate=1000"], "--where rate=1000: no one column is called rate; known: point, device"),
-        (["--where", "rate_hz=fast"], "--where rate_hz=fast: servo.rate_hz is a number"),
-        (["--html", "page.pdf"], "page.pdf: is no kind of page: must end in .html"),
+        (["--where", "rate=1000"], "--where rate=1000: unknown column rate; known: point, device"),
+        (["--where", "rate_hz=fast"], "--where rate_hz=fast: servo.rate_hz must be a number"),
+        (["--html", "page.pdf"], "page.pdf: must end in .html"),
     ],
 )
 def test_a_mistake_is_one_line(words: list[str], told: str, folder: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -128,7 +128,7 @@ class Connection:
     def __init__(self, path: Path, kind: bytes) -> None:
         self.sock = socket.socket(socket.AF_UNIX)
         self.sock.setblocking(False)
-        self.path, self.hello = path, zmtp.GREETING + zmtp.ready(kind)
+        self.path, self.hello = path, zmtp.ZMTP_GREETING + zmtp.ready(kind)
         self.came = 0
         self.ended = False
 
@@ -152,7 +152,7 @@ class Connection:
                 data = b""
             self.came += len(data)
             self.ended = self.ended or not data
-        return self.ended or self.came > len(zmtp.GREETING)
+        return self.ended or self.came > len(zmtp.ZMTP_GREETING)
 
 
 def connections(number: int) -> None:

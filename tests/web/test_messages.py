@@ -51,7 +51,7 @@ def test_what_is_not_listed_is_refused_and_never_reaches_the_daemon(method: str)
 
 
 def test_no_method_of_the_daemon_is_there_without_a_decision() -> None:
-    known = {*_METHODS, *streams.METHODS}
+    known = {*_METHODS, *streams.STREAM_KIND_BY_METHOD}
     assert known - page_calls.PASSED - page_calls.SAFETY - page_calls.STREAMS == {"reload", "dump_flight"}
 
 

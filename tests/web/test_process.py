@@ -160,7 +160,7 @@ def test_what_cannot_start_says_why_in_one_line(
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         assert f"--port {port}: is in use" in refusal(capfd, "web", "--port", port)
-    assert "--config is for --demo" in refusal(capfd, "web", "-c", "play.yaml")
+    assert "--config needs --demo" in refusal(capfd, "web", "-c", "play.yaml")
     assert "leave --runtime-dir out" in refusal(capfd, "--runtime-dir", str(tmp_path), "web", "--demo")
     broken = tmp_path / "play.yaml"
     broken.write_text("servo: {rate_hz: none}\n")

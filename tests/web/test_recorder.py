@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from hapticd.base.errors import HapticdError
-from hapticd.client.record import STOPPED, RecordSummary
+from hapticd.client.record import STOPPED_REASON, RecordSummary
 from hapticd.web import recorder
 from hapticd.web.recorder import WebRecorder
 from hapticd.web.recording_folder import RecordingFolder
@@ -34,7 +34,7 @@ def until_stopped(
     progress(0.004)
     assert stop.wait(10)
     target.write_bytes(b"whole")
-    return summary(target, STOPPED)
+    return summary(target, STOPPED_REASON)
 
 
 @pytest.fixture

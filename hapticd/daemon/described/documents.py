@@ -17,8 +17,8 @@ from hapticd.daemon.described.words import (
 )
 from hapticd.daemon.telemetry import SAMPLES_EVERY_S, STATE_EVERY_S, STATUS_EVERY_S
 from hapticd.protocol import results
-from hapticd.protocol.messages import PROTOCOL, Code
-from hapticd.protocol.streams import METHODS as STREAMS
+from hapticd.protocol.messages import PROTOCOL_VERSION, Code
+from hapticd.protocol.streams import STREAM_KIND_BY_METHOD as STREAMS
 
 # ---- OpenRPC ---------------------------------------------------------------------------------------------------------
 
@@ -61,7 +61,7 @@ def openrpc_document() -> dict[str, Json]:
             "description": _ABOUT_REQUESTS,
             "license": {"name": "MIT"},
         },
-        "x-protocol": PROTOCOL,
+        "x-protocol": PROTOCOL_VERSION,
         "x-errors-of-any-message": [_error_ref(code) for code in CODES_OF_ANY_MESSAGE],
         "methods": [_method(name, schemas) for name in METHODS],
         "components": {
@@ -169,7 +169,7 @@ def asyncapi_document() -> dict[str, Json]:
             "description": _ABOUT_TELEMETRY,
             "license": {"name": "MIT"},
         },
-        "x-protocol": PROTOCOL,
+        "x-protocol": PROTOCOL_VERSION,
         "defaultContentType": _MSGPACK,
         "servers": {name: _server(name) for name in ("telemetry", "command")},
         "channels": channels,
