@@ -96,7 +96,7 @@ def test_a_stream_stands_until_it_timed_out_and_then_another_begins_at_any_numbe
     assert bench.send("a", 1000)
     bench.now_ns += TIMEOUT_NS - 1
     assert not bench.send("b", 2000)
-    with pytest.raises(NotInTurnError, match="stopped for 20 ms") as held:
+    with pytest.raises(NotInTurnError, match="sent nothing for 20 ms") as held:
         bench.streams.take("b", "force", 2000, 0.0, 0.0)
     assert (held.value.code, held.value.data) == (Code.STREAM_HELD, {"free_s": 1e-9})
     assert bench.send("b", 1, "target")  # the other kind is free

@@ -382,7 +382,7 @@ def test_a_daemon_stops_first_what_the_one_before_it_left(
     (node.entry / "device" / "uevent").unlink()
     with caplog.at_level(logging.INFO):
         _stop_what_was_left(record)
-        assert "the daemon before: " in caplog.text and "nothing was sent" in caplog.text
+        assert "previous daemon: " in caplog.text and "nothing was sent" in caplog.text
         assert not record.exists()
         record.write_text("{}")
         record.chmod(0o622)

@@ -26,7 +26,7 @@ from hapticd.config.operator import OperatorParams, PunctureGesture, StrokeGestu
 from hapticd.daemon.counters import Granted
 from hapticd.daemon.described.words import CODES
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import _METHODS, Methods
+from hapticd.daemon.methods import _METHOD_HANDLERS, Methods
 from hapticd.doctor import diagnose
 from hapticd.doctor.machine import Machine, Needs
 from hapticd.protocol import messages
@@ -101,12 +101,12 @@ def test_tables_are_those_of_the_code(name: str) -> None:
 
 def test_every_method_is_documented() -> None:
     documented = re.findall(r"^### (\w+)$", section(PROTOCOL, "## Methods"), flags=re.MULTILINE)
-    assert documented == list(_METHODS)
+    assert documented == list(_METHOD_HANDLERS)
 
 
-@pytest.mark.parametrize("method", _METHODS)
+@pytest.mark.parametrize("method", _METHOD_HANDLERS)
 def test_parameters(method: str) -> None:
-    model: type[BaseModel] = _METHODS[method][0] or OperatorParams
+    model: type[BaseModel] = _METHOD_HANDLERS[method][0] or OperatorParams
     rows = tables(section(PROTOCOL, f"### {method}")).get("parameter", [])
     assert {name for name in first_names(rows) if name != "id"} == set(model.model_fields)
     for row in rows:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hapticd.daemon.methods import _METHODS
+from hapticd.daemon.methods import _METHOD_HANDLERS
 from hapticd.protocol import messages, streams
 from hapticd.protocol.messages import Code, WireError
 from hapticd.web import outbox, page_calls, page_limits
@@ -51,7 +51,7 @@ def test_what_is_not_listed_is_refused_and_never_reaches_the_daemon(method: str)
 
 
 def test_no_method_of_the_daemon_is_there_without_a_decision() -> None:
-    known = {*_METHODS, *streams.METHODS}
+    known = {*_METHOD_HANDLERS, *streams.METHODS}
     assert known - page_calls.PASSED - page_calls.SAFETY - page_calls.STREAMS == {"reload", "dump_flight"}
 
 

@@ -15,7 +15,7 @@ from hapticd.daemon.described.words import (
     RULES,
     RULES_OF_METHOD,
 )
-from hapticd.daemon.telemetry import SAMPLES_EVERY_S, STATE_EVERY_S, STATUS_EVERY_S
+from hapticd.daemon.telemetry import SAMPLES_INTERVAL_S, STATE_INTERVAL_S, STATUS_INTERVAL_S
 from hapticd.protocol import results
 from hapticd.protocol.messages import PROTOCOL, Code
 from hapticd.protocol.streams import METHODS as STREAMS
@@ -131,11 +131,11 @@ class _Topic(NamedTuple):
 
 def _topics() -> list[_Topic]:
     return [
-        _Topic("samples", f"Every tick, in batches that leave every {1e3 * SAMPLES_EVERY_S:.0f} ms.", samples_schema()),
-        _Topic("state", f"The newest sample, {1 / STATE_EVERY_S:.0f} times a second.", schema_of(results.State)),
+        _Topic("samples", f"Every tick, in batches that leave every {1e3 * SAMPLES_INTERVAL_S:.0f} ms.", samples_schema()),
+        _Topic("state", f"The newest sample, {1 / STATE_INTERVAL_S:.0f} times a second.", schema_of(results.State)),
         _Topic("event", "What happened: contacts, ruptures, faults, marks.", event_schema()),
         _Topic("change", "What commands changed, once they did.", schema_of(results.Change)),
-        _Topic("status", f"What `get_status` answers, every {STATUS_EVERY_S:.0f} s.", schema_of(results.Status)),
+        _Topic("status", f"What `get_status` answers, every {STATUS_INTERVAL_S:.0f} s.", schema_of(results.Status)),
     ]
 
 
