@@ -183,25 +183,25 @@ def protocol(page: str) -> str:
         [
             (
                 "connections of one process to a socket",
-                f"{router.COMMAND_SOCKET_LIMITS.process_connections}; a new one is ended",
+                f"{router.COMMAND_SOCKET_LIMITS.process_connections}; a new one is closed",
             ),
             (
                 "all connections to a socket",
-                f"{router.COMMAND_SOCKET_LIMITS.connections:,}; the newest of whoever has most is ended",
+                f"{router.COMMAND_SOCKET_LIMITS.connections:,}; the user with most connections loses the newest one",
             ),
-            ("parts of a message", f"{router.MAX_MESSAGE_FRAMES:,}"),
+            ("frames of a message", f"{router.MAX_MESSAGE_FRAMES:,}"),
             (
-                "a message, all parts together",
-                f"{router.MAX_MESSAGE_BYTES // mib} MiB; {publisher.TELEMETRY_SOCKET_LIMITS.message.size // 1024} KiB to the telemetry "
-                "socket",
+                "a message, all frames together",
+                f"{router.MAX_MESSAGE_BYTES // mib} MiB; "
+                f"{publisher.TELEMETRY_SOCKET_LIMITS.message.size // 1024} KiB to the telemetry socket",
             ),
-            ("a handshake", f"{peers.HANDSHAKE_TIMEOUT_S:g} s"),
-            ("subscriptions to what is no topic", f"{publisher.MAX_USELESS_SUBSCRIPTIONS:,}"),
+            ("time for the handshake", f"{peers.HANDSHAKE_TIMEOUT_S:g} s"),
+            ("subscriptions that match no topic", f"{publisher.MAX_USELESS_SUBSCRIPTIONS:,}"),
             (
-                "parts of messages that came, and answers that are not read, of all clients together",
-                f"{router.COMMAND_SOCKET_LIMITS.buffers // mib} MiB; it ends whoever has most",
+                "incomplete messages and unread answers, of all clients together",
+                f"{router.COMMAND_SOCKET_LIMITS.buffers // mib} MiB; the connection that holds most is closed",
             ),
-            ("anything that is not ZMTP 3", ""),
+            ("data that is not ZMTP 3", "closed at once"),
         ],
     )
     return block(
@@ -210,10 +210,10 @@ def protocol(page: str) -> str:
         [
             ("version of the protocol", messages.PROTOCOL),
             ("length", f"{messages.MAX_BODY // mib} MiB"),
-            ("depth, the body itself counted", codec.MAX_DEPTH),
+            ("depth, including the body itself", codec.MAX_DEPTH),
             ("members of a map", f"{messages.MAX_MEMBERS:,}"),
-            ("messages that are kept for a slow subscriber", publisher.MAX_QUEUED_MESSAGES),
-            ("bytes that are kept for it", f"{publisher.MAX_QUEUED_BYTES // mib} MiB"),
+            ("messages queued for a slow subscriber", publisher.MAX_QUEUED_MESSAGES),
+            ("bytes queued for a slow subscriber", f"{publisher.MAX_QUEUED_BYTES // mib} MiB"),
         ],
     )
 

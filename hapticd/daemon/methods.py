@@ -327,7 +327,7 @@ class Methods:
         engine = self._engine
         materials, patched = yield from patched_materials(params.materials, engine.materials)
         missing = [
-            Problem(path_text(("materials", name)), f"is used by object {quoted(id)} of the scene, so it must stay")
+            Problem(path_text(("materials", name)), f"cannot be removed: object {quoted(id)} uses it")
             for id, item in engine.scene.objects.items()
             for name in material_names(item)
             if name not in materials

@@ -19,7 +19,7 @@ from referencing import Registry, Resource
 from hapticd.base.core import EventKind
 from hapticd.cli import cli
 from hapticd.daemon.described.documents import asyncapi_document, openrpc_document
-from hapticd.daemon.described.words import CODES, METHODS, RULES_OF_METHOD
+from hapticd.daemon.described.words import CODE_DESCRIPTIONS, METHOD_DESCRIPTIONS, RULES_OF_METHOD
 from hapticd.daemon.methods import METHOD_PARAMS
 from hapticd.daemon.telemetry import TELEMETRY_TOPICS
 from hapticd.protocol.messages import Code
@@ -134,10 +134,10 @@ def _references(tree: Any) -> set[str]:
 
 
 def test_every_method_code_and_topic_is_described() -> None:
-    assert [*METHODS] == [*METHOD_PARAMS] == [method["name"] for method in OPENRPC["methods"]] == [*CALLS]
-    assert [*CODES] == [*Code]
+    assert [*METHOD_DESCRIPTIONS] == [*METHOD_PARAMS] == [method["name"] for method in OPENRPC["methods"]] == [*CALLS]
+    assert [*CODE_DESCRIPTIONS] == [*Code]
     assert [channel for channel in ASYNCAPI["channels"] if channel != "command"] == [*TELEMETRY_TOPICS]
-    assert RULES_OF_METHOD.keys() <= METHODS.keys()
+    assert RULES_OF_METHOD.keys() <= METHOD_DESCRIPTIONS.keys()
 
 
 @pytest.mark.parametrize(("protocol", "document"), [("openrpc", OPENRPC), ("asyncapi", ASYNCAPI)])

@@ -183,7 +183,7 @@ def test_a_device_with_a_hand_of_its_own_takes_forces_and_no_targets(tmp_path: P
     engine.stop()
     refused, taken = answers
     assert (refused["id"], refused["error"]["code"]) == (1, messages.Code.NO_OPERATOR)
-    assert "this device is of kind replay" in refused["error"]["message"]
+    assert "device.kind is replay" in refused["error"]["message"]
     assert taken["result"]["forces"] == "off" and "warning" in taken["result"]
     status: Any = methods.status()["streams"]
     assert (status["target"]["received"], status["target"]["refused"]) == (2, 2)

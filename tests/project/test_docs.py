@@ -24,7 +24,7 @@ from hapticd.config.hid import Hid, Quirk
 from hapticd.config.materials import ModeKeys
 from hapticd.config.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
 from hapticd.daemon.counters import Granted
-from hapticd.daemon.described.words import CODES
+from hapticd.daemon.described.words import CODE_DESCRIPTIONS
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import _METHOD_HANDLERS, Methods
 from hapticd.doctor import diagnose
@@ -139,7 +139,7 @@ def test_error_codes() -> None:
     rows = tables(section(PROTOCOL, "## Errors"))["code"]
     assert {
         Code(int(row[0])): (row[2], row[3]) for row in ([without_links(cell) for cell in row] for row in rows)
-    } == CODES
+    } == CODE_DESCRIPTIONS
     assert {(int(row[0]), *names(row[1])) for row in rows} == {(int(code), code.name) for code in messages.Code}
 
 
