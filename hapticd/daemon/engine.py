@@ -590,9 +590,7 @@ class Engine:
         try:
             number = self._marks.add(mark)
         except MarksFullError:
-            raise RingFullError(
-                f"all {MARKS} places for marks are taken by marks whose events are not sent yet"
-            ) from None
+            raise RingFullError(f"{MARKS} marks are under way: their events have not been sent yet") from None
         command = self._command(CommandKind.MARK)
         command.value = number
         try:
