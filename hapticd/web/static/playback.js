@@ -119,7 +119,7 @@ export class Playback {
     this.active = this.playing = false;
     this.store = this.facts = null;
     this.#ahead = [];
-    this.#tell(false);
+    this.#dispatch(false);
   }
 
   // Goes to a row of the file. Of many calls, as from a slider, only the last takes effect.
@@ -152,7 +152,7 @@ export class Playback {
       }
     }
     if (jump === this.#jump) {
-      this.#tell(true);
+      this.#dispatch(true);
     }
   }
 
@@ -180,14 +180,14 @@ export class Playback {
     this.playing = true;
     this.#exact = this.row;
     this.#lastFrame = performance.now();
-    this.#tell(false);
+    this.#dispatch(false);
     requestAnimationFrame((now) => this.#frame(now));
   }
 
   pause() {
     if (this.playing) {
       this.playing = false;
-      this.#tell(false);
+      this.#dispatch(false);
     }
   }
 
@@ -205,7 +205,7 @@ export class Playback {
         this.pause();
         return;
       }
-      this.#tell(false, "moment");
+      this.#dispatch(false, "moment");
       this.#exact = Math.min(this.#exact, this.store.rows); // waits for rows that have not come yet
     }
     requestAnimationFrame((next) => this.#frame(next));
@@ -270,7 +270,7 @@ export class Playback {
     return [...touched];
   }
 
-  #tell(moved, event = "playback") {
+  #dispatch(moved, event = "playback") {
     const { active, playing, store, state } = this;
     const detail = { active, moved, playing, store, state, touching: this.#touching() };
     this.#view.dispatchEvent(new CustomEvent(event, { detail }));

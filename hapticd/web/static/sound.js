@@ -50,7 +50,7 @@ export class Sound extends EventTarget {
       this.#rate = model.rateHz;
       const options = { numberOfInputs: 0, outputChannelCount: [2], processorOptions: { rate: this.#rate } };
       const output = new AudioWorkletNode(context, "hapticd-vibration", options);
-      output.port.onmessage = ({ data }) => this.#told(data.report);
+      output.port.onmessage = ({ data }) => this.#reported(data.report);
       output.onprocessorerror = () => this.#failed();
       output.port.postMessage(this.settings);
       output.connect(context.destination);
@@ -102,7 +102,7 @@ export class Sound extends EventTarget {
     return { ...parts, sum: parts.way + parts.buffer + parts.pitch + parts.output };
   }
 
-  #told(report) {
+  #reported(report) {
     if (report !== undefined && this.running) {
       this.report = report;
       this.dispatchEvent(new Event("report"));

@@ -121,9 +121,9 @@ export class SoundPanel {
     put("gaps", report === null ? "-" : `${report.gaps + report.skips}${lost}`);
     put("correction", report === null ? "-" : `${(1e2 * report.correction).toFixed(3)} %`);
     const parts = latency ?? { way: 0, buffer: 0, pitch: 0, output: 0 };
-    const told =
+    const text =
       `To this page ${ms(parts.way)}, in the buffer ${ms(parts.buffer)}, for the pitch ${ms(parts.pitch)}, ` +
       `in browser and device ${ms(parts.output)}.`;
-    put("parts", latency === null ? "" : told);
+    put("parts", latency === null ? "" : text);
   }
 }

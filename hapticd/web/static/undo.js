@@ -74,7 +74,7 @@ export class Undo extends EventTarget {
     }
     this.#future = [];
     this.#insisting = null;
-    this.#tell();
+    this.#dispatch();
   }
 
   undo() {
@@ -109,7 +109,7 @@ export class Undo extends EventTarget {
       from().pop();
       to().push({ ...step, join: null });
       this.#app.view.dispatchEvent(notice(`${done}: ${step.label}`, "info"));
-      this.#tell();
+      this.#dispatch();
     });
     return this.#busy;
   }
@@ -127,7 +127,7 @@ export class Undo extends EventTarget {
     return result;
   }
 
-  #tell() {
+  #dispatch() {
     this.dispatchEvent(new Event("changed"));
   }
 

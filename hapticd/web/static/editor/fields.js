@@ -47,7 +47,7 @@ export function numberInput(editor, frame, spec, number) {
     }
   }
 
-  function tell(problem) {
+  function showProblem(problem) {
     state.refused = problem !== null;
     const held = number.get();
     const inForce = state.refused && held !== undefined ? ` In force: ${withUnit(held, number.unit)}; Escape puts it back.` : "";
@@ -64,7 +64,7 @@ export function numberInput(editor, frame, spec, number) {
     if (state.edits !== sent) {
       return;
     }
-    tell(problem);
+    showProblem(problem);
     if (problem === null) {
       state.draft = false;
       follow();
@@ -82,7 +82,7 @@ export function numberInput(editor, frame, spec, number) {
       return;
     }
     const value = text.value === format(number.get() ?? NaN, unit) ? number.get() : parse(text.value, unit);
-    Number.isNaN(value) ? tell(NOT_A_NUMBER_TEXT) : send(value);
+    Number.isNaN(value) ? showProblem(NOT_A_NUMBER_TEXT) : send(value);
   });
   text.addEventListener("keydown", (event) => {
     if (event.key === "Escape" && (state.draft || state.refused)) {
@@ -93,7 +93,7 @@ export function numberInput(editor, frame, spec, number) {
 
   function reset() {
     state.draft = false;
-    tell(null);
+    showProblem(null);
     show(number.get());
   }
 
@@ -107,7 +107,7 @@ export function numberInput(editor, frame, spec, number) {
     const drag = state.drag;
     editor.live(number.patch(value)).then((problem) => {
       if (state.drag === drag && drag.value === value) {
-        tell(problem);
+        showProblem(problem);
       }
     });
   });

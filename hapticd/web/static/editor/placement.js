@@ -95,7 +95,7 @@ export function duplicate(object, objects, handle) {
   return copy;
 }
 
-// A name that nobody has: `wall`, `wall_2`, ...
+// Returns an unused name: `wall`, `wall_2`, ...
 export function freeName(wanted, taken) {
   const base = wanted.replace(/_\d+$/, "");
   let name = taken.includes(wanted) ? `${base}_2` : wanted;

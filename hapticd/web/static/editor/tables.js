@@ -211,7 +211,7 @@ export function listField(editor, spec, picture) {
   const graph = make("div", { class: "curve", "aria-hidden": "true" });
   let shown = null;
   let refused = false;
-  const tell = (problem) => {
+  const showProblem = (problem) => {
     refused = problem !== null;
     frame.showProblem(problem, [text]);
   };
@@ -224,7 +224,7 @@ export function listField(editor, spec, picture) {
     const wrong = numbers.findIndex((number) => !Number.isFinite(number));
     const problem = wrong >= 0 ? `Entry ${wrong + 1} is not a number.` : await editor.change(spec.label.toLowerCase(), () => editor.patch(spec.path, numbers));
     text.dataset.draft = "false";
-    tell(problem);
+    showProblem(problem);
     follow();
   });
   function follow() {

@@ -47,8 +47,8 @@ export class Warnings extends EventTarget {
       return found;
     }
     const used = usedMaterials(this.#app.model.scene);
-    const told = Object.entries(this.#unused).flatMap(([name, lines]) => (used.has(name) ? [] : lines));
-    return [...found, ...told, ...undisplayable.map((mode) => this.#undisplayable(mode))];
+    const unused = Object.entries(this.#unused).flatMap(([name, lines]) => (used.has(name) ? [] : lines));
+    return [...found, ...unused, ...undisplayable.map((mode) => this.#undisplayable(mode))];
   }
 
   // Returns {kind: ok, warn or plain; text} for the objects that have a material.

@@ -40,10 +40,10 @@ export class Description {
   update(moment, touching) {
     this.#newest = [moment, touching];
     clearTimeout(this.#timer); // it may be set for a text several seconds later
-    this.#tell();
+    this.#speak();
   }
 
-  #tell() {
+  #speak() {
     const now = performance.now();
     const [moment, touching] = this.#newest;
     const text = words(moment, touching);
@@ -61,7 +61,7 @@ export class Description {
       .filter(([element]) => element.textContent !== text)
       .map(([, at]) => at - now);
     if (late.length > 0) {
-      this.#timer = setTimeout(() => this.#tell(), Math.max(0, Math.min(...late)));
+      this.#timer = setTimeout(() => this.#speak(), Math.max(0, Math.min(...late)));
     }
   }
 }
