@@ -59,7 +59,7 @@ SAYS: Final = {
     "provenance": r"must be a day|must not end below",
     "stroke": "from_m and to_m must differ",
     "json": r"what JSON can hold|bytes as JSON|^data\S*: must be finite",
-    "known": r"unknown material|unknown object|has the id|cannot be removed|is a waveform, which play|neither a tap nor",
+    "known": r"unknown (material|object)|has the id|cannot be removed|is a waveform, which play|neither a tap nor",
     "rate": r"of the rate|servo rate|servo\.rate",
     "reach": r"is beyond the|has no stiffness|cannot be punctured|would last",
     "seq": "must be above .*the last of this stream",
