@@ -204,25 +204,25 @@ def protocol(page: str) -> str:
         [
             (
                 "connections of one process to a socket",
-                f"{router.LIMITS.process_connections}; a new one is ended",
+                f"{router.COMMAND_SOCKET_LIMITS.process_connections}; a new one is closed",
             ),
             (
                 "all connections to a socket",
-                f"{router.LIMITS.connections:,}; the newest of whoever has most is ended",
+                f"{router.COMMAND_SOCKET_LIMITS.connections:,}; the user with most connections loses the newest one",
             ),
-            ("parts of a message", f"{router.MOST_FRAMES:,}"),
+            ("frames of a message", f"{router.MAX_MESSAGE_FRAMES:,}"),
             (
-                "a message, all parts together",
-                f"{router.LARGEST_MESSAGE // mib} MiB; {publisher.LIMITS.message.size // 1024} KiB to the telemetry "
-                "socket",
+                "a message, all frames together",
+                f"{router.MAX_MESSAGE_BYTES // mib} MiB; "
+                f"{publisher.TELEMETRY_SOCKET_LIMITS.message.size // 1024} KiB to the telemetry socket",
             ),
-            ("a handshake", f"{peers.HANDSHAKE_S:g} s"),
-            ("subscriptions to what is no topic", f"{publisher.MOST_USELESS:,}"),
+            ("time for the handshake", f"{peers.HANDSHAKE_TIMEOUT_S:g} s"),
+            ("subscriptions that match no topic", f"{publisher.MAX_USELESS_SUBSCRIPTIONS:,}"),
             (
-                "parts of messages that came, and answers that are not read, of all clients together",
-                f"{router.LIMITS.buffers // mib} MiB; it ends whoever has most",
+                "incomplete messages and unread answers, of all clients together",
+                f"{router.COMMAND_SOCKET_LIMITS.buffers // mib} MiB; the connection that holds most is closed",
             ),
-            ("anything that is not ZMTP 3", ""),
+            ("data that is not ZMTP 3", "closed at once"),
         ],
     )
     return block(
@@ -233,8 +233,8 @@ def protocol(page: str) -> str:
             ("length", f"{messages.MAX_BODY_BYTES // mib} MiB"),
             ("depth, the body itself counted", codec.MAX_DEPTH),
             ("members of a map", f"{messages.MAX_MAP_MEMBERS:,}"),
-            ("messages that are kept for a slow subscriber", publisher.QUEUED_MESSAGES),
-            ("bytes that are kept for it", f"{publisher.QUEUED_BYTES // mib} MiB"),
+            ("messages that are kept for a slow subscriber", publisher.MAX_QUEUED_MESSAGES),
+            ("bytes that are kept for it", f"{publisher.MAX_QUEUED_BYTES // mib} MiB"),
         ],
     )
 

@@ -73,5 +73,5 @@ def _neither_the_users_configuration_nor_an_installed_service(
 def _a_servo_of_this_process_may_be_held_up() -> Iterator[None]:
     """A command waits for the servo's thread until it comes to run; the bound only keeps a broken test from hanging."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hapticd.daemon.command_ring.WAIT_S", 60.0)
+        patch.setattr("hapticd.daemon.command_ring.COMMAND_TIMEOUT_S", 60.0)
         yield

@@ -2,39 +2,39 @@
 
 From a request to the servo, and back:
 
-    process          configuration, runtime directory, threads, signals: starts everything and takes it down
-    peers            a listening socket and the ZeroMQ peers that come to it, each in its turn (ADR 0024)
-    router           the command socket: frames in, answers out
-    dispatch         the command thread: answers requests, makes changes in steps and answers others between them, beats
-    methods          the protocol's methods: what each does and answers, and the code of each error
-    params           what the methods take
-    described/       the protocol as OpenRPC and AsyncAPI documents, made of params, results and records
-    refusal          why a request is refused
-    streams          streamed targets and forces: who sends, in which order, and what became of every message
-    lease            forces stay on only while somebody renews the lease
-    reload           reads the configuration again, and says what needs a restart
-    engine           scene, compiled table and servo: what the methods act on
+    process          configuration, runtime directory, threads, signals: starts and stops everything
+    peers            a listening socket and its ZeroMQ peers, which take turns (ADR 0024)
+    router           the command socket: receives requests, sends answers
+    dispatch         the command thread: answers requests, runs changes in steps, sends the servo a heartbeat
+    methods          the handlers of the protocol's methods, and the code of each error
+    params           the params of the methods
+    described/       the protocol as OpenRPC and AsyncAPI documents, generated from params, results and records
+    refusal          the exception that carries the error object of an answer
+    streams          streamed targets and forces: sender, order and counters of messages
+    lease            the lease: forces stay on only while a client renews it
+    reload           reads the configuration again, and finds the keys that need a restart
+    engine           scene, compiled table and servo, on which the methods act
     command_ring     sends commands to the servo, and waits for the tick that takes them
 
-What the servo reports:
+Telemetry and status:
 
-    telemetry        the telemetry thread: drains the servo's rings and makes messages of them
+    telemetry        the telemetry thread: drains the servo's rings into messages
     publisher        the telemetry socket: sends those messages to subscribers
-    counters         what the servo counts, read from the structs of csrc/api/
+    counters         the servo's counters, read from the structs of csrc/api/
     status           the result of `get_status`
-    status_text      the status as a person reads it; clients use it, too
-    flight_recorder  the last seconds, kept, and written by the flight thread on a fault or on request
-    flight_scene     what those seconds were rendered with
+    status_text      the status as lines of text; clients use it, too
+    flight_recorder  keeps the last seconds; the flight thread writes them on a fault or on request
+    flight_scene     the scene and the changes of those seconds
 
 Questions, and where to begin:
 
     What happens when a method is called?
-        dispatch (take) decodes it, methods (perform, change) checks its parameters and carries it out on the engine.
+        dispatch (take) decodes it; methods (perform, change) validates its params and carries it out on the engine.
     How does a scene reach the servo?
         methods (_set_scene), then engine, which has rendering/compiler/table rewrite what changed and publishes it.
     Why did a request get an error?
-        refusal (MethodError) is the error of the answer; methods (_refusals) makes it of what others raise. Faults of
-        keys and values are put into words by base/model (_fault).
+        refusal (MethodError) is the error of the answer; methods (_refusals) converts other exceptions to it.
+        base/model (_fault) phrases the problems of keys and values.
     Where does a sample go?
         telemetry drains it; publisher sends it; flight_recorder keeps it.
     What ends the force?

@@ -1,6 +1,6 @@
 """The command ring: sends commands to the servo, loses none, and waits for the tick that takes them.
 
-Modes that were sent to be struck are remembered until the servo took them. For the thread that serves commands.
+It also keeps each mode of the method `play` until the servo has struck it. For the command thread.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from hapticd.rendering.device_output import Output
 if TYPE_CHECKING:
     from hapticd.hid.offload import EffectUse
 
-WAIT_S: Final = 1.0
-"""How long a command waits for the servo to take it."""
-_MOST_PLAYS: Final = 4096
-"""So many are remembered, no less than the ring holds."""
-LOOK_EVERY_NS: Final = 50_000_000
-"""So often the thread that serves commands looks whether the servo needs something."""
+COMMAND_TIMEOUT_S: Final = 1.0
+"""Time within which the servo must take a command. docs/protocol.md states it."""
+_MAX_PENDING_PLAYS: Final = 4096
+"""Plays that are kept until they are struck. Must not be less than the capacity of the servo's command ring."""
+SERVO_POLL_INTERVAL_NS: Final = 50_000_000
+"""Interval in which the command thread checks whether the servo needs a step down or a device check."""
 
 
 class RingFullError(HapticdError):
-    """The servo has not yet taken what was sent before; nothing of this was sent."""
+    """The command ring is full: the servo has not taken earlier commands, and none of these was sent."""
 
 
 class WaitTimeoutError(HapticdError):
@@ -37,42 +37,45 @@ class WaitTimeoutError(HapticdError):
 
 
 class Play(NamedTuple):
-    """What is struck, whatever the rate is when it is."""
+    """A mode that the method `play` strikes, independent of the servo's rate."""
 
     mode: Mode
     attack: Attack
     direction: tuple[float, float]
     amplitude_m_per_s2: float
     effect: EffectUse | None
-    """What the device plays in its place."""
+    """The device effect that plays the mode instead of the servo; None: the servo plays it."""
 
     def record(self, output: Output) -> tuple[float | list[float], ...]:
-        """The numbers of its `struct hd_mode` at the output's rate."""
+        """Return the members of a `struct hd_mode` for the mode at the rate of `output`."""
         return mode_record(self.mode, 1.0, self.mode.coefficient(1.0, self.attack), output, self.effect)
 
 
 class CommandRing:
     """The commands of one servo."""
 
-    def __init__(self, servo: CData, look_after: Callable[[], None]) -> None:
-        """`look_after`: called while the servo is waited for."""
-        self._servo, self._look_after = servo, look_after
+    def __init__(self, servo: CData, poll_servo: Callable[[], None]) -> None:
+        """Use the ring of `servo`, and call `poll_servo` while waiting for it."""
+        self._servo, self._poll_servo = servo, poll_servo
         self._sequence = ffi.new("uint64_t *")
-        self._plays: deque[tuple[int, Play]] = deque(maxlen=_MOST_PLAYS)
-        """Sent and not known to be struck: each with the number of its command."""
+        self._plays: deque[tuple[int, Play]] = deque(maxlen=_MAX_PENDING_PLAYS)
+        """Plays that were sent and may not be struck yet, each with the number of its command."""
 
     def new(self, kind: CommandKind, revision: int) -> CData:
-        """A `struct hd_command *` for this revision of the scene or a later one."""
+        """Return a `struct hd_command *` that the servo takes once the scene has this revision or a later one."""
         command = ffi.new("struct hd_command *")
         command.kind, command.revision = kind, revision
         return command
 
     def send(self, commands: list[CData], play: Play | None = None) -> int:
-        """The tick that took them all. `play`: what the command strikes. Raises RingFullError, WaitTimeoutError."""
+        """Send commands together and return the tick that took them.
+
+        `play`: the mode that the command strikes. Raises RingFullError, WaitTimeoutError.
+        """
         sequence = self._put(commands)
         if play is not None:
             self._plays.append((sequence, play))
-        return self._taken(sequence)
+        return self._wait_command(sequence)
 
     def _put(self, commands: list[CData]) -> int:
         batch = ffi.new("struct hd_command[]", [command[0] for command in commands])
@@ -83,36 +86,36 @@ class CommandRing:
             raise HapticdError(invalid_reason())
         return int(self._sequence[0])
 
-    def _taken(self, sequence: int) -> int:
+    def _wait_command(self, sequence: int) -> int:
         return self.wait(
             lambda timeout_ns, tick: lib.hd_servo_wait_command(self._servo, sequence, timeout_ns, tick),
             "the servo did not take the command",
         )
 
     def wait(self, taken: Callable[[int, CData], int], late: str) -> int:
-        """The tick that took something; `taken` itself waits for at most the nanoseconds that it is given.
+        """Wait until `taken` returns OK, and return the tick that it stored.
 
-        A servo that steps down goes on by this thread's doing, and would be waited for in vain if it did not look after
-        it. Raises WaitTimeoutError, which says what is `late`.
+        `taken` waits at most the nanoseconds that it is given. In between, the servo is polled: a servo that steps down
+        ends its thread and needs this one to restart it. Raises WaitTimeoutError, whose text begins with `late`.
         """
         tick = ffi.new("uint64_t *")
-        until_ns = time.monotonic_ns() + int(WAIT_S * 1e9)
-        while taken(max(0, min(LOOK_EVERY_NS, until_ns - time.monotonic_ns())), tick) != Status.OK:
+        until_ns = time.monotonic_ns() + int(COMMAND_TIMEOUT_S * 1e9)
+        while taken(max(0, min(SERVO_POLL_INTERVAL_NS, until_ns - time.monotonic_ns())), tick) != Status.OK:
             if time.monotonic_ns() >= until_ns:
-                raise WaitTimeoutError(f"{late} within {WAIT_S:g} s")
-            self._look_after()
+                raise WaitTimeoutError(f"{late} within {COMMAND_TIMEOUT_S:g} s")
+            self._poll_servo()
         return int(tick[0])
 
     def played(self) -> Iterator[Played]:
-        """The modes that the servo has struck since this was asked last, in their order."""
+        """Yield the modes that the servo has struck since the last call, in their order."""
         tick = ffi.new("uint64_t *")
         while self._plays and lib.hd_servo_wait_command(self._servo, self._plays[0][0], 0, tick) == Status.OK:
             _, play = self._plays.popleft()
             yield Played(int(tick[0]), play.mode, play.attack, play.direction, play.amplitude_m_per_s2)
 
     def turn_to(self, output: Output) -> None:
-        """The servo, which has ended, goes on at another rate: what it has not taken is struck for that rate."""
+        """Compute the plays that are not struck yet for the rate of `output`. The servo's thread must have ended."""
         for sequence, play in self._plays:
             mode = ffi.new("struct hd_mode *", play.record(output))
             if lib.hd_servo_retune(self._servo, sequence, mode) != Status.OK:
-                raise HapticdError(f"a play under way: {invalid_reason()}")
+                raise HapticdError(f"a play that waits for the servo: {invalid_reason()}")

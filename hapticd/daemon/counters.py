@@ -1,4 +1,4 @@
-"""What the servo counts and reports of itself, as Python reads it from the structs of csrc/api/hd_api.h."""
+"""The servo's counters, histograms and granted privileges, read from the structs of csrc/api/."""
 
 from __future__ import annotations
 
@@ -18,40 +18,41 @@ _MEMORY_KINDS: Final = ("none", "servo", "process")
 
 @dataclass(frozen=True, slots=True)
 class Granted:
-    """What the machine gave of what the servo asked for; `missing` says in words what it did not."""
+    """The scheduling and memory privileges that the servo got; `missing` names in words those that it did not get."""
 
     scheduler: Literal["fifo", "other"]
     priority: int
     cpu: int | None
     memory: str
-    awake: bool
+    idle_states_held: bool
     missing: tuple[str, ...]
 
     @classmethod
-    def of(cls, grant: CData, servo: Servo, awake: bool, missing: Sequence[str]) -> Granted:
-        """From a `struct hd_grant` and what else was asked for."""
+    def of(cls, grant: CData, servo: Servo, idle_states_held: bool, missing: Sequence[str]) -> Granted:
+        """Build it from a `struct hd_grant`, the configured servo, the idle-state lock and the missing privileges."""
         return cls(
             scheduler="fifo" if grant.priority else "other",
             priority=grant.priority,
             cpu=None if grant.affinity else servo.cpu,
             memory=_MEMORY_KINDS[grant.memory_kind],
-            awake=awake,
+            idle_states_held=idle_states_held,
             missing=tuple(missing),
         )
 
     def to_dict(self) -> dict[str, object]:
+        """Return the member `realtime` of a status."""
         return {
             "scheduler": self.scheduler,
             "priority": self.priority,
             "cpu": self.cpu,
             "memory_locked": self.memory,
-            "idle_states_held": self.awake,
+            "idle_states_held": self.idle_states_held,
             "missing": list(self.missing),
         }
 
 
 def missing_of(grant: CData, servo: Servo) -> list[str]:
-    """What a `struct hd_grant` lacks of what was asked for, in words."""
+    """Describe the configured privileges that a `struct hd_grant` says were refused, each with its reason."""
     missing = []
     if grant.scheduler:
         missing.append(f"SCHED_FIFO priority {servo.priority}: {os.strerror(grant.scheduler)}")
@@ -64,7 +65,7 @@ def missing_of(grant: CData, servo: Servo) -> list[str]:
 
 
 class Histogram(NamedTuple):
-    """How often a time was how long: counts[0] below the first edge, counts[i] from edge i - 1 on and below edge i."""
+    """A histogram of times: counts[0] is below the first edge, counts[i] from edge i - 1 on and below edge i."""
 
     edges_ns: tuple[int, ...]
     counts: list[int]
@@ -72,11 +73,12 @@ class Histogram(NamedTuple):
     max_ns: int
 
     def to_dict(self) -> dict[str, object]:
+        """Return the histogram as a map of the status, in ns."""
         return {"edges": list(self.edges_ns), "counts": self.counts, "sum": self.sum_ns, "max": self.max_ns}
 
 
 class Counters(NamedTuple):
-    """What the servo has counted since it started."""
+    """The servo's counters since its start, and its state."""
 
     ticks: int
     skipped: int
@@ -89,89 +91,90 @@ class Counters(NamedTuple):
     overloads: int
     """Seconds in which more periods than the threshold were missed."""
     suspends: int
-    """Times that the machine was suspended."""
+    """Number of times that the machine was suspended."""
     revision: int
     latched: int
     """`faults` as a number."""
     forces_on: bool
     running: bool
     memory_refused: int
-    """errno: the scene has grown beyond what may be locked; 0: memory is as granted."""
+    """errno of the last attempt to lock memory for a grown scene; 0: memory is locked as granted."""
     overloaded: bool
-    """The servo thread ended, or is about to, so that it can go on at a lower rate."""
+    """The servo thread has ended, or is about to, to be restarted at a lower rate."""
     missed_share: float
-    """Part of the periods of the last whole second that were missed."""
+    """Fraction of the periods of the last complete second that were missed."""
     signs_word: int
     energy_j: float
-    """What touched objects gave to the hand in this contact, or in the last one, as far as the passivity observer saw
-    it; below zero: the hand gave more than it got."""
+    """Energy that the touched objects gave to the hand in the current or last contact, according to the passivity
+    observer. Negative: the hand gave more than it got."""
     largest_j: float
-    """The largest so far in any contact."""
+    """The largest `energy_j` of any contact."""
     contacts: int
-    """From the first touch to the last release."""
+    """Number of contacts, each from the first touch to the last release."""
     restrained: int
-    """Of them, those in which the controller acted."""
+    """Number of contacts in which the passivity controller acted."""
     acted: int
-    """Ticks in which it did."""
+    """Number of ticks in which the passivity controller acted."""
 
     @property
     def faults(self) -> Fault:
-        """Those that are latched."""
+        """The latched faults."""
         return Fault(self.latched) if self.latched else _NO_FAULT
 
     @property
     def signs(self) -> SignsStatus:
-        """The check of a HID device's signs."""
+        """State of the check of a HID device's axis signs."""
         return SignsStatus.read(self.signs_word)
 
 
 class StreamCounters(NamedTuple):
-    """Of a stream of targets or forces; all that were sent are used or superseded."""
+    """Counters of a stream of targets or forces. Each value that the servo got is counted as used or superseded."""
 
     used: int
     superseded: int
-    """Those that a newer one took the place of before a tick could take them."""
+    """Values that a newer one replaced before a tick took them."""
     limited: int
-    """Of those used, those that could not be followed as they were meant: too large, too fast."""
+    """Used values that could not be followed exactly because they were too large or changed too fast."""
     timeouts: int
-    """Times that none came for `servo.stream_timeout_s`."""
+    """Number of times that no value came for `servo.stream_timeout_s`."""
     seq: int
-    """Of the last one that was used, by the tick `tick`; both 0 before the first."""
+    """Sequence number of the last value that was used; 0 before the first."""
     tick: int
+    """The tick that used that value; 0 before the first."""
     active: bool
-    """One came within `servo.stream_timeout_s`."""
+    """A value came within `servo.stream_timeout_s`."""
 
 
-TOTALS: Final = Counters._fields[: Counters._fields.index("suspends") + 1]
-"""Those that only grow, as `get_status` names them."""
+TOTAL_COUNTER_NAMES: Final = Counters._fields[: Counters._fields.index("suspends") + 1]
+"""Counters that only grow, as `get_status` names them."""
 
-# All members in one call: one by one, through cffi, they would be a third of a status.
-_RECORD: Final = struct.Struct("<10Q2I?3x?3xI?3xdI4x2d3Q")
-if _RECORD.size != ffi.sizeof("struct hd_counters"):
-    raise ImportError("the record of hapticd.daemon.counters is not that of csrc/api/hd_api.h")
+# Unpacks all members in one call: reading them one by one through cffi takes a third of the time of a status.
+_COUNTERS_STRUCT: Final = struct.Struct("<10Q2I?3x?3xI?3xdI4x2d3Q")
+if _COUNTERS_STRUCT.size != ffi.sizeof("struct hd_counters"):
+    raise ImportError("hapticd/daemon/counters.py: size differs from struct hd_counters of csrc/api/hd_api.h")
 
 
 def read_counters(servo: CData) -> Counters:
-    """Those of a `struct hd_servo`. For any thread."""
+    """Read the counters of a `struct hd_servo`. For any thread."""
     raw = ffi.new("struct hd_counters *")
     lib.hd_servo_counters(servo, raw)
-    return Counters._make(_RECORD.unpack(ffi.buffer(raw)))
+    return Counters._make(_COUNTERS_STRUCT.unpack(ffi.buffer(raw)))
 
 
-_STREAM: Final = struct.Struct("<6Q?7x")
-if _STREAM.size != ffi.sizeof("struct hd_stream_counters"):
-    raise ImportError("the record of hapticd.daemon.counters is not that of csrc/api/hd_api_servo.h")
+_STREAM_COUNTERS_STRUCT: Final = struct.Struct("<6Q?7x")
+if _STREAM_COUNTERS_STRUCT.size != ffi.sizeof("struct hd_stream_counters"):
+    raise ImportError("hapticd/daemon/counters.py: size differs from struct hd_stream_counters of hd_api_servo.h")
 
 
 def read_stream_counters(servo: CData, kind: StreamKind) -> StreamCounters:
-    """Those of one stream of a `struct hd_servo`. For any thread."""
+    """Read the counters of one stream of a `struct hd_servo`. For any thread."""
     raw = ffi.new("struct hd_stream_counters *")
     lib.hd_servo_stream_counters(servo, kind, raw)
-    return StreamCounters._make(_STREAM.unpack(ffi.buffer(raw)))
+    return StreamCounters._make(_STREAM_COUNTERS_STRUCT.unpack(ffi.buffer(raw)))
 
 
 def read_histograms(servo: CData) -> tuple[Histogram, Histogram]:
-    """Of lateness and of work, since the start. For any thread."""
+    """Read the histograms of lateness and of work time since the start. For any thread."""
     raw = ffi.new("struct hd_histograms *")
     lib.hd_servo_histograms(servo, raw)
     return _histogram_of(raw.lateness), _histogram_of(raw.work)

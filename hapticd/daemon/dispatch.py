@@ -1,8 +1,9 @@
-"""The command thread: takes one request after the other from `router.py`, answers it, and beats between them.
+"""The command thread: takes requests from `router.py`, answers them, and sends the servo a heartbeat between them.
 
-Scene and materials change in the order in which requests came, one change at a time and in steps: between two steps
-other requests are answered (docs/adr/0002, 0024, 0058). A reload of the configuration is a change, one for all signals
-that asked for it before it began. The beats tell the servo that somebody serves commands.
+Requests that change the scene or materials are carried out one at a time, in the order of their arrival, and in steps:
+between two steps other requests are answered (docs/adr/0002, 0024, 0058). A reload of the configuration is such a
+change; all signals that arrive before it begins cause one reload. The heartbeat shows the servo that commands are
+served.
 """
 
 from __future__ import annotations
@@ -21,46 +22,49 @@ from hapticd.base import codec
 from hapticd.base.errors import quoted
 from hapticd.base.steps import Steps
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import CHANGES, Methods, Result
+from hapticd.daemon.methods import CHANGE_METHODS, Methods, Result
 from hapticd.daemon.refusal import MethodError
 from hapticd.daemon.router import Router
 from hapticd.protocol import messages, streams
 from hapticd.system import notify
 from hapticd.system.repeated_lines import Repeats
 
-MOST_WAITING: Final = 64
-"""Changes that wait for their turn."""
-MOST_WAITING_BYTES: Final = 2 * messages.MAX_BODY_BYTES
-"""Of the bodies of the changes that wait."""
-SLICE_NS: Final = 5_000_000
-"""So long a change goes on before other requests are looked at, and until the step is over that is under way then."""
-BEAT_EVERY_S: Final = 0.1
-"""The servo hears at least so often that commands are served."""
-LOOK_EVERY_S: Final = 0.02
-"""While requests come faster, so long passes until a change goes on, and until anything else is done."""
+MAX_WAITING_CHANGES: Final = 64
+"""Changes that may wait for their turn. docs/protocol.md states it."""
+MAX_WAITING_CHANGE_BYTES: Final = 2 * messages.MAX_BODY_BYTES
+"""Size of the bodies of all waiting changes."""
+CHANGE_SLICE_NS: Final = 5_000_000
+"""Time that a change runs before other requests are served; its current step is finished first."""
+BEAT_INTERVAL_S: Final = 0.1
+"""Longest time between two heartbeats. Without one for a second the servo fades the forces out."""
+CHORES_INTERVAL_S: Final = 0.02
+"""Interval of heartbeat, servo poll, log and the next slice of a change while requests come without a pause."""
 
 _log = logging.getLogger("hapticd.server")
 
 Reply = Callable[[bytes | codec.Encoded], None]
-"""Sends the body of an answer to who asked."""
+"""Sends the body of an answer to the client that sent the request."""
 
 
 @dataclass(slots=True)
 class _Change:
-    """A change that was asked for."""
+    """A requested change of the scene, the materials or the configuration."""
 
     request: messages.Request
     steps: Steps[Result]
     reply: Reply
     size: int
-    """Bytes of its body."""
-    over: bool = False
-    """It is in force, or was refused."""
+    """Size of the request's body, in bytes."""
+    ended: bool = False
+    """The change is in force or was refused."""
 
-    def go_on(self) -> Result | None:
-        """Does some steps; None: there are more. Raises what refuses the change."""
-        until_ns = monotonic_ns() + SLICE_NS
-        self.over = True
+    def run_slice(self) -> Result | None:
+        """Run steps for CHANGE_SLICE_NS, and return the result, or None if steps remain.
+
+        Raises the error that refuses the change.
+        """
+        until_ns = monotonic_ns() + CHANGE_SLICE_NS
+        self.ended = True
         try:
             next(self.steps)
             while monotonic_ns() < until_ns:
@@ -68,46 +72,52 @@ class _Change:
         except StopIteration as end:
             result: Result = end.value
             return result
-        self.over = False
+        self.ended = False
         return None
 
 
 class Dispatch:
-    """Answers requests; everything but `ask_reload` is for the thread that serves commands."""
+    """Answers requests. All methods but `ask_reload` are for the command thread."""
 
     def __init__(
         self, methods: Methods, repeats: Repeats | None = None, wake: Callable[[], None] = lambda: None
     ) -> None:
-        """What a client causes is reported in the log as `repeats` says. `wake` has the thread that serves commands
-        call `turn`, and is called by any."""
+        """Answer requests with `methods`.
+
+        `repeats` limits how often the log reports what clients cause. `wake` makes the command thread call
+        `queue_reload`; any thread may call it.
+        """
         self.repeats = Repeats() if repeats is None else repeats
         self._methods = methods
         self._wake = wake
         self._changes: deque[_Change] = deque()
-        """In the order in which they came; the first one is under way."""
+        """Changes in the order in which they came; the first one is under way."""
         self._reload = threading.Event()
         self._reload_waits = False
-        """It is among the changes, and has not begun."""
+        """A reload is among the changes and has not begun."""
 
     @property
     def busy(self) -> bool:
-        """Whether a change is under way, or waits: `go_on` is to be called soon."""
+        """Whether a change is under way or waits, so that `continue_change` must be called soon."""
         return bool(self._changes)
 
     def ask_reload(self) -> None:
-        """Has the configuration reloaded in its turn; what nobody has begun yet is one. For any thread."""
+        """Request a reload of the configuration, unless one already waits. For any thread."""
         self._reload.set()
         self._wake()
 
     def take(self, body: bytes | None, reply: Reply, sender: object = None) -> None:
-        """Answers a body by `reply`, now or in a later `go_on`; a notification not at all. Never raises for
-        what was sent. `sender`: the connection that it came over, which is whose a stream is."""
+        """Carry out the request in `body` and answer it by `reply`, now or in a later `continue_change`.
+
+        A notification is not answered. No body makes it raise. `body`: None if the message had a wrong number of
+        frames. `sender`: the connection of the message, which identifies the owner of a stream.
+        """
         if body is not None and self._methods.streams.take_body(sender, body):
             return
         try:
             if body is None:
                 raise messages.WireError(
-                    messages.Code.INVALID_REQUEST, "frames: send the body alone, or an empty frame and the body"
+                    messages.Code.INVALID_REQUEST, "frames: must be the body alone, or an empty frame and the body"
                 )
             request = messages.parse_request(messages.decode(body))
         except messages.WireError as error:
@@ -118,37 +128,37 @@ class Dispatch:
             return
         if request.method in streams.STREAM_KIND_BY_METHOD:
             self._answer(request, lambda: self._methods.stream(request.method, request.params, sender), reply)
-        elif request.method not in CHANGES:
+        elif request.method not in CHANGE_METHODS:
             self._answer(request, lambda: self._methods.perform(request.method, request.params), reply)
         elif self._has_room(len(body)):
             self._add(_Change(request, self._methods.change(request.method, request.params), reply, len(body)))
         else:
             self._answer(request, _too_many_changes, reply)
 
-    def turn(self) -> None:
-        """Takes up a reload that was asked for. To be called when `wake` was, and often."""
+    def queue_reload(self) -> None:
+        """Queue a requested reload. Must be called often, and soon after `wake`."""
         if self._reload.is_set() and not self._reload_waits:
             self._reload_waits = True
-            # What comes of it is logged, a defect too.
-            self._add(_Change(messages.Request(0, True, "reload", {}), self._reloading(), _tell_ready, 0))
+            # Its result and its errors, unexpected ones too, are logged.
+            self._add(_Change(messages.Request(0, True, "reload", {}), self._reloading(), _notify_ready, 0))
 
-    def go_on(self) -> None:
-        """Goes on with the change that is under way, or begins the one that waits."""
+    def continue_change(self) -> None:
+        """Continue the change that is under way, or begin the next one."""
         if self._changes:
             change = self._changes[0]
-            self._answer(change.request, change.go_on, change.reply)
-            if change.over:
+            self._answer(change.request, change.run_slice, change.reply)
+            if change.ended:
                 self._changes.popleft()
 
     def _has_room(self, size: int) -> bool:
-        """For one more change, with a body of so many bytes, to wait."""
+        """Return whether one more change, with a body of `size` bytes, may wait."""
         waiting = size + sum(change.size for change in self._changes)
-        return not self._changes or (len(self._changes) < MOST_WAITING and waiting <= MOST_WAITING_BYTES)
+        return not self._changes or (len(self._changes) < MAX_WAITING_CHANGES and waiting <= MAX_WAITING_CHANGE_BYTES)
 
     def _add(self, change: _Change) -> None:
         self._changes.append(change)
         if len(self._changes) == 1:
-            self.go_on()
+            self.continue_change()
 
     def _reloading(self) -> Steps[Result]:
         self._reload.clear()
@@ -157,7 +167,7 @@ class Dispatch:
         return (yield from self._methods.change("reload", {}))
 
     def _answer(self, request: messages.Request, perform: Callable[[], Result | None], reply: Reply) -> None:
-        """Answers a request by what was performed for it; None: it goes on."""
+        """Answer a request with the result of `perform`, or with its error; None is not answered: steps remain."""
         try:
             result = perform()
             if result is None:
@@ -169,30 +179,30 @@ class Dispatch:
                 reply(messages.error_reply(request.id, error.code, error.message, error.data))
                 return
             line = f"notification {quoted(request.method)}: {quoted(error.message)}"
-            # Of methods that there are not, a client can think of any number.
+            # A client can invent any number of method names: the log counts unknown methods together.
             kind = "" if error.code == messages.Code.NO_SUCH_METHOD else request.method
             self.repeats.note(f"notification {error.code} {kind}", lambda since: _log.warning("%s%s", line, since.more))
         except Exception as error:
-            # A defect of ours must neither leave the client without an answer nor stop the daemon.
+            # An unexpected error must neither leave the client without an answer nor stop the daemon.
             failure = error
             self.repeats.note(
                 f"failed {request.method}",
                 lambda since: _log.error("method %s failed%s", quoted(request.method), since.more, exc_info=failure),
             )
             if request.has_id:
-                reply(messages.error_reply(request.id, messages.Code.INTERNAL, "the daemon failed; its log says how"))
+                reply(messages.error_reply(request.id, messages.Code.INTERNAL, "internal error; see the daemon's log"))
         else:
             if request.has_id:
                 reply(messages.result_reply(request.id, result))
 
 
-def _tell_ready(_: bytes | codec.Encoded) -> None:
+def _notify_ready(_: bytes | codec.Encoded) -> None:
     notify.ready()
 
 
 def _too_many_changes() -> Result:
     raise MethodError(
-        messages.Code.RING_FULL, "too many changes wait for their turn; nothing of this was done: send it again"
+        messages.Code.RING_FULL, "too many changes wait for their turn; this one was not carried out: send it again"
     )
 
 
@@ -203,21 +213,21 @@ def serve(
     stop: threading.Event,
     between: Callable[[], None] = lambda: None,
 ) -> None:
-    """Answers requests until `stop` is set; calls `between` between them, ten times a second at least."""
+    """Answer requests until `stop` is set, and call `between` at least ten times a second."""
     repeats = dispatch.repeats
     due_s = 0.0
     while not stop.is_set():
         if (now_s := time.monotonic()) >= due_s:
-            due_s = now_s + LOOK_EVERY_S
+            due_s = now_s + CHORES_INTERVAL_S
             repeats.flush()
             engine.beat()
-            engine.look_after()
+            engine.poll_servo()
             between()
-            dispatch.go_on()
-        dispatch.turn()
-        request = router.receive(0.0 if dispatch.busy else BEAT_EVERY_S)
+            dispatch.continue_change()
+        dispatch.queue_reload()
+        request = router.receive(0.0 if dispatch.busy else BEAT_INTERVAL_S)
         if request is None:
-            dispatch.go_on()
+            dispatch.continue_change()
             continue
         if stop.is_set():
             break

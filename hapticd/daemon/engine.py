@@ -1,7 +1,7 @@
-"""The scene, the table that it compiles to, and the servo that renders it: what the protocol's methods act on.
+"""The engine: the scene, its compiled table, and the servo that renders it. The protocol's methods act on it.
 
-One thread at a time calls the methods that change something (the one that serves commands). Reading telemetry is for
-one other thread. The servo itself is C and waits for none of them.
+Only the command thread calls methods that change something; one other thread reads telemetry. The servo, a thread in C,
+waits for neither.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from hapticd.config.configuration import Config, Device
 from hapticd.config.materials import Material, Materials
 from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, of_all_materials, used_materials
-from hapticd.daemon.command_ring import LOOK_EVERY_NS, CommandRing, Play, RingFullError
+from hapticd.daemon.command_ring import SERVO_POLL_INTERVAL_NS, CommandRing, Play, RingFullError
 from hapticd.daemon.counters import (
     Counters,
     Granted,
@@ -80,28 +80,30 @@ if TYPE_CHECKING:
     from hapticd.hid.offload import Offload, Offloaded
 
 SAMPLE_CAPACITY: Final = 16384
-"""Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
+"""Capacity of the ring of samples: more than a second at 10 kHz, longer than a garbage collection."""
 
 DEVICE_TIMEOUT_S: Final = 0.1
-"""A device that is this much later than its reports should be is lost."""
+"""A device whose report is later than this, beyond the age that its reports normally have, is lost."""
+FROZEN_FORCE_FRACTION: Final = 0.1
+"""Fraction of the device's maximum force from which on a handle that does not move counts as frozen.
 
-FROZEN_FORCE: Final = 0.1
-"""The part of its largest force under which a handle that is watched for it must move."""
-CHANGES: Final = 1024
-"""Changes that wait to be sent; older ones are dropped."""
+`device.frozen_after_s` enables the check.
+"""
+MAX_UNSENT_CHANGES: Final = 1024
+"""Changes that wait to be sent to subscribers; beyond it the oldest are dropped."""
 
-LEAST_RATE_HZ: Final = 1000.0
-"""The servo steps down to no less."""
+MIN_STEP_DOWN_RATE_HZ: Final = 1000.0
+"""Lowest rate that a step down may lead to."""
 
 _log = logging.getLogger("hapticd")
 
 
 class StaleRevisionError(HapticdError):
-    """A change was meant for another revision than the one in force; nothing of it was taken."""
+    """A change names an expected revision that is not in force; the change was not made."""
 
 
 class State(NamedTuple):
-    """What is in force, as of one moment."""
+    """Scene, materials and revision in force at one moment."""
 
     scene: Scene
     materials: Materials
@@ -112,16 +114,17 @@ class Engine:
     """A servo with its device and its scene."""
 
     def __init__(self, config: Config, stop_file: StopFile | None = None) -> None:
-        """Compiles the configuration's scene; nothing moves yet. `stop_file`: for what stops a real device.
+        """Open the device, make the servo and compile the configuration's scene; no thread runs yet.
 
-        Raises InvalidError for what no signal of this rate has, HapticdError.
+        `stop_file`: records how to stop a real device after the daemon was killed. Raises InvalidError for filters and
+        frequencies that are impossible at this rate, and HapticdError.
         """
         servo = config.servo
         self.config = config
         self.rate_hz = servo.rate_hz
         self.state = State(config.scene, config.materials, 1)
         self.granted: Granted | None = None
-        self._look_ns = 0
+        self._poll_due_ns = 0
         self._suspends = 0
         self._signs = SignsLog()
         self._idle_lock = IdleStateLock()
@@ -135,7 +138,7 @@ class Engine:
             hid = config.device.hid
             checked = config.device.kind == "hid" and hid.signs == "check"
             check = Check(hid.travel_m, hid.full_scale_force_n) if checked else None
-            # A simulated joystick needs none of this, and starts without it.
+            # Imported here because a simulated joystick does not need it and starts faster without it.
             from hapticd.hid.connection import Connection
 
             self.connection = Connection(source_of(config.device), below_servo, stop_file, check)
@@ -148,7 +151,7 @@ class Engine:
             raise
 
     def _make(self) -> None:
-        """Opens the device, and makes the servo for it."""
+        """Open the device, and make the servo for it."""
         config, servo = self.config, self.config.servo
         sim = config.device.sim
         resolution_m, report_age_s = sim.encoder_step_m, sum(sim.reports_s)
@@ -170,7 +173,7 @@ class Engine:
         self._operator_tick: int | None = None
         self._gesture_ends: deque[dict[str, object]] = deque(maxlen=MAX_GESTURE_ENDS)
         self._marks = Marks()
-        self._changes: deque[Change] = deque(maxlen=CHANGES)
+        self._changes: deque[Change] = deque(maxlen=MAX_UNSENT_CHANGES)
         self._touched = ffi.new("struct hd_touched[]", lib.HD_TOUCHED_MAX)
         settings = ffi.new("struct hd_servo_config *")
         settings.rate_hz = servo.rate_hz
@@ -187,17 +190,17 @@ class Engine:
         settings.overrun_action = self._overrun_action(servo.rate_hz)
         settings.stream_timeout_s = servo.stream_timeout_s
         settings.frozen_s = config.device.frozen_after_s or 0.0
-        settings.frozen_force_n = FROZEN_FORCE * config.device.max_force_n
-        # A real device pushes once somebody says so.
+        settings.frozen_force_n = FROZEN_FORCE_FRACTION * config.device.max_force_n
+        # Forces of a real device stay off until a client turns them on.
         settings.forces_on = self._sim is not None
         hid = None if self.connection is None else self.connection.hid
         made = lib.hd_servo_new(settings, self._sim or ffi.NULL, hid or ffi.NULL)
         if made == ffi.NULL:
             raise HapticdError(invalid_reason())
 
-        # It holds what its thread uses: the collector of garbage frees what it finds in any order.
+        # The struct keeps references to what its thread uses: a garbage collection frees objects in any order.
         self._servo = ffi.gc(made, lib.hd_servo_free)
-        self._ring = CommandRing(self._servo, self.look_after)
+        self._ring = CommandRing(self._servo, self.poll_servo)
         self._compiler = Compiler(self.output, self._offload)
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
@@ -215,9 +218,9 @@ class Engine:
         return None if loop is None else SurfaceMargins(loop)
 
     def _overrun_action(self, rate_hz: float) -> OverrunAction:
-        """What the servo does about an overload at this rate."""
+        """Return what the servo does about an overload at this rate: a step below the minimum becomes a fault."""
         action = OverrunAction[self.config.servo.overruns.action.upper()]
-        if action == OverrunAction.STEP_DOWN and rate_hz < 2.0 * LEAST_RATE_HZ:
+        if action == OverrunAction.STEP_DOWN and rate_hz < 2.0 * MIN_STEP_DOWN_RATE_HZ:
             return OverrunAction.FAULT
         return action
 
@@ -233,13 +236,13 @@ class Engine:
 
     @property
     def revision(self) -> int:
-        """Raised whenever the scene, the materials or the rate changes."""
+        """The revision in force; it grows with each change of the scene, the materials or the rate."""
         return self.state.revision
 
     # ---- Life ------------------------------------------------------------------------------------------------------
 
     def start(self) -> Granted:
-        """Starts the servo thread. Raises HapticdError where real time is required and refused."""
+        """Start the servo thread. Raises HapticdError if real time is required and refused."""
         try:
             if self.connection is not None:
                 self.connection.start()
@@ -250,16 +253,16 @@ class Engine:
 
     def _start(self) -> Granted:
         grant = ffi.new("struct hd_grant *")
-        return self._take_grant(lib.hd_servo_start(self._servo, grant), grant)
+        return self._apply_grant(lib.hd_servo_start(self._servo, grant), grant)
 
-    def _take_grant(self, status: int, grant: CData) -> Granted:
+    def _apply_grant(self, status: int, grant: CData) -> Granted:
         servo = self.config.servo
         missing = missing_of(grant, servo)
         if servo.realtime != "off":
             try:
                 self._idle_lock.hold()
             except OSError as error:
-                missing.append(f"processors kept out of deep idle states: {error.strerror} ({error.filename})")
+                missing.append(f"lock of the processors' idle states: {error.strerror} ({error.filename})")
         if self.connection is not None and self.connection.denied:
             missing.append("SCHED_FIFO for the threads that read and write the device")
             if servo.realtime == "required":
@@ -270,35 +273,37 @@ class Engine:
                 "raise the limits rtprio and memlock, or set servo.realtime to preferred"
             )
         if status != Status.OK:
-            raise HapticdError(f"the servo thread does not start: {os.strerror(ffi.errno)}")
+            raise HapticdError(f"cannot start the servo thread: {os.strerror(ffi.errno)}")
         self.granted = Granted.of(grant, servo, self._idle_lock.held, missing)
         return self.granted
 
     def stop(self) -> None:
-        """Fades the force out over the ramp, puts zero, ends the thread and lets the device go."""
+        """Fade the force out over the ramp, set it to zero, end the servo thread and close the device."""
         self._idle_lock.release()
         ended = lib.hd_servo_stop(self._servo)
         self._disconnect()
         if ended != Status.OK:
-            raise HapticdError(f"the servo thread does not end: {os.strerror(ffi.errno)}")
+            raise HapticdError(f"cannot end the servo thread: {os.strerror(ffi.errno)}")
 
     def _disconnect(self) -> None:
         if self.connection is not None:
             self.connection.stop()
 
     def beat(self) -> None:
-        """The thread that serves commands lives; without a beat for a second the forces fade out."""
+        """Send the servo a heartbeat of the command thread; without one for a second the forces fade out."""
         lib.hd_servo_beat(self._servo)
 
-    # ---- What the servo cannot do alone --------------------------------------------------------------------------
+    # ---- Supervision of the servo --------------------------------------------------------------------------------
 
-    def look_after(self) -> None:
-        """Looks, now and then, whether the servo or its device needs something: another rate, a new set-up. For the
-        thread that changes something, which calls it often. Raises HapticdError where the servo does not go on."""
+    def poll_servo(self) -> None:
+        """Check whether the servo must step down or its device must be set up again, at most every 50 ms.
+
+        The command thread calls it often. Raises HapticdError if the servo cannot be restarted.
+        """
         now_ns = monotonic_ns()
-        if now_ns < self._look_ns:
+        if now_ns < self._poll_due_ns:
             return
-        self._look_ns = now_ns + LOOK_EVERY_NS
+        self._poll_due_ns = now_ns + SERVO_POLL_INTERVAL_NS
         self._changes.extend(self._ring.played())
         counters = self.counters()
         if counters.suspends != self._suspends:
@@ -310,7 +315,7 @@ class Engine:
             self._step_down()
 
     def _step_down(self) -> None:
-        """Half the rate, or, where that cannot be, the same with a fault."""
+        """Restart the servo at half its rate, or, if that is not possible, at the same rate with a fault."""
         before, after = self.output, self._output_at(0.5 * self.rate_hz)
         refused = rate_faults(self.scene.objects, self.materials, after)
         problem = str(InvalidError(refused)) if refused else None
@@ -324,10 +329,10 @@ class Engine:
             self._change_rate(before)
         grant = ffi.new("struct hd_grant *")
         faults = 0 if problem is None else int(Fault.OVERRUN)
-        self._take_grant(lib.hd_servo_restart(self._servo, faults, grant), grant)
+        self._apply_grant(lib.hd_servo_restart(self._servo, faults, grant), grant)
 
     def _change_rate(self, output: Output) -> None:
-        """Of a servo that has ended by overload. Raises HapticdError; then it is to be called with another one."""
+        """Set the rate of a servo whose thread has ended. After a HapticdError another rate must be set."""
         rate_hz = output.rate_hz
         changed_hz = None if rate_hz == self.rate_hz else rate_hz
         if lib.hd_servo_set_rate(self._servo, rate_hz, self._overrun_action(rate_hz)) != Status.OK:
@@ -349,10 +354,11 @@ class Engine:
     def take(
         self, scene: Scene, materials: Materials, changed: Iterable[str] | None = None, expected: int | None = None
     ) -> int:
-        """Takes a validated scene and the materials that it uses, at once; returns its revision.
+        """Put a validated scene and its materials in force at once, and return their revision.
 
-        `changed`: ids of all objects that may be others, or gone; None: whatever is. `expected`: the revision that it
-        is to follow on. A scene and materials that are in force are no change. Raises StaleRevisionError.
+        `changed`: ids of all objects that may differ or are removed; None: they are found by comparison. `expected`:
+        the revision that must be in force before, else StaleRevisionError is raised. If scene and materials are already
+        in force, the revision stays.
         """
         before = self.state
         if expected is not None and expected != before.revision:
@@ -370,15 +376,16 @@ class Engine:
     def prepared(
         self, objects: Iterable[SceneObject], materials: Materials, sent: Iterable[str]
     ) -> Steps[dict[str, MaterialReport]]:
-        """Finds what takes long of the next change, which brings these objects and materials, of which some were sent:
-        the filters of textures above all. What is reported of these objects' materials, and of those that were sent.
+        """Compute in steps what takes long in the next change, mainly filters of textures, and return material reports.
 
-        Pauses after each filter and each material. `forget_prepared` is to be called once the change is made.
+        `materials` are those after the change, `sent` the names of those that the request contains. The reports are of
+        the materials of `objects`, of those in `sent` and of those that the change affects. It pauses after each filter
+        and each material. Call `forget_prepared` once the change is made or given up.
         """
         reports = {}
         for name in dict.fromkeys([*sent, *used_materials(objects), *self._compiler.changing(materials)]):
             material = materials[name]
-            # What no signal of this rate has is reported; whoever uses it is refused.
+            # A material that is impossible at this rate is only reported here; a scene that uses it is refused later.
             if not material_rate_faults(name, material, self.output):
                 yield from self._compiler.prepare(name, material)
             reports[name] = self.report_of(name, material)
@@ -386,18 +393,21 @@ class Engine:
         return reports
 
     def forget_prepared(self) -> None:
-        """The change is made, or given up."""
+        """Release what `prepared` computed: the change is made or given up."""
         self._compiler.forget_prepared()
 
     def wait_revision(self, revision: int) -> int:
-        """The first tick rendered with this revision or a later one. Raises WaitTimeoutError."""
+        """Wait for the first tick rendered with this revision or a later one, and return it.
+
+        Raises WaitTimeoutError.
+        """
         return self._ring.wait(
             lambda timeout_ns, tick: lib.hd_servo_wait_revision(self._servo, revision, timeout_ns, tick),
-            f"revision {revision} was not in force",
+            f"revision {revision} did not come into force",
         )
 
     def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
-        """What of the scene the rate cannot carry, and what is shown otherwise than it was meant. For any thread."""
+        """Return the vibrations that the rate cannot carry, and warnings of changed display. For any thread."""
         scene, materials, _ = self.state
         objects = of_all_materials(scene.objects)
         reports = {name: self.report_of(name, each) for name, each in materials_in(objects, materials).items()}
@@ -409,30 +419,33 @@ class Engine:
         return [one for one in lacking if (one.material, one.mode) not in played], found
 
     def report_of(self, name: str, material: Material) -> MaterialReport:
-        """What of a material is not displayed as it was meant; found once while it is in use. For any thread."""
+        """Return the cached report of what of a material is not displayed as specified. For any thread."""
         known = self._reports.get(name)
         if known is None or known.material is not material or known.output is not self.output:
             known = self._reports[name] = MaterialReport.of(name, material, self.output)
         return known
 
     def played(self) -> set[tuple[str, str]]:
-        """Materials of the scene and modes of theirs that the device itself plays. For any thread."""
+        """Return the pairs of material and mode that the device plays. For any thread."""
         return {(each.material, each.mode) for each in self.offloaded() if each.refused is None}
 
     @property
     def offload_version(self) -> int:
-        """Raised whenever `offloaded` may say something else though the scene is the same."""
+        """A number that grows whenever the result of `offloaded` may change while the scene stays the same."""
         return 0 if self._offload is None else self._offload.version
 
     def offloaded(self) -> list[Offloaded]:
-        """What became of the scene's taps and ruptures, where the device was to play them itself. For any thread."""
+        """Return which taps and ruptures of the scene the device plays, and why not the others. For any thread."""
         if self._offload is None:
             return []
         return self._offload.outcomes(materials_in(self.scene.objects, self.materials))
 
     def margins(self, touched: bool = False) -> dict[str, float | None] | None:
-        """How many times as stiff each surface could be by itself, by id (None: any stiffness would do); with `touched`
-        only of those that the last change brought or changed. None: mass and damping of the handle are not known."""
+        """Return the margin of each surface by object id: the factor by which its stiffness alone may grow.
+
+        A margin of None is unlimited. `touched`: only the surfaces that the last change added or changed. Returns None
+        if mass and damping of the handle are not known.
+        """
         if self._margins is None:
             return None
         slots = list(self._compiler.touched if touched else self._compiler.slots())
@@ -441,12 +454,14 @@ class Engine:
         return {name: margin if margin < math.inf else None for name, margin in zip(names, found, strict=True)}
 
     def name_of(self, slot: int, generation: int) -> str | None:
-        """The id of the object that an event speaks of; None where no object is meant."""
+        """Return the id of the object that an event names by slot and generation; None: no object."""
         return self._compiler.name_of(slot, generation)
 
     def events_read(self, revision: int) -> None:
-        """Every event was read that is older than a sample of this revision, or of its tick: objects removed
-        since are not asked for by name any more."""
+        """Release the names of objects that were removed before this revision.
+
+        Call it once all events up to the tick of a sample of this revision were read.
+        """
         self._compiler.events_read(revision)
 
     def _publish(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
@@ -456,7 +471,7 @@ class Engine:
             self._offload.settle()
         status = lib.hd_servo_publish(self._servo, table)
         if status != Status.OK:
-            # The servo still has what it had; so does the compiler after this.
+            # The servo still has the old table; this makes the compiler's state match it again.
             reason = "no memory" if status == Status.ERR_MEMORY else invalid_reason()
             self._compiler.restore(self.scene, changed, self.materials, self.revision)
             raise HapticdError(f"the scene cannot be rendered: {reason}")
@@ -467,9 +482,9 @@ class Engine:
     def play(
         self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float
     ) -> tuple[int, float | None]:
-        """Strikes a mode; the tick that took it, and the frequency displayed (None: the rate cannot carry it).
+        """Strike a mode, and return the tick that took it and the frequency displayed (None: the rate cannot carry it).
 
-        What WaitTimeoutError is raised for may still be struck, at the rate that the servo has then.
+        After a WaitTimeoutError the mode may still be struck, at the rate that the servo has then.
         """
         command = self._command(CommandKind.PLAY)
         effect = None
@@ -483,7 +498,8 @@ class Engine:
         command.slot = PLAY_SLOT
         play = Play(mode, attack, direction, amplitude_m_per_s2, effect)
         output = None
-        # A servo that ended meanwhile takes it in its first tick again, before any force: it is struck once more.
+        # If the rate changed while the command waited, the mode was struck for the old rate, in the first tick after
+        # the restart and before any force: it is sent again for the new rate.
         while output is not self.output:
             output = self.output
             command.mode = play.record(output)
@@ -496,7 +512,7 @@ class Engine:
         return tick, None if shown is None else shown.frequency_hz
 
     def reset(self, ids: Iterable[str] | None) -> int:
-        """Heals membranes and clears contact state, of these objects or of all; the tick that took it."""
+        """Heal membranes and clear the contact state of these objects or of all; return the tick that took it."""
         commands = []
         ids = None if ids is None else tuple(ids)
         if ids is None:
@@ -515,19 +531,19 @@ class Engine:
         return tick
 
     def set_forces(self, enabled: bool) -> int:
-        """Forces on (which clears latched faults whose cause has ended) or off; the tick that took it."""
+        """Turn forces on or off, and return the tick that took it. On clears latched faults whose cause has ended."""
         command = self._command(CommandKind.FORCES)
         command.value = enabled
         return self._ring.send([command])
 
     def set_operator(self, waypoints: npt.NDArray[np.float64], interpolation: Literal["linear", "minimum_jerk"]) -> int:
-        """The simulated hand follows waypoints [t_s, x_m, y_m] from the tick that took it, which is returned.
+        """Move the simulated hand along waypoints [t_s, x_m, y_m], and return the tick at which it starts.
 
-        Raises HapticdError where there is no simulated hand.
+        Raises HapticdError if the device is not the simulated joystick.
         """
         if self._sim is None:
             raise HapticdError(
-                f"the device is of kind {self.config.device.kind}: only a simulated joystick has a hand to move"
+                f"device.kind is {self.config.device.kind}: an operator moves only the simulated joystick (sim)"
             )
         path = new_operator(waypoints.tolist(), interpolation)
         command = self._command(CommandKind.OPERATOR)
@@ -537,35 +553,40 @@ class Engine:
         return tick
 
     def stream(self, kind: StreamKind, seq: int, x: float, y: float) -> None:
-        """A newer target of the simulated hand, m, or force, N, which the servo goes to; there is always room.
+        """Send the servo a new target of the simulated hand, m, or a force, N. It replaces the one before.
 
-        Raises HapticdError for what is no finite number, a target beyond 1000 m, or one without a simulated hand.
+        Raises HapticdError for a number that is not finite, and for a target beyond 1000 m or without a simulated hand.
         """
         if lib.hd_servo_stream(self._servo, kind, seq, ffi.new("double[2]", (x, y))) != Status.OK:
             raise HapticdError(invalid_reason())
 
     def stream_counters(self, kind: StreamKind) -> StreamCounters:
-        """What became of what was streamed. For any thread."""
+        """Return the servo's counters of a stream. For any thread."""
         return read_stream_counters(self._servo, kind)
 
     def operator(self) -> dict[str, object] | None:
-        """The tick that took the last operator, and the last gestures that ended; None without a simulated hand. For
-        any thread."""
+        """Return the tick that started the last operator, and the last ends of gestures; None without a simulated hand.
+
+        For any thread.
+        """
         if self._sim is None:
             return None
         return {"started_tick": self._operator_tick, "ends": list(self._gesture_ends)}
 
     @property
     def operator_version(self) -> tuple[int | None, dict[str, object] | None]:
-        """Another one whenever `operator` is."""
+        """A value that changes whenever the result of `operator` changes."""
         return self._operator_tick, self._gesture_ends[-1] if self._gesture_ends else None
 
     def gesture_ended(self, event: dict[str, object]) -> None:
-        """Keeps the event at a gesture's end. For the thread that reads events."""
+        """Keep an event `gesture_end` for `operator`. For the thread that reads events."""
         self._gesture_ends.append(event)
 
     def mark(self, mark: Mark) -> int:
-        """Has the servo leave an event for a mark; the tick that took it. Forces may be off, faults latched."""
+        """Have the servo emit an event for a mark, and return the tick that took it.
+
+        It works with forces off and with latched faults. Raises RingFullError, WaitTimeoutError.
+        """
         try:
             number = self._marks.add(mark)
         except MarksFullError:
@@ -581,44 +602,48 @@ class Engine:
             raise
 
     def take_mark(self, number: int) -> Mark:
-        """The mark of an event. For the thread that reads events, once for each."""
+        """Return the mark of an event and release it. For the thread that reads events."""
         return self._marks.take(number)
 
     def set_lease(self, deadline_ns: int) -> None:
-        """Forces fade out when this time (CLOCK_MONOTONIC) passes; 0: no lease."""
+        """Set the time (CLOCK_MONOTONIC) at which the forces fade out; 0: no lease."""
         lib.hd_servo_set_lease(self._servo, deadline_ns)
 
     def _command(self, kind: CommandKind) -> CData:
         return self._ring.new(kind, self.revision)
 
-    # ---- What the servo says ---------------------------------------------------------------------------------------
+    # ---- Telemetry -------------------------------------------------------------------------------------------------
 
     def counters(self) -> Counters:
-        """What was counted so far."""
+        """Return the servo's counters."""
         return read_counters(self._servo)
 
     def histograms(self) -> tuple[Histogram, Histogram]:
-        """Of lateness and of work, since the start. For any thread."""
+        """Return the histograms of lateness and of work time since the start. For any thread."""
         return read_histograms(self._servo)
 
     def read_changes(self) -> Iterator[Change]:
-        """What commands changed since it was read last. For one thread."""
+        """Yield the changes that commands made since the last call. For one thread."""
         with suppress(IndexError):
             while True:
                 yield self._changes.popleft()
 
     def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Moves samples into `room` (SAMPLE_DTYPE); how many, and the running total of those dropped. For one
-        thread at a time, also beside one that reads events."""
+        """Move samples into `room` (SAMPLE_DTYPE); return their number and the total of samples dropped.
+
+        For one thread at a time; another may read events at the same time.
+        """
         return self._read(lib.hd_servo_read_samples, "struct hd_sample[]", SAMPLE_DTYPE, room)
 
     def read_events(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Moves events into `room` (EVENT_DTYPE); how many, and the running total of those dropped."""
+        """Move events into `room` (EVENT_DTYPE); return their number and the total of events dropped."""
         return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, room)
 
     def touching(self) -> list[str]:
-        """The ids of what is touched, at most 1024, by the servo's own account: no event is needed for it. For the
-        thread that reads samples, after these."""
+        """Return the sorted ids of the touched objects, at most 1024, as the servo reports them.
+
+        For the thread that reads samples, after it read them.
+        """
         count = lib.hd_servo_read_touched(self._servo, self._touched)
         names = (self.name_of(record.slot, record.generation) for record in self._touched[0:count])
         return sorted(name for name in names if name is not None)
@@ -631,14 +656,14 @@ class Engine:
         room: npt.NDArray[np.void],
     ) -> tuple[int, int]:
         if room.dtype != dtype:
-            raise ValueError(f"room for records of {dtype}, not {room.dtype}")
-        dropped = ffi.new("uint64_t *")  # its own: samples and events may be read at the same time
+            raise ValueError(f"room: must be an array of {dtype}, is {room.dtype}")
+        dropped = ffi.new("uint64_t *")  # not shared: samples and events may be read at the same time
         count = read(self._servo, pointer(ctype, room), len(room), dropped)
         return int(count), int(dropped[0])
 
 
 def source_of(device: Device) -> Source:
-    """Where a configured device that is no simulation comes from."""
+    """Return the source of a configured device that is not simulated."""
     from hapticd.hid import sources
 
     return sources.source_of(device)

@@ -1,9 +1,9 @@
-"""The flight recorder: the last seconds of samples and events, kept, and written to a file on a fault or when asked.
+"""The flight recorder: keeps the last seconds of samples and events, and writes them on a fault or on request.
 
-The telemetry thread leaves here what it sends: samples go round in one array that never grows (1.1 MB a second at
-10 kHz); flight_scene.py keeps what they were rendered with, so that a file can be rendered again. A separate thread
-writes files; what it writes is a copy of that array, so that nobody waits for the disk. A fault's file is begun
-FAULT_AFTERMATH_S after the fault, so that it shows what became of it.
+The telemetry thread passes it what it sends. Samples are kept in a circular array of fixed size (1.1 MB a second at
+10 kHz); flight_scene.py keeps their scene, so that a file can be rendered again. A separate thread writes a copy of the
+array, so that no other thread waits for the disk. The file of a fault is begun FAULT_AFTERMATH_S after the fault, so
+that it shows the consequences.
 """
 
 from __future__ import annotations
@@ -32,34 +32,36 @@ from hapticd.recording.missed_periods import MAX_LISTED_GAPS, gaps_of, missed_pe
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 FAULT_AFTERMATH_S: Final = 1.0
-"""So much after a fault is in its file."""
+"""Time after a fault that its file includes."""
 MAX_KEPT_EVENTS: Final = 5000
-"""Events that are kept; of a flood, the newest."""
+"""Events that are kept, the newest."""
 CHUNK_SAMPLES: Final = 3200
-"""Samples that are written at once: 360 kB."""
+"""Samples that are written in one call: 360 kB."""
 _OPAQUE_SAMPLE_DTYPE: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
-"""A sample without its members, which numpy would copy one by one."""
+"""A sample as opaque bytes: numpy copies members of a record one by one, which takes longer."""
 CLOCK_READ_INTERVAL_NS: Final = 1_000_000_000
-"""So often the clocks are read, for a file's beginning."""
+"""Interval in which the clocks are read, for the time at which a file begins."""
 
 _FILE_NAME_PATTERN: Final = re.compile(r"flight-(\d{6,})-[a-z]+\.npz")
 _log = logging.getLogger("hapticd")
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """A file that is to be written, once it is `due_ns`."""
+class _PendingFile:
+    """A requested file, which is written once the time is `due_ns`."""
 
     path: Path
     reason: str
     tick: int | None
-    """Of the fault."""
+    """Tick of the fault; None: a client requested the file."""
     due_ns: int
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    asked: _Asked
+    """A file and its content, for the writer thread."""
+
+    file: _PendingFile
     samples: npt.NDArray[np.void]
     events: list[dict[str, object]]
     stretch: Stretch
@@ -68,8 +70,11 @@ class _Job:
 
 
 class Flight:
-    """Keeps and writes. `keep_...`, `turn` and `finish` are the telemetry thread's, `run` is the writer's, the rest for
-    any thread."""
+    """The flight recorder.
+
+    `keep_...`, `hand_over_due` and `finish` are for the telemetry thread, `run` is for the writer thread, and all
+    others are for any thread.
+    """
 
     def __init__(
         self,
@@ -82,25 +87,28 @@ class Flight:
         texts: Callable[[], Mapping[str, object]] = dict,
         read_clock: Callable[[], Moment] = clock.read,
     ) -> None:
-        """`keep`: files that stay; older ones are removed. `texts`: what else goes into a file, as in recordings."""
+        """Keep the last `seconds` of samples in memory, and the newest `keep` files in `directory`.
+
+        `texts` returns further members of a file, as in recordings.
+        """
         self._scene, self._read_clock = scene, read_clock
         self._moments: deque[Moment] = deque([read_clock()])
         self._directory, self._seconds, self._keep = directory, seconds, keep
         self._now_ns, self._texts = now_ns, texts
         self._samples = np.zeros(round((seconds + FAULT_AFTERMATH_S) * rate_hz), _OPAQUE_SAMPLE_DTYPE)
         self._count = 0
-        """Of samples that came; the next one's place, round the array."""
+        """Number of samples that came. Modulo the array's length it is the index of the next one."""
         self._events: deque[dict[str, object]] = deque(maxlen=MAX_KEPT_EVENTS)
         self._lock = threading.Lock()
-        self._asked: list[_Asked] = []
+        self._pending: list[_PendingFile] = []
         self._dumping = False
-        """A file that somebody asked for is the writer's; another one waits, so that not many copies do."""
+        """A requested file is with the writer. The next one waits for it, which limits the copies in memory."""
         self._number = max((int(match[1]) for _, match in self._files()), default=0)
         self._quiet_until_ns = 0
         self._repeats = Repeats()
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self.version = 0
-        """Raised when `status` is another."""
+        """A number that grows when the result of `status` changes."""
         self._under_way = 0
         self._written = 0
         self._skipped = 0
@@ -110,7 +118,7 @@ class Flight:
     # ---- The telemetry thread --------------------------------------------------------------------------------------
 
     def keep_samples(self, samples: npt.NDArray[np.void]) -> None:
-        """Takes a batch, shape (n,), of SAMPLE_DTYPE; a copy of it is kept."""
+        """Copy a batch of samples, of SAMPLE_DTYPE and shape (n,), into the array."""
         most = len(self._samples)
         batch = samples[-most:].view(_OPAQUE_SAMPLE_DTYPE)
         place = self._count % most
@@ -126,11 +134,11 @@ class Flight:
             self._moments.popleft()
 
     def keep_change(self, change: Change) -> None:
-        """Takes what a command changed."""
+        """Keep a change that a command made."""
         self._scene.take(change)
 
     def keep_event(self, event: dict[str, object]) -> None:
-        """Takes an event as it is sent; one that tells of faults asks for a file."""
+        """Keep an event as it is sent; a fault requests a file."""
         self._events.append(event)
         if event["event"] == "fault" and event["faults"]:
             self._fault(int(str(event["tick"])))
@@ -143,67 +151,67 @@ class Flight:
                 self.version += 1
                 return
             self._quiet_until_ns = now_ns + round((self._seconds + FAULT_AFTERMATH_S) * 1e9)
-            self._ask("fault", tick, now_ns + round(FAULT_AFTERMATH_S * 1e9))
+            self._request("fault", tick, now_ns + round(FAULT_AFTERMATH_S * 1e9))
 
-    def turn(self, kept_ns: int) -> None:
-        """Hands over to the writer what is due at `kept_ns`: the time until which everything is kept, or on its way."""
+    def hand_over_due(self, kept_ns: int) -> None:
+        """Pass the files that are due to the writer. `kept_ns`: the time up to which all telemetry has been drained."""
         if kept_ns - self._moments[-1].monotonic_ns >= CLOCK_READ_INTERVAL_NS:
             self._moments.append(self._read_clock())
-        if not self._asked:
+        if not self._pending:
             return
         with self._lock:
             held = self._dumping
-            # A change may come a moment later than the samples that were rendered with it.
+            # A change may come slightly later than the samples that were rendered with it.
             ready_ns = kept_ns if self._knows_newest() else kept_ns - round(FAULT_AFTERMATH_S * 1e9)
-            due = [
-                asked for asked in self._asked if ready_ns >= asked.due_ns and not (held and asked.reason == "asked")
-            ]
-            self._asked = [asked for asked in self._asked if asked not in due]
-            self._dumping = held or any(asked.reason == "asked" for asked in due)
+            due = [file for file in self._pending if ready_ns >= file.due_ns and not (held and file.reason == "asked")]
+            self._pending = [file for file in self._pending if file not in due]
+            self._dumping = held or any(file.reason == "asked" for file in due)
         self._hand_over(due)
 
     def _knows_newest(self) -> bool:
-        """Whether the newest sample's revision is known."""
+        """Return whether the scene of the newest sample is known."""
         if self._count == 0:
             return True
         newest = self._samples.view(SAMPLE_DTYPE)[(self._count - 1) % len(self._samples)]
         return self._scene.knows(int(newest["revision"]))
 
     def finish(self) -> None:
-        """The last samples have come: hands over everything that was asked for."""
+        """Pass all pending files to the writer, after the last samples."""
         with self._lock:
-            due, self._asked = self._asked, []
+            due, self._pending = self._pending, []
         self._hand_over(due)
 
-    def _hand_over(self, due: list[_Asked]) -> None:
-        for asked in due:
+    def _hand_over(self, due: list[_PendingFile]) -> None:
+        for file in due:
             place = self._count % len(self._samples) if self._count > len(self._samples) else 0
             kept = self._samples[: self._count]
             samples = np.concatenate((kept[place:], kept[:place])).view(SAMPLE_DTYPE)
             started = self._moments[0] if len(samples) else None
-            self._jobs.put(_Job(asked, samples, list(self._events), self._scene.stretch(), started, self._read_clock()))
+            self._jobs.put(_Job(file, samples, list(self._events), self._scene.stretch(), started, self._read_clock()))
 
     # ---- Any thread ------------------------------------------------------------------------------------------------
 
     def dump(self) -> Path:
-        """Has a file written of what is kept now; its name. It is there once it is whole. Until it is begun, it is
-        everybody's who asks."""
-        with self._lock:
-            waiting = next((asked.path for asked in self._asked if asked.reason == "asked"), None)
-            return waiting or self._ask("asked", None, self._now_ns())
+        """Request a file of what is kept now, and return its name.
 
-    def _ask(self, reason: str, tick: int | None, due_ns: int) -> Path:
+        The file exists once it is complete. Requests before it is begun return the same name.
+        """
+        with self._lock:
+            waiting = next((file.path for file in self._pending if file.reason == "asked"), None)
+            return waiting or self._request("asked", None, self._now_ns())
+
+    def _request(self, reason: str, tick: int | None, due_ns: int) -> Path:
         path = None
-        while path is None or os.path.lexists(path):  # another daemon may write there, too
+        while path is None or os.path.lexists(path):  # another daemon may use the same directory
             self._number += 1
             path = self._directory / f"flight-{self._number:06d}-{reason}.npz"
-        self._asked.append(_Asked(path, reason, tick, due_ns))
+        self._pending.append(_PendingFile(path, reason, tick, due_ns))
         self._under_way += 1
         self.version += 1
         return path
 
     def status(self) -> dict[str, object]:
-        """What get_status says."""
+        """Return the member `flight` of a status."""
         with self._lock:
             return {
                 "directory": str(self._directory),
@@ -218,7 +226,7 @@ class Flight:
     # ---- The writer ------------------------------------------------------------------------------------------------
 
     def run(self, stop: threading.Event) -> None:
-        """Writes what was handed over until `stop` is set and `wake` called, and what was handed over before."""
+        """Write files until `wake` is called; files passed before that are still written."""
         while True:
             try:
                 job = self._jobs.get(timeout=MIN_REPEAT_INTERVAL_S)
@@ -228,7 +236,7 @@ class Flight:
             if job is None:
                 break
             self._carry_out(job)
-            del job  # the next one may be hours away, and this one holds all that was kept
+            del job  # frees the copy of the samples: the next job may come hours later
             self._repeats.flush()
         self._repeats.finish()
 
@@ -240,21 +248,21 @@ class Flight:
             problem = str(error)
         with self._lock:
             self._under_way -= 1
-            if job.asked.reason == "asked":
+            if job.file.reason == "asked":
                 self._dumping = False
             self._problem = problem
             self.version += 1
             if problem is None:
                 self._written += 1
-                self._last = job.asked.path
-        # Clients may ask for dozens a second.
-        file, level = job.asked.path, logging.INFO if problem is None else logging.ERROR
+                self._last = job.file.path
+        # Clients may request dozens of files a second.
+        path, level = job.file.path, logging.INFO if problem is None else logging.ERROR
         self._repeats.line(
-            f"{job.asked.reason} {level}", level, f"flight recorder: {problem or file}", MIN_REPEAT_INTERVAL_S
+            f"{job.file.reason} {level}", level, f"flight recorder: {problem or path}", MIN_REPEAT_INTERVAL_S
         )
 
     def wake(self) -> None:
-        """Ends `run`."""
+        """End `run`."""
         self._jobs.put(None)
 
     def _write(self, job: _Job) -> None:
@@ -263,13 +271,13 @@ class Flight:
         if not self._directory.is_dir():
             os.makedirs(self._directory)
             os.chmod(self._directory, 0o750)
-        stretch, about = job.stretch, {"reason": job.asked.reason, "tick": job.asked.tick}
+        stretch, about = job.stretch, {"reason": job.file.reason, "tick": job.file.tick}
         changes = stretch.change_maps()
-        with RecordingWriter(job.asked.path) as writer:
+        with RecordingWriter(job.file.path) as writer:
             writer.begin({**self._texts(), **stretch.texts()})
             for change in changes:
                 writer.write_change(change)
-            # Not in small pieces: each write is a chance to wait for the interpreter, and has others wait for it.
+            # In large pieces: after each write the thread may have to wait for the interpreter, and so may others.
             for first in range(0, len(job.samples), CHUNK_SAMPLES):
                 writer.write(job.samples[first : first + CHUNK_SAMPLES])
             for event in job.events:
@@ -291,7 +299,7 @@ class Flight:
 
 
 def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:
-    """What the file holds and what it lacks, as in recordings."""
+    """Return what the file contains and what is missing, as in recordings."""
     samples, stretch = job.samples, job.stretch
     ticks, times = samples["tick"].astype(np.int64), samples["time_ns"]
     rates = rates_of(samples, changes, stretch.rate_hz)
@@ -313,7 +321,7 @@ def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:
 
 
 def directory_of(configured: str | None, runtime: Path, environ: Mapping[str, str] | None = None) -> Path:
-    """Where files go: as configured, else the state directory that systemd gives, else the runtime directory."""
+    """Return the directory of the files: as configured, else systemd's state directory, else the runtime directory."""
     environ = os.environ if environ is None else environ
     state = environ.get("STATE_DIRECTORY", "").split(":")[0]
     return Path(configured or state or runtime).absolute()

@@ -1,7 +1,7 @@
-"""What the flight recorder's samples were rendered with: the scene at the oldest of them, and the changes since.
+"""The scene at the oldest sample that the flight recorder keeps, and the changes since.
 
-The telemetry thread alone calls it. What is kept is bounded: where more changes in the seconds that are kept, the scene
-at the beginning moves forward, and samples from before it are in the file, but cannot be rendered again.
+Only the telemetry thread calls it. Memory is bounded: if more changes than MAX_KEPT_CHANGES come within the seconds
+that are kept, the scene at the beginning moves forward. Older samples are in the file, but cannot be rendered again.
 """
 
 from __future__ import annotations
@@ -26,37 +26,37 @@ from hapticd.protocol.changes import (
     pieces,
 )
 
-MOST_CHANGED: Final = 4000
-"""Changes that are kept, each counted once and for each of the `pieces` in it."""
+MAX_KEPT_CHANGES: Final = 4000
+"""Changes that are kept. Each counts as one, plus one for each of the `pieces` in it."""
 
 
 class _Base(NamedTuple):
-    """A scene in pieces, which changes are put into one by one."""
+    """A scene as maps, which changes are applied to one by one."""
 
     shown: dict[str, object]
     objects: dict[str, SceneObject]
     materials: dict[str, Material]
 
     def is_too_large(self) -> bool:
-        """For a file."""
+        """Return whether the scene exceeds the limits of a file."""
         everything = chain(self.objects.values(), self.materials.values())
         return len(self.objects) > MAX_FLIGHT_OBJECTS or sum(map(pieces, everything)) > MAX_FLIGHT_PIECES
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """What a file tells, as it was when the file became due; the writer makes maps of it."""
+    """Scene and changes for a file, copied when the file became due; the writer thread converts them to maps."""
 
     revision: int
     rate_hz: float
     base: _Base | None
-    """None: it is too large."""
+    """The scene at the beginning; None: it is too large or unknown."""
     changes: tuple[Change, ...]
     complete_from: int
-    """All that was played and reset since this tick is among the changes."""
+    """The first tick from which on `changes` has every play and reset."""
 
     def texts(self) -> dict[str, object]:
-        """`scene` and `materials` at the beginning, as in recordings; None where they are too large."""
+        """Return `scene` and `materials` at the beginning, as in recordings; None if they are too large or unknown."""
         if self.base is None:
             return {"scene": None, "materials": None}
         objects = {id: item.to_dict() for id, item in self.base.objects.items()}
@@ -65,12 +65,12 @@ class Stretch:
         return {"scene": {**shown, "objects": objects}, "materials": materials}
 
     def change_maps(self) -> list[dict[str, object]]:
-        """`changes`, as in recordings; the first entry has the revision and the rate at the beginning."""
+        """Return `changes` as in recordings; the first entry has the revision and the rate at the beginning."""
         first: dict[str, object] = {"revision": self.revision, "rate_hz": self.rate_hz}
         return [first, *map(change_map, self.changes)]
 
     def missing(self, revisions: set[int]) -> list[int]:
-        """Those of the samples' revisions whose scene is not known."""
+        """Return which of the samples' `revisions` have an unknown scene, sorted."""
         known = {change.revision for change in self.changes if isinstance(change, Revised)}
         return sorted(revisions - known - {self.revision})
 
@@ -80,25 +80,26 @@ def _plain(value: object) -> object:
 
 
 class FlightScene:
-    """Follows the changes, and forgets those that no sample is left of."""
+    """Keeps the changes that belong to samples that are still kept, and the scene before them."""
 
     def __init__(self, scene: Scene, materials: Materials, revision: int, rate_hz: float) -> None:
+        """Begin with the scene, the materials and the rate in force."""
         self._rate_hz = rate_hz
         self._revision = revision
         self._base = _base_of(scene, materials)
         self._lost = False
-        """Changes were dropped before they came here: nobody knows the scene until all of it comes again."""
+        """A revision is missing: the scene is unknown until a change brings a complete scene."""
         self._changes: deque[Change] = deque()
         self._weight = 0
         self._complete_from = 0
         self.newest = revision
-        """The newest revision that is known."""
+        """The newest known revision."""
 
     def take(self, change: Change) -> None:
-        """Takes what a command changed."""
+        """Add a change that a command made."""
         if isinstance(change, Revised):
             if change.whole is not None:
-                # What comes next is all there; what was before it is not kept beside it.
+                # The change has a complete scene, which replaces everything before it.
                 while self._changes:
                     self._drop()
                 self._base, self._lost = _base_of(*change.whole), False
@@ -109,26 +110,26 @@ class FlightScene:
             self.newest = change.revision
         self._changes.append(change)
         self._weight += _weight(change)
-        while self._weight > MOST_CHANGED:
+        while self._weight > MAX_KEPT_CHANGES:
             self._drop()
 
     def forget(self, tick: int, revision: int) -> None:
-        """No sample is kept that is older than this tick, rendered with this revision."""
+        """Drop the changes before `tick`, which has `revision` and is the tick of the oldest sample that is kept."""
         while self._changes and _is_over(self._changes[0], tick, revision):
             self._drop()
 
     def knows(self, revision: int) -> bool:
-        """Whether the change to this revision has come; it may come after the first sample rendered with it."""
+        """Return whether the change to this revision has come; it may come after the first sample rendered with it."""
         return _ahead(self.newest, revision) >= 0
 
     def stretch(self) -> Stretch:
-        """What there is now."""
+        """Return a copy of the scene and the changes that are kept now."""
         known = not self._lost and not self._base.is_too_large()
         base = _Base(*map(dict, self._base)) if known else None  # type: ignore[arg-type]
         return Stretch(self._revision, self._rate_hz, base, tuple(self._changes), self._complete_from)
 
     def _drop(self) -> None:
-        """Gives up the oldest change: what it changed is so from the beginning."""
+        """Remove the oldest change and apply it to the scene at the beginning."""
         change = self._changes.popleft()
         self._weight -= _weight(change)
         if not isinstance(change, Revised):
@@ -164,6 +165,6 @@ def _is_over(change: Change, tick: int, revision: int) -> bool:
 
 
 def _ahead(one: int, other: int) -> int:
-    """By how many revisions, which go round at 2^32."""
+    """Return `one - other` in revisions, which wrap around at 2^32."""
     ahead = (one - other) & 0xFFFFFFFF
     return ahead if ahead < 0x80000000 else ahead - 0x100000000

@@ -1,7 +1,7 @@
-"""A lease: forces stay on only while somebody renews it, by token, in time.
+"""The lease: forces stay on only while a client renews it, by token, before its deadline.
 
-`methods.py` makes the protocol's errors of what it raises. The servo itself watches the deadline, so that a
-control plane that hangs or dies changes nothing about it.
+`methods.py` converts its exceptions to the protocol's errors. The servo watches the deadline, so that it holds even if
+Python hangs or dies.
 """
 
 from __future__ import annotations
@@ -10,22 +10,23 @@ import secrets
 from collections.abc import Callable
 from typing import Final
 
-MAX_DURATION_S: Final = 3600.0
+MAX_LEASE_DURATION_S: Final = 3600.0
+"""Longest duration of a lease. docs/protocol.md states it."""
 
 
 class LeaseHeldError(Exception):
-    """Somebody else holds the lease; the protocol's error is Code.LEASE_HELD."""
+    """Another client holds the lease; the protocol's error is Code.LEASE_HELD."""
 
 
 class LeaseLapsedError(Exception):
-    """The token's lease lapsed or was ended, or there never was one; the error is Code.LEASE_LAPSED."""
+    """The token's lease lapsed, was ended or never existed; the protocol's error is Code.LEASE_LAPSED."""
 
 
 class Lease:
     """At most one lease at a time; times in nanoseconds of `clock`."""
 
     def __init__(self, set_deadline: Callable[[int], None], clock: Callable[[], int]) -> None:
-        """`set_deadline` tells the servo when forces fade out; 0: never."""
+        """Use `set_deadline` to set the time at which the servo fades the forces out; 0: never."""
         self._set_deadline = set_deadline
         self._clock = clock
         self._token: str | None = None
@@ -33,16 +34,16 @@ class Lease:
 
     @property
     def remaining_s(self) -> float | None:
-        """Time left, None without a lease."""
+        """Time until the lease lapses; None without a lease."""
         if self._token is None:
             return None
         remaining = (self._deadline - self._clock()) / 1e9
         return remaining if remaining > 0 else None
 
     def request(self, duration_s: float, token: str | None) -> str | None:
-        """Takes, renews or (0) ends the lease; its token, None once ended.
+        """Take, renew or, with a duration of 0, end the lease; return its token, or None once it is ended.
 
-        Raises LeaseHeldError while another token holds it, LeaseLapsedError for a token that holds nothing.
+        Raises LeaseHeldError while another token holds it, LeaseLapsedError for a token that holds no lease.
         """
         held = self.remaining_s is not None
         if held and (token is None or not secrets.compare_digest(token.encode(), (self._token or "").encode())):
@@ -62,7 +63,7 @@ class Lease:
         return self._token
 
     def forget_lapsed(self) -> None:
-        """A lease whose time has passed is over, and no longer a cause to keep the forces off."""
+        """End a lease that has lapsed, so that it no longer keeps the forces off."""
         if self._token is not None and self.remaining_s is None:
             self._token = None
             self._set_deadline(0)

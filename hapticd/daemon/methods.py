@@ -1,6 +1,6 @@
-"""The methods of the protocol: what each takes, does and answers. `docs/protocol.md` is the reference.
+"""The handlers of the protocol's methods. `docs/protocol.md` is the reference.
 
-A handler gets validated parameters and returns the result, or raises MethodError. Nothing here knows of sockets.
+A handler gets validated parameters and returns the result, or raises MethodError. Sockets belong to `router.py`.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ from hapticd.daemon.params import (
 from hapticd.daemon.refusal import MethodError
 from hapticd.daemon.reload import needing_restart, read_again
 from hapticd.daemon.status import Status
-from hapticd.daemon.status_text import FAULTS
+from hapticd.daemon.status_text import FAULT_REASONS
 from hapticd.daemon.streams import NotInTurnError, Streams
 from hapticd.hid.signs import SIGNS_REMEDY
 from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
@@ -72,56 +72,58 @@ from hapticd.rendering.joystick import grip_of, target_of
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 _log = logging.getLogger("hapticd")
-_MOST_PARAMS: Final = 16
+_MAX_PARAM_MEMBERS: Final = 16
+"""Members of `params` above which a request is refused unread. No method takes as many."""
 
 
 class _Proposed(NamedTuple):
-    """What a change would bring: validated, but for what the materials in force and the rate decide."""
+    """The scene and materials of a requested change, validated except for names of materials and for the rate."""
 
     scene: Scene
     materials: Materials
     objects: Mapping[str, SceneObject] = {}
-    """Those of the scene that were sent."""
+    """Objects of `scene` that the request contains."""
     root: Path = ()
-    """Where `objects` stands in what was sent."""
+    """The place of `objects` in the request, for error messages."""
     sent: Collection[str] = ()
-    """Names of the materials that were sent."""
+    """Names of the materials that the request contains."""
     changed: Collection[str] | None = ()
-    """Ids of the objects that may be others, or gone; None: all that are."""
+    """Ids of the objects that may differ or are removed; None: they are found by comparison."""
 
 
 class _Changed(NamedTuple):
-    """A change that is in force, or will be in a moment."""
+    """A change that is in force, or will be from the next tick on."""
 
     revision: int
     wait: bool
-    """Whether its answer says from which tick on."""
+    """Whether the answer waits for the first tick of this revision and contains it."""
     warnings: list[Problem]
     margins: dict[str, float | None] | None
-    """As Engine.margins, of the surfaces that it brought or changed."""
+    """Margins, as of Engine.margins, of the surfaces that were added or changed."""
 
 
-CHANGES: Final = frozenset(("set_scene", "update_scene", "set_materials", "update_materials", "apply", "reload"))
-"""Methods that change scene or materials, in steps: one may take seconds. What else there is takes milliseconds."""
+CHANGE_METHODS: Final = frozenset(("set_scene", "update_scene", "set_materials", "update_materials", "apply", "reload"))
+"""Methods that change scene or materials. They may take seconds and run in steps; all others take milliseconds."""
 Result: TypeAlias = dict[str, object] | Encoded
-STATE_WAIT_S: Final = 1.0
-"""So long `get_state` waits for the first tick."""
-_LOOK_S: Final = 0.001
+FIRST_STATE_TIMEOUT_S: Final = 1.0
+"""Time that `get_state` waits for the first tick."""
+_FIRST_STATE_POLL_S: Final = 0.001
+"""Interval in which `get_state` polls for the first tick, which no event signals."""
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
 
 
 def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
-    """A result, with what is not displayed as it was meant if there is anything."""
+    """Return the result with a member `warnings` if there are any."""
     return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
 
 
 def _with_margins(result: dict[str, object], margins: dict[str, float | None] | None) -> dict[str, object]:
-    """A result, with the margins of surfaces if they are known."""
+    """Return the result with a member `margins` if they are known."""
     return result if margins is None else {**result, "margins": margins}
 
 
 class Methods:
-    """Acts on one engine. One thread at a time."""
+    """The protocol's methods for one engine. One thread at a time may call them."""
 
     def __init__(
         self,
@@ -130,13 +132,13 @@ class Methods:
         flight: Flight | None = None,
         read_state: Callable[[], dict[str, object] | None] | None = None,
     ) -> None:
-        """`load` reads the configuration again, for `reload`; `read_state` finds the newest sample."""
+        """Act on `engine`. `load` reads the configuration again, `read_state` returns the newest sample."""
         self._engine = engine
         self._load = load
         self._flight = flight
         self._read_state = read_state
         self.repeats = Repeats()
-        """What clients cause in the log. Whoever calls also flushes it."""
+        """Limits the log lines that clients cause. The caller of the methods must flush it."""
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self.streams = Streams(engine, engine.connection is None, round(1e9 * engine.config.servo.stream_timeout_s))
         self._sender: object = None
@@ -144,18 +146,20 @@ class Methods:
         self._reference_m = engine.config.device.sim.start_m
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
-        """The result of a method, however long it takes. Raises MethodError."""
-        result = finish(self.change(method, params)) if method in CHANGES else self.perform(method, params)
+        """Run a method to its end and return its result. Raises MethodError."""
+        result = finish(self.change(method, params)) if method in CHANGE_METHODS else self.perform(method, params)
         return cast(dict[str, object], decode_trusted(bytes(result))) if isinstance(result, Encoded) else result
 
     def perform(self, method: str, params: Mapping[str, object]) -> Result:
-        """Does what a method is for that changes neither scene nor materials; its result. Raises MethodError."""
+        """Run a method that changes neither scene nor materials, and return its result. Raises MethodError."""
         with self._refusals(params):
             return cast(Result, self._handled(method, params))
 
     def change(self, method: str, params: Mapping[str, object]) -> Steps[Result]:
-        """Does one of CHANGES, in steps that take milliseconds each; its result. Nothing is changed before the last
-        one, which may wait for the servo. Raises MethodError."""
+        """Run one of CHANGE_METHODS in steps of a few milliseconds each, and return its result.
+
+        Only the last step changes anything; it may wait for the servo. Raises MethodError.
+        """
         engine = self._engine
         with self._refusals(params):
             try:
@@ -174,13 +178,18 @@ class Methods:
             return _with_warnings(_with_margins(result, changed.margins), changed.warnings)
 
     def _handled(self, method: str, params: Mapping[str, object]) -> Result | Steps[_Changed]:
-        """What the handler of a method returns. Raises ValidationError, and what `_refusals` names."""
-        entry = _METHODS.get(method)
+        """Validate the params, call the handler and return what it returns.
+
+        Raises MethodError, and the errors that `_refusals` converts.
+        """
+        entry = _METHOD_HANDLERS.get(method)
         if entry is None:
-            raise MethodError(Code.NO_SUCH_METHOD, f"no such method; {known_names(method, _METHODS)}")
+            raise MethodError(Code.NO_SUCH_METHOD, f"no such method; {known_names(method, _METHOD_HANDLERS)}")
         model, handler = entry
-        if len(params) > _MOST_PARAMS:
-            raise InvalidError([Problem("", f"has {len(params)} parameters, no method takes more than {_MOST_PARAMS}")])
+        if len(params) > _MAX_PARAM_MEMBERS:
+            raise InvalidError(
+                [Problem("", f"params must have at most {_MAX_PARAM_MEMBERS} members, has {len(params)}")]
+            )
         self._engine.beat()
         given = params if model is None else model.parsed(params)
         if isinstance(given, ChangeParams) and given.expect_revision not in (None, self._engine.revision):
@@ -189,7 +198,7 @@ class Methods:
 
     @contextmanager
     def _refusals(self, params: Mapping[str, object]) -> Iterator[None]:
-        """What is refused, as the error object of the answer."""
+        """Convert the errors of a handler to MethodError."""
         try:
             yield
         except ValidationError as error:
@@ -204,7 +213,7 @@ class Methods:
             raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
 
     def stream(self, method: str, params: Mapping[str, object], sender: object) -> dict[str, object]:
-        """Does one of the methods that stream, for this sender; what is not taken is counted. Raises MethodError."""
+        """Run a method of a stream for the connection `sender`, and count a refused message. Raises MethodError."""
         self._sender = sender
         try:
             return cast("dict[str, object]", self.perform(method, params))
@@ -215,7 +224,7 @@ class Methods:
             raise
 
     def status(self) -> dict[str, object]:
-        """The body of the status topic: the result of get_status with every detail."""
+        """Return the message of the topic `status`: the result of get_status with all details."""
         return self._status.report()
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------
@@ -226,13 +235,13 @@ class Methods:
     def _get_state(self, _: NoParams) -> dict[str, object]:
         if self._read_state is None:
             raise MethodError(Code.INTERNAL, "this daemon has no telemetry")
-        until_ns = monotonic_ns() + int(STATE_WAIT_S * 1e9)
+        until_ns = monotonic_ns() + int(FIRST_STATE_TIMEOUT_S * 1e9)
         while (state := self._read_state()) is None:
             if monotonic_ns() >= until_ns:
-                raise MethodError(Code.WAIT_TIMED_OUT, f"no tick was rendered within {STATE_WAIT_S:g} s")
+                raise MethodError(Code.WAIT_TIMED_OUT, f"no tick was rendered within {FIRST_STATE_TIMEOUT_S:g} s")
             self._engine.beat()
-            self._engine.look_after()
-            time.sleep(_LOOK_S)  # nothing tells when the first tick is over
+            self._engine.poll_servo()
+            time.sleep(_FIRST_STATE_POLL_S)
         return state
 
     def _get_config(self, _: NoParams) -> dict[str, object]:
@@ -258,7 +267,7 @@ class Methods:
         return (yield from self._take(params, new))
 
     def _take(self, params: ChangeParams, new: _Proposed) -> Steps[_Changed]:
-        """Compiles what is proposed and has it rendered from one tick on. Raises InvalidError, StaleRevisionError."""
+        """Compile a proposed change and put it in force at one tick. Raises InvalidError, StaleRevisionError."""
         engine, output = self._engine, None
         # Between two steps the servo may have stepped down to another rate.
         while output is not engine.output:
@@ -272,18 +281,18 @@ class Methods:
         return _Changed(revision, params.wait, warnings, engine.margins(touched=True))
 
     def _problems_of(self, new: _Proposed) -> list[Problem]:
-        """Materials that objects name and nobody defines, or that no signal of this rate has."""
+        """Return the problems of materials that do not exist or are impossible at this rate."""
         engine, before = self._engine, self._engine.scene.objects
         if new.materials is not engine.materials:
             known = engine.materials
             others = {name: each for name, each in new.materials.items() if known.get(name) is not each}
-            # What the scene before is made of is compiled anew before its objects go.
+            # Changed materials are compiled for the old scene too, before its objects are removed.
             problems = rate_faults(new.scene.objects, others, engine.output) or rate_faults(
                 before, others, engine.output
             )
             if problems:
                 return problems
-        # What is made of the same as before is known to go together with it.
+        # Objects whose materials keep their names were checked when they were added.
         objects = {id: item for id, item in new.objects.items() if not same_materials(before.get(id), item)}
         if not objects:
             return []
@@ -318,7 +327,7 @@ class Methods:
         engine = self._engine
         materials, patched = yield from patched_materials(params.materials, engine.materials)
         missing = [
-            Problem(path_text(("materials", name)), f"is used by object {quoted(id)} of the scene, so it must stay")
+            Problem(path_text(("materials", name)), f"cannot be removed: object {quoted(id)} uses it")
             for id, item in engine.scene.objects.items()
             for name in material_names(item)
             if name not in materials
@@ -328,7 +337,7 @@ class Methods:
         return (yield from self._take(params, _Proposed(engine.scene, materials, sent=patched)))
 
     def _apply(self, params: ApplyParams) -> Steps[_Changed]:
-        """Every fault of either part is reported; materials and scene change at one tick, or neither does."""
+        """Change materials and scene at one tick, or neither; report the problems of both."""
         engine = self._engine
         problems: list[Problem] = []
         has_scene = "scene" in params.model_fields_set
@@ -351,7 +360,7 @@ class Methods:
         return (yield from self._take(params, new))
 
     def _reload(self, params: ReloadParams) -> Steps[_Changed]:
-        """All or nothing: what needs a restart refuses the rest, too."""
+        """Reload the configuration; refuse all of it if any change needs a restart."""
         engine = self._engine
         if self._load is None:
             raise MethodError(Code.INTERNAL, "this daemon has no configuration to read")
@@ -364,21 +373,21 @@ class Methods:
             used = used_materials(objects.values())
             proposed = _Proposed(config.scene, config.materials, objects, ("scene", "objects"), used, others)
             if config.scene == engine.scene and config.materials == engine.materials:
-                # The objects in force stay: nothing of them is compiled again.
+                # The same objects stay in force, so that nothing is compiled again.
                 proposed = proposed._replace(scene=engine.scene, materials=engine.materials)
             changed = yield from self._take(params, proposed)
         except StaleRevisionError:
             raise
         except HapticdError as error:
-            self._tell(logging.ERROR, f"not reloaded: {error}")
+            self._log_reload(logging.ERROR, f"not reloaded: {error}")
             problems = error.problems if isinstance(error, InvalidError) else (Problem("", str(error)),)
             raise InvalidError(problems) from None
         count = wording.count(len(others), "object")
-        self._tell(logging.INFO, f"reloaded: revision {changed.revision}, {count} changed")
+        self._log_reload(logging.INFO, f"reloaded: revision {changed.revision}, {count} changed")
         return changed
 
-    def _tell(self, level: int, line: str) -> None:
-        """What came of a reload: one line a second at most, though a client may ask for hundreds."""
+    def _log_reload(self, level: int, line: str) -> None:
+        """Log the outcome of a reload, at most one line a second: a client may request hundreds."""
         self.repeats.note(
             f"reload {level}", lambda since: _log.log(level, "%s%s", line, since.more), longest_s=MIN_REPEAT_INTERVAL_S
         )
@@ -439,7 +448,7 @@ class Methods:
         if params.objects is not None:
             objects = self._engine.scene.objects
             unknown = [
-                Problem(f"objects[{place}]", f"no object {quoted(id)}; {known_names(id, objects)}")
+                Problem(f"objects[{place}]", f"unknown object {quoted(id)}; {known_names(id, objects)}")
                 for place, id in enumerate(params.objects)
                 if id not in objects
             ]
@@ -478,7 +487,7 @@ class Methods:
 
     def _lapsed(self) -> MethodError:
         faults = self._engine.counters().faults
-        message = "token: no lease is held by it: it lapsed, was ended, or never was"
+        message = "token: no lease has this token: the lease lapsed, was ended or never existed"
         if faults:
             message += f"; {self._off_because(faults)}"
         return MethodError(Code.LEASE_LAPSED, message, {"faults": fault_names(faults)})
@@ -488,7 +497,7 @@ class Methods:
         if engine.connection is not None:
             raise MethodError(
                 Code.NO_OPERATOR,
-                f"set_operator moves the simulated joystick's hand; this device is of kind {engine.config.device.kind}",
+                f"set_operator: needs the simulated joystick, device.kind is {engine.config.device.kind}",
             )
         operator = operator_of(params)
         engine.beat()
@@ -506,8 +515,7 @@ class Methods:
         if self._engine.connection is not None:
             raise MethodError(
                 Code.NO_OPERATOR,
-                "stream_target moves the simulated joystick's hand; this device is of kind "
-                f"{self._engine.config.device.kind}, whose hand is a person's",
+                f"stream_target: needs the simulated joystick, device.kind is {self._engine.config.device.kind}",
             )
         self.streams.take(self._sender, "target", params.seq, *params.position_m)
         return {}
@@ -518,7 +526,9 @@ class Methods:
         if counters.faults:
             return {"forces": "faulted", "warning": self._off_because(counters.faults)}
         if not counters.forces_on:
-            warning = "nothing of it is felt while forces are off: `hapticd force on` or set_forces turns them on"
+            warning = (
+                "a streamed force has no effect while forces are off: `hapticd force on` or set_forces turns them on"
+            )
             return {"forces": "off", "warning": warning}
         return {"forces": "on"}
 
@@ -535,12 +545,14 @@ class Methods:
         if not counters.forces_on:
             raise MethodError(Code.FORCES_OFF, "forces are off: `hapticd force on` or set_forces turns them on")
         if counters.signs.holds_back:
-            waits = counters.signs.line() or "they come in once that is done"
-            raise MethodError(Code.FORCES_OFF, f"forces are held back, the signs of the device are checked: {waits}")
+            waits = counters.signs.line() or "they begin when the check has ended"
+            raise MethodError(
+                Code.FORCES_OFF, f"forces are held back while the signs of the device are checked: {waits}"
+            )
 
     def _off_because(self, faults: Fault) -> str:
         signs = self._engine.counters().signs
-        words = FAULTS | ({"signs": signs.seen} if signs.seen else {})
+        words = FAULT_REASONS | ({"signs": signs.seen} if signs.seen else {})
         reasons = " and ".join(words[name] for name in fault_names(faults))
         if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
             return f"forces are off because {reasons}: {SIGNS_REMEDY}"
@@ -548,7 +560,7 @@ class Methods:
 
 
 # `set_operator` takes what an operator file holds, which hapticd.config.operator validates.
-_METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
+_METHOD_HANDLERS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "get_status": (GetStatusParams, Methods._get_status),
     "get_state": (NoParams, Methods._get_state),
     "get_config": (NoParams, Methods._get_config),
@@ -570,5 +582,5 @@ _METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "reload": (ReloadParams, Methods._reload),
     "dump_flight": (NoParams, Methods._dump_flight),
 }
-METHOD_PARAMS: Final[Mapping[str, type[Model] | None]] = {name: model for name, (model, _) in _METHODS.items()}
-"""What validates the params of each method; None: hapticd.config.operator."""
+METHOD_PARAMS: Final[Mapping[str, type[Model] | None]] = {name: model for name, (model, _) in _METHOD_HANDLERS.items()}
+"""The model that validates the params of each method; None: hapticd.config.operator validates them."""

@@ -1,6 +1,6 @@
-"""What the methods of the protocol take. `docs/protocol.md` is the reference, and has the same descriptions.
+"""The params of the protocol's methods. `docs/protocol.md` is the reference, and has the same descriptions.
 
-What scene and materials hold is validated by the methods; `DescribedAs` says in the JSON Schema what it is.
+The methods validate scenes and materials themselves; `DescribedAs` puts their schema into the JSON Schema.
 """
 
 from __future__ import annotations
@@ -13,51 +13,69 @@ from hapticd.base.model import DescribedAs, Model, Name, Position
 from hapticd.config.materials import MAX_MATERIALS, Material
 from hapticd.config.modes import ModeKeys, given, one_of
 from hapticd.config.scene import ForceVector, Scene
-from hapticd.daemon.lease import MAX_DURATION_S
+from hapticd.daemon.lease import MAX_LEASE_DURATION_S
 from hapticd.protocol.streams import MAX_SEQ
 
-_MATERIALS: Final = DescribedAs(Annotated[dict[Name, Material], Field(max_length=MAX_MATERIALS)])
+_MaterialsField: Final = DescribedAs(Annotated[dict[Name, Material], Field(max_length=MAX_MATERIALS)])
 
 
 class NoParams(Model):
-    """None."""
+    """Params of a method that takes none."""
 
 
 class GetStatusParams(Model):
+    """Params of `get_status`."""
+
     detail: bool = Field(default=False, description="whether the result has `histograms`, which are half of its size")
 
 
 class ChangeParams(Model):
+    """Params of every method that changes scene or materials."""
+
     expect_revision: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = Field(
-        default=None, description="refuse (-32001) if the scene's revision is another"
+        default=None, description="refuse (-32001) if the scene has a different revision"
     )
-    wait: bool = Field(default=False, description="answer when the servo has taken it")
+    wait: bool = Field(default=False, description="answer when the servo has taken the change")
 
 
 class SetSceneParams(ChangeParams):
+    """Params of `set_scene`."""
+
     scene: Annotated[object, DescribedAs(Scene)] = Field(
         description="a scene, as in materials.md, without the key `scene` around it"
     )
 
 
 class UpdateSceneParams(ChangeParams):
+    """Params of `update_scene`."""
+
     objects: dict[str, object] = Field(
         description="by id: a JSON Merge Patch (RFC 7396) of the object, or nil, which removes the object"
     )
 
 
 class UpdateMaterialsParams(ChangeParams):
-    materials: dict[str, object] = Field(description="by name: a JSON Merge Patch over the material, or nil")
+    """Params of `update_materials`."""
+
+    materials: dict[str, object] = Field(
+        description="by name: a JSON Merge Patch (RFC 7396) of the material, or nil, which removes the material"
+    )
 
 
 class SetMaterialsParams(ChangeParams):
-    materials: Annotated[dict[str, object], _MATERIALS] = Field(description="by name: a material, as in materials.md")
+    """Params of `set_materials`."""
+
+    materials: Annotated[dict[str, object], _MaterialsField] = Field(
+        description="by name: a material, as in materials.md"
+    )
 
 
 class ApplyParams(ChangeParams):
+    """Params of `apply`: materials, a scene or both."""
+
     model_config = ConfigDict(json_schema_extra={"anyOf": [given("materials"), {"required": ["scene"]}]})
 
-    materials: Annotated[dict[str, object], _MATERIALS] | None = Field(
+    materials: Annotated[dict[str, object], _MaterialsField] | None = Field(
         default=None, description="by name: a material, as in materials.md"
     )
     scene: Annotated[object, DescribedAs(Scene)] = Field(
@@ -66,10 +84,12 @@ class ApplyParams(ChangeParams):
 
 
 class ReloadParams(ChangeParams):
-    pass
+    """Params of `reload`."""
 
 
 class PlayParams(Model):
+    """Params of `play`: a mode or the name of a material."""
+
     model_config = ConfigDict(json_schema_extra=one_of("mode", "material"))
 
     direction: Position = Field(
@@ -90,27 +110,43 @@ class PlayParams(Model):
 
 
 class ResetParams(Model):
-    objects: Annotated[list[str], Field(max_length=1000)] | None = Field(default=None, description="default: all")
+    """Params of `reset`."""
+
+    objects: Annotated[list[str], Field(max_length=1000)] | None = Field(
+        default=None, description="ids of objects; default: all objects"
+    )
 
 
 class SetForcesParams(Model):
-    enabled: bool = Field(description="on or off")
+    """Params of `set_forces`."""
+
+    enabled: bool = Field(description="whether forces are on")
 
 
 class LeaseParams(Model):
-    duration_s: float = Field(ge=0, le=MAX_DURATION_S, description="how long the lease lasts from now; 0 ends it")
+    """Params of `lease`."""
+
+    duration_s: float = Field(ge=0, le=MAX_LEASE_DURATION_S, description="how long the lease lasts from now; 0 ends it")
     token: Annotated[str, Field(max_length=256)] | None = Field(
-        default=None, description="of the lease to renew or end; without it a new one is taken"
+        default=None, description="token of the lease to renew or end; without it a new lease is taken"
     )
 
 
 class StreamParams(Model):
-    seq: Annotated[int, Field(ge=0, le=MAX_SEQ)] = Field(description="greater than that of the previous message")
+    """Params of every message of a stream."""
+
+    seq: Annotated[int, Field(ge=0, le=MAX_SEQ)] = Field(
+        description="sequence number, greater than that of the previous message"
+    )
 
 
 class StreamTargetParams(StreamParams):
+    """Params of `stream_target`."""
+
     position_m: Position = Field(description="target position of the hand on the simulated joystick")
 
 
 class StreamForceParams(StreamParams):
+    """Params of `stream_force`."""
+
     force_n: ForceVector = Field(description="a force that is added to the rendered one")

@@ -1,7 +1,7 @@
-"""A listening Unix socket and the ZeroMQ peers that come to it, for one thread, without libzmq (docs/adr/0024).
+"""A listening Unix socket and its ZeroMQ peers, for one thread, without libzmq (docs/adr/0024).
 
-No peer can take more than its share of descriptors, memory and turns; one that tries is disconnected, and the log names
-its process and user. `router.py` answers requests on top of this, `publisher.py` sends telemetry.
+No peer can use more than its share of descriptors, memory and turns: one that exceeds a limit is disconnected, and the
+log names its process and user. `router.py` and `publisher.py` are the command and the telemetry socket.
 """
 
 from __future__ import annotations
@@ -23,43 +23,47 @@ from hapticd.protocol import zmtp
 from hapticd.system.open_files import MAX_SOCKET_CONNECTIONS
 from hapticd.system.repeated_lines import Repeats
 
-HANDSHAKE_S: Final = 5.0
-"""From a connection's first moment until its handshake is over."""
-UNSENT_BYTES: Final = 256 * 1024
-"""A peer that leaves more than this unread is not read from."""
-READ_BYTES: Final = 64 * 1024
-"""What is read from a peer in one turn."""
+HANDSHAKE_TIMEOUT_S: Final = 5.0
+"""Time from the connection until its handshake must be complete. docs/protocol.md states it."""
+MAX_UNSENT_BYTES: Final = 256 * 1024
+"""Unsent data of a peer above which nothing more is read from it."""
+MAX_READ_BYTES: Final = 64 * 1024
+"""Most bytes read from a peer in one turn."""
 
-_ACCEPTED_AT_ONCE: Final = 16
-"""Then those that are connected get their turns; refusals among them cost newcomers no more than their own time."""
-_EVENTS_AT_ONCE: Final = 64
-_NO_DESCRIPTOR_PAUSE_S: Final = 0.1
-_WRITTEN_AT_ONCE: Final = 1024 * 1024
-_IN: Final = select.EPOLLIN | select.EPOLLET
-_IN_AND_OUT: Final = _IN | select.EPOLLOUT
-_CREDENTIALS: Final = struct.Struct("3i")
+_MAX_ACCEPTED_PER_TURN: Final = 16
+"""Connections accepted before connected peers get a turn, so that a flood of new connections does not delay them."""
+_MAX_EPOLL_EVENTS: Final = 64
+"""Most events taken from epoll at once."""
+_ACCEPT_RETRY_S: Final = 0.1
+"""Pause before the next attempt to accept a connection, after the process ran out of descriptors."""
+_MAX_WRITTEN_BYTES_PER_TURN: Final = 1024 * 1024
+"""Bytes written to a peer before other peers get a turn."""
+_READ_EVENTS: Final = select.EPOLLIN | select.EPOLLET
+_READ_AND_WRITE_EVENTS: Final = _READ_EVENTS | select.EPOLLOUT
+_UCRED_STRUCT: Final = struct.Struct("3i")
+"""`struct ucred` of the socket option SO_PEERCRED: pid, uid, gid."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a socket bears with."""
+    """Limits of a socket."""
 
     message: zmtp.Bounds
     connections: int = MAX_SOCKET_CONNECTIONS
     process_connections: int = MAX_SOCKET_CONNECTIONS // 4
     buffers: int = 96 * 1024 * 1024
-    """Bytes of all peers together that came and are not a whole message, or were answered and are not read."""
+    """Bytes of all peers together in incomplete messages and in unread answers."""
 
     def of(self, connections: int) -> Limits:
-        """The same with so many connections."""
+        """Return the same limits for a different number of connections."""
         return replace(self, connections=connections, process_connections=max(4, connections // 4))
 
 
 @dataclass(eq=False, slots=True)
 class Peer:
-    """A connection; answers to a peer that has left are dropped."""
+    """A connection."""
 
     sock: socket.socket
     uid: int
@@ -73,7 +77,7 @@ class Peer:
     out: deque[bytes | memoryview] = field(default_factory=deque)
     unsent: int = 0
     held: int = 0
-    # Of a subscriber:
+    # Used by the telemetry socket only:
     subscriptions: dict[bytes, int] = field(default_factory=dict)
     useless: int = 0
     lost: int = 0
@@ -82,18 +86,21 @@ class Peer:
         return f"process {self.pid} of user {self.uid}"
 
 
-class Turns:
-    """Those who wait for their turn: one after the other among users, among the processes of each, and among the
-    connections of each of these. So what one of them wants, however much, costs another one turn at a time."""
+class TurnQueue:
+    """A fair queue of peers: round-robin over users, over the processes of a user, and over a process's connections.
+
+    A peer that sends much delays another peer by one turn at a time.
+    """
 
     def __init__(self) -> None:
+        """Make an empty queue."""
         self._users: OrderedDict[int, OrderedDict[int, deque[Peer]]] = OrderedDict()
 
     def __bool__(self) -> bool:
         return bool(self._users)
 
     def add(self, waiting: Peer) -> None:
-        """Behind the others of its process."""
+        """Add a peer behind the others of its process."""
         processes = self._users.get(waiting.uid)
         if processes is None:
             processes = self._users[waiting.uid] = OrderedDict()
@@ -103,7 +110,7 @@ class Turns:
         queue.append(waiting)
 
     def next(self) -> Peer:
-        """The one whose turn it is, which does not wait any more. Raises KeyError: nobody waits."""
+        """Remove and return the peer whose turn it is. Raises KeyError if the queue is empty."""
         uid, processes = self._users.popitem(last=False)
         pid, queue = processes.popitem(last=False)
         found = queue.popleft()
@@ -118,26 +125,26 @@ class Peers:
     """All peers of one socket."""
 
     kind: bytes
-    """Of our side, as ZMTP names it."""
+    """ZMTP socket type of this side."""
     partners: frozenset[bytes]
-    """Kinds that may come."""
+    """ZMTP socket types that peers may have."""
 
     def __init__(self, listening: socket.socket, limits: Limits) -> None:
-        """`listening`: does not block; it is closed in the end."""
+        """Serve the peers of the socket `listening`, which must not block. `close` closes it."""
         self._listening, self._limits = listening, limits
         self._repeats = Repeats()
         self._peers: dict[int, Peer] = {}
         self._owners: dict[int, dict[int, dict[int, Peer]]] = {}
-        """The same by user, process and descriptor."""
+        """The same peers by user, process and descriptor."""
         self._opening: dict[int, Peer] = {}
-        """Those whose handshake is not over, the oldest first."""
-        self._turns = Turns()
+        """Peers whose handshake is not complete, the oldest first."""
+        self._turns = TurnQueue()
         self._held = 0
         self._woken = False
         self._idle = True
-        """At the last look nothing had come, and nobody waited for a turn."""
+        """The last poll returned no event, and no peer waited for a turn."""
         self._accept_at_s: float | None = None
-        self._space = bytearray(READ_BYTES)
+        self._space = bytearray(MAX_READ_BYTES)
         self._view = memoryview(self._space)
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._epoll = select.epoll()
@@ -149,12 +156,12 @@ class Peers:
         return len(self._peers)
 
     def wake(self) -> None:
-        """Ends the wait for what comes; nothing once it is closed. For any thread."""
+        """End the wait for events; do nothing if the socket is closed. For any thread."""
         with suppress(OSError, ValueError):
             os.eventfd_write(self._wake, 1)
 
     def close(self, linger_s: float = 0.0) -> None:
-        """Ends all connections; `linger_s`: for so long what was not sent may still go out."""
+        """End all connections after waiting up to `linger_s` for unsent data to be sent."""
         self._epoll.unregister(self._listening)
         self._listening.close()
         until_s = time.monotonic() + linger_s
@@ -163,20 +170,20 @@ class Peers:
         for peer in list(self._peers.values()):
             self._end(peer)
         self._epoll.close()
-        wake, self._wake = self._wake, -1  # another file has the number soon
+        wake, self._wake = self._wake, -1  # the number may be reused for another file at once
         os.close(wake)
         self._repeats.finish()
 
     # ---- turns -----------------------------------------------------------------------------------------------------
 
     def _turn(self, timeout_s: float) -> tuple[Peer, zmtp.Message | zmtp.Command] | None:
-        """Waits until something comes, or not at all while somebody waits for a turn; gives one peer its turn.
+        """Wait for events, unless a peer already waits for a turn, and give one peer its turn.
 
-        What that one sent, if it is for who is above this.
+        Returns the peer and its message or command if the subclass must handle it.
         """
         if self._opening or self._accept_at_s is not None:
-            timeout_s = self._look_after(timeout_s)
-        came = self._epoll.poll(0 if self._turns else max(timeout_s, 0), _EVENTS_AT_ONCE)
+            timeout_s = self._check_deadlines(timeout_s)
+        came = self._epoll.poll(0 if self._turns else max(timeout_s, 0), _MAX_EPOLL_EVENTS)
         self._idle = not came and not self._turns
         if len(came) == 1 and not self._turns:
             ((descriptor, what),) = came
@@ -204,7 +211,7 @@ class Peers:
 
     def _give_turn(self, peer: Peer) -> tuple[Peer, zmtp.Message | zmtp.Command] | None:
         try:
-            event = None if peer.closed or peer.unsent > UNSENT_BYTES else self._next(peer)
+            event = None if peer.closed or peer.unsent > MAX_UNSENT_BYTES else self._next(peer)
             return None if event is None else self._shake(peer, event)
         except zmtp.ZmtpError as error:
             self._end(peer, str(error))
@@ -216,7 +223,7 @@ class Peers:
             self._turns.add(peer)
 
     def _next(self, peer: Peer) -> zmtp.Event | None:
-        """What comes next of a peer, after one read at most. Raises ZmtpError."""
+        """Return the next event of a peer, after at most one read. Raises ZmtpError."""
         event = peer.parser.next()
         if event is None and peer.readable and self._read(peer):
             event = peer.parser.next()
@@ -236,24 +243,24 @@ class Peers:
         if not size:
             self._end(peer)
             return False
-        peer.readable = size == READ_BYTES
+        peer.readable = size == MAX_READ_BYTES
         peer.parser.feed(bytes(self._view[:size]))
         return True
 
     def _shake(self, peer: Peer, event: zmtp.Event) -> tuple[Peer, zmtp.Message | zmtp.Command] | None:
-        """The handshake, and what every peer may say. Raises ZmtpError."""
+        """Handle the handshake and heartbeats, and return other messages and commands. Raises ZmtpError."""
         match event:
             case zmtp.Message():
                 if not peer.ready:
-                    raise zmtp.ZmtpError("a message before the handshake was over")
+                    raise zmtp.ZmtpError("message before the end of the handshake")
                 return peer, event
             case zmtp.Greeted():
                 self._send(peer, self._ready)
             case zmtp.Command(b"READY") if not peer.ready:
                 kind = zmtp.properties(event.data).get(b"socket-type", b"")
                 if kind not in self.partners:
-                    known = wording.listed([each.decode() for each in sorted(self.partners)])
-                    why = f"a socket of another kind than {known}"
+                    known = ", ".join(each.decode() for each in sorted(self.partners))
+                    why = f"socket type must be one of {known}"
                     self._send(peer, zmtp.error(why.encode()))
                     raise zmtp.ZmtpError(why)
                 peer.ready = True
@@ -267,13 +274,13 @@ class Peers:
             case zmtp.Command() if peer.ready:
                 return peer, event
             case _:
-                raise zmtp.ZmtpError("a command out of place")
+                raise zmtp.ZmtpError("unexpected command")
         return None
 
     # ---- out -------------------------------------------------------------------------------------------------------
 
     def _send(self, peer: Peer, data: bytes, *more: bytes) -> None:
-        """Sends bytes after those that were sent before; whatever the peer does not take at once waits."""
+        """Send bytes after the earlier ones; what the peer does not accept at once is queued."""
         if peer.closed:
             return
         if peer.out:
@@ -292,18 +299,18 @@ class Peers:
             self._keep(peer, more)
 
     def _keep(self, peer: Peer, unsent: Iterable[bytes | memoryview]) -> None:
-        """What is to be sent once the peer took what waits before it."""
+        """Queue data behind what the peer has not accepted yet."""
         if not peer.out:
-            self._epoll.modify(peer.sock, _IN_AND_OUT)
+            self._epoll.modify(peer.sock, _READ_AND_WRITE_EVENTS)
         for data in unsent:
             peer.out.append(data)
             peer.unsent += len(data)
         self._account(peer)
 
     def _write(self, peer: Peer) -> None:
-        """Sends what waits, as far as the peer takes it."""
+        """Send queued data as far as the peer accepts it."""
         written = 0
-        while peer.out and written < _WRITTEN_AT_ONCE:
+        while peer.out and written < _MAX_WRITTEN_BYTES_PER_TURN:
             data = peer.out[0]
             try:
                 sent = peer.sock.send(data)
@@ -321,34 +328,34 @@ class Peers:
             else:
                 peer.out[0] = memoryview(data)[sent:]
         if not peer.out:
-            self._epoll.modify(peer.sock, _IN)
-        elif written >= _WRITTEN_AT_ONCE:
-            self._epoll.modify(peer.sock, _IN_AND_OUT)  # reported again at once
-        if peer.unsent <= UNSENT_BYTES and (peer.readable or peer.parser.pending):
+            self._epoll.modify(peer.sock, _READ_EVENTS)
+        elif written >= _MAX_WRITTEN_BYTES_PER_TURN:
+            self._epoll.modify(peer.sock, _READ_AND_WRITE_EVENTS)  # epoll reports the peer again at once
+        if peer.unsent <= MAX_UNSENT_BYTES and (peer.readable or peer.parser.pending):
             self._queue(peer)
         self._account(peer)
 
     def _refill(self, peer: Peer) -> None:
-        """All that waited was sent."""
+        """Queue more data, if there is any: everything queued was sent."""
 
     # ---- coming and going ------------------------------------------------------------------------------------------
 
     def _accept(self) -> None:
-        for _ in range(_ACCEPTED_AT_ONCE):
+        for _ in range(_MAX_ACCEPTED_PER_TURN):
             try:
                 sock, _ = self._listening.accept()
             except (BlockingIOError, ConnectionAbortedError):
                 return
             except OSError as error:
-                self._accept_later(_NO_DESCRIPTOR_PAUSE_S)
-                self._tell("accept", f"clients have to wait: {error.strerror}")
+                self._accept_later(_ACCEPT_RETRY_S)
+                self._warn("accept", f"cannot accept clients at the moment: {error.strerror}")
                 return
             sock.setblocking(False)
-            pid, uid, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+            pid, uid, _ = _UCRED_STRUCT.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
             peer = Peer(sock, uid, pid, zmtp.Parser(self._limits.message))
             if len(self._owners.get(peer.uid, {}).get(peer.pid, ())) >= self._limits.process_connections:
                 sock.close()
-                self._tell_end(peer, f"it has {self._limits.process_connections:,} connections already")
+                self._warn_ended(peer, f"it already has {self._limits.process_connections:,} connections")
                 continue
             self._enter(peer)
             if len(self._peers) > self._limits.connections:
@@ -359,10 +366,10 @@ class Peers:
         descriptor = peer.sock.fileno()
         self._peers[descriptor] = self._opening[descriptor] = peer
         self._owners.setdefault(peer.uid, {}).setdefault(peer.pid, {})[descriptor] = peer
-        self._epoll.register(descriptor, _IN)
+        self._epoll.register(descriptor, _READ_EVENTS)
 
     def _end(self, peer: Peer, why: str | None = None) -> None:
-        """Closes a connection; `why`: what the peer did that it may not, for the log."""
+        """Close a connection. `why`: the reason that the log gives; None: nothing is logged."""
         if peer.closed:
             return
         peer.closed = True
@@ -379,12 +386,12 @@ class Peers:
         peer.out.clear()
         peer.sock.close()
         if why is not None:
-            self._tell_end(peer, why)
+            self._warn_ended(peer, why)
 
-    def _tell_end(self, peer: Peer, why: str) -> None:
-        self._tell(f"ended {peer.uid}", f"{peer} was disconnected: {why}")
+    def _warn_ended(self, peer: Peer, why: str) -> None:
+        self._warn(f"ended {peer.uid}", f"{peer} was disconnected: {why}")
 
-    def _tell(self, kind: str, line: str) -> None:
+    def _warn(self, kind: str, line: str) -> None:
         self._repeats.note(kind, lambda since: _log.warning("%s%s", line, since.more))
 
     def _accept_later(self, pause_s: float) -> None:
@@ -392,11 +399,11 @@ class Peers:
             self._epoll.modify(self._listening, 0)
         self._accept_at_s = time.monotonic() + pause_s
 
-    def _look_after(self, timeout_s: float) -> float:
-        """Handshakes that do not end, and connections that have to wait; until when to wait for something else."""
+    def _check_deadlines(self, timeout_s: float) -> float:
+        """End an overdue handshake, accept connections again, and return how long to wait for other events, in s."""
         now_s = time.monotonic()
-        if self._opening and now_s - (oldest := next(iter(self._opening.values()))).began_s > HANDSHAKE_S:
-            self._end(oldest, f"its handshake did not end in {wording.duration(HANDSHAKE_S)}")
+        if self._opening and now_s - (oldest := next(iter(self._opening.values()))).began_s > HANDSHAKE_TIMEOUT_S:
+            self._end(oldest, f"handshake not complete within {wording.duration(HANDSHAKE_TIMEOUT_S)}")
         if self._accept_at_s is not None:
             if now_s < self._accept_at_s:
                 return min(timeout_s, self._accept_at_s - now_s)
@@ -405,12 +412,12 @@ class Peers:
         return timeout_s
 
     def _most_connected(self) -> Peer:
-        """The newest connection of the process that has most of the user that has most."""
+        """Return the newest connection of the user with most connections, and of that user's process with most."""
         processes = max(self._owners.values(), key=lambda each: sum(map(len, each.values())))
         return next(reversed(max(processes.values(), key=len).values()))
 
     def _account(self, peer: Peer) -> None:
-        """Ends who holds most, while all hold too much together."""
+        """Update the memory that a peer uses, and end the peers that use most while all use too much together."""
         held = peer.parser.held + peer.unsent
         if held == peer.held or peer.closed:
             return
@@ -423,4 +430,4 @@ class Peers:
                 users[each.uid] = users.get(each.uid, 0) + each.held
                 processes[each.pid] = processes.get(each.pid, 0) + each.held
             most = max(self._peers.values(), key=lambda each: (users[each.uid], processes[each.pid], each.held))
-            self._end(most, f"{wording.size(most.held)} wait for it, and {wording.size(self._held)} for all clients")
+            self._end(most, f"it holds {wording.size(most.held)} of buffers, all clients {wording.size(self._held)}")

@@ -1,12 +1,12 @@
 """The daemon's process: configuration, runtime directory, threads, signals.
 
-    main thread      waits for a signal: has the configuration reloaded, or takes everything down in order
-    command thread   dispatch.py: answers requests, makes changes, beats
-    telemetry thread hapticd.telemetry: drains the rings, publishes
-    flight thread    flight_recorder.py: writes what was kept of that to a file, after a fault
-    servo thread     csrc/servo/hd_servo_thread.c: owns time and force
+    main thread      waits for a signal: requests a reload of the configuration, or stops all threads in order
+    command thread   dispatch.py: answers requests, makes changes, sends the servo a heartbeat
+    telemetry thread telemetry.py: drains the rings, publishes
+    flight thread    flight_recorder.py: writes the last seconds of telemetry to a file, after a fault
+    servo thread     csrc/servo/hd_servo_thread.c: computes the force at each tick
 
-The command socket is bound last, so that its existence means ready. Whatever ends the daemon, the force fades to zero
+The command socket is bound last: if it exists, the daemon is ready. However the daemon ends, the force fades to zero
 first.
 """
 
@@ -37,24 +37,24 @@ from hapticd.daemon.engine import Engine
 from hapticd.daemon.flight_recorder import Flight, directory_of
 from hapticd.daemon.flight_scene import FlightScene
 from hapticd.daemon.methods import Methods
-from hapticd.daemon.publisher import LIMITS as TELEMETRY_LIMITS
-from hapticd.daemon.publisher import Publisher
-from hapticd.daemon.router import LIMITS as COMMAND_LIMITS
-from hapticd.daemon.router import Router
-from hapticd.daemon.telemetry import TOPICS, Telemetry
+from hapticd.daemon.publisher import TELEMETRY_SOCKET_LIMITS, Publisher
+from hapticd.daemon.router import COMMAND_SOCKET_LIMITS, Router
+from hapticd.daemon.telemetry import TELEMETRY_TOPICS, Telemetry
 from hapticd.hid.stopper import StopFile, stop_device
 from hapticd.protocol.events import fault_names
 from hapticd.system import journal, notify, open_files
 from hapticd.system.paths import Owned, owned, runtime_paths
 
-SWITCH_S: Final = 0.0005
-"""A thread that computes in the interpreter gives it to another one after so long, instead of 5 ms. The thread that
-serves commands waits for it after each system call."""
+SWITCH_INTERVAL_S: Final = 0.0005
+"""Time after which a thread hands over the interpreter (Python's default is 5 ms).
 
-MOST_NAMED: Final = 3
-"""Surfaces whose margin the log names at the start, the lowest first."""
+The command thread waits for the interpreter after each system call.
+"""
 
-_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+MAX_LOGGED_MARGINS: Final = 3
+"""Surfaces whose margin is logged at the start, the lowest first."""
+
+_HANDLED_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 _log = logging.getLogger("hapticd")
 
@@ -64,19 +64,18 @@ def run(
     runtime_dir: str | os.PathLike[str] | None = None,
     log_level: str = "info",
 ) -> int:
-    """Runs the daemon until SIGTERM or SIGINT; returns its exit code.
+    """Run the daemon until SIGTERM or SIGINT, and return its exit code.
 
-    SIGHUP reloads the configuration, but ends a daemon that was started on a terminal, which has closed then.
+    SIGHUP reloads the configuration. It ends a daemon that was started on a terminal: the terminal has closed.
 
-    `config_paths` are merged in order; without one, the configuration is looked for (config_files). A reload reads the
-    same files again; where none was found, it looks again. `log_level`: one of LOG_LEVELS. Raises HapticdError (one
-    line) where the daemon cannot start: bad configuration, another daemon on the directory, real time required and
-    refused.
+    `config_paths` are merged in order; without any, the configuration is searched (config/locations.py). A reload reads
+    the same files again, or searches again if none was found. `log_level`: one of journal.LOG_LEVELS. Raises HapticdError
+    if the daemon cannot start: invalid configuration, another daemon in the directory, real time required and refused.
     """
     with ExitStack() as stack:
         memory.settle()
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
-        sys.setswitchinterval(SWITCH_S)
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
         connections = open_files.raise_descriptor_limit()
         stack.enter_context(journal.attached(log_level))
         stack.push(_log_end)
@@ -94,7 +93,7 @@ def _run(
 ) -> int:
     paths = mine.paths
     stop_file = StopFile(paths.device)
-    _stop_what_was_left(stop_file.path)
+    _stop_device_of_killed_daemon(stop_file.path)
     engine = Engine(config, stop_file)
     flight = Flight(
         directory_of(config.flight.directory, paths.directory),
@@ -109,18 +108,18 @@ def _run(
         engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.state()
     )
     threads.check(threads.DAEMON_THREADS)
-    publisher = Publisher(mine.listen(paths.telemetry), TOPICS, TELEMETRY_LIMITS.of(connections))
-    # Long enough for the last samples, which say that the force is zero, to reach those who read.
+    publisher = Publisher(mine.listen(paths.telemetry), TELEMETRY_TOPICS, TELEMETRY_SOCKET_LIMITS.of(connections))
+    # Long enough for subscribers to read the last samples, which show that the force is zero.
     stack.callback(publisher.close, linger_s=0.2)
     failures: list[BaseException] = []
     telemetry = Telemetry(engine, publisher, methods.status, flight)
-    # Taken down in reverse: commands end, the force fades, telemetry tells of it, and what is to be written is.
+    # Stopped in reverse order: commands end, the force fades, telemetry publishes that, and pending files are written.
     _thread("flight", flight.run, failures, stack, wake=flight.wake)
     _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
     stack.callback(engine.stop)
     _log_limits(engine, granted, chosen)
-    router = Router(mine.listen(paths.command), COMMAND_LIMITS.of(connections))
+    router = Router(mine.listen(paths.command), COMMAND_SOCKET_LIMITS.of(connections))
     stack.callback(router.close)
     watch = notify.Watch(lambda: _progress(engine))
     dispatch = Dispatch(methods, methods.repeats, router.wake)
@@ -136,12 +135,12 @@ def _run(
         stack,
         wake=router.wake,
     )
-    # What garbage there is by now is little; to look for it would hold up the first answer.
+    # There is little garbage by now, and collecting it would delay the first answer.
     gc.freeze()
     gc.enable()
     _log_ready(engine, granted, paths.command)
     notify.ready(_progress(engine)[1])
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _HANDLED_SIGNALS)
     ended = _await_end(signals, dispatch)
     notify.stopping()
     if failures:
@@ -153,7 +152,7 @@ def _run(
 
 
 def _log_limits(engine: Engine, granted: Granted, chosen: ConfigFiles) -> None:
-    """What was not granted, and what of the scene is not displayed as it was meant."""
+    """Log the privileges that were not granted, and what of the scene is not displayed as specified."""
     _log.info("configuration: %s", chosen)
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)
@@ -162,15 +161,15 @@ def _log_limits(engine: Engine, granted: Granted, chosen: ConfigFiles) -> None:
         _log.warning("%s", problem)
     low = [(margin, id) for id, margin in (engine.margins() or {}).items() if margin is not None and margin < 1.0]
     if low:
-        worst = wording.listed([f"{id} {margin:.2g}" for margin, id in sorted(low)[:MOST_NAMED]])
+        worst = wording.listed([f"{id} {margin:.2g}" for margin, id in sorted(low)[:MAX_LOGGED_MARGINS]])
         surfaces = wording.count(len(low), "surface")
-        _log.warning("%s with a margin of stability below 1: %s; `hapticd check` says more", surfaces, worst)
+        _log.warning("%s with a margin of stability below 1: %s; see `hapticd check`", surfaces, worst)
 
 
 def _log_ready(engine: Engine, granted: Granted, command: Path) -> None:
     if engine.connection is not None:
         found = engine.connection.status()
-        _log.info("device: %s at %s; forces are off until somebody turns them on", found["name"], found["path"])
+        _log.info("device: %s at %s; forces are off until `hapticd force on`", found["name"], found["path"])
     _log.info(
         "ready: %s at %s, %s%s, commands at %s",
         engine.config.device.kind,
@@ -182,17 +181,17 @@ def _log_ready(engine: Engine, granted: Granted, command: Path) -> None:
 
 
 def _await_end(signals: socket.socket, dispatch: Dispatch) -> signal.Signals:
-    """The signal that ends the daemon; others have the configuration reloaded."""
-    # Asked now: the terminal may have closed since the start.
+    """Wait for the signal that ends the daemon and return it; SIGHUP without a terminal reloads the configuration."""
+    # Checked now: the terminal may have closed since the start.
     ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
-    # Of signals that came together the end overtakes the reloads.
+    # If several signals came together, the end has priority over reloads.
     while not ends.intersection(received := signals.recv(4096)):
         dispatch.ask_reload()
     return signal.Signals(next(number for number in received if number in ends))
 
 
 def _log_end(kind: type[BaseException] | None, *_: object) -> None:
-    """The last line of the log, once everything is down; an error has its own line."""
+    """Log the last line, once everything has stopped; an error is logged elsewhere."""
     if kind is None:
         _log.info("stopped")
 
@@ -202,7 +201,7 @@ def _on_terminal() -> bool:
 
 
 def _about(engine: Engine, methods: Methods) -> dict[str, object]:
-    """What goes into a file of the flight recorder beside the telemetry and what that was rendered with."""
+    """Return the configuration and the status for a file of the flight recorder."""
     config = engine.config
     return {
         "config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()},
@@ -210,19 +209,19 @@ def _about(engine: Engine, methods: Methods) -> dict[str, object]:
     }
 
 
-def _stop_what_was_left(record: Path) -> None:
-    """A daemon that was killed, without a systemd that runs `hapticd stop-device`, left its device as it was."""
+def _stop_device_of_killed_daemon(record: Path) -> None:
+    """Stop the device of a daemon that was killed, unless systemd did so by `hapticd stop-device`."""
     try:
         done = stop_device(record)
     except HapticdError as error:
-        _log.warning("the daemon before: %s", error)
+        _log.warning("previous daemon: %s", error)
     else:
         if done is not None:
-            _log.warning("the daemon before: %s", done)
+            _log.warning("previous daemon: %s", done)
 
 
 def _progress(engine: Engine) -> tuple[int, str]:
-    """Ticks so far, and how the daemon is in one line."""
+    """Return the number of ticks, and the daemon's state in one line."""
     counters = engine.counters()
     connection = None if engine.connection is None else engine.connection.status()
     device = engine.config.device.kind if connection is None else connection["name"] or "device lost"
@@ -242,9 +241,9 @@ def _thread(
     stack: ExitStack,
     wake: Callable[[], None] | None = None,
 ) -> None:
-    """A thread that takes the daemon down if it fails, and is ended and joined when the stack unwinds.
+    """Start a thread that ends the daemon if it fails, and that is ended and joined when the stack unwinds.
 
-    `wake`: has it look at its event, where it waits for something else.
+    `wake`: makes the thread check its event while it waits for something else.
     """
     stop = threading.Event()
 
@@ -266,21 +265,21 @@ def _thread(
 
 @contextmanager
 def _signals() -> Iterator[socket.socket]:
-    """A socket from which the number of a signal can be read, whichever thread the kernel chose for it.
+    """Yield a socket from which signal numbers can be read, whichever thread the kernel chose for a signal.
 
-    Libraries may have threads, too, so blocking and sigwait would not be enough. Threads that are started
-    while the context lasts inherit the block, so that no handler ever runs in the servo's.
+    Libraries may have threads, too, so that blocking and sigwait are not enough. Threads that are started in this
+    context inherit the block, so that no handler runs in the servo thread.
     """
     ours, pythons = socket.socketpair()
     with ours, pythons:
         pythons.setblocking(False)
-        signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
-        before = [signal.signal(number, lambda *_: None) for number in _SIGNALS]
+        signal.pthread_sigmask(signal.SIG_BLOCK, _HANDLED_SIGNALS)
+        before = [signal.signal(number, lambda *_: None) for number in _HANDLED_SIGNALS]
         fd = signal.set_wakeup_fd(pythons.fileno())
         try:
             yield ours
         finally:
             signal.set_wakeup_fd(fd)
-            for number, handler in zip(_SIGNALS, before, strict=True):
+            for number, handler in zip(_HANDLED_SIGNALS, before, strict=True):
                 signal.signal(number, handler)
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _HANDLED_SIGNALS)

@@ -1,4 +1,4 @@
-"""Why a request is refused, as the error object of its answer."""
+"""The exception that carries the error object of an answer."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from hapticd.protocol.messages import Code
 
 
 class MethodError(Exception):
-    """The error object of an answer."""
+    """A refused request; it has the members of the answer's error object."""
 
     def __init__(self, code: Code, message: str, data: object = None) -> None:
+        """Store the code, the message and the optional `data` of the error object."""
         super().__init__(message)
         self.code = code
         self.message = message
@@ -20,7 +21,7 @@ class MethodError(Exception):
 
     @classmethod
     def faulty(cls, problems: Sequence[Problem]) -> Self:
-        """Params are not valid."""
+        """Return the error INVALID_PARAMS that reports these problems."""
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         data = [{"where": problem.where, "problem": problem.problem} for problem in problems]
         return cls(Code.INVALID_PARAMS, f"{problems[0]}{more}", data)

@@ -1,4 +1,4 @@
-"""The configuration, read again for a reload, and what of it needs a restart instead."""
+"""Reading the configuration again for a reload, and finding the keys whose change needs a restart."""
 
 from __future__ import annotations
 
@@ -13,26 +13,29 @@ from hapticd.base.steps import Steps
 from hapticd.base.threads import in_background
 from hapticd.config.configuration import Config
 
-LOAD_S: Final = 10.0
-"""So long the files of a configuration may take to be read."""
-_LOOK_S: Final = 0.002
+CONFIG_LOAD_TIMEOUT_S: Final = 10.0
+"""Time within which the files of a configuration must be read: a disk may not respond."""
+_CONFIG_POLL_S: Final = 0.002
+"""Longest wait for the files in one step of a reload."""
 
 
 def read_again(load: Callable[[], Config]) -> Steps[Config]:
-    """Reads the files in a thread, for LOAD_S at most: a disk may not answer, and large files take seconds. Raises
-    HapticdError."""
+    """Read the configuration in a background thread, in steps, because large files take seconds.
+
+    Raises HapticdError, also after CONFIG_LOAD_TIMEOUT_S.
+    """
     found = in_background("reload", load)
-    until_s = time.monotonic() + LOAD_S
+    until_s = time.monotonic() + CONFIG_LOAD_TIMEOUT_S
     while not found.done():
         if time.monotonic() > until_s:
-            raise HapticdError(f"the files of the configuration were not read within {LOAD_S:g} s")
-        wait([found], _LOOK_S)
+            raise HapticdError(f"configuration files: were not read within {CONFIG_LOAD_TIMEOUT_S:g} s")
+        wait([found], _CONFIG_POLL_S)
         yield
     return found.result()
 
 
 def needing_restart(before: Config, after: Config) -> list[Problem]:
-    """What of a configuration is another, and cannot be taken while the servo runs."""
+    """Return a problem for each key that changed and can only be applied by a restart of the daemon."""
     problems = []
     for section in Config.model_fields:
         if section not in ("scene", "materials"):
@@ -45,8 +48,8 @@ def _differences(path: Path, old: object, new: object) -> list[Problem]:
     if isinstance(old, dict) and isinstance(new, dict):
         keys = [*old, *(key for key in new if key not in old)]
         return [problem for key in keys for problem in _differences((*path, key), old.get(key), new.get(key))]
-    # Where the simulated handle starts matters at the start alone.
+    # The start position of the simulated handle is used only when the daemon starts.
     if old == new or path == ("device", "sim", "start_m"):
         return []
-    text = f"{json.dumps(new)} needs a restart of the daemon; it runs with {json.dumps(old)}"
+    text = f"a change from {json.dumps(old)} to {json.dumps(new)} needs a restart of the daemon"
     return [Problem(path_text(path), text)]

@@ -1,4 +1,4 @@
-"""The command socket, a ROUTER: requests in, answers out."""
+"""The command socket, a ZeroMQ ROUTER: receives requests and sends answers."""
 
 from __future__ import annotations
 
@@ -11,47 +11,50 @@ from hapticd.base import codec
 from hapticd.daemon.peers import Limits, Peer, Peers
 from hapticd.protocol import messages, zmtp
 
-LARGEST_MESSAGE: Final = 64 * 1024 * 1024
-"""A longer message ends the connection that it came from."""
-MOST_FRAMES: Final = 1024
-"""A message of more parts does, too."""
+MAX_MESSAGE_BYTES: Final = 64 * 1024 * 1024
+"""Longest message, all frames together. A longer one ends its connection."""
+MAX_MESSAGE_FRAMES: Final = 1024
+"""Most frames of a message. One with more frames ends its connection."""
+MAX_RECEIVE_OVERTIME_S: Final = 0.02
+"""Time beyond its timeout that `receive` may read incomplete messages, before the thread does something else."""
 
-LONGEST_LOOK_S: Final = 0.02
-"""So long peers may go on sending parts of messages before somebody else has the thread."""
-
-LIMITS: Final = Limits(zmtp.Bounds(MOST_FRAMES, LARGEST_MESSAGE, messages.MAX_BODY_BYTES))
+COMMAND_SOCKET_LIMITS: Final = Limits(zmtp.Bounds(MAX_MESSAGE_FRAMES, MAX_MESSAGE_BYTES, messages.MAX_BODY_BYTES))
 
 
 @dataclass(slots=True)
 class Request:
-    """A message that came, and where the answer goes."""
+    """A received message and the peer that gets the answer."""
 
     peer: Peer
     delimited: bool
-    """Whether an empty frame stands before the body; then one does before the answer's."""
+    """Whether an empty frame precedes the body. Then an empty frame precedes the answer too."""
     body: bytes | None
-    """None: its frames are not those of a request."""
+    """The body; None: the frames are not those of a request. Empty or shortened if it was too long."""
     size: int
-    """Bytes that it had."""
+    """Length of the message, in bytes."""
 
     @property
     def too_long(self) -> bool:
-        """Whether its body was too long to be kept."""
+        """Whether the body was too long to be stored."""
         return self.body is not None and len(self.body) < self.size
 
 
 class Router(Peers):
-    """What requests come from, to one thread."""
+    """The clients of the command socket. For one thread."""
 
     kind = b"ROUTER"
     partners = frozenset((b"DEALER", b"REQ", b"ROUTER"))
 
-    def __init__(self, listening: socket.socket, limits: Limits = LIMITS) -> None:
+    def __init__(self, listening: socket.socket, limits: Limits = COMMAND_SOCKET_LIMITS) -> None:
+        """Serve the clients of the socket `listening`."""
         super().__init__(listening, limits)
 
     def receive(self, timeout_s: float) -> Request | None:
-        """The next request of whose turn it is; None after so long if no peer is sending anything, after LONGEST_LOOK_S
-        more in any case, or once somebody calls `wake`."""
+        """Return the next request, from the peer whose turn it is.
+
+        Returns None after `timeout_s` if no peer is sending, after MAX_RECEIVE_OVERTIME_S more in any case, or when
+        `wake` is called.
+        """
         until_s = time.monotonic() + timeout_s
         while True:
             came = self._turn(timeout_s)
@@ -60,17 +63,17 @@ class Router(Peers):
                 if isinstance(event, zmtp.Message):
                     delimited, body = messages.open_envelope(event.frames)
                     return Request(peer, delimited, body, event.size)
-                self._end(peer, "a command out of place")
+                self._end(peer, "unexpected command")
             if self._woken:
                 self._woken = False
                 return None
             timeout_s = until_s - time.monotonic()
-            if timeout_s <= (0 if self._idle else -LONGEST_LOOK_S):
+            if timeout_s <= (0 if self._idle else -MAX_RECEIVE_OVERTIME_S):
                 self._repeats.flush()
                 return None
 
     def send(self, peer: Peer, delimited: bool, body: bytes | codec.Encoded) -> None:
-        """An answer, after those that were sent to this peer before. It is dropped if the peer has left."""
+        """Send an answer after the earlier ones to this peer. It is dropped if the peer has disconnected."""
         if peer.closed:
             return
         first, *rest = (body,) if isinstance(body, bytes) else body.parts

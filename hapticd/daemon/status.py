@@ -1,7 +1,6 @@
-"""The result of `get_status`, which is also what the topic `status` carries.
+"""The result of `get_status`, which is also the message of the topic `status`.
 
-Most members stay as they are from one request to the next. These are encoded once, and again only when what they are
-made of is another; what changes all the time is little.
+Most members rarely change. They are encoded once, and again only after a change; the others are few.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from hapticd._version import __version__
 from hapticd.base import clock
 from hapticd.base.codec import Encoded, Members
 from hapticd.base.model import MAX_FAULTS
-from hapticd.daemon.counters import TOTALS, Counters, Granted
+from hapticd.daemon.counters import TOTAL_COUNTER_NAMES, Counters, Granted
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.flight_recorder import Flight
 from hapticd.daemon.lease import Lease
@@ -27,22 +26,23 @@ class Status:
     """Reports one engine's status. For any thread."""
 
     def __init__(self, engine: Engine, lease: Lease, flight: Flight | None, streams: Streams) -> None:
+        """Report the status of these parts of the daemon, which starts now."""
         self._engine, self._lease, self._flight = engine, lease, flight
         self._streams = streams
         self._started_ns = monotonic_ns()
         self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
         self._encoded: tuple[tuple[object, ...], Members] = ((), Members(0, b""))
-        # Members that are fixed from the start.
+        # Members that never change.
         servo = engine.config.servo
         self._overruns = {**servo.overruns.to_dict(), "configured_rate_hz": servo.rate_hz}
 
     def report(self) -> dict[str, object]:
-        """Every member, in the order of docs/protocol.md."""
+        """Return all members."""
         counters = self._engine.counters()
         return {**self._lasting(counters), **self._changing(counters), **self._detail()}
 
     def encoded(self, detail: bool) -> Encoded:
-        """The same for an answer; what is long and seldom wanted only with `detail`."""
+        """Return the encoded members for an answer; histograms, which are long, only with `detail`."""
         counters = self._engine.counters()
         known, lasting = self._encoded
         state = self._state(counters)
@@ -55,7 +55,7 @@ class Status:
         return Encoded((lasting.joined(changing),))
 
     def _state(self, counters: Counters) -> tuple[object, ...]:
-        """What `_lasting` is made of."""
+        """Return the versions on which the result of `_lasting` depends."""
         engine, flight = self._engine, self._flight
         return (
             engine.revision,
@@ -87,7 +87,7 @@ class Status:
     def _changing(self, counters: Counters) -> dict[str, object]:
         engine = self._engine
         connection, moment = engine.connection, clock.read()
-        # As long as nobody streams, it is among what lasts.
+        # Until the first streamed message, `streams` is among the members that rarely change.
         streams = {"streams": self._streams.status()} if self._streams.received else {}
         return {
             **streams,
@@ -98,7 +98,7 @@ class Status:
             "forces": "faulted" if counters.latched else "on" if counters.forces_on else "off",
             "faults": fault_names(counters.faults) if counters.latched else [],
             "lease_s": self._lease.remaining_s,
-            "counters": dict(zip(TOTALS, counters)),  # noqa: B905 - the others are no totals
+            "counters": dict(zip(TOTAL_COUNTER_NAMES, counters)),  # noqa: B905 - the others are not totals
             "overruns": {**self._overruns, "missed_share": counters.missed_share},
             "passivity": {
                 "mode": engine.scene.passivity,
@@ -115,7 +115,7 @@ class Status:
         return {"histograms": {"lateness_ns": lateness.to_dict(), "work_ns": work.to_dict()}}
 
     def _find_limits(self) -> dict[str, object]:
-        """What the rate cannot carry as it is, found again only when the scene or the materials changed."""
+        """Return `undisplayable`, `warnings` and `offload`, computed again only if scene or materials changed."""
         known, found = self._limits
         state = (self._engine.revision, self._engine.offload_version)
         if known != state:
@@ -130,7 +130,7 @@ class Status:
 
 
 def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:
-    """What was granted, and what has been refused since."""
+    """Return the member `realtime`: the granted privileges, and locked memory that was refused later."""
     realtime = granted.to_dict()
     if counters.memory_refused:
         problem = f"locked memory for all objects: {os.strerror(counters.memory_refused)}"

@@ -1,4 +1,4 @@
-"""What a person reads of the daemon's status: first what is wrong or missing, then what it is and does."""
+"""The daemon's status as lines of text, for `hapticd status`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from hapticd.protocol.results import Status, StreamStatus
 
 Line = tuple[str, str]
-"""What it is about, and what is said of it. Without a name it goes on with the line before."""
+"""The name of a line and its text. A line with an empty name continues the one before it."""
 
-FAULTS: Final = {
+FAULT_REASONS: Final = {
     "nonfinite": "a position or a force was not a number",
     "control": "the control plane did not answer for a second",
     "lease": "a lease lapsed",
@@ -24,9 +24,9 @@ FAULTS: Final = {
     "frozen": "the device reported the same position all the time, under force",
     "signs": "the signs of the device are not known",
 }
-"""Why the forces are off, by the names of the protocol."""
+"""The reason that each fault of the protocol gives for forces that are off."""
 
-_COUNTED: Final = {
+_EVENT_COUNTERS: Final = {
     "strikes": "strikes",
     "saturations": "saturations",
     "glitches": "glitches",
@@ -36,7 +36,7 @@ _COUNTED: Final = {
 
 
 def lines(status: Status) -> Iterator[Line]:
-    """The status, line by line."""
+    """Yield the lines of a status."""
     yield from _forces(status)
     yield from _real_time(status["realtime"])
     yield from _periods(status)
@@ -49,7 +49,7 @@ def lines(status: Status) -> Iterator[Line]:
     for name, histogram in status.get("histograms", {}).items():
         yield name.removesuffix("_ns"), _times(histogram)
     counters = status["counters"]
-    for name in _COUNTED:
+    for name in _EVENT_COUNTERS:
         if name in counters:
             yield name, wording.number(counters[name])
     lost = {what: counters.get(f"{what}_dropped", 0) for what in ("samples", "events")}
@@ -66,13 +66,13 @@ def lines(status: Status) -> Iterator[Line]:
 
 
 def text_of(lines: list[Line]) -> str:
-    """Aligned, what it is about at the left."""
+    """Return the lines as a text of two aligned columns."""
     width = max(len(name) for name, _ in lines)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
 
 
 def quantile_ns(histogram: Mapping[str, Any], part: float) -> float:
-    """So long or shorter is this part of the times; as far as the bins tell, and never more than the longest."""
+    """Return the quantile `part` of a histogram, in ns: interpolated within its bin, at most the longest time."""
     edges, counts = histogram["edges"], histogram["counts"]
     wanted, below = part * sum(counts), 0
     for place, count in enumerate(counts):
@@ -92,31 +92,31 @@ def _forces(status: Status) -> Iterator[Line]:
         on = "on, but held back while the signs of the device are checked" if held else status["forces"]
         yield "forces", "off: `hapticd force on` turns them on" if off else on
         return
-    reasons = [FAULTS.get(name, name.replace("_", " ")) for name in status["faults"]]
+    reasons = [FAULT_REASONS.get(name, name.replace("_", " ")) for name in status["faults"]]
     yield "forces", f"off by a fault: {wording.listed(reasons)}"
     advice = _signs(status).get("advice") if status["faults"] == ["signs"] else None
-    yield "", advice or "`hapticd force on` turns them on again once its cause is gone"
+    yield "", advice or "`hapticd force on` turns them on again once the cause has ended"
 
 
 def _signs(status: Status) -> dict[str, Any]:
-    """The check of the device's signs; empty of a simulated joystick."""
+    """Return the check of the device's signs; empty for a simulated joystick."""
     connection = status.get("connection")
     signs = connection.get("signs") if isinstance(connection, dict) else None
     return signs if isinstance(signs, dict) else {}
 
 
 def _streams(streams: Mapping[Literal["target", "force"], StreamStatus]) -> Iterator[Line]:
-    """Of each kind of which messages came."""
+    """Yield a line for each kind of stream of which messages came."""
     for kind, counted in streams.items():
         if counted["received"]:
             came = f"{wording.count(counted['received'], 'message')} received, {counted['used']:,} used"
-            ended = wording.count(counted["timeouts"], "time")
-            yield f"{kind} stream", f"{'active' if counted['active'] else 'ended'}: {came}; ended {ended} so far"
+            timed_out = wording.count(counted["timeouts"], "time")
+            yield f"{kind} stream", f"{'active' if counted['active'] else 'ended'}: {came}; timed out {timed_out}"
 
 
 def _real_time(granted: Mapping[str, Any] | None) -> Iterator[Line]:
     if granted is None:
-        yield "real time", "not asked for"
+        yield "real time", "not requested"
         return
     missing = granted["missing"]
     parts = [

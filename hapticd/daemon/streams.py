@@ -1,8 +1,8 @@
 """Streamed targets and forces: the sender and the order of messages, and the counters of accepted and refused ones.
 
 The connection that sends the first message owns the stream. The stream ends when no message came for the time-out. The
-servo ends it by itself (csrc/servo/hd_servo_streams.c), even if the thread that serves commands hangs. Call everything
-from that thread; `status` may be called from any.
+servo ends it (csrc/servo/hd_servo_streams.c), so that it ends even if the command thread hangs. Only the command thread
+may call this; any thread may call `status`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,18 @@ from hapticd.protocol.streams import MAX_COMPONENT_BY_KIND, Kind
 
 
 class NotInTurnError(MethodError):
-    """A message that is sound, and counted, but was not taken."""
+    """A valid message was refused because another connection owns the stream or its sequence number is too low."""
 
 
 class Servo(Protocol):
     """The methods of an engine that streams call. `stream` never blocks: a newer value replaces the one before it."""
 
-    def stream(self, kind: StreamKind, seq: int, x: float, y: float) -> None: ...
-    def stream_counters(self, kind: StreamKind) -> StreamCounters: ...
+    def stream(self, kind: StreamKind, seq: int, x: float, y: float) -> None:
+        """Send the servo a new value."""
+
+    def stream_counters(self, kind: StreamKind) -> StreamCounters:
+        """Return the servo's counters of a stream."""
+        ...
 
 
 class _Stream:
@@ -41,7 +45,7 @@ class _Stream:
         self.kind = kind
         self.sender: object = None
         self.seq = 0
-        self.last_ns = -inf  # none came yet
+        self.last_ns = -inf  # no message came yet
         self.accepted = self.late = self.lost = self.held = self.refused = 0
 
     @property
@@ -53,8 +57,11 @@ class Streams:
     """Both kinds of streams of one servo."""
 
     def __init__(self, servo: Servo, hand: bool, timeout_ns: int, clock: Callable[[], int] = monotonic_ns) -> None:
-        """`hand`: whether the device has a simulated hand, which targets move. `timeout_ns`: a stream ends when no
-        message came for this time, in nanoseconds."""
+        """Send values to `servo`.
+
+        `hand`: whether the device has a simulated hand, which targets move. `timeout_ns`: time without a message, in
+        nanoseconds, after which a stream ends.
+        """
         self._servo, self._hand, self._timeout_ns, self._clock = servo, hand, timeout_ns, clock
         self._streams: dict[Kind, _Stream] = {
             "target": _Stream(StreamKind.TARGET),
@@ -64,7 +71,7 @@ class Streams:
         """The last target that the servo was given, in metres; None: there was none, or it was reset."""
 
     def take_body(self, sender: object, body: bytes) -> bool:
-        """Accepts a notification that is complete, valid and in sequence.
+        """Accept a notification that is complete, valid and in sequence.
 
         Returns False for any other body and changes nothing. The caller then handles that body as a request, which
         reports and counts the mistake.
@@ -86,18 +93,21 @@ class Streams:
         return True
 
     def refused(self, method: str) -> None:
-        """Counts an invalid message of this method."""
+        """Count an invalid message of this method."""
         self._streams[wire.STREAM_KIND_BY_METHOD[method]].refused += 1
 
     def take(self, sender: object, kind: Kind, seq: int, x: float, y: float) -> None:
-        """Gives a valid message to the servo. Raises NotInTurnError where another connection owns the stream, or where
-        the sequence number is not above that of the last accepted message."""
+        """Send the value of a valid message to the servo.
+
+        Raises NotInTurnError if another connection owns the stream, or if the sequence number is not above that of the
+        last accepted message.
+        """
         stream, now_ns = self._streams[kind], self._clock()
         if self._is_under_way(stream, now_ns):
             if stream.sender is not sender:
                 stream.held += 1
                 free_s = 1e-9 * (stream.last_ns + self._timeout_ns - now_ns)
-                again = f"send again once it has stopped for {1e-6 * self._timeout_ns:g} ms"
+                again = f"wait until it has sent nothing for {1e-6 * self._timeout_ns:g} ms"
                 raise NotInTurnError(Code.STREAM_HELD, f"another client streams a {kind}; {again}", {"free_s": free_s})
             if seq <= stream.seq:
                 stream.late += 1
@@ -109,7 +119,7 @@ class Streams:
         return now_ns - stream.last_ns < self._timeout_ns
 
     def _hand_over(self, stream: _Stream, sender: object, seq: int, now_ns: int, x: float, y: float) -> None:
-        """Needs a `seq` above the last one if the stream has not ended."""
+        """Send a value to the servo and count it. If the stream has not ended, `seq` must be above the last one."""
         missing = seq - stream.seq - 1 if self._is_under_way(stream, now_ns) else 0
         self._servo.stream(stream.kind, seq, x, y)
         stream.sender, stream.seq, stream.last_ns = sender, seq, now_ns
@@ -126,7 +136,7 @@ class Streams:
         return sum(stream.received for stream in self._streams.values())
 
     def status(self) -> dict[str, object]:
-        """The member `streams` of a status. For any thread."""
+        """Return the member `streams` of a status. For any thread."""
         return {kind: self._status(stream) for kind, stream in self._streams.items()}
 
     def _status(self, stream: _Stream) -> dict[str, object]:

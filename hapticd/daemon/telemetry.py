@@ -1,8 +1,8 @@
-"""The telemetry thread: drains the servo's rings and makes messages of them, which `publisher.py` sends.
+"""The telemetry thread: drains the servo's rings into messages, which `publisher.py` sends.
 
-The same samples and events go to the flight recorder, and events to the log. The servo never waits for it; a ring
-holds more than a second, which outlasts a garbage collection. A slow subscriber costs itself messages, nobody else.
-The thread that serves commands reads samples, too, for `get_state`: a lock is about the samples that are not sent yet.
+It also passes samples and events to the flight recorder, and events to the log. The servo never waits for it: a ring
+holds more than a second, longer than a garbage collection. A slow subscriber loses messages without affecting others.
+The command thread reads samples, too, for `get_state`; a lock guards the samples that are not sent yet.
 """
 
 from __future__ import annotations
@@ -24,16 +24,20 @@ from hapticd.protocol.changes import change_map
 from hapticd.protocol.events import event_map
 from hapticd.system.journal import EventLog
 
-SAMPLES_EVERY_S: Final = 0.020
-STATE_EVERY_S: Final = 1.0 / 60.0
-STATUS_EVERY_S: Final = 1.0
-TOPICS: Final = ("samples", "state", "event", "change", "status")
+SAMPLES_INTERVAL_S: Final = 0.020
+"""Interval of the batches of the topic `samples`."""
+STATE_INTERVAL_S: Final = 1.0 / 60.0
+"""Interval of the topic `state`: a usual display's frame rate."""
+STATUS_INTERVAL_S: Final = 1.0
+"""Interval of the topic `status`."""
+TELEMETRY_TOPICS: Final = ("samples", "state", "event", "change", "status")
 
-_EVENT_READS: Final = 2
-_EVERY_NS: Final = {
-    "samples": round(SAMPLES_EVERY_S * 1e9),
-    "state": round(STATE_EVERY_S * 1e9),
-    "status": round(STATUS_EVERY_S * 1e9),
+_MAX_EVENT_READS: Final = 2
+"""Batches of events that are read before samples are sent."""
+_TOPIC_INTERVALS_NS: Final = {
+    "samples": round(SAMPLES_INTERVAL_S * 1e9),
+    "state": round(STATE_INTERVAL_S * 1e9),
+    "status": round(STATUS_INTERVAL_S * 1e9),
 }
 _TO_FIRST_TICK: Final = b"\x84" + encode("first_tick")
 _TO_DROPPED: Final = encode("dropped")
@@ -41,7 +45,7 @@ _TO_DATA: Final = encode("dtype") + encode(np.lib.format.dtype_to_descr(SAMPLE_D
 
 
 def _samples_head(first_tick: int, dropped: int, size: int) -> bytes:
-    """What stands before `size` bytes of samples in their message."""
+    """Return the msgpack bytes before the `size` bytes of samples in a message."""
     begin = _TO_FIRST_TICK + encode(first_tick) + _TO_DROPPED + encode(dropped) + _TO_DATA
     if size < 2**8:
         return begin + b"\xc4" + size.to_bytes(1, "big")
@@ -51,19 +55,19 @@ def _samples_head(first_tick: int, dropped: int, size: int) -> bytes:
 
 
 def sample_map(sample: np.void) -> dict[str, object]:
-    """One sample as a map of plain numbers and lists, by field name."""
+    """Return a sample as a map of plain numbers and lists, by field name."""
     return {name: sample[name].tolist() for name in SAMPLE_DTYPE.names or ()}
 
 
 def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
-    """Where the last event of each object is, and how many it has."""
+    """Return the index of the last event of each object, mapped to the number of its events."""
     objects = events["slot"].astype(np.uint64) << np.uint64(32) | events["generation"]
     _, first, counts = np.unique(objects[::-1], return_index=True, return_counts=True)
     return dict(zip((len(events) - 1 - first).tolist(), counts.tolist(), strict=True))
 
 
 class Telemetry:
-    """Drains one engine's rings, and hands messages to the publisher when they are due."""
+    """Drains the rings of one engine, and passes messages to the publisher when they are due."""
 
     def __init__(
         self,
@@ -72,6 +76,7 @@ class Telemetry:
         status: Callable[[], dict[str, object]],
         flight: Flight | None = None,
     ) -> None:
+        """Publish the telemetry of `engine`; `status` returns the message of the topic `status`."""
         self._engine = engine
         self._publisher = publisher
         self._status = status
@@ -81,33 +86,35 @@ class Telemetry:
             rate_hz=lambda: engine.rate_hz,
         )
         self._samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
-        self._others = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
-        """Takes turns with `_samples`: those that are being sent stay as they are meanwhile."""
+        self._sent_samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
+        """The buffer that is swapped with `_samples`, so that samples do not change while they are sent."""
         self._events = records(EVENT_DTYPE, 1024)
         self._held = 0
         self._newest: npt.NDArray[np.void] | None = None
         self._dropped = 0
         self._reading = threading.Lock()
-        """Held while samples are read, or the newest one is used; not while they are sent: a thread that serves
-        commands may wait for it."""
+        """Held while samples are read or the newest is used, but not while they are sent.
+
+        The command thread may wait for it.
+        """
 
     def wake(self) -> None:
-        """Ends the wait for the next message, so that `run` looks whether it is to stop. For any thread."""
+        """End the wait for the next message, so that `run` checks whether to stop. For any thread."""
         self._publisher.wake()
 
     def state(self) -> dict[str, object] | None:
-        """What `state` says of the newest sample there is; None: there was none yet. For any thread."""
+        """Return the message of the topic `state` for the newest sample; None before the first. For any thread."""
         with self._reading:
             self._read_samples()
             return None if self._newest is None else self._state(self._newest[0])
 
     def run(self, stop: threading.Event) -> None:
-        """Publishes until `stop` is set, and once more after it."""
+        """Publish until `stop` is set, and once more after it."""
         now = monotonic_ns()
         due = {"samples": now, "state": now, "status": now}
         send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
         while True:
-            # Nobody is woken for a state that nobody subscribed to.
+            # The thread does not wake up for a state without subscribers.
             next_ns = min(due["samples"], due["status"], *((due["state"],) if self._publisher.wants("state") else ()))
             self._publisher.wait(max(0.0, (next_ns - monotonic_ns()) / 1e9))
             if stop.is_set():
@@ -121,10 +128,10 @@ class Telemetry:
                 if now >= time:
                     send[topic]()
                     # After a stall the rhythm starts again instead of catching up.
-                    every_ns = _EVERY_NS[topic]
+                    every_ns = _TOPIC_INTERVALS_NS[topic]
                     due[topic] = (time if now - time < every_ns else now) + every_ns
             if self._flight is not None:
-                self._flight.turn(drained_ns)
+                self._flight.hand_over_due(drained_ns)
         self._drain()
         self._send_changes()
         self._send_samples()
@@ -140,8 +147,8 @@ class Telemetry:
             full = self._held == len(self._samples)
         if full:
             self._send_samples()
-        # Bounded: a flood of events must not keep the samples waiting, and the ring counts what it has to drop.
-        for _ in range(_EVENT_READS):
+        # Bounded: a flood of events must not delay the samples. The ring counts the events that it drops.
+        for _ in range(_MAX_EVENT_READS):
             count, _ = self._engine.read_events(self._events)
             for message in self._maps(self._events[:count]) if count else ():
                 self._send("event", message)
@@ -149,13 +156,13 @@ class Telemetry:
                 if self._flight is not None:
                     self._flight.keep_event(message)
             if count < len(self._events):
-                # Of the sample that was read before them: the command thread may have read a newer one meanwhile.
+                # Of the sample read before these events: the command thread may have read a newer one since.
                 if revision is not None:
                     self._engine.events_read(revision)
                 break
 
     def _read_samples(self) -> None:
-        """With `_reading` held."""
+        """Move samples from the ring to `_samples`. The caller must hold `_reading`."""
         room = self._samples[self._held :]
         count, self._dropped = self._engine.read_samples(room) if len(room) else (0, self._dropped)
         if count:
@@ -163,9 +170,11 @@ class Telemetry:
             self._newest = self._samples[self._held - 1 : self._held]  # stays as it is until there is a newer one
 
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
-        """Events as maps. Those that come in floods are sent once for all that were found together: overruns of a busy
-        machine are added up, grooves of one object are counted, and of revisions the newest is the one in force.
-        Sending each would hold up commands."""
+        """Yield events as maps.
+
+        Of events that can come in floods one is sent for all that were read together, because sending each would delay
+        commands: overruns are added up, grooves of an object are counted, and of revisions the newest is sent.
+        """
         kinds = events["kind"]
         overruns, revisions = events[kinds == EventKind.OVERRUN], events[kinds == EventKind.REVISION]
         if len(revisions):
@@ -187,7 +196,7 @@ class Telemetry:
             batch, dropped = self._samples[: self._held], self._dropped
             if len(batch) == 0:
                 return
-            self._samples, self._others, self._held = self._others, self._samples, 0
+            self._samples, self._sent_samples, self._held = self._sent_samples, self._samples, 0
         if self._publisher.wants("samples"):
             data = batch.view(np.uint8).data
             self._publisher.publish("samples", _samples_head(int(batch["tick"][0]), dropped, len(data)), data)
@@ -196,7 +205,7 @@ class Telemetry:
 
     def _send_changes(self) -> None:
         for change in self._engine.read_changes():
-            if self._publisher.wants("change"):  # one of thousands of patches takes long to put into words
+            if self._publisher.wants("change"):  # the map of a change with thousands of patches takes long
                 self._send("change", change_map(change))
             if self._flight is not None:
                 self._flight.keep_change(change)
@@ -223,12 +232,12 @@ class Telemetry:
             self._publisher.publish(topic, encode(message))
 
     def _note(self, event: Any) -> dict[str, object]:
-        """An event's map."""
+        """Return the map of an event, and update the state that depends on it."""
         name = self._engine.name_of(int(event["slot"]), int(event["generation"]))
         kind = int(event["kind"])
         mark = self._engine.take_mark(int(event["code"])) if kind == EventKind.MARK else None
         message = event_map(event, name, mark)
         if kind == EventKind.GESTURE_END:
-            # Before it is sent: whoever subscribes and then asks for the status misses none.
+            # Before it is sent: a client that subscribes and then requests the status misses no event.
             self._engine.gesture_ended(message)
         return message

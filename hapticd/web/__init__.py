@@ -1,54 +1,54 @@
-"""A page in the browser: `hapticd web`. A process of its own, which is a client of a daemon like any other.
+"""A page in the browser: `hapticd web`, a separate process that is a client of a daemon.
 
-One thread, one event loop, in this order:
+One thread with one event loop, in the order from the process to the daemon:
 
-    process         the life of the process: from the options to the printed address and the end
-    demo            a daemon of our own, with the simulated joystick and a scene that shows everything
+    process         the process: from the options to the printed address and the end
+    demo            a separate daemon with the simulated joystick and a scene that shows everything
     opening         opens addresses in the browser of this machine
-    listening       where it listens: this machine alone, or with TLS and a password others, too
-    http_server     aiohttp's server at that port
-    connections     the connections of browsers: how many, and how long each may take
-    tasks           the end of a task of the event loop
+    listening       the listening socket: for this machine only or, with TLS and a password, for others too
+    http_server     aiohttp's server on that socket
+    connections     the connections of browsers: their number and their time limits
+    tasks           cancels a task of the event loop
     application     the HTTP routes: the static page, the WebSocket
-    security        who is let in: the one-time token, the password, the cookie; headers of every answer
-    hosts           under which names it is asked: Host and Origin of every request
-    sessions        tokens that are good once, and the sessions of browsers
+    security        access control: the one-time token, the password, the cookie; headers of every response
+    hosts           checks Host and Origin of every request
+    sessions        one-time tokens, and the sessions of browsers
     passwords       the password file, and how often a password may be tried
-    door            what somebody sees who has not been let in
-    telemetry_hub   the daemon's telemetry, passed on to every page as it came
-    metrics         figures for Prometheus, from the daemon's status
-    page            one page: its WebSocket, what it may ask and what it is answered
-    outbox          what waits to be sent to a page
-    page_limits     how much a page may ask
-    token_bucket    how much somebody may ask: so much at once, and so much a second
-    page_calls      what a page may call of the daemon
+    door            the pages for a browser without access: a hint or the password form
+    telemetry_hub   receives the daemon's telemetry and passes it on to every page unchanged
+    metrics         metrics for Prometheus, from the daemon's status
+    page            one page: its WebSocket, its calls and their answers
+    outbox          the queue of messages to a page
+    page_limits     limits of a page's calls and messages
+    token_bucket    a rate limiter
+    page_calls      the methods of the daemon that a page may call
     page_lease      forces only under a lease of the page
-    daemon_relay    a page's own connection to the daemon
+    daemon_relay    the connection of one page to the daemon
     page_methods    methods of this process that every page needs
 
-What a page may ask for besides:
+Further methods that a page may call:
 
-    yaml_methods    methods of a page: what may be edited, and the files that hold it
-    editor_schema   what may be edited: the JSON Schema of materials, objects and scene, with units
-    shipped_materials   the shipped materials, as they are before anybody changes them
-    yaml_files      what a file holds for the daemon; the page's scene and materials as a file
-    yaml_editing    a YAML text changed in place, with its comments
-    recording_methods   methods and routes of recordings: record, list, download, delete, open and look through
-    recorder        a recording that a page begins and any page ends
-    recording_folder    names, a list, files to read and to delete
-    uploads         recordings that a person sends to look at
-    playback        a recording that is open: its samples by row, the scene at a row
+    yaml_methods    methods of a page: the editors' schema, and files of scenes and materials
+    editor_schema   the JSON Schema of materials, objects and scene, with units, for the editors
+    shipped_materials   the shipped materials, unchanged
+    yaml_files      checks the text of a file; writes the scene and materials of the page as a file
+    yaml_editing    changes a YAML text in place and keeps its comments
+    recording_methods   methods and routes of recordings: record, list, download, delete, open and show
+    recorder        a recording that any page can begin and end
+    recording_folder    the folder of recordings: names, list, files to read and to delete
+    uploads         recordings that a browser uploads to show them
+    playback        an open recording: its samples by row, the scene at a row
 
-`static/` is the page itself. `static/main.js` says how its modules fit together.
+`static/` is the page. `static/main.js` explains how its modules work together.
 
 Questions, and where to begin:
 
-    What goes over the WebSocket?
-        page, which has it all at its top.
-    How does a page call something new of this process?
-        application (METHODS): each group of methods is a file with a table.
-    Why does a slow page slow nobody?
-        outbox (Outbox); page (Page), which closes one that reads nothing; page_limits.
+    What is sent over the WebSocket?
+        page, in its docstring.
+    How does a page call a new method of this process?
+        application (WEB_PAGE_METHODS): each group of methods is a file with a table.
+    Why does a slow page not delay others?
+        outbox (Outbox); page (Page), which closes a page that reads nothing; page_limits.
     Why can no other site command the joystick?
         hosts, then security (Guard).
     What ends the force when a tab is closed?

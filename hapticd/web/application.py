@@ -1,4 +1,4 @@
-"""The HTTP routes: the static page, the WebSocket, the door."""
+"""The HTTP routes: the static page, the WebSocket, the login page."""
 
 from __future__ import annotations
 
@@ -17,68 +17,77 @@ from hapticd.client.asynchronous import Client
 from hapticd.system.paths import RuntimePaths
 from hapticd.web import page_calls, page_methods, shipped_materials, yaml_methods
 from hapticd.web.connections import Connections
-from hapticd.web.page import FROZEN_S, MAX_MESSAGE, Method, Page
+from hapticd.web.page import MAX_PAGE_MESSAGE_BYTES, PAGE_READ_TIMEOUT_S, Method, Page
 from hapticd.web.recording_methods import Recordings
-from hapticd.web.security import FORM_BYTES, Guard
+from hapticd.web.security import MAX_FORM_BYTES, Guard
 from hapticd.web.telemetry_hub import TelemetryHub
 
-STATIC: Final = Path(__file__).parent / "static"
-MOST_PAGES: Final = 32
-_HEARTBEAT_S: Final = 2.0 * FROZEN_S
-"""From the last message of a page to a ping; aiohttp waits half of it for the answer."""
-_CLOSING_S: Final = 5.0
-"""A page that answers no closing frame for so long is let go."""
-_UNSENT_BYTES: Final = 256 << 10
-"""Room of the kernel for what a page has not read. More of it would be older data, and none newer."""
+STATIC_FOLDER: Final = Path(__file__).parent / "static"
+"""Folder of the page's HTML, scripts and styles."""
+MAX_OPEN_PAGES: Final = 32
+"""Pages that may be open at a time. docs/web.md states it."""
+_PING_INTERVAL_S: Final = 2.0 * PAGE_READ_TIMEOUT_S
+"""Time from the last message of a page to a ping; aiohttp waits half of it for the pong."""
+_CLOSE_TIMEOUT_S: Final = 5.0
+"""Time that a page has to answer a closing frame."""
+_SEND_BUFFER_BYTES: Final = 256 << 10
+"""Size of the kernel's send buffer of a page. A larger one would only hold older data for a slow page."""
 
-METHODS: Final[dict[str, Method]] = {**page_methods.METHODS, **yaml_methods.METHODS, **shipped_materials.METHODS}
-"""What a page may call of this process, by name. A further group is a further file, added here."""
+WEB_PAGE_METHODS: Final[dict[str, Method]] = {
+    **page_methods.BASE_PAGE_METHODS,
+    **yaml_methods.YAML_PAGE_METHODS,
+    **shipped_materials.SHIPPED_MATERIALS_PAGE_METHODS,
+}
+"""Methods of this process that a page may call, by name, without those of recordings.
+
+Each group is a table in a separate file, added here.
+"""
 
 _log = logging.getLogger("hapticd.web")
 
 
 @dataclass
 class Pages:
-    """The pages that are open, and what they share."""
+    """The open pages, and what they share."""
 
     place: RuntimePaths
     hub: TelemetryHub
     control: Client
-    """To the daemon: leases and stops of all pages, which no other call waits in front of."""
+    """Connection to the daemon for the leases and stops of all pages, so that no other call delays them."""
     demo: bool
     new_address: Callable[[], str]
     recordings: Recordings | None = None
-    """None: nothing is recorded here."""
-    methods: Mapping[str, Method] = field(default_factory=lambda: METHODS)
-    """What they may call of this process, besides those of recordings."""
-    passes: frozenset[str] = page_calls.OF_THE_DAEMON
-    """What they may call of the daemon."""
+    """Recordings of this process; None: pages cannot record."""
+    methods: Mapping[str, Method] = field(default_factory=lambda: WEB_PAGE_METHODS)
+    """Methods of this process that pages may call, without those of recordings."""
+    passes: frozenset[str] = page_calls.DAEMON_METHODS
+    """Methods of the daemon that pages may call."""
     open: set[Page] = field(default_factory=set)
     _lives: set[asyncio.Task[None]] = field(default_factory=set)
 
-    def tell(self, news: dict[str, object]) -> None:
-        """To all of them."""
+    def send_news(self, news: dict[str, object]) -> None:
+        """Send news to all open pages."""
         for page in tuple(self.open):
-            page.tell(news)
+            page.send_news(news)
 
     def end(self, why: str) -> None:
-        """Has all of them closed."""
+        """Begin to close all open pages."""
         for page in tuple(self.open):
             page.end(why)
 
     async def serve(self, request: web.Request) -> web.StreamResponse:
-        """A page, as long as it stays."""
-        if len(self.open) >= MOST_PAGES:
-            return web.Response(status=503, text=f"{MOST_PAGES} pages are open already: close one\n")
+        """Serve the WebSocket of a page until it closes."""
+        if len(self.open) >= MAX_OPEN_PAGES:
+            return web.Response(status=503, text=f"{MAX_OPEN_PAGES} pages are already open: close one\n")
         if request.transport is not None:
             connection = request.transport.get_extra_info("socket")
-            connection.setsockopt(network.SOL_SOCKET, network.SO_SNDBUF, _UNSENT_BYTES)
+            connection.setsockopt(network.SOL_SOCKET, network.SO_SNDBUF, _SEND_BUFFER_BYTES)
         response = web.WebSocketResponse(
-            max_msg_size=MAX_MESSAGE, compress=False, heartbeat=_HEARTBEAT_S, timeout=_CLOSING_S
+            max_msg_size=MAX_PAGE_MESSAGE_BYTES, compress=False, heartbeat=_PING_INTERVAL_S, timeout=_CLOSE_TIMEOUT_S
         )
         try:
             await response.prepare(request)
-        except ConnectionError:  # it went meanwhile
+        except ConnectionError:  # the browser has disconnected
             return response
         page = Page(
             response,
@@ -90,10 +99,10 @@ class Pages:
             new_address=self.new_address,
             passes=self.passes,
         )
-        page.tell({"daemon": self.hub.daemon})
+        page.send_news({"daemon": self.hub.daemon})
         self.open.add(page)
-        self.tell({"pages": len(self.open)})
-        # A task of its own: a handler that is cancelled must not keep a page from letting go of what it has.
+        self.send_news({"pages": len(self.open)})
+        # A separate task, so that the page releases its resources even if this handler is cancelled.
         task = asyncio.create_task(self._life(page), name="page")
         self._lives.add(task)
         task.add_done_callback(self._lives.discard)
@@ -102,7 +111,7 @@ class Pages:
         finally:
             page.end("the connection ended")
             if request.transport is not None:
-                request.transport.abort()  # whoever does not read is not waited for
+                request.transport.abort()  # does not wait for a browser that does not read
         return response
 
     async def _life(self, page: Page) -> None:
@@ -112,15 +121,15 @@ class Pages:
             _log.exception("a page failed")
         finally:
             self.open.discard(page)
-            self.tell({"pages": len(self.open)})
+            self.send_news({"pages": len(self.open)})
 
     async def close(self) -> None:
-        """Returns once none of them has anything any more."""
+        """Close all pages, and return once they have released their resources."""
         self.end("The server of this page ends.")
         await asyncio.gather(*self._lives)
 
     def add_routes(self, app: web.Application) -> None:
-        """The WebSocket, and what is downloaded and sent beside it."""
+        """Add the routes of the WebSocket, and of downloads and uploads."""
         app.router.add_get("/socket", self.serve)
         if self.recordings is not None:
             self.recordings.add_routes(app)
@@ -128,16 +137,16 @@ class Pages:
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """What one port serves to those who were let in."""
+    """What one port serves to browsers with access."""
 
     index: Path
-    """The page at /, HTML."""
+    """HTML file of the page at /."""
     add_routes: Callable[[web.Application], None]
-    """Adds what that page asks for, but for static/."""
+    """Adds the routes that this page requests, except static/."""
 
 
 def application(guard: Guard, connections: Connections, site: Site) -> web.Application:
-    """What answers requests."""
+    """Return the aiohttp application that answers requests."""
     mimetypes.add_type("text/javascript", ".mjs")
     mimetypes.add_type("text/javascript", ".js")
 
@@ -145,14 +154,14 @@ def application(guard: Guard, connections: Connections, site: Site) -> web.Appli
         return web.FileResponse(site.index)
 
     async def door_style(_: web.Request) -> web.StreamResponse:
-        return web.FileResponse(STATIC / "door.css")
+        return web.FileResponse(STATIC_FOLDER / "door.css")
 
-    app = web.Application(middlewares=[connections.middleware(), guard.middleware()], client_max_size=FORM_BYTES)
+    app = web.Application(middlewares=[connections.middleware(), guard.middleware()], client_max_size=MAX_FORM_BYTES)
     app.on_response_prepare.append(guard.add_headers)
     app.router.add_get("/", index)
     app.router.add_get("/login", guard.show_form)
     app.router.add_post("/login", guard.take_form)
     app.router.add_get("/door.css", door_style)
-    app.router.add_static("/static/", STATIC, follow_symlinks=False)
+    app.router.add_static("/static/", STATIC_FOLDER, follow_symlinks=False)
     site.add_routes(app)
     return app

@@ -1,7 +1,7 @@
-"""The connections of browsers: how many there are, and how long each may take over what it does.
+"""The connections of browsers: their number and their time limits.
 
-Whoever sends a request byte by byte, takes an answer byte by byte or sends nothing at all is let go. A WebSocket has
-its own rules (page.py).
+A connection that sends a request or reads a response too slowly, or sends nothing, is closed. A WebSocket has separate
+rules (page.py).
 """
 
 from __future__ import annotations
@@ -15,40 +15,49 @@ from typing import Final, cast
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
-MOST: Final = 128
-REQUEST_S: Final = 30.0
-"""From the connection, or the end of the last answer, to the whole head of the next request."""
-ANSWER_S: Final = 30.0
-_SWEEP_S: Final = 1.0
-_GOES_ON: Final[ContextVar[Callable[[], None]]] = ContextVar("goes_on", default=lambda: None)
+MAX_BROWSER_CONNECTIONS: Final = 128
+"""Connections of all browsers. docs/web.md states it."""
+REQUEST_TIMEOUT_S: Final = 30.0
+"""Time from the connection, or from the last response, until the headers of the next request must be complete."""
+RESPONSE_TIMEOUT_S: Final = 30.0
+"""Time in which a response, or the next block of a file, must be transferred."""
+_SWEEP_INTERVAL_S: Final = 1.0
+"""Interval in which overdue connections are closed."""
+_DEADLINE_EXTENDER: Final[ContextVar[Callable[[], None]]] = ContextVar("deadline_extender", default=lambda: None)
 
 
-def goes_on() -> None:
-    """For a handler that takes or sends a file: a part of it went over, the next one has as long again."""
-    _GOES_ON.get()()
+def extend_deadline() -> None:
+    """Give the current request its full time again. A handler calls it after each block of a file."""
+    _DEADLINE_EXTENDER.get()()
 
 
 class Connections:
-    """Those of one server. Belongs to the event loop."""
+    """The browser connections of one server. For the event loop."""
 
     def __init__(
-        self, most: int = MOST, request_s: float = REQUEST_S, now: Callable[[], float] = time.monotonic
+        self,
+        most: int = MAX_BROWSER_CONNECTIONS,
+        request_s: float = REQUEST_TIMEOUT_S,
+        now: Callable[[], float] = time.monotonic,
     ) -> None:
+        """Allow `most` connections, which must send a request within `request_s`."""
         self._most, self._request_s, self._now = most, request_s, now
         self._open: dict[_Connection, float] = {}
-        """When each is to be let go; 0: never."""
+        """The time at which each open connection is closed; 0: never."""
         self.refused = 0
-        self.let_go = 0
+        """Connections refused because there were too many."""
+        self.timed_out = 0
+        """Connections closed because they took too long."""
 
     def __len__(self) -> int:
         return len(self._open)
 
     def factory(self, server: Callable[[], asyncio.BaseProtocol]) -> Callable[[], asyncio.BaseProtocol]:
-        """Of protocols for `create_server`, around those of aiohttp."""
+        """Return a factory of protocols for `create_server` that wrap those of aiohttp's `server`."""
         return lambda: _Connection(cast(asyncio.Protocol, server()), self)
 
     def opened(self, connection: _Connection) -> bool:
-        """Whether there is room for it."""
+        """Add a new connection, and return whether there was room for it."""
         if len(self._open) >= self._most:
             self.refused += 1
             return False
@@ -56,24 +65,25 @@ class Connections:
         return True
 
     def closed(self, connection: _Connection) -> None:
+        """Remove a closed connection."""
         self._open.pop(connection, None)
 
     def sweep(self) -> None:
-        """Lets go whoever took too long."""
+        """Close the connections whose time is over."""
         now = self._now()
         for connection, until in tuple(self._open.items()):
             if until and until < now:
-                self.let_go += 1
+                self.timed_out += 1
                 connection.abort()
 
     async def run(self) -> None:
-        """Sweeps, until cancelled."""
+        """Sweep once a second until cancelled."""
         while True:
-            await asyncio.sleep(_SWEEP_S)
+            await asyncio.sleep(_SWEEP_INTERVAL_S)
             self.sweep()
 
     def middleware(self) -> Middleware:
-        """Knows when a request has come whole, and when it is answered. The first of all."""
+        """Return the middleware that starts a response's time at its request. It must be the first middleware."""
 
         @web.middleware
         async def timed(request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -81,13 +91,13 @@ class Connections:
             connection = found if isinstance(found, _Connection) and found in self._open else None
             if connection is None:
                 return await handler(request)
-            _GOES_ON.set(lambda: self._rearm(connection, ANSWER_S))
-            self._open[connection] = 0.0 if request.path == "/socket" else self._now() + ANSWER_S
+            _DEADLINE_EXTENDER.set(lambda: self._rearm(connection, RESPONSE_TIMEOUT_S))
+            self._open[connection] = 0.0 if request.path == "/socket" else self._now() + RESPONSE_TIMEOUT_S
             try:
                 response = await handler(request)
                 if not isinstance(response, web.WebSocketResponse):
-                    # To be sent still, which may be slow.
-                    self._rearm(connection, ANSWER_S)
+                    # The response must still be sent, which may be slow.
+                    self._rearm(connection, RESPONSE_TIMEOUT_S)
                 return response
             except BaseException:
                 self._rearm(connection, self._request_s)
@@ -101,13 +111,13 @@ class Connections:
 
 
 class _Connection(asyncio.Protocol):
-    """aiohttp's protocol, with a word to Connections when it comes and goes."""
+    """aiohttp's protocol, which reports its begin and end to Connections."""
 
     def __init__(self, inner: asyncio.Protocol, connections: Connections) -> None:
         self._inner, self._connections = inner, connections
         self._transport: asyncio.Transport | None = None
         self._taken = False
-        # What comes with every piece of data goes straight on.
+        # Callbacks for each piece of data are those of aiohttp, without a detour.
         self.data_received = inner.data_received  # type: ignore[method-assign]
         self.pause_writing = inner.pause_writing  # type: ignore[method-assign]
         self.resume_writing = inner.resume_writing  # type: ignore[method-assign]
@@ -130,6 +140,6 @@ class _Connection(asyncio.Protocol):
         return self._inner.eof_received() if self._taken else None
 
     def abort(self) -> None:
-        """Ends it at once; what is not sent yet is lost."""
+        """Close the connection at once; unsent data is lost."""
         if self._transport is not None:
             self._transport.abort()

@@ -1,6 +1,6 @@
-"""A page's own connection to the daemon: its requests and their answers pass as the bytes that they are.
+"""The connection of one page to the daemon, which passes on requests and answers unchanged.
 
-Only method and id of a request are looked at, and the id of an answer. The daemon checks all else.
+Only the method and the id of a request and the id of an answer are read. The daemon checks everything else.
 """
 
 from __future__ import annotations
@@ -21,48 +21,49 @@ from hapticd.protocol.calls import REPLY_TIMEOUT_S
 from hapticd.protocol.messages import Code, Id, Request
 from hapticd.system.paths import RuntimePaths
 
-_CONNECT_S: Final = 1.0
-"""How long a request waits for a daemon that is not there: it may just be coming, or we to it."""
+_CONNECT_TIMEOUT_S: Final = 1.0
+"""Time that a request waits while no daemon is connected: it may be starting."""
 
 
 class DaemonRelay:
-    """Belongs to the running event loop. `answer` is called with every answer that the page is to get."""
+    """The connection of one page to the daemon. For the running event loop."""
 
     def __init__(
         self, place: RuntimePaths, answer: Callable[[bytes], None], timeout_s: float = REPLY_TIMEOUT_S
     ) -> None:
+        """Connect to the daemon at `place`. `answer` is called with every answer for the page."""
         self._place, self._answer, self._timeout_s = place, answer, timeout_s
         self._under_way: dict[Id, asyncio.TimerHandle] = {}
         self._waiting: deque[tuple[Id, bytes, float]] = deque()
-        """Calls that no daemon took yet, each with the time at which that is given up."""
+        """Calls that wait for a daemon, each with the time at which it fails."""
         self._sender: asyncio.Task[None] | None = None
         self._socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
         connect_commands(self._socket, place)
         self._reader = asyncio.create_task(self._read(), name="page-answers")
 
     def __len__(self) -> int:
-        """Calls under way."""
+        """Return the number of calls under way."""
         return len(self._under_way)
 
     def passes(self, request: Request) -> bool:
-        """Whether its answer could be told from those of the calls under way."""
+        """Return whether no call under way has the same id."""
         return request.id not in self._under_way
 
     def notify(self, body: bytes) -> bool:
-        """Passes a notification on; False where no daemon takes it now."""
+        """Pass a notification on, and return whether a daemon accepted it."""
         return not self._waiting and self._send(body)
 
     def call(self, request: Request, body: bytes) -> None:
-        """Passes a call on, in its turn; its answer, or why there is none, comes by `answer`."""
+        """Pass a call on, in the order of calls; `answer` is called with its answer or an error."""
         loop = asyncio.get_running_loop()
         self._under_way[request.id] = loop.call_later(self._timeout_s, self._fail, request.id, None)
         if self._waiting or not self._send(body):
-            self._waiting.append((request.id, body, loop.time() + _CONNECT_S))
+            self._waiting.append((request.id, body, loop.time() + _CONNECT_TIMEOUT_S))
             if self._sender is None or self._sender.done():
                 self._sender = asyncio.create_task(self._send_waiting(), name="page-calls")
 
     def _send(self, body: bytes) -> bool:
-        # With NOBLOCK, and nobody waiting in the socket's own queue, the future is done at once.
+        # With NOBLOCK, and no other send under way, the future is done at once.
         sent = cast("asyncio.Future[None]", self._socket.send(body, zmq.NOBLOCK))
         try:
             sent.result()
@@ -77,10 +78,10 @@ class DaemonRelay:
             if not self._send(body):
                 left_s = until_s - loop.time()
                 if left_s > 0.0:
-                    # pyzmq's types leave the flags out.
+                    # pyzmq's type annotations lack the flags.
                     await cast(Any, self._socket).poll(1 + int(1e3 * left_s), zmq.POLLOUT)
                     continue
-                self._fail(id, await asyncio.to_thread(places.no_answer, self._place, _CONNECT_S))
+                self._fail(id, await asyncio.to_thread(places.no_answer, self._place, _CONNECT_TIMEOUT_S))
             self._waiting.popleft()
 
     def _fail(self, id: Id, problem: HapticdError | None) -> None:
@@ -88,19 +89,19 @@ class DaemonRelay:
         if timer is None:
             return
         timer.cancel()
-        told = problem or f"the daemon at {self._place.directory} did not answer within {self._timeout_s:g} s"
-        self._answer(messages.error_reply(id, Code.DAEMON_AWAY, str(told)))
+        text = problem or f"the daemon at {self._place.directory} did not answer within {self._timeout_s:g} s"
+        self._answer(messages.error_reply(id, Code.DAEMON_AWAY, str(text)))
 
     async def _read(self) -> None:
         while True:
             body = await self._socket.recv()
             timer = self._under_way.pop(id_of(body), None)
-            if timer is not None:  # else it comes too late, and was answered for
+            if timer is not None:  # else the call has timed out and was answered with an error
                 timer.cancel()
                 self._answer(body)
 
     async def close(self) -> None:
-        """Lets go of the connection; what is under way is carried out, and nobody hears of it."""
+        """Close the connection. The daemon still carries out calls under way; their answers are dropped."""
         tasks = [task for task in (self._reader, self._sender) if task is not None]
         for task in tasks:
             task.cancel()
@@ -112,7 +113,7 @@ class DaemonRelay:
 
 
 def id_of(body: bytes) -> Id:
-    """The id in an answer of the daemon."""
+    """Return the id of an answer of the daemon."""
     scanner = msgpack.Unpacker(max_buffer_size=max(len(body), 1), raw=False)
     scanner.feed(body)
     for _ in range(scanner.read_map_header()):

@@ -1,4 +1,4 @@
-"""A daemon of our own: the simulated joystick, in a scene that shows everything."""
+"""A separate daemon for `hapticd web --demo`: the simulated joystick, in a scene that shows everything."""
 
 from __future__ import annotations
 
@@ -17,19 +17,24 @@ from hapticd.base.errors import HapticdError
 from hapticd.protocol import places
 from hapticd.system.paths import RuntimePaths, daemon_paths
 
-CONFIG: Final = Path(__file__).parents[1] / "shipped" / "play.yaml"
-_READY_S: Final = 60.0
-_END_S: Final = 5.0
-_LAST_LINES: Final = 20
+DEMO_CONFIG_PATH: Final = Path(__file__).parents[1] / "shipped" / "play.yaml"
+"""Configuration of the demo's daemon."""
+_READY_TIMEOUT_S: Final = 60.0
+"""Time in which the daemon must start; long, for slow machines."""
+_END_TIMEOUT_S: Final = 5.0
+"""Time in which the daemon must end after SIGTERM, before it is killed."""
+_MAX_SHOWN_LOG_LINES: Final = 20
+"""Last lines of the daemon's log that an error shows."""
 _PR_SET_PDEATHSIG: Final = 1
+"""Option of prctl(2): the signal that a process gets when its parent ends."""
 
 
 class DemoDaemon:
-    """`hapticd run` in a folder of its own, as long as the context lasts. What it logs is told only where it fails."""
+    """`hapticd run` in a temporary folder, as long as the context lasts. Its log is shown only if it fails."""
 
     def __init__(self, configs: Sequence[str] = ()) -> None:
-        """`configs`: what `hapticd run -c` takes, later ones override earlier ones; none: the scene of everything."""
-        self._configs = configs or (str(CONFIG),)
+        """Use the files `configs`, of which later ones override earlier ones, or DEMO_CONFIG_PATH without any."""
+        self._configs = configs or (str(DEMO_CONFIG_PATH),)
 
     def __enter__(self) -> Self:
         self._folder = tempfile.TemporaryDirectory(prefix="hapticd-play-")
@@ -48,15 +53,15 @@ class DemoDaemon:
                 stderr=log,
                 env=environment,
                 start_new_session=True,
-                preexec_fn=_ended_with(os.getpid()),
+                preexec_fn=_end_with_parent(os.getpid()),
             )
         try:
             runtime.mkdir(mode=0o700, exist_ok=True)
             self.place: RuntimePaths = daemon_paths(runtime)
-            places.await_ready(self.place, _READY_S, lambda: self._process.poll() is not None)
+            places.await_ready(self.place, _READY_TIMEOUT_S, lambda: self._process.poll() is not None)
             places.probe(self.place)
         except HapticdError:
-            problem = HapticdError(f"the daemon of the demo did not start: {self._last_words()}")
+            problem = HapticdError(f"the daemon of the demo did not start: {self._last_log_lines()}")
             self.__exit__(None, None, None)
             raise problem from None
         except BaseException:
@@ -70,14 +75,14 @@ class DemoDaemon:
         if self._process.poll() is None:
             self._process.terminate()
         try:
-            self._process.wait(_END_S)
+            self._process.wait(_END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
         self._folder.cleanup()
 
     async def failed(self) -> str:
-        """Returns once it has ended by itself: why."""
+        """Wait until the daemon ends, and return an error text with its last log lines."""
         loop, ended = asyncio.get_running_loop(), asyncio.Event()
         descriptor = os.pidfd_open(self._process.pid)
         try:
@@ -86,16 +91,16 @@ class DemoDaemon:
         finally:
             loop.remove_reader(descriptor)
             os.close(descriptor)
-        return f"the daemon of the demo ended: {self._last_words()}"
+        return f"the daemon of the demo ended: {self._last_log_lines()}"
 
-    def _last_words(self) -> str:
-        lines = self._log.read_text(errors="replace").split("\n")[-_LAST_LINES - 1 :]
-        return "; ".join(line.strip() for line in lines if line.strip()) or "it said nothing"
+    def _last_log_lines(self) -> str:
+        lines = self._log.read_text(errors="replace").split("\n")[-_MAX_SHOWN_LOG_LINES - 1 :]
+        return "; ".join(line.strip() for line in lines if line.strip()) or "it logged nothing"
 
 
-def _ended_with(parent: int) -> Callable[[], None]:
-    """For the child, before it becomes the daemon: whoever kills us by SIGKILL ends it, too."""
-    import ctypes  # not where nothing is started: it wants memory that is writable and executable
+def _end_with_parent(parent: int) -> Callable[[], None]:
+    """Return a function that makes the child process end with its parent, even if that is killed by SIGKILL."""
+    import ctypes  # imported only here: it needs memory that is writable and executable
 
     prctl = ctypes.CDLL(None, use_errno=True).prctl
 

@@ -1,6 +1,6 @@
-"""What somebody sees who has not been let in: how to get an address, or the form for the password.
+"""The pages for a browser without access: how to get an address, or the password form.
 
-Plain HTML without a script; its style is static/door.css, which is for everybody.
+They are plain HTML without a script. Their style is static/door.css, which is served without access, too.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from html import escape
 
-_PAGE = """<!doctype html>
+_PAGE_TEMPLATE = """<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
@@ -26,9 +26,9 @@ _PAGE = """<!doctype html>
 """
 
 
-def no_address(used: bool) -> str:
-    """For who comes without a token, or with one that was used."""
-    why = "This address has been used: it lets in one browser, once." if used else "This browser has not been let in."
+def address_needed_page(used: bool) -> str:
+    """Return the page for a browser without a token, or with one that was used."""
+    why = "This address was used before: it works once." if used else "This browser has no access."
     body = f"""<p>{why}</p>
 <p>To get a new address, do one of these:</p>
 <ul>
@@ -36,28 +36,33 @@ def no_address(used: bool) -> str:
 addresses, for a service into the journal.</li>
 <li>If a browser has the page of <code>hapticd web</code> open: ask that page for an address for another browser.</li>
 </ul>"""
-    return _PAGE.format(title="hapticd: a new address is needed", head="", body=body)
+    return _PAGE_TEMPLATE.format(title="hapticd: a new address is needed", head="", body=body)
 
 
-def login(problem: str = "") -> str:
-    """The form."""
-    told = f'<p class="problem" role="alert">{escape(problem)}</p>' if problem else ""
-    body = f"""{told}<form method="post" action="/login">
+def login_page(problem: str = "") -> str:
+    """Return the page with the password form, and with the problem of the last try."""
+    alert = f'<p class="problem" role="alert">{escape(problem)}</p>' if problem else ""
+    body = f"""{alert}<form method="post" action="/login">
 <label for="password">Password</label>
 <input id="password" name="password" type="password" autocomplete="current-password" required autofocus>
 <button type="submit">Log in</button>
 </form>"""
-    return _PAGE.format(title="hapticd: log in", head="", body=body)
+    return _PAGE_TEMPLATE.format(title="hapticd: log in", head="", body=body)
 
 
-def onward() -> str:
-    """For who was led here by another site: the browser sends our cookie only to who comes from a page of ours."""
+def continue_page() -> str:
+    """Return a page that leads to /, for a browser that followed a link on another site.
+
+    The browser sends the cookie only for requests that come from a page of this server.
+    """
     body = '<p><a href="/">Open the page</a></p>'
-    return _PAGE.format(title="hapticd", head='\n<meta http-equiv="refresh" content="0; url=/">', body=body)
+    return _PAGE_TEMPLATE.format(title="hapticd", head='\n<meta http-equiv="refresh" content="0; url=/">', body=body)
 
 
-def leads_to(address: str) -> str:
-    """A file that a browser opens instead of the address."""
+def redirect_page(address: str) -> str:
+    """Return a page that leads to `address`, for a file that a browser opens."""
     body = f'<p><a href="{escape(address)}">Open the page</a></p>'
     head = f'\n<meta http-equiv="refresh" content="0; url={escape(address)}">'
-    return _PAGE.format(title="hapticd", head=head, body=body).replace('<link rel="stylesheet" href="/door.css">', "")
+    return _PAGE_TEMPLATE.format(title="hapticd", head=head, body=body).replace(
+        '<link rel="stylesheet" href="/door.css">', ""
+    )

@@ -1,4 +1,4 @@
-"""What may be edited, for the panels of the page: the JSON Schema of materials, objects and scene, with units.
+"""The JSON Schema of materials, objects and scene, with units, for the editors of the page.
 
 The answer of `web.schema`:
 
@@ -10,12 +10,12 @@ The answer of `web.schema`:
 
 Each definition is JSON Schema (2020-12) as `hapticd schema` prints it, with two differences that make a form simple:
 
-- a member that has a unit names it, `"unit": "N/m"`, and its description no longer ends with it;
-- a member that may be absent is described as what it is when it is there. It has no `anyOf` with null, no default and
-  does not stand in `required`. Null in a merge patch removes it.
+- a member with a unit has it as `"unit": "N/m"`, and not at the end of its description;
+- a member that may be absent has the schema of its value: no `anyOf` with null and no default. It is not in `required`.
+  Null in a merge patch removes it.
 
-`minimum`, `maximum`, `enum`, `const`, `default` and `description` are those of the configuration. Which members
-go together is left out: the panels ask for one choice after the other (static/editor/choices.js).
+`minimum`, `maximum`, `enum`, `const`, `default` and `description` are those of the configuration. Rules on combinations
+of members are left out: the panels offer one choice after the other (static/editor/choices.js).
 """
 
 from __future__ import annotations
@@ -29,16 +29,17 @@ from hapticd.base.yaml_source import Json
 from hapticd.config.document_kinds import OBJECT_KINDS
 from hapticd.config.schema import config_schema, unit_of
 
-_REF: Final = "#/$defs/"
-_NULL: Final = {"type": "null"}
-_TOGETHER: Final = ("allOf", "anyOf", "oneOf", "not", "if", "then")
-"""Beside members: which of them go together."""
-_TEXTURES: Final = ("grooves", "stochastic", "autoregressive")
+_DEFS_REF_PREFIX: Final = "#/$defs/"
+_NULL_TYPE: Final = {"type": "null"}
+_COMBINATION_KEYWORDS: Final = ("allOf", "anyOf", "oneOf", "not", "if", "then")
+"""Keywords of an object's schema that say which members may be combined."""
+_TEXTURE_KINDS: Final = ("grooves", "stochastic", "autoregressive")
+"""Values of `kind` of a texture."""
 
 
 @cache
 def editor_schema() -> dict[str, Json]:
-    """As the top of this file says."""
+    """Return the answer of `web.schema`."""
     every = cast("dict[str, dict[str, Json]]", config_schema()["$defs"])
     by_kind = {kind: name for name, found in every.items() for kind in _kinds(found)}
     wanted, definitions = ["Material", "Scene"], {}
@@ -51,17 +52,17 @@ def editor_schema() -> dict[str, Json]:
         "material": _ref("Material"),
         "scene": _ref("Scene"),
         "objects": {kind: _ref(by_kind[kind]) for kind in OBJECT_KINDS},
-        "textures": {kind: _ref(by_kind[kind]) for kind in _TEXTURES},
+        "textures": {kind: _ref(by_kind[kind]) for kind in _TEXTURE_KINDS},
         "$defs": {name: definitions[name] for name in sorted(definitions)},
     }
 
 
 def _ref(name: str) -> dict[str, Json]:
-    return {"$ref": _REF + name}
+    return {"$ref": _DEFS_REF_PREFIX + name}
 
 
 def _kinds(definition: dict[str, Json]) -> list[str]:
-    """The values of `kind` that choose this definition."""
+    """Return the values of `kind` that select this definition."""
     kind = cast("dict[str, dict[str, Json]]", definition.get("properties", {})).get("kind", {})
     return [cast(str, kind["const"])] if "const" in kind else []
 
@@ -70,7 +71,7 @@ def _referred(tree: Json) -> Iterator[str]:
     if isinstance(tree, dict):
         for key, value in tree.items():
             if key == "$ref":
-                yield cast(str, value).removeprefix(_REF)
+                yield cast(str, value).removeprefix(_DEFS_REF_PREFIX)
             else:
                 yield from _referred(value)
     elif isinstance(tree, list):
@@ -79,19 +80,19 @@ def _referred(tree: Json) -> Iterator[str]:
 
 
 def _simple(tree: Json) -> Json:
-    """A definition in the form that the top of this file says."""
+    """Return a definition in the form of `web.schema`."""
     if isinstance(tree, list):
         return [_simple(value) for value in tree]
     if not isinstance(tree, dict):
         return tree
-    rules = _TOGETHER if "properties" in tree else ()
+    rules = _COMBINATION_KEYWORDS if "properties" in tree else ()
     found = {key: _simple(value) for key, value in tree.items() if key not in rules}
     choices = found.get("anyOf")
-    if isinstance(choices, list) and _NULL in choices and len(choices) == 2:
+    if isinstance(choices, list) and _NULL_TYPE in choices and len(choices) == 2:
         del found["anyOf"]
         if found.get("default", 0) is None:
             del found["default"]
-        found = {**next(cast("dict[str, Json]", choice) for choice in choices if choice != _NULL), **found}
+        found = {**next(cast("dict[str, Json]", choice) for choice in choices if choice != _NULL_TYPE), **found}
     properties = found.get("properties")
     if isinstance(properties, dict):
         for key, described in properties.items():

@@ -1,4 +1,4 @@
-"""HTTP at one port: aiohttp's server, with our connections around it."""
+"""aiohttp's server on one port, with the time limits of `connections.py`."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from typing import Final
 from aiohttp import web
 
 from hapticd.web.application import Site, application
-from hapticd.web.connections import REQUEST_S, Connections
+from hapticd.web.connections import REQUEST_TIMEOUT_S, Connections
 from hapticd.web.listening import Listening
 from hapticd.web.security import Guard
 from hapticd.web.sessions import Sessions
 
-_SHUTDOWN_S: Final = 0.3
+_SHUTDOWN_TIMEOUT_S: Final = 0.3
+"""Time that handlers and TLS connections have to end when the server stops."""
 
 
 @asynccontextmanager
 async def serving(at: Listening, sessions: Sessions, site: Site, connections: Connections) -> AsyncIterator[Guard]:
-    """Answers while the context lasts."""
+    """Answer requests while the context lasts; yield the guard that decides on access."""
     guard = Guard(at.hosts, sessions, at.passwords, at.socket.getsockname()[1], at.tls is not None)
     runner = web.AppRunner(
         application(guard, connections, site),
         access_log=None,
-        shutdown_timeout=_SHUTDOWN_S,
-        keepalive_timeout=REQUEST_S,
+        shutdown_timeout=_SHUTDOWN_TIMEOUT_S,
+        keepalive_timeout=REQUEST_TIMEOUT_S,
     )
     await runner.setup()
     try:
@@ -35,8 +36,8 @@ async def serving(at: Listening, sessions: Sessions, site: Site, connections: Co
             connections.factory(runner.server),
             sock=at.socket,
             ssl=at.tls,
-            ssl_handshake_timeout=REQUEST_S if at.tls is not None else None,
-            ssl_shutdown_timeout=_SHUTDOWN_S if at.tls is not None else None,
+            ssl_handshake_timeout=REQUEST_TIMEOUT_S if at.tls is not None else None,
+            ssl_shutdown_timeout=_SHUTDOWN_TIMEOUT_S if at.tls is not None else None,
         )
         try:
             yield guard

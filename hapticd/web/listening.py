@@ -1,4 +1,4 @@
-"""Where the server listens: this machine alone, or with TLS and a password others, too."""
+"""The listening socket of the server: for this machine only or, with TLS and a password, for others too."""
 
 from __future__ import annotations
 
@@ -15,27 +15,29 @@ from hapticd.system.trusted_files import read_trusted
 from hapticd.web.hosts import Hosts
 from hapticd.web.passwords import Passwords
 
-_BACKLOG: Final = 64
-_LARGEST_FILE: Final = 1 << 20
+_LISTEN_BACKLOG: Final = 64
+"""Connections that the kernel queues until they are accepted."""
+_MAX_PEM_FILE_BYTES: Final = 1 << 20
+"""Largest certificate or key file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """A port that is bound."""
+    """A bound socket, the names that it is served under, and its access rules."""
 
     socket: socket.socket
     hosts: Hosts
     url: str
-    """As a person opens it: scheme, name and port, no slash at the end."""
+    """The address to open in a browser: scheme, name and port, without a slash at the end."""
     tls: ssl.SSLContext | None
     passwords: Passwords | None
 
 
 def listen(host: str, port: int, cert: str | None, key: str | None, password_file: str | None) -> Listening:
-    """Binds. Raises HapticdError, in one line that says what is missing, before anything is bound."""
+    """Bind the socket. Raises HapticdError, before it binds, if options are missing or files cannot be used."""
     address = _address_of(host, port)
     loopback = ipaddress.ip_address(address.partition("%")[0]).is_loopback
-    _refuse_what_is_missing(host, loopback, cert, key, password_file)
+    _require_options(host, loopback, cert, key, password_file)
     passwords = None if password_file is None else Passwords(password_file)
     name = f"[{address}]" if ":" in address else address
     names, tls = frozenset({name, "localhost"} if loopback else {name}), None
@@ -60,19 +62,17 @@ def _address_of(host: str, port: int) -> str:
     return str(found[0][4][0])
 
 
-def _refuse_what_is_missing(
-    host: str, loopback: bool, cert: str | None, key: str | None, password_file: str | None
-) -> None:
+def _require_options(host: str, loopback: bool, cert: str | None, key: str | None, password_file: str | None) -> None:
     options = {"--tls-cert": cert, "--tls-key": key, "--password-file": password_file}
     missing = [name for name, value in options.items() if value is None]
     if not loopback and missing:
         raise HapticdError(
-            f"--host {one_line(host)}: other machines reach this address, which takes TLS and a password: "
+            f"--host {one_line(host)}: other machines can reach this address, so TLS and a password are needed: "
             f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
         )
     if (cert is None) != (key is None):
         here, other = ("--tls-key", "--tls-cert") if cert is None else ("--tls-cert", "--tls-key")
-        raise HapticdError(f"{here}: {other} is missing; a certificate and its key go together")
+        raise HapticdError(f"{here}: {other} is missing; give both, the certificate and its key")
 
 
 def _bind(host: str, address: str, port: int) -> socket.socket:
@@ -82,14 +82,14 @@ def _bind(host: str, address: str, port: int) -> socket.socket:
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.setblocking(False)
         bound.bind((address, port))
-        bound.listen(_BACKLOG)
+        bound.listen(_LISTEN_BACKLOG)
     except OSError as error:
         bound.close()
         where = f"--port {port}"
         if error.errno == errno.EADDRINUSE:
             raise HapticdError(f"{where}: is in use at {host}; choose another, or 0 for a free one") from None
         if error.errno == errno.EADDRNOTAVAIL:
-            raise HapticdError(f"--host {host}: is no address of this machine") from None
+            raise HapticdError(f"--host {host}: not an address of this machine") from None
         raise HapticdError(f"{where}: {error.strerror}") from None
     return bound
 
@@ -98,22 +98,25 @@ def _bind(host: str, address: str, port: int) -> socket.socket:
 
 
 def _tls(cert: str, key: str) -> tuple[ssl.SSLContext, list[str]]:
-    """For a server with this certificate, and the names in it, in lower case. Raises HapticdError."""
-    read_trusted(cert, _LARGEST_FILE)
-    read_trusted(key, _LARGEST_FILE, secret=True)
+    """Return the TLS context of a server with this certificate, and the certificate's names in lower case.
+
+    Raises HapticdError.
+    """
+    read_trusted(cert, _MAX_PEM_FILE_BYTES)
+    read_trusted(key, _MAX_PEM_FILE_BYTES, secret=True)
     server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     server.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
-        # A key that is encrypted is not asked for on the terminal: it is refused.
+        # The empty password makes an encrypted key fail instead of prompting on the terminal.
         server.load_cert_chain(cert, key, password="")
     except ssl.SSLError as error:
-        what = "the key is another certificate's" if "MISMATCH" in (error.reason or "") else error.reason or error
+        what = "the key belongs to another certificate" if "MISMATCH" in (error.reason or "") else error.reason or error
         raise HapticdError(f"--tls-cert {one_line(cert)}, --tls-key {one_line(key)}: cannot be used: {what}") from None
     return server, _names_in(cert, server)
 
 
 def _names_in(cert: str, server: ssl.SSLContext) -> list[str]:
-    """Names and addresses that the certificate is for. A handshake in memory shows it as clients will see it."""
+    """Return the names and addresses of the certificate, read by a handshake in memory as a client sees them."""
     client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     client.check_hostname = False
     client.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
@@ -131,8 +134,8 @@ def _names_in(cert: str, server: ssl.SSLContext) -> list[str]:
         subjects = cast("tuple[tuple[str, str], ...]", found.get("subjectAltName", ()))
     except ssl.SSLError as error:
         why = getattr(error, "verify_message", None) or error.reason or error
-        raise HapticdError(f"--tls-cert {one_line(cert)}: no browser would accept it: {why}") from None
+        raise HapticdError(f"--tls-cert {one_line(cert)}: browsers would refuse it: {why}") from None
     names = [name.lower() for kind, name in subjects if kind in ("DNS", "IP Address")]
     if not names:
-        raise HapticdError(f"--tls-cert {one_line(cert)}: names no host: it needs a subjectAltName (openssl -addext)")
+        raise HapticdError(f"--tls-cert {one_line(cert)}: needs a host name in subjectAltName (openssl -addext)")
     return [f"[{ipaddress.ip_address(name).compressed}]" if ":" in name else name for name in names]

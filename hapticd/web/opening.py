@@ -1,4 +1,4 @@
-"""Opens addresses in the browser of this machine, where it has one and a screen."""
+"""Opening addresses in the browser of this machine, if it has a browser and a screen."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ import click
 
 from hapticd.web import door
 
-_SCREENS: Final = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-_OPENER: Final = "import sys, webbrowser; sys.exit(not webbrowser.open(sys.argv[1]))"
+_SCREEN_VARIABLES: Final = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+"""Environment variables of which one must be set for a browser to open."""
+_OPENER_SCRIPT: Final = "import sys, webbrowser; sys.exit(not webbrowser.open(sys.argv[1]))"
+"""Python program that opens its argument in a browser."""
 
 
 async def open_in_browser(addresses: Sequence[str]) -> None:
-    """Opens the addresses in the browser, or says on stderr that there is none. Until cancelled.
+    """Open the addresses in the browser, or print on stderr that this is not possible; then wait until cancelled.
 
-    The browser is told the names of files that lead to them: its command line, with the token, could be read by every
-    user of this machine. The files stay until we end.
+    The browser gets names of files that redirect to the addresses, because every user of this machine can read its
+    command line, and an address contains the token. The files exist until the call ends.
     """
     with tempfile.TemporaryDirectory(prefix="hapticd-open-") as folder:
-        opened = any(map(os.environ.get, _SCREENS))
+        opened = any(map(os.environ.get, _SCREEN_VARIABLES))
         for number, address in enumerate(addresses):
             path = Path(folder, f"open-{number}.html")
             with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-                file.write(door.leads_to(address))
+                file.write(door.redirect_page(address))
             opened = opened and await _opened(path.as_uri())
         if not opened:
             what = "the address" if len(addresses) == 1 else "the addresses"
@@ -39,9 +41,9 @@ async def open_in_browser(addresses: Sequence[str]) -> None:
 
 
 async def _opened(uri: str) -> bool:
-    """In a process: what a browser prints is none of ours, and one in a terminal would not come back."""
+    """Open a browser in a separate process, which hides its output and keeps a text browser from blocking this one."""
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-c", _OPENER, uri),
+        *(sys.executable, "-c", _OPENER_SCRIPT, uri),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -1,6 +1,7 @@
-"""What waits to be sent to a page: answers, news and telemetry, of which the oldest is dropped.
+"""The queue of messages to a page: answers, news and telemetry.
 
-Answers go first, and in their order. They are bounded, too: a page that reads none of them is closed.
+Answers and news are sent first and in their order; a page that reads too few of them is closed. Telemetry is sent after
+them; beyond a limit its oldest messages are dropped.
 """
 
 from __future__ import annotations
@@ -9,19 +10,23 @@ import asyncio
 from collections import Counter, deque
 from typing import Final
 
-MOST_ANSWERS: Final = 512
-MOST_ANSWER_BYTES: Final = 16 << 20
-KEPT: Final = {"samples": 100, "state": 1, "status": 1, "event": 500, "change": 100}
-"""Messages of each topic that wait at most: two seconds of samples, of states only the newest. Older ones are dropped;
-the page sees the gap in `first_tick`, and is told by {"dropped": {...}}."""
+MAX_WAITING_ANSWERS: Final = 512
+"""Waiting answers and news above which a page is closed."""
+MAX_WAITING_ANSWER_BYTES: Final = 16 << 20
+"""Size of the waiting answers and news above which a page is closed."""
+MAX_WAITING_BY_TOPIC: Final = {"samples": 100, "state": 1, "status": 1, "event": 500, "change": 100}
+"""Messages of each topic that may wait: two seconds of samples, but only the newest state and status.
+
+Older ones are dropped. The page sees the gap in `first_tick`, and gets the news {"dropped": {...}}.
+"""
 
 
-class Overflow(Exception):
-    """More answers wait than may: the page does not read them."""
+class OutboxFullError(Exception):
+    """Too many answers wait: the page does not read them."""
 
 
 class _Waiting:
-    """A message of telemetry, None once a newer one took its place."""
+    """A message of telemetry; its `message` is empty once it was dropped."""
 
     __slots__ = ("message", "topic")
 
@@ -30,43 +35,44 @@ class _Waiting:
 
 
 class Outbox:
-    """The queue of one page. Belongs to the event loop."""
+    """The queue of one page. For the event loop."""
 
     def __init__(self) -> None:
+        """Make an empty queue."""
         self._answers: deque[bytes] = deque()
         self._answer_bytes = 0
         self._telemetry: deque[_Waiting] = deque()
-        self._of_topic: dict[str, deque[_Waiting]] = {topic: deque() for topic in KEPT}
+        self._of_topic: dict[str, deque[_Waiting]] = {topic: deque() for topic in MAX_WAITING_BY_TOPIC}
         self._something = asyncio.Event()
         self.dropped: Counter[str] = Counter()
-        """Messages of telemetry that the page never got, by topic."""
+        """Number of dropped messages of telemetry, by topic."""
 
     def __len__(self) -> int:
-        """Messages that wait."""
+        """Return the number of waiting messages."""
         return len(self._answers) + sum(map(len, self._of_topic.values()))
 
     def answer(self, message: bytes) -> None:
-        """Raises Overflow where too much waits already."""
-        if len(self._answers) >= MOST_ANSWERS or self._answer_bytes + len(message) > MOST_ANSWER_BYTES:
-            raise Overflow
+        """Queue an answer or news. Raises OutboxFullError if too many wait."""
+        if len(self._answers) >= MAX_WAITING_ANSWERS or self._answer_bytes + len(message) > MAX_WAITING_ANSWER_BYTES:
+            raise OutboxFullError
         self._answers.append(message)
         self._answer_bytes += len(message)
         self._something.set()
 
     def telemetry(self, topic: str, message: bytes) -> None:
-        """Never waits, never grows: the oldest of the same topic makes room."""
+        """Queue a message of telemetry, and drop the oldest of its topic if too many wait."""
         waiting, kept = _Waiting(topic, message), self._of_topic[topic]
-        if len(kept) >= KEPT[topic]:
+        if len(kept) >= MAX_WAITING_BY_TOPIC[topic]:
             kept.popleft().message = b""
             self.dropped[topic] += 1
-            if len(self._telemetry) > 2 * sum(KEPT.values()):
+            if len(self._telemetry) > 2 * sum(MAX_WAITING_BY_TOPIC.values()):
                 self._telemetry = deque(each for each in self._telemetry if each.message)
         kept.append(waiting)
         self._telemetry.append(waiting)
         self._something.set()
 
     def close(self) -> None:
-        """Drops what waits, up to 20 MB: a page that is gone is in cycles, which the garbage collector finds late."""
+        """Drop all waiting messages, up to 20 MB, which the garbage collector would free late."""
         self._answers.clear()
         self._answer_bytes = 0
         self._telemetry.clear()
@@ -74,7 +80,7 @@ class Outbox:
             kept.clear()
 
     async def next(self) -> bytes:
-        """The message that is to be sent now."""
+        """Wait for the next message to send, and return it."""
         while True:
             if self._answers:
                 message = self._answers.popleft()

@@ -1,20 +1,20 @@
 """One page: its WebSocket, its calls to the daemon, its queue.
 
-Every message is binary, one msgpack value.
+Every message is binary: one msgpack value.
 
-    page -> server   a JSON-RPC 2.0 object as the daemon takes it. Methods of the daemon that page_calls names are
-                     passed on over a connection of this page's own. Methods that begin with `web.` are this process's:
-                     each group of them stands in a file of its own, and application.METHODS has them all.
-                     One without `id` is a notification: carried out, never answered.
+    page -> server   a JSON-RPC 2.0 object as for the daemon. Methods of the daemon that page_calls names are passed on
+                     over a separate connection for each page. Methods that begin with `web.` are those of this
+                     process: application.WEB_PAGE_METHODS lists them, and each group is a separate file.
+                     A message without `id` is a notification: it is carried out and never answered.
     server -> page   the answer to a call, a map with `id`; or an array [topic, body]: telemetry as the daemon sent it,
                      of the topics that `web.subscribe` named; or ["web", {...}]: news of this process.
 
-News, each with one or several of these members:
+News have one or more of these members:
 
-    daemon           bool: whether a daemon is there; sent first of all, and whenever it comes or goes
-    pages            int: pages that are open
-    dropped          {topic: count}: messages of telemetry that this page was too slow for, since it was opened
-    refused          {reason: count}: messages of this page that were refused, since it was opened
+    daemon           bool: whether a daemon is connected; sent first, and after each change
+    pages            int: number of open pages
+    dropped          {topic: count}: dropped messages of telemetry since this page was opened
+    refused          {reason: count}: refused messages of this page since it was opened
     ended            string: why this page is being closed
 """
 
@@ -38,33 +38,41 @@ from hapticd.protocol.messages import Code, Request, WireError
 from hapticd.system.paths import RuntimePaths
 from hapticd.web import page_calls
 from hapticd.web.daemon_relay import DaemonRelay
-from hapticd.web.outbox import Outbox, Overflow
+from hapticd.web.outbox import Outbox, OutboxFullError
 from hapticd.web.page_lease import PageLease
-from hapticd.web.page_limits import UNDER_WAY, PageLimits
+from hapticd.web.page_limits import MAX_PENDING_CALLS, PageLimits
 from hapticd.web.telemetry_hub import TelemetryHub
 
-MAX_MESSAGE: Final = messages.MAX_BODY_BYTES
-TOO_MUCH: Final = -32029
-"""The error of a call beyond what a page may ask (page_limits)."""
-FROZEN_S: Final = 30.0
-"""A page that reads nothing for so long is closed, which frees what it takes here. Its forces do not wait for that:
-they fade with its lease, by the clock of the daemon. A page that loads on a slow machine reads nothing for seconds."""
-_GOODBYE_S: Final = 0.3
-_AT_ONCE: Final = 32
-_NEWS_EVERY_S: Final = 1.0
-_SMALL: Final = 4096
-"""A call of which this process looks at the params is no larger, but for the methods of this process."""
+MAX_PAGE_MESSAGE_BYTES: Final = messages.MAX_BODY_BYTES
+"""Longest message of a page: the daemon's limit."""
+RATE_LIMIT_CODE: Final = -32029
+"""Error code of a call beyond the limits of page_limits.py."""
+PAGE_READ_TIMEOUT_S: Final = 30.0
+"""Time after which a page that reads nothing is closed, to free its memory.
+
+A page that loads on a slow machine reads nothing for seconds. Forces end earlier, with the page's lease.
+"""
+_CLOSE_GRACE_S: Final = 0.3
+"""Time in which waiting messages are still sent to a page that is being closed."""
+_MESSAGES_PER_TURN: Final = 32
+"""Messages of a page after which other tasks of the event loop run."""
+_NEWS_INTERVAL_S: Final = 1.0
+"""Interval of the news `dropped` and `refused`."""
+_MAX_SAFETY_CALL_BYTES: Final = 4096
+"""Longest call of SAFETY_METHODS, whose params this process reads."""
 
 _log = logging.getLogger("hapticd.web")
 
 Method: TypeAlias = Callable[["Page", Mapping[str, object]], Awaitable[object]]
-"""A method of this process. It gets the page and the params; its result is a map. It raises HapticdError where the
-params are wrong; RemoteError and DaemonNotRunning pass as they are. It does not block: what takes long goes to a
-thread."""
+"""A method of this process: it gets the page and the params, and returns a map.
+
+It raises HapticdError if the params are wrong; RemoteError and DaemonNotRunning are answered with their codes. It must
+not block: long computations go to a thread.
+"""
 
 
 class Page:
-    """A WebSocket that was let in."""
+    """An open page with its WebSocket."""
 
     def __init__(
         self,
@@ -76,41 +84,45 @@ class Page:
         *,
         demo: bool,
         new_address: Callable[[], str],
-        passes: frozenset[str] = page_calls.OF_THE_DAEMON,
+        passes: frozenset[str] = page_calls.DAEMON_METHODS,
     ) -> None:
-        """`passes`: what it may call of the daemon."""
+        """Serve the page of the WebSocket `socket`.
+
+        `control` is the connection for leases, `methods` are those of this process, and `passes` are the methods of the
+        daemon that the page may call.
+        """
         self._socket, self.hub, self._methods = socket, hub, methods
         self.demo = demo
         self.new_address = new_address
         self.daemon = Client(place)
-        """For the methods of this process; connected once one of them asks."""
+        """A client for the methods of this process; it connects at its first call."""
         self.outbox = Outbox()
         self.closing = contextlib.AsyncExitStack()
-        """What is to be done when the page goes: methods push their own callbacks."""
+        """Callbacks for the end of the page, which methods add."""
         self.lease = PageLease(control)
         self.refused: Counter[str] = Counter()
         self._relay = DaemonRelay(place, self._answer)
         self._limits = PageLimits()
         self._passes = passes
         self._tasks: set[asyncio.Task[None]] = set()
-        self._told: dict[str, Mapping[str, int]] = {"dropped": {}, "refused": {}}
+        self._sent_counts: dict[str, Mapping[str, int]] = {"dropped": {}, "refused": {}}
         self._ended = asyncio.Event()
 
-    def tell(self, news: Mapping[str, object]) -> None:
-        """Sends ["web", news] to the page."""
+    def send_news(self, news: Mapping[str, object]) -> None:
+        """Send ["web", news] to the page."""
         self._answer(encode(["web", dict(news)]))
 
     def end(self, why: str) -> None:
-        """Has the page closed, soon."""
+        """Begin to close the page, and send it the reason."""
         if not self._ended.is_set():
-            with contextlib.suppress(Overflow):
+            with contextlib.suppress(OutboxFullError):
                 self.outbox.answer(encode(["web", {"ended": why}]))
             self._ended.set()
 
     # ---- Its life ----------------------------------------------------------------------------------------------------
 
     async def serve(self) -> None:
-        """Until the page goes, or is closed."""
+        """Serve the page until it disconnects or is closed."""
         parts = [
             asyncio.create_task(part, name=f"page-{name}")
             for name, part in (
@@ -123,7 +135,7 @@ class Page:
         try:
             done, _ = await asyncio.wait(parts, return_when=asyncio.FIRST_COMPLETED)
             if self._ended.is_set():
-                await self._goodbye()
+                await self._close_gracefully()
             for part in done:
                 part.result()
         finally:
@@ -136,10 +148,10 @@ class Page:
             await self.closing.aclose()
             self.outbox.close()
 
-    async def _goodbye(self) -> None:
-        """Says that it ends, to a page that reads; in any case lets go of the connection."""
+    async def _close_gracefully(self) -> None:
+        """Send the waiting messages to a page that reads them soon, and close the WebSocket."""
         with contextlib.suppress(TimeoutError, ConnectionError):
-            async with asyncio.timeout(_GOODBYE_S):
+            async with asyncio.timeout(_CLOSE_GRACE_S):
                 while len(self.outbox):
                     await asyncio.sleep(0.01)
                 await self._socket.close(code=WSCloseCode.GOING_AWAY)
@@ -149,22 +161,22 @@ class Page:
             while True:
                 message = await self.outbox.next()
                 try:
-                    async with asyncio.timeout(FROZEN_S):
+                    async with asyncio.timeout(PAGE_READ_TIMEOUT_S):
                         await self._socket.send_bytes(message)
                 except TimeoutError:
                     return
 
     async def _news(self) -> None:
-        """What was dropped and refused, once a second where there is more of it."""
+        """Send the numbers of dropped and refused messages once a second if they changed."""
         while True:
-            await asyncio.sleep(_NEWS_EVERY_S)
+            await asyncio.sleep(_NEWS_INTERVAL_S)
             now = {"dropped": dict(self.outbox.dropped), "refused": dict(self.refused)}
-            news = {name: counts for name, counts in now.items() if counts != self._told[name]}
+            news = {name: counts for name, counts in now.items() if counts != self._sent_counts[name]}
             if news:
-                self._told.update(news)
-                self.tell(news)
+                self._sent_counts.update(news)
+                self.send_news(news)
 
-    # ---- What it says ------------------------------------------------------------------------------------------------
+    # ---- Messages of the page ----------------------------------------------------------------------------------------
 
     async def _receive(self) -> None:
         taken = 0
@@ -175,23 +187,23 @@ class Page:
             self.received(message.data)
             wait_s = self._limits.pace(len(message.data))
             taken += 1
-            if wait_s > 0.0 or taken % _AT_ONCE == 0:
+            if wait_s > 0.0 or taken % _MESSAGES_PER_TURN == 0:
                 await asyncio.sleep(wait_s)
 
     def received(self, body: bytes) -> None:
-        """A message of the page."""
+        """Handle a message of the page."""
         request = messages.peek(body)
-        if request is None or len(body) > MAX_MESSAGE:
+        if request is None or len(body) > MAX_PAGE_MESSAGE_BYTES:
             self._refuse_form(body)
         elif request.method not in self._passes and request.method not in self._methods:
             self._refuse(request, Code.NO_SUCH_METHOD, f"no method {request.method!r:.60} for a page", "method")
-        elif request.method in page_calls.STREAMS and not request.has_id:
+        elif request.method in page_calls.STREAM_METHODS and not request.has_id:
             if not self._limits.streams.take_if_there(1):
                 self.refused["streams"] += 1
             elif not self._relay.notify(body):
                 self.refused["no daemon"] += 1
-        elif request.method in page_calls.SAFETY or request.method in self._methods:
-            self._look_into(request, body)
+        elif request.method in page_calls.SAFETY_METHODS or request.method in self._methods:
+            self._handle_here(request, body)
         else:
             self._pass_on(request, body)
 
@@ -202,14 +214,14 @@ class Page:
             if not self._relay.notify(body):
                 self.refused["no daemon"] += 1
         elif not self._relay.passes(request):
-            self._refuse(request, Code.INVALID_REQUEST, f"id: a call {request.id!r:.40} is under way already", "id")
+            self._refuse(request, Code.INVALID_REQUEST, f"id: a call {request.id!r:.40} is already under way", "id")
         else:
             self._relay.call(request, body)
 
-    def _look_into(self, seen: Request, body: bytes) -> None:
-        """A call whose params this process has to know; `seen` has none yet."""
-        if seen.method in page_calls.SAFETY and len(body) > _SMALL:
-            self._refuse(seen, Code.INVALID_PARAMS, f"params: more than {_SMALL} bytes", "size")
+    def _handle_here(self, seen: Request, body: bytes) -> None:
+        """Handle a call whose params this process must read; `seen` has no params yet."""
+        if seen.method in page_calls.SAFETY_METHODS and len(body) > _MAX_SAFETY_CALL_BYTES:
+            self._refuse(seen, Code.INVALID_PARAMS, f"params: must have at most {_MAX_SAFETY_CALL_BYTES} bytes", "size")
             return
         request = self._decoded(body)
         if request is None:
@@ -217,29 +229,31 @@ class Page:
         stops = request.method == "set_forces" and request.params.get("enabled") is False
         if not stops and not self._has_room(request):
             return
-        # The stop is not counted among the calls under way, nor does it wait for any.
+        # Turning forces off is neither limited by the calls under way nor delayed by them.
         task = asyncio.create_task(self._carry_out(request), name=f"page-{request.method:.40}")
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     def _has_room(self, request: Request) -> bool:
-        if len(self._relay) + len(self._tasks) >= UNDER_WAY:
-            self._refuse(request, TOO_MUCH, f"{UNDER_WAY} calls of this page are under way already", "calls")
+        if len(self._relay) + len(self._tasks) >= MAX_PENDING_CALLS:
+            self._refuse(
+                request, RATE_LIMIT_CODE, f"{MAX_PENDING_CALLS} calls of this page are already under way", "calls"
+            )
             return False
         if not self._limits.calls.take_if_there(1):
-            self._refuse(request, TOO_MUCH, "this page calls too often", "calls")
+            self._refuse(request, RATE_LIMIT_CODE, "too many calls a second of this page", "calls")
             return False
         return True
 
     def _refuse_form(self, body: bytes) -> None:
-        """What is no request at a first look: the decoder says why."""
+        """Refuse a body that `peek` did not recognize as a request; the decoder reports the reason."""
         if self._decoded(body) is not None:
-            raise AssertionError("a request that was not seen as one")
+            raise AssertionError("messages.peek rejected a valid request")
 
     def _decoded(self, body: bytes) -> Request | None:
-        """The request in a body; None where it is none, which is said and counted."""
+        """Return the request in a body, or None if it is not valid, which is answered and counted."""
         try:
-            return messages.parse_request(messages.decode(body, MAX_MESSAGE))
+            return messages.parse_request(messages.decode(body, MAX_PAGE_MESSAGE_BYTES))
         except WireError as error:
             self.refused["form"] += 1
             if not error.silent:
@@ -268,12 +282,12 @@ class Page:
             reply = messages.error_reply(request.id, Code.INVALID_PARAMS, str(error))
         except Exception:
             _log.exception("%s failed", request.method)
-            reply = messages.error_reply(request.id, Code.INTERNAL, f"{request.method} failed; the log says why")
+            reply = messages.error_reply(request.id, Code.INTERNAL, f"{request.method} failed; see the log")
         if request.has_id:
             self._answer(reply)
 
     def _answer(self, message: bytes) -> None:
         try:
             self.outbox.answer(message)
-        except Overflow:
+        except OutboxFullError:
             self._ended.set()

@@ -1,10 +1,10 @@
-"""What a page may call of the daemon. What is not named here is refused, new methods too."""
+"""The methods of the daemon that a page may call. All others are refused, also new ones."""
 
 from __future__ import annotations
 
 from typing import Final
 
-PASSED: Final = frozenset(
+FORWARDED_METHODS: Final = frozenset(
     (
         "get_status",
         "get_state",
@@ -22,13 +22,16 @@ PASSED: Final = frozenset(
         "mark",
     )
 )
-"""Passed on as they are. Not among them: `reload` and `dump_flight`, which read and write files where the daemon is."""
+"""Methods that are passed on unchanged.
 
-STREAMS: Final = frozenset(("stream_target", "stream_force"))
-"""Notifications of which there may be many."""
+`reload` and `dump_flight` are not among them, because they read and write files on the daemon's machine.
+"""
 
-SAFETY: Final = frozenset(("lease", "set_forces"))
-"""Those that page_lease looks at."""
+STREAM_METHODS: Final = frozenset(("stream_target", "stream_force"))
+"""Methods of streams: notifications with a separate rate limit."""
 
-OF_THE_DAEMON: Final = PASSED | STREAMS | SAFETY
-"""What takes a connection for commands."""
+SAFETY_METHODS: Final = frozenset(("lease", "set_forces"))
+"""Methods whose params page_lease.py reads."""
+
+DAEMON_METHODS: Final = FORWARDED_METHODS | STREAM_METHODS | SAFETY_METHODS
+"""All methods of the daemon that a page may call."""

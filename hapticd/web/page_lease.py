@@ -1,6 +1,6 @@
-"""The lease of a page: forces are turned on only by the page that holds one, and fade when it no longer renews it.
+"""The lease of a page: only a page with a lease can turn forces on, and they fade when it stops renewing the lease.
 
-The daemon watches the time, not this process: a page that closes, freezes or loses its network renews nothing.
+The daemon watches the time, not this process: a page that closes, freezes or loses its network does not renew.
 """
 
 from __future__ import annotations
@@ -14,28 +14,30 @@ from hapticd.client.asynchronous import Client
 from hapticd.protocol.calls import RemoteError
 from hapticd.protocol.messages import Code
 
-LONGEST_S: Final = 1.0
+MAX_PAGE_LEASE_S: Final = 1.0
+"""Longest duration of a page's lease, after which forces fade when the page fails."""
 
 
 class PageLease:
-    """What one page holds. `control` is the connection that no call of any page waits in front of."""
+    """The lease of one page."""
 
     def __init__(self, control: Client, now: Callable[[], float] = time.monotonic) -> None:
+        """Use the connection `control`, which other calls of pages do not delay."""
         self._control, self._now = control, now
         self._until = 0.0
 
     @property
     def held(self) -> bool:
-        """Whether the page holds a lease now. Its end is reckoned from before the daemon was asked."""
+        """Whether the page holds a lease now. Its duration is counted from before the request to the daemon."""
         return self._now() < self._until
 
     async def lease(self, params: Mapping[str, object]) -> object:
-        """The daemon's method, with a shorter limit."""
+        """Call the daemon's `lease`, with a shorter maximum."""
         given = params.get("duration_s")
-        # What is no number is refused by the daemon.
+        # The daemon refuses values that are not numbers.
         duration_s = given if isinstance(given, int | float) and not isinstance(given, bool) else 0
-        if duration_s > LONGEST_S:
-            problem = f"must be at most {LONGEST_S:g} s for a page, is {duration_s!s:.20}"
+        if duration_s > MAX_PAGE_LEASE_S:
+            problem = f"must be at most {MAX_PAGE_LEASE_S:g} s for a page, is {duration_s!s:.20}"
             data = [{"where": "duration_s", "problem": problem}]
             raise RemoteError(Code.INVALID_PARAMS, f"duration_s: {problem}", data)
         asked = self._now()
@@ -49,20 +51,23 @@ class PageLease:
         return result
 
     async def set_forces(self, params: Mapping[str, object]) -> object:
-        """Off always passes. On takes a lease that lives until the daemon has answered; else they are off again."""
+        """Call the daemon's `set_forces`. Turning forces on needs a lease that lasts until the daemon's answer.
+
+        If it does not last, forces are turned off again.
+        """
         if params.get("enabled") is not True:
             return await self._control.call("set_forces", params)
         if not self.held:
             raise RemoteError(
-                Code.LEASE_LAPSED, "only the page that holds the lease turns forces on; this page holds none"
+                Code.LEASE_LAPSED, "only the page that holds the lease can turn forces on; this page has no lease"
             )
-        # A page that goes meanwhile does not end this: whether its lease held is still to be seen.
+        # Shielded: if the page closes meanwhile, its lease must still be checked after the answer.
         return await asyncio.shield(asyncio.create_task(self._turn_on(params), name="page-forces-on"))
 
     async def _turn_on(self, params: Mapping[str, object]) -> object:
         result = await self._control.call("set_forces", params)
         if not self.held:
-            # The daemon may have turned them on without it.
+            # The daemon may have turned forces on after the lease lapsed.
             await self._control.call("set_forces", {"enabled": False})
             raise RemoteError(Code.LEASE_LAPSED, "the lease lapsed while forces were turned on: they are off again")
         return result

@@ -1,4 +1,4 @@
-"""The password file: one line with the hash of the password by scrypt. How often one may be tried."""
+"""The password file, one line with the password's scrypt hash, and limits on how often a password may be tried."""
 
 from __future__ import annotations
 
@@ -21,76 +21,90 @@ from hapticd.base.yaml_source import one_line
 from hapticd.system.trusted_files import read_trusted
 from hapticd.web.token_bucket import Bucket
 
-LEAST_CHARACTERS: Final = 8
-LONGEST_BYTES: Final = 1024
-_LARGEST_FILE: Final = 4096
-_N, _R, _P = 1 << 15, 8, 1
-"""32 MiB and some 0.1 s for each try."""
-_MEMORY: Final = 64 << 20
-_LINE: Final = re.compile(r"scrypt:([0-9]{1,8}):([0-9]{1,2}):([0-9]{1,2}):([A-Za-z0-9+/=]{16,88}):([A-Za-z0-9+/=]{44})")
-_MADE_BY: Final = "`hapticd web --set-password FILE` writes one"
-
-_PER_ADDRESS: Final = (0.1, 5.0)
-_OF_ALL: Final = (1.0, 20.0)
-"""Tries a second, and at once."""
-_MOST_ADDRESSES: Final = 1000
-
+MIN_PASSWORD_CHARACTERS: Final = 8
+"""Shortest password that `hapticd web --set-password` accepts."""
+MAX_PASSWORD_BYTES: Final = 1024
+"""Longest password, in UTF-8."""
+_MAX_PASSWORD_FILE_BYTES: Final = 4096
+"""Largest password file."""
+_SCRYPT_N, _SCRYPT_R, _SCRYPT_P = 1 << 15, 8, 1
+"""Costs of scrypt for new files: 32 MiB and about 0.1 s for each try."""
+_SCRYPT_MEMORY_BYTES: Final = 64 << 20
+"""Most memory that scrypt may use. The costs in a file may need at most half of it."""
+_LINE_PATTERN: Final = re.compile(
+    r"scrypt:([0-9]{1,8}):([0-9]{1,2}):([0-9]{1,2}):([A-Za-z0-9+/=]{16,88}):([A-Za-z0-9+/=]{44})"
+)
+_CREATION_HINT: Final = "`hapticd web --set-password FILE` writes one"
+"""Advice in error texts on how to make a password file."""
+_TRIES_PER_ADDRESS: Final = (0.1, 5.0)
+"""Tries of one address: per second, and at once."""
+_TRIES_OF_ALL_ADDRESSES: Final = (1.0, 20.0)
+"""Tries of all addresses together: per second, and at once."""
+_MAX_TRACKED_ADDRESSES: Final = 1000
+"""Addresses whose tries are counted; the one that tried longest ago is forgotten."""
 Verdict = Literal["right", "wrong", "later"]
+"""Result of a try; `later`: there were too many tries, and this one was not checked."""
 
 
 class Passwords:
-    """The password of one file. Belongs to the event loop."""
+    """The password of one file. For the event loop."""
 
     def __init__(self, path: str, now: Callable[[], float] = time.monotonic) -> None:
-        """Raises HapticdError for a file that others may read, or that holds no hash."""
+        """Read the file. Raises HapticdError if other users may read it or if it does not contain a hash."""
         name = one_line(path)
-        match = _LINE.fullmatch(read_trusted(path, _LARGEST_FILE, secret=True).decode("ascii", "replace").strip())
+        match = _LINE_PATTERN.fullmatch(
+            read_trusted(path, _MAX_PASSWORD_FILE_BYTES, secret=True).decode("ascii", "replace").strip()
+        )
         if match is None:
-            raise HapticdError(f"{name}: holds no hash of a password; {_MADE_BY}")
+            raise HapticdError(f"{name}: not a password file; {_CREATION_HINT}")
         n, r, p = (int(match[at]) for at in (1, 2, 3))
-        if n < 2 or n & (n - 1) or not r or not p or 128 * n * r > _MEMORY // 2 or p > 16:
-            raise HapticdError(f"{name}: scrypt:{n}:{r}:{p} is not used here; {_MADE_BY}")
+        if n < 2 or n & (n - 1) or not r or not p or 128 * n * r > _SCRYPT_MEMORY_BYTES // 2 or p > 16:
+            raise HapticdError(f"{name}: unsupported costs scrypt:{n}:{r}:{p}; {_CREATION_HINT}")
         try:
             self._salt, self._hash = (base64.b64decode(match[at], validate=True) for at in (4, 5))
         except binascii.Error:
-            raise HapticdError(f"{name}: holds no hash of a password; {_MADE_BY}") from None
+            raise HapticdError(f"{name}: not a password file; {_CREATION_HINT}") from None
         self._cost = (n, r, p)
         self._now = now
-        self._all = Bucket(_OF_ALL[0], _OF_ALL[1], now)
+        self._all = Bucket(_TRIES_OF_ALL_ADDRESSES[0], _TRIES_OF_ALL_ADDRESSES[1], now)
         self._addresses: OrderedDict[str, Bucket] = OrderedDict()
         self._one_at_a_time = asyncio.Lock()
 
     async def check(self, password: str, address: str) -> Verdict:
-        """What of a password that somebody at `address` gives. `later`: too many were tried, this one was not."""
+        """Check a password that a browser at `address` sent."""
         given = password.encode("utf-8", "surrogateescape")
         if not self._may_try(address):
             return "later"
-        if len(given) > LONGEST_BYTES:
+        if len(given) > MAX_PASSWORD_BYTES:
             return "wrong"
         async with self._one_at_a_time:
             found = await asyncio.to_thread(_scrypt, given, self._salt, *self._cost)
         return "right" if hmac.compare_digest(found, self._hash) else "wrong"
 
     def _may_try(self, address: str) -> bool:
-        of_address = self._addresses.setdefault(address, Bucket(*_PER_ADDRESS, self._now))
+        of_address = self._addresses.setdefault(address, Bucket(*_TRIES_PER_ADDRESS, self._now))
         self._addresses.move_to_end(address)
-        if len(self._addresses) > _MOST_ADDRESSES:
+        if len(self._addresses) > _MAX_TRACKED_ADDRESSES:
             self._addresses.popitem(last=False)
         return of_address.take_if_there(1) and self._all.take_if_there(1)
 
 
 def _scrypt(password: bytes, salt: bytes, n: int, r: int, p: int) -> bytes:
-    return hashlib.scrypt(password, salt=salt, n=n, r=r, p=p, maxmem=_MEMORY, dklen=32)
+    return hashlib.scrypt(password, salt=salt, n=n, r=r, p=p, maxmem=_SCRYPT_MEMORY_BYTES, dklen=32)
 
 
 def write_password(path: str, password: str) -> None:
-    """Writes a file for `Passwords`, which only its owner may read. Never replaces one. Raises HapticdError."""
+    """Write a file for `Passwords` that only its owner may read.
+
+    Raises HapticdError, also if the file already exists.
+    """
     given = password.encode("utf-8", "surrogateescape")
-    if len(password) < LEAST_CHARACTERS or len(given) > LONGEST_BYTES:
-        raise HapticdError(f"a password has {LEAST_CHARACTERS} characters or more, and at most {LONGEST_BYTES} bytes")
+    if len(password) < MIN_PASSWORD_CHARACTERS or len(given) > MAX_PASSWORD_BYTES:
+        limits = f"at least {MIN_PASSWORD_CHARACTERS} characters and at most {MAX_PASSWORD_BYTES} bytes"
+        raise HapticdError(f"password: must have {limits}")
     salt = secrets.token_bytes(16)
-    parts = (base64.b64encode(each).decode() for each in (salt, _scrypt(given, salt, _N, _R, _P)))
-    line = ":".join(("scrypt", str(_N), str(_R), str(_P), *parts)) + "\n"
+    parts = (base64.b64encode(each).decode() for each in (salt, _scrypt(given, salt, _SCRYPT_N, _SCRYPT_R, _SCRYPT_P)))
+    line = ":".join(("scrypt", str(_SCRYPT_N), str(_SCRYPT_R), str(_SCRYPT_P), *parts)) + "\n"
     check_regular(path)
     if os.path.lexists(path):
         raise HapticdError(f"{one_line(path)}: already exists; remove it first")

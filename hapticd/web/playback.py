@@ -1,7 +1,7 @@
-"""A recording that is open: its samples by row, columns as min and max of so many pixels, the scene at a row.
+"""An open recording: its samples by row, columns as minimum and maximum per pixel, the scene at a row.
 
-Rows count from 0, the first sample of the file. Nothing here trusts what is in the file: `hapticd.load` has checked its
-form, but figures may be anything, also not numbers.
+Rows count from 0, the first sample of the file. The content is not trusted: `hapticd.load` has checked the format of
+the file, but its numbers may be anything, also NaN.
 """
 
 from __future__ import annotations
@@ -17,13 +17,17 @@ from hapticd.base.yaml_source import Json
 from hapticd.client.record import ended_early
 from hapticd.recording.recording import Recording
 
-MOST_ROWS: Final = 20_000
-"""Samples of one answer, 2 MB."""
-MOST_PIXELS: Final = 4096
-MOST_EVENTS: Final = 5000
-_LONGEST_TEXT: Final = 500
-_RATES_HZ: Final = (1.0, 1e6)
-_SHOWN_EVENTS: Final = frozenset(
+MAX_ROWS_PER_ANSWER: Final = 20_000
+"""Samples of one answer: 2 MB."""
+MAX_OUTLINE_PIXELS: Final = 4096
+"""Pixels of one outline."""
+MAX_SHOWN_EVENTS: Final = 5000
+"""Events of a recording that a page gets, the first ones."""
+_MAX_EVENT_TEXT_CHARACTERS: Final = 500
+"""Longest text of an event's member; members with a longer text are left out."""
+_RATE_RANGE_HZ: Final = (1.0, 1e6)
+"""Lowest and highest rate of a recording that can be opened."""
+_SHOWN_EVENT_KINDS: Final = frozenset(
     (
         "contact",
         "release",
@@ -37,8 +41,9 @@ _SHOWN_EVENTS: Final = frozenset(
         "gesture_end",
     )
 )
+"""Kinds of events that a page shows."""
 
-_COMPONENTS: Final = {
+_COMPONENT_COLUMNS: Final = {
     "x_m": ("position_m", 0),
     "y_m": ("position_m", 1),
     "vx_m_per_s": ("velocity_m_per_s", 0),
@@ -50,31 +55,36 @@ _COMPONENTS: Final = {
     "force_x_n": ("force_n", 0),
     "force_y_n": ("force_n", 1),
 }
-_MAGNITUDES: Final = {
+"""Columns of one component of a vector: field and index."""
+_MAGNITUDE_COLUMNS: Final = {
     "force_n": "force_n",
     "contact_n": "contact_force_n",
     "vibration_n": "vibration_force_n",
     "speed_m_per_s": "velocity_m_per_s",
 }
-COLUMNS: Final = (*_COMPONENTS, *_MAGNITUDES)
-"""What an outline may be of: a component by the name that static/samples.js gives it, or the length of a vector."""
+"""Columns of the length of a vector: its field."""
+OUTLINE_COLUMNS: Final = (*_COMPONENT_COLUMNS, *_MAGNITUDE_COLUMNS)
+"""Columns that an outline may show. The names of components are those of static/samples.js."""
 
 
 class Playback:
-    """One open recording. Its methods may take a while: they belong into a thread."""
+    """An open recording. Its methods may take long and must be called in a worker thread."""
 
     def __init__(self, recording: Recording) -> None:
-        """Raises HapticdError for one that says no rate that a servo has, or holds no sample."""
+        """Show a recording. Raises HapticdError if it has no samples or an impossible rate."""
         self._recording = recording
         self._samples = recording.samples
         self.rate_hz = recording.rate_hz
-        if not _RATES_HZ[0] <= self.rate_hz <= _RATES_HZ[1]:
-            raise HapticdError(f"{recording.path}: was recorded at {self.rate_hz:g} Hz: no rate of a servo")
+        if not _RATE_RANGE_HZ[0] <= self.rate_hz <= _RATE_RANGE_HZ[1]:
+            low_hz, high_hz = _RATE_RANGE_HZ
+            raise HapticdError(
+                f"{recording.path}: its rate must be between {low_hz:g} and {high_hz:g} Hz, is {self.rate_hz:g} Hz"
+            )
         if not len(self._samples):
-            raise HapticdError(f"{recording.path}: holds no samples")
+            raise HapticdError(f"{recording.path}: contains no samples")
 
     def facts(self) -> dict[str, Json]:
-        """What the page shows of it."""
+        """Return the facts that the page shows: duration, rate, notes, events and others."""
         recording, samples = self._recording, self._samples
         times = samples["time_ns"]
         started = recording.started
@@ -88,7 +98,7 @@ class Playback:
             "missed_periods": recording.missed_periods,
             "notes": {name: value for name, value in recording.notes.items() if isinstance(value, str | int | float)},
             "events": self._events(),
-            "columns": list(COLUMNS),
+            "columns": list(OUTLINE_COLUMNS),
         }
 
     def _events(self) -> list[Json]:
@@ -96,18 +106,18 @@ class Playback:
         ticks = self._samples["tick"]
         for event in self._recording.events:
             kind, tick = event.get("event"), event.get("tick")
-            if kind not in _SHOWN_EVENTS or type(tick) is not int or not int(ticks[0]) <= tick <= int(ticks[-1]):
+            if kind not in _SHOWN_EVENT_KINDS or type(tick) is not int or not int(ticks[0]) <= tick <= int(ticks[-1]):
                 continue
             row = int(np.searchsorted(ticks, np.uint64(tick)))
             found.append({**{name: value for name, value in event.items() if _is_brief(value)}, "row": row})
-            if len(found) == MOST_EVENTS:
+            if len(found) == MAX_SHOWN_EVENTS:
                 break
         return found
 
     def rows(self, first: int, count: int) -> dict[str, object]:
-        """Samples in the form of telemetry's `samples` (docs/protocol.md), from `first` on."""
+        """Return `count` samples from row `first` on, as in the topic `samples` (docs/protocol.md)."""
         first = _inside("first", first, 0, len(self._samples) - 1)
-        count = _inside("count", count, 1, MOST_ROWS)
+        count = _inside("count", count, 1, MAX_ROWS_PER_ANSWER)
         part = self._samples[first : first + count]
         return {
             "first": first,
@@ -119,13 +129,16 @@ class Playback:
         }
 
     def outline(self, column: str, first: int, last: int, pixels: int) -> dict[str, object]:
-        """A column from row `first` to before row `last`, as little-endian float32: `min` and `max` of each of `pixels`
-        stretches, or, where there are no more than two rows to a pixel, `raw`, one number a row."""
-        if column not in COLUMNS:
-            raise HapticdError(f"column: must be one of {', '.join(COLUMNS)}")
+        """Return a column of the rows from `first` to before `last`, as little-endian float32.
+
+        The result has `min` and `max` of each of `pixels` sections or, with at most two rows per pixel, `raw`, one
+        number a row.
+        """
+        if column not in OUTLINE_COLUMNS:
+            raise HapticdError(f"column: must be one of {', '.join(OUTLINE_COLUMNS)}")
         first = _inside("first", first, 0, len(self._samples) - 1)
         last = _inside("last", last, first + 1, len(self._samples))
-        pixels = _inside("pixels", pixels, 1, MOST_PIXELS)
+        pixels = _inside("pixels", pixels, 1, MAX_OUTLINE_PIXELS)
         values = self._column(column, first, last)
         answer: dict[str, object] = {"column": column, "first": first, "last": last}
         if last - first <= 2 * pixels:
@@ -139,23 +152,23 @@ class Playback:
 
     def _column(self, name: str, first: int, last: int) -> npt.NDArray[np.float64]:
         part = self._samples[first:last]
-        if name in _COMPONENTS:
-            field, component = _COMPONENTS[name]
+        if name in _COMPONENT_COLUMNS:
+            field, component = _COMPONENT_COLUMNS[name]
             found: npt.NDArray[np.float64] = part[field][:, component]
             return found
-        vectors = part[_MAGNITUDES[name]]
+        vectors = part[_MAGNITUDE_COLUMNS[name]]
         length: npt.NDArray[np.float64] = np.hypot(vectors[:, 0], vectors[:, 1])
         return length
 
     def scene(self, row: int) -> dict[str, object]:
-        """What the sample of this row was rendered with: `scene`, `materials` and its `revision`."""
+        """Return the `scene`, the `materials` and the `revision` with which the sample of this row was rendered."""
         row = _inside("row", row, 0, len(self._samples) - 1)
         revision = int(self._samples["revision"][row])
         scene = dict(self._recording.scene)
         objects, materials = _map(scene.pop("objects", None)), dict(self._recording.materials)
         for change in self._recording.changes:
             number = change.get("revision")
-            # Revisions are 32 bits wide and begin again.
+            # Revisions wrap around at 2^32.
             if type(number) is not int or (revision - number) & 0xFFFFFFFF >= 1 << 31:
                 continue
             for into, name in ((scene, "scene"), (objects, "objects"), (materials, "materials")):
@@ -164,8 +177,12 @@ class Playback:
 
 
 def _is_brief(value: object) -> bool:
-    """Whether a member of an event is passed on: a number, or a short text."""
-    return value is None or isinstance(value, int | float) or (isinstance(value, str) and len(value) <= _LONGEST_TEXT)
+    """Return whether a member of an event is passed on: a number or a short text."""
+    return (
+        value is None
+        or isinstance(value, int | float)
+        or (isinstance(value, str) and len(value) <= _MAX_EVENT_TEXT_CHARACTERS)
+    )
 
 
 def _packed(values: npt.NDArray[np.float64]) -> bytes:
@@ -178,7 +195,7 @@ def _map(value: object) -> dict[str, Any]:
 
 
 def _inside(name: str, value: int, low: int, high: int) -> int:
-    """A whole number of a page. Raises HapticdError for another."""
+    """Return an integer that a page sent. Raises HapticdError if it is outside its range."""
     if not low <= value <= high:
-        raise HapticdError(f"{name}: must be from {low:,} to {high:,}, is {value:,}")
+        raise HapticdError(f"{name}: must be between {low:,} and {high:,}, is {value:,}")
     return value

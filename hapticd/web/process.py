@@ -1,4 +1,4 @@
-"""The life of the process: from the options to the printed address and the end."""
+"""The process of `hapticd web`, from its options to its end."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hapticd.protocol.calls import DaemonNotRunning
 from hapticd.system import journal, notify
 from hapticd.system.paths import RuntimePaths
 from hapticd.web import opening
-from hapticd.web.application import STATIC, Pages, Site
+from hapticd.web.application import STATIC_FOLDER, Pages, Site
 from hapticd.web.connections import Connections
 from hapticd.web.demo import DemoDaemon
 from hapticd.web.http_server import serving
@@ -35,20 +35,20 @@ from hapticd.web.telemetry_hub import TelemetryHub
 if TYPE_CHECKING:
     from hapticd.web.metrics import DaemonCollector
 
-_FOUND_S: Final = 0.3
-"""So long the first page waits, that it may say at once that there is a daemon."""
+_DAEMON_WAIT_S: Final = 0.3
+"""Time that the start waits for the daemon's telemetry, so that the first page shows the daemon at once."""
 
 _log = logging.getLogger("hapticd.web")
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Those of the command."""
+    """The options of the command."""
 
     place: RuntimePaths | None
-    """Where the daemon is; None: a demo, with a daemon of its own."""
+    """Paths of the daemon's sockets; None: a demo, which starts a separate daemon."""
     configs: tuple[str, ...]
-    """Configurations of the demo's daemon; none: the scene that shows everything."""
+    """Configuration files of the demo's daemon; empty: the scene that shows everything."""
     host: str
     port: int
     open_browser: bool
@@ -57,24 +57,26 @@ class Options:
     password_file: str | None = None
     log_level: str = "info"
     recordings: Path | None = None
-    """Folder of recordings; None: that of recording_folder.default_folder."""
+    """Folder of recordings; None: recording_folder.default_folder()."""
     metrics: int | None = None
-    """Port of the figures for Prometheus; None: there are none."""
+    """Port of the metrics for Prometheus; None: metrics are not served."""
 
 
 def run(options: Options) -> int:
-    """Serves the page until SIGTERM or SIGINT; returns the exit code. Raises HapticdError where it cannot start."""
+    """Serve the page until SIGTERM or SIGINT, and return the exit code. Raises HapticdError if it cannot start."""
     memory.settle()
     with journal.attached(options.log_level), ExitStack() as stack:
         at = listen(options.host, options.port, options.tls_cert, options.tls_key, options.password_file)
         stack.callback(at.socket.close)
         collector = None
         if options.metrics is not None:
-            from hapticd.web.metrics import served  # and prometheus-client, where it is used
+            from hapticd.web.metrics import (
+                served,  # imported only here: needs prometheus-client
+            )
 
             collector = stack.enter_context(served(options.metrics))
         if options.place is not None:
-            _knock(options.place)
+            _probe_daemon(options.place)
             server = _Server(at, options.place, None, options, collector)
         else:
             demo = stack.enter_context(DemoDaemon(options.configs))
@@ -82,15 +84,17 @@ def run(options: Options) -> int:
         return asyncio.run(server.run())
 
 
-def _knock(place: RuntimePaths) -> None:
-    """Says where no daemon is; it may come later. Raises HapticdError where we may not ask it."""
+def _probe_daemon(place: RuntimePaths) -> None:
+    """Warn if no daemon runs, which may start later. Raises HapticdError if access to its sockets is denied."""
     try:
         places.probe(place)
     except DaemonNotRunning as error:
-        _log.warning("%s (the page waits for it)", error)
+        _log.warning("%s; the page waits for a daemon", error)
 
 
 class _Server:
+    """The parts of the running server."""
+
     def __init__(
         self,
         at: Listening,
@@ -111,7 +115,7 @@ class _Server:
         async with AsyncExitStack() as stack:
             control = Client(self._place)
             stack.push_async_callback(control.close)
-            hub = TelemetryHub(self._place, lambda there: pages.tell({"daemon": there}))
+            hub = TelemetryHub(self._place, lambda there: pages.send_news({"daemon": there}))
             recordings = Recordings(
                 self._options.recordings or default_folder(), lambda: blocking.Client(self._place.directory)
             )
@@ -119,7 +123,7 @@ class _Server:
             if self._collector is not None:
                 self._collector.follow(hub)
             connections = Connections()
-            site = Site(STATIC / "index.html", pages.add_routes)
+            site = Site(STATIC_FOLDER / "index.html", pages.add_routes)
             await stack.enter_async_context(serving(self._at, self._sessions, site, connections))
             tasks: list[asyncio.Task[Any]] = [
                 asyncio.create_task(hub.run(), name="telemetry"),
@@ -130,7 +134,7 @@ class _Server:
                 tasks.append(asyncio.create_task(self._demo.failed(), name="demo"))
             for task in tasks:
                 stack.push_async_callback(ended, task)
-            await hub.found(_FOUND_S)
+            await hub.found(_DAEMON_WAIT_S)
             address = self._new_address()
             click.echo(address)
             notify.ready(f"at {self._at.url}")

@@ -1,7 +1,7 @@
 """The folder of recordings: names, a list, files to read and to delete.
 
-A page names a recording by what the list says, never by a path. Everything is done relative to the folder's descriptor,
-and a file is opened only if it is a regular file of that folder: no link, no folder, no pipe.
+A page names a recording by its name in the list, never by a path. All accesses are relative to the folder's descriptor,
+and only regular files of the folder are opened, not links, folders or pipes.
 """
 
 from __future__ import annotations
@@ -18,38 +18,43 @@ from typing import IO, Final
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json, one_line
 
-LONGEST_NAME: Final = 64
-_NAME: Final = re.compile(r"[^\W_][\w .+-]*")
-_MOST_LISTED: Final = 1000
+MAX_RECORDING_NAME_CHARACTERS: Final = 64
+"""Length of a recording's name, without its ending."""
+_STEM_PATTERN: Final = re.compile(r"[^\W_][\w .+-]*")
+"""Name of a recording without its ending."""
+_MAX_LISTED_RECORDINGS: Final = 1000
+"""Recordings in a list, the newest."""
 
 
 def default_folder(environ: Mapping[str, str] | None = None) -> Path:
-    """`recordings` in the state directory that systemd gives a service, or else `$XDG_DATA_HOME/hapticd/recordings`, by
-    default below `~/.local/share`."""
+    """Return `recordings` in systemd's state directory, or `$XDG_DATA_HOME/hapticd/recordings`.
+
+    `$XDG_DATA_HOME` defaults to `~/.local/share`.
+    """
     environ = os.environ if environ is None else environ
     state = environ.get("STATE_DIRECTORY", "").partition(":")[0]
     if os.path.isabs(state):
         return Path(state) / "recordings"
     home = environ.get("XDG_DATA_HOME", "")
-    # A relative one is to be ignored, says the XDG Base Directory Specification.
+    # The XDG Base Directory Specification says that relative paths must be ignored.
     folder = Path(home) if os.path.isabs(home) else Path(os.path.expanduser("~"), ".local", "share")
     return folder / "hapticd" / "recordings"
 
 
 def checked_name(name: object) -> str:
-    """A recording's name with its ending, `tap 3.npz`. Raises HapticdError for anything that could be a path."""
+    """Return the name of a recording with its ending, as `tap 3.npz`. Raises HapticdError if it is not valid."""
     if not isinstance(name, str):
         raise HapticdError("name: must be a text")
     stem, ending = os.path.splitext(name)
     if ending != ".npz":
         raise HapticdError(f"name: must end in .npz, is {name!r:.80}")
-    if not _NAME.fullmatch(stem) or ".." in stem or stem[-1] in " .":
+    if not _STEM_PATTERN.fullmatch(stem) or ".." in stem or stem[-1] in " .":
         raise HapticdError(
-            "name: takes letters, digits, spaces and _ . + - ; it begins with a letter or a digit, ends with neither "
-            f"space nor dot, and is {name!r:.80}"
+            "name: must consist of letters, digits, spaces and _ . + - ; must begin with a letter or a digit and not "
+            f"end with a space or a dot; is {name!r:.80}"
         )
-    if len(stem) > LONGEST_NAME or len(os.fsencode(name)) > 3 * LONGEST_NAME:
-        raise HapticdError(f"name: must have at most {LONGEST_NAME} characters, has {len(stem)}")
+    if len(stem) > MAX_RECORDING_NAME_CHARACTERS or len(os.fsencode(name)) > 3 * MAX_RECORDING_NAME_CHARACTERS:
+        raise HapticdError(f"name: must have at most {MAX_RECORDING_NAME_CHARACTERS} characters, has {len(stem)}")
     return name
 
 
@@ -59,23 +64,27 @@ class Listed:
 
     name: str
     size: int
-    """Bytes."""
+    """Size of the file, in bytes."""
     modified_ns: int
-    """When it was finished, ns since 1970."""
+    """Time at which the file was finished, in ns since 1970."""
 
     def to_dict(self) -> dict[str, Json]:
+        """Return the recording as a map for a page."""
         return {"name": self.name, "size": self.size, "modified_ns": self.modified_ns}
 
 
 class RecordingFolder:
-    """One folder, made when the first recording goes into it."""
+    """The folder of recordings, which is made for the first recording."""
 
     def __init__(self, path: Path) -> None:
+        """Use the folder `path`."""
         self.path = path
 
     def list(self) -> list[Listed]:
-        """The recordings, newest first; none where there is no folder yet. Raises HapticdError where it may not be
-        read."""
+        """Return the recordings, the newest first; an empty list if the folder does not exist.
+
+        Raises HapticdError if the folder cannot be read.
+        """
         found = []
         try:
             with self._opened() as fd:
@@ -84,18 +93,20 @@ class RecordingFolder:
                         checked_name(name)
                         here = os.stat(name, dir_fd=fd, follow_symlinks=False)
                     except (HapticdError, FileNotFoundError):
-                        continue  # It is no recording of ours, or it was deleted meanwhile.
+                        continue  # not a recording, or deleted meanwhile
                     if stat.S_ISREG(here.st_mode):
                         found.append(Listed(name, here.st_size, here.st_mtime_ns))
         except FileNotFoundError:
             return []
         except OSError as error:
             raise self._unusable(error) from None
-        return sorted(found, key=lambda each: each.modified_ns, reverse=True)[:_MOST_LISTED]
+        return sorted(found, key=lambda each: each.modified_ns, reverse=True)[:_MAX_LISTED_RECORDINGS]
 
     def target(self, name: object) -> Path:
-        """Where a new recording of this name goes; makes the folder. Raises HapticdError where the name is taken, or
-        the folder cannot be made."""
+        """Return the path for a new recording of this name, and make the folder.
+
+        Raises HapticdError if the recording already exists or the folder cannot be made.
+        """
         checked = checked_name(name)
         try:
             self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -103,12 +114,12 @@ class RecordingFolder:
             raise self._unusable(error) from None
         path = self.path / checked
         if os.path.lexists(path):
-            raise HapticdError(f"name: there is a recording {checked} already; take another name, or delete it first")
+            raise HapticdError(f"name: {checked} already exists; use another name, or delete it first")
         return path
 
     @contextmanager
     def file(self, name: object) -> Iterator[IO[bytes]]:
-        """A recording, to be read. Raises HapticdError where there is none of that name."""
+        """Open a recording for reading. Raises HapticdError if there is no recording of that name."""
         checked = checked_name(name)
         try:
             with self._opened() as folder:
@@ -123,7 +134,7 @@ class RecordingFolder:
             yield file
 
     def delete(self, name: object) -> None:
-        """Raises HapticdError where there is no recording of that name, or it may not be deleted."""
+        """Delete a recording. Raises HapticdError if it does not exist or cannot be deleted."""
         checked = checked_name(name)
         with self.file(checked), self._opened() as folder:
             try:
@@ -132,7 +143,7 @@ class RecordingFolder:
                 raise HapticdError(f"{checked}: cannot be deleted: {error.strerror}") from None
 
     def free_bytes(self) -> int | None:
-        """Room on its disk; None where there is no folder yet, nor one above it."""
+        """Return the free space on the folder's disk, in bytes; None if it is not known."""
         for folder in (self.path, *self.path.parents):
             try:
                 found = os.statvfs(folder)
@@ -150,7 +161,7 @@ class RecordingFolder:
             os.close(fd)
 
     def _none(self, name: str) -> HapticdError:
-        return HapticdError(f"{name}: there is no such recording; it may have been deleted")
+        return HapticdError(f"{name}: no such recording; it may have been deleted")
 
     def _unusable(self, error: OSError) -> HapticdError:
         return HapticdError(f"{one_line(os.fspath(self.path))}: cannot be used for recordings: {error.strerror}")

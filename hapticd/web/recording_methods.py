@@ -1,4 +1,4 @@
-"""Methods and routes of recordings: record, list, download, delete, open and look through."""
+"""Methods and routes of recordings: record, list, download, delete, open and show."""
 
 from __future__ import annotations
 
@@ -16,20 +16,22 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json, one_line
 from hapticd.client.record import Daemon
 from hapticd.recording.recording import load
-from hapticd.web.connections import goes_on
+from hapticd.web.connections import extend_deadline
 from hapticd.web.page import Method, Page
 from hapticd.web.playback import Playback
 from hapticd.web.recorder import WebRecorder
 from hapticd.web.recording_folder import RecordingFolder, checked_name
 from hapticd.web.uploads import Uploads
 
-_BLOCK: Final = 1 << 18
+_DOWNLOAD_BLOCK_BYTES: Final = 1 << 18
+"""Bytes of a file that are read and sent at once."""
 
 
 class Recordings:
-    """The recordings of this process, and what pages may do with them."""
+    """The recordings of this process, and the methods of pages for them."""
 
     def __init__(self, folder: Path, connect: Callable[[], AbstractContextManager[Daemon]]) -> None:
+        """Record into `folder`. `connect` makes a client for each recording."""
         self._folder = RecordingFolder(folder)
         self._recorder = WebRecorder(connect, self._folder)
         self._uploads = Uploads()
@@ -37,7 +39,7 @@ class Recordings:
         self._known: set[Page] = set()
 
     def methods(self) -> dict[str, Method]:
-        """By name. docs/web.md (Recordings) has their params and results."""
+        """Return the methods by name. docs/web.md (Recordings) describes their params and results."""
         return {
             "web.recordings": self._list,
             "web.recording": self._state,
@@ -52,12 +54,13 @@ class Recordings:
         }
 
     def add_routes(self, app: web.Application) -> None:
+        """Add the routes of downloads and uploads."""
         app.router.add_get("/recordings/{name}", self.download)
         app.router.add_post("/uploads", self._uploads.receive)
         app.on_cleanup.append(self.close)
 
     async def close(self, _: web.Application | None = None) -> None:
-        """Ends a recording that is under way, and waits for its file."""
+        """End the recording that is under way, and wait for its file."""
         await self._recorder.close()
         self._uploads.close()
 
@@ -72,8 +75,8 @@ class Recordings:
         }
 
     async def _state(self, page: Page, params: Mapping[str, object]) -> object:
-        self._until_it_goes(page)
-        self._recorder.watch(page.tell)
+        self._forget_at_end_of(page)
+        self._recorder.watch(page.send_news)
         return self._recorder.state()
 
     async def _start(self, _: Page, params: Mapping[str, object]) -> object:
@@ -87,7 +90,7 @@ class Recordings:
         return {}
 
     async def download(self, request: web.Request) -> web.StreamResponse:
-        """GET of a recording by its name."""
+        """Answer a GET of a recording by its name."""
         try:
             with self._folder.file(request.match_info["name"]) as file:
                 name = request.match_info["name"]
@@ -100,16 +103,16 @@ class Recordings:
                 response.content_length = os.fstat(file.fileno()).st_size
                 await response.prepare(request)
                 left = response.content_length
-                while left and (block := await asyncio.to_thread(file.read, min(_BLOCK, left))):
+                while left and (block := await asyncio.to_thread(file.read, min(_DOWNLOAD_BLOCK_BYTES, left))):
                     await response.write(block)
-                    goes_on()
+                    extend_deadline()
                     left -= len(block)
                 await response.write_eof()
                 return response
         except HapticdError as error:
             return web.Response(status=404, text=f"{error}\n")
 
-    # ---- Open and look through -------------------------------------------------------------------------------------
+    # ---- Open and show ---------------------------------------------------------------------------------------------
 
     async def _open_one(self, page: Page, params: Mapping[str, object]) -> object:
         if "upload" in params:
@@ -130,12 +133,12 @@ class Recordings:
             facts = await asyncio.to_thread(playback.facts)
         except HapticdError as error:
             raise HapticdError(str(error).replace(os.fspath(path), one_line(name))) from None
-        self._until_it_goes(page)
+        self._forget_at_end_of(page)
         self._open[page] = playback
         return {"name": name, **facts}
 
-    def _until_it_goes(self, page: Page) -> None:
-        """What this page opened is forgotten when it goes."""
+    def _forget_at_end_of(self, page: Page) -> None:
+        """Release what this page opened when the page ends."""
         if page not in self._known:
             self._known.add(page)
             page.closing.callback(self._forget, page)
@@ -143,7 +146,7 @@ class Recordings:
     def _forget(self, page: Page) -> None:
         self._known.discard(page)
         self._open.pop(page, None)
-        self._recorder.forget(page.tell)
+        self._recorder.unwatch(page.send_news)
 
     def _of(self, page: Page) -> Playback:
         playback = self._open.get(page)
@@ -152,28 +155,28 @@ class Recordings:
         return playback
 
     async def _rows(self, page: Page, params: Mapping[str, object]) -> object:
-        playback, first, count = self._of(page), _whole(params, "first"), _whole(params, "count")
+        playback, first, count = self._of(page), _integer(params, "first"), _integer(params, "count")
         return await asyncio.to_thread(playback.rows, first, count)
 
     async def _outline(self, page: Page, params: Mapping[str, object]) -> object:
         playback, column = self._of(page), params.get("column")
         if not isinstance(column, str):
             raise HapticdError("column: must be a text")
-        first, last, pixels = (_whole(params, name) for name in ("first", "last", "pixels"))
+        first, last, pixels = (_integer(params, name) for name in ("first", "last", "pixels"))
         return await asyncio.to_thread(playback.outline, column, first, last, pixels)
 
     async def _scene(self, page: Page, params: Mapping[str, object]) -> object:
-        return await asyncio.to_thread(self._of(page).scene, _whole(params, "row"))
+        return await asyncio.to_thread(self._of(page).scene, _integer(params, "row"))
 
     async def _close_one(self, page: Page, params: Mapping[str, object]) -> dict[str, Json]:
         self._open.pop(page, None)
         return {}
 
 
-def _whole(params: Mapping[str, object], name: str) -> int:
+def _integer(params: Mapping[str, object], name: str) -> int:
     value = params.get(name)
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if type(value) is not int:
-        raise HapticdError(f"{name}: must be a whole number, is {value!r:.40}")
+        raise HapticdError(f"{name}: must be an integer, is {value!r:.40}")
     return value

@@ -1,4 +1,4 @@
-"""Who has been let in: tokens that are good once, and the sessions that browsers hold in a cookie."""
+"""One-time tokens, and the sessions that browsers have in a cookie."""
 
 from __future__ import annotations
 
@@ -7,23 +7,26 @@ import secrets
 from collections import OrderedDict
 from typing import Final
 
-MOST_SESSIONS: Final = 64
-MOST_TOKENS: Final = 16
+MAX_SESSIONS: Final = 64
+"""Sessions; beyond it the one that was used longest ago ends."""
+MAX_TOKENS: Final = 16
+"""Unused tokens; beyond it the oldest becomes invalid."""
 
 
 class Sessions:
-    """Those of one process. They end with it. Where there would be too many, the one that was used longest ago ends."""
+    """The tokens and sessions of this process, which end with it."""
 
     def __init__(self) -> None:
+        """Begin without tokens and sessions."""
         self._sessions: OrderedDict[str, None] = OrderedDict()
         self._tokens: OrderedDict[str, None] = OrderedDict()
 
     def new_token(self) -> str:
-        """For an address that lets in one browser, once."""
-        return _added(self._tokens, MOST_TOKENS)
+        """Return a token for an address that gives one browser access, once."""
+        return _added(self._tokens, MAX_TOKENS)
 
     def admit(self, token: str) -> str | None:
-        """A session for who has a token that was not used yet; else None."""
+        """Use a token and return a new session; None if the token is not valid."""
         found = _find(self._tokens, token)
         if found is None:
             return None
@@ -31,11 +34,11 @@ class Sessions:
         return self.open()
 
     def open(self) -> str:
-        """A new session."""
-        return _added(self._sessions, MOST_SESSIONS)
+        """Return a new session."""
+        return _added(self._sessions, MAX_SESSIONS)
 
     def knows(self, session: str) -> bool:
-        """Whether it is one of ours."""
+        """Return whether a session is valid."""
         found = _find(self._sessions, session)
         if found is not None:
             self._sessions.move_to_end(found)
@@ -43,7 +46,7 @@ class Sessions:
 
 
 def _added(known: OrderedDict[str, None], most: int) -> str:
-    """A new secret among those that are known, of which the oldest gives way."""
+    """Add a new secret to `known`, remove the oldest beyond `most`, and return the new one."""
     made = secrets.token_urlsafe(32)
     known[made] = None
     while len(known) > most:
@@ -52,7 +55,7 @@ def _added(known: OrderedDict[str, None], most: int) -> str:
 
 
 def _find(secrets_: OrderedDict[str, None], given: str) -> str | None:
-    """The one that is equal. All are compared, each in constant time."""
+    """Return the secret that equals `given`, or None. All are compared, each in constant time."""
     found = None
     for each in secrets_:
         if hmac.compare_digest(each.encode(), given.encode("utf-8", "surrogateescape")):

@@ -1,4 +1,4 @@
-"""The method of a page that asks for the shipped materials, as they are before anybody changes them."""
+"""The method of a page that returns the shipped materials, unchanged."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from hapticd.web.page import Method, Page
 
 
 async def _shipped_materials(_: Page, params: Mapping[str, object]) -> object:
-    """web.shipped_materials: `materials`, by name, each in the form of get_materials."""
+    """Answer web.shipped_materials: `materials` by name, each in the form of get_materials."""
     shipped = await asyncio.to_thread(shipped_materials)
     return {"materials": {name: material.to_dict() for name, material in shipped.items()}}
 
 
-METHODS: Final[dict[str, Method]] = {"web.shipped_materials": _shipped_materials}
+SHIPPED_MATERIALS_PAGE_METHODS: Final[dict[str, Method]] = {"web.shipped_materials": _shipped_materials}

@@ -1,4 +1,4 @@
-"""Tasks of an event loop, and their end."""
+"""Cancelling tasks of the event loop."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ from typing import Any
 
 
 async def ended(task: asyncio.Task[Any]) -> None:
-    """Cancels a task, and returns once it is over, however it ended."""
+    """Cancel a task, and return once it has ended in any way."""
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)

@@ -1,4 +1,4 @@
-"""The daemon's telemetry, received once and passed on to every page as it came; and whether there is a daemon."""
+"""The daemon's telemetry, received once and passed on to every page unchanged, and whether a daemon is connected."""
 
 from __future__ import annotations
 
@@ -15,38 +15,40 @@ from zmq.utils.monitor import recv_monitor_message
 
 from hapticd.system.paths import RuntimePaths
 
-TOPICS: Final = ("samples", "state", "event", "change", "status")
-_AT_ONCE: Final = 32
-"""So many messages, then others get their turn."""
+HUB_TOPICS: Final = ("samples", "state", "event", "change", "status")
+"""Topics of the daemon's telemetry."""
+_HUB_MESSAGES_PER_TURN: Final = 32
+"""Messages after which other tasks of the event loop run."""
 
 
-class Taker(Protocol):
-    """Who gets telemetry: it is never waited for."""
+class Subscriber(Protocol):
+    """A receiver of telemetry, which must not block."""
 
-    def telemetry(self, topic: str, message: bytes) -> None: ...
+    def telemetry(self, topic: str, message: bytes) -> None:
+        """Take a message of a topic: [topic, body] as one msgpack array."""
 
 
 class TelemetryHub:
-    """One subscription to the daemon; topics that no page wants are not subscribed to."""
+    """One subscription to the daemon, only to topics that a page needs."""
 
     def __init__(self, place: RuntimePaths, changed: Callable[[bool], None] = lambda _: None) -> None:
-        """`changed` is called when the daemon comes or goes."""
+        """Connect to the daemon at `place`. `changed` is called when the daemon connects or disconnects."""
         self._changed = changed
         self.daemon = False
-        """Whether a daemon is there."""
+        """Whether a daemon is connected."""
         self._there = asyncio.Event()
         self._socket = zmq.asyncio.Context.instance().socket(zmq.SUB)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
         self._socket.connect(place.telemetry_endpoint)
         self._wanted: Counter[str] = Counter()
-        self._takers: dict[Taker, frozenset[str]] = {}
+        self._subscribers: dict[Subscriber, frozenset[str]] = {}
 
-    def subscribe(self, taker: Taker, topics: frozenset[str]) -> None:
-        """From now on `taker` gets the messages of these topics, each [topic, body] as one msgpack array."""
-        before = self._takers.pop(taker, frozenset())
+    def subscribe(self, subscriber: Subscriber, topics: frozenset[str]) -> None:
+        """Pass messages of these topics to `subscriber` from now on, and of no others; empty: end its subscription."""
+        before = self._subscribers.pop(subscriber, frozenset())
         if topics:
-            self._takers[taker] = topics
+            self._subscribers[subscriber] = topics
         for topic in topics - before:
             self._wanted[topic] += 1
             if self._wanted[topic] == 1:
@@ -57,12 +59,12 @@ class TelemetryHub:
                 self._socket.setsockopt(zmq.UNSUBSCRIBE, topic.encode())
 
     async def found(self, wait_s: float) -> None:
-        """Returns once a daemon was there, or none came for so long."""
+        """Wait until a daemon is connected, but at most `wait_s`."""
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._there.wait(), wait_s)
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Receive telemetry until cancelled."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._receive())
@@ -74,17 +76,17 @@ class TelemetryHub:
 
     async def _receive(self) -> None:
         while True:
-            for _ in range(_AT_ONCE):
+            for _ in range(_HUB_MESSAGES_PER_TURN):
                 topic, body = await self._socket.recv_multipart()
                 self._pass_on(topic.decode(), body)
             await asyncio.sleep(0)
 
     def _pass_on(self, topic: str, body: bytes) -> None:
-        # The body is msgpack already: an array header and the topic before it make one message of both.
+        # The body is msgpack: an array header and the topic before it make one message of both.
         message = b"\x92" + cast(bytes, msgpack.packb(topic)) + body
-        for taker, topics in self._takers.items():
+        for subscriber, topics in self._subscribers.items():
             if topic in topics:
-                taker.telemetry(topic, message)
+                subscriber.telemetry(topic, message)
 
     async def _watch(self) -> None:
         while True:

@@ -1,4 +1,4 @@
-"""A token bucket: so much at once, and so much a second."""
+"""A token bucket: limits a rate per second and allows bursts."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ from collections.abc import Callable
 
 
 class Bucket:
-    """May be overdrawn: who took too much waits until it is even again."""
+    """A token bucket that may be overdrawn; `take` returns how long to wait then."""
 
     def __init__(self, per_s: float, burst: float, now: Callable[[], float] = time.monotonic) -> None:
+        """Begin with a full bucket of `burst` tokens, which gets `per_s` tokens a second."""
         self._per_s, self._burst, self._now = per_s, burst, now
         self._level, self._at = burst, now()
 
     def take(self, amount: float) -> float:
-        """Takes it; returns how long to wait before anything more is taken, s."""
+        """Take tokens, also more than there are, and return how long to wait before the next ones, in s."""
         self._fill()
         self._level -= amount
         return max(0.0, -self._level / self._per_s)
 
     def take_if_there(self, amount: float) -> bool:
-        """Takes it where that overdraws nothing; whether it did."""
+        """Take tokens if there are enough, and return whether they were taken."""
         self._fill()
         there = self._level >= amount
         self._level -= amount if there else 0.0

@@ -1,4 +1,4 @@
-"""Recordings that a person sends to look at: kept in a folder of this process until they are opened, then removed."""
+"""Uploaded recordings: kept in a temporary folder until they are opened, then removed."""
 
 from __future__ import annotations
 
@@ -13,79 +13,82 @@ from aiohttp import web
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
-from hapticd.web.connections import goes_on
+from hapticd.web.connections import extend_deadline
 
-MOST_BYTES: Final = 512 << 20
-"""Of one file."""
-MOST_WAITING: Final = 4
-"""Files that were sent and not opened; the oldest gives way."""
-_BLOCK: Final = 1 << 18
+MAX_UPLOAD_BYTES: Final = 512 << 20
+"""Size of an uploaded file."""
+MAX_WAITING_UPLOADS: Final = 4
+"""Uploaded files that are not opened yet; beyond it the oldest is removed."""
+_UPLOAD_BLOCK_BYTES: Final = 1 << 18
+"""Largest block that is received and written at once."""
 
 
 class Uploads:
-    """Files that wait to be opened, by a token that their sender got."""
+    """Uploaded files that wait to be opened, by the token that the upload returned."""
 
     def __init__(self) -> None:
+        """Begin without files."""
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._waiting: dict[str, Path] = {}
 
     async def receive(self, request: web.Request) -> web.Response:
-        """POST of a file's bytes; `name` in the query gives its ending. Answers {"upload": token}, or {"error"}."""
+        """Answer a POST of a file's bytes with {"upload": token} or {"error"}; the query has its `name`."""
         if request.headers.get("Origin") is None:
-            return web.json_response({"error": "Origin: only pages of this server may send files"}, status=403)
+            return web.json_response({"error": "Origin: only pages of this server may upload files"}, status=403)
         ending = os.path.splitext(request.query.get("name", ""))[1].lower()
         if ending != ".npz":
-            return web.json_response({"error": "a recording ends in .npz"}, status=415)
+            return web.json_response({"error": "name: must end in .npz"}, status=415)
         too_large = web.json_response(
-            {"error": f"the file has more than {wording.size(MOST_BYTES)}; put it into the folder of recordings"},
+            {"error": f"must have at most {wording.size(MAX_UPLOAD_BYTES)}; copy it into the folder of recordings"},
             status=413,
         )
-        if (request.content_length or 0) > MOST_BYTES:
+        if (request.content_length or 0) > MAX_UPLOAD_BYTES:
             return too_large
         token = secrets.token_urlsafe(16)
-        path = self._place(token + ending)
+        path = self._path_of(token + ending)
         try:
-            if not await _kept(request, path):
+            if not await _write_body(request, path):
                 return too_large
         except BaseException:
             path.unlink(missing_ok=True)
             raise
         self._waiting[token] = path
-        while len(self._waiting) > MOST_WAITING:
+        while len(self._waiting) > MAX_WAITING_UPLOADS:
             self._waiting.pop(next(iter(self._waiting))).unlink(missing_ok=True)
         return web.json_response({"upload": token})
 
     def take(self, token: object) -> Path:
-        """The file of a token, which is the caller's to remove. Raises HapticdError where there is none."""
+        """Return the file of a token, which the caller must remove. Raises HapticdError if it does not exist."""
         path = self._waiting.pop(token, None) if isinstance(token, str) else None
         if path is None:
-            raise HapticdError("upload: this file is here no longer; choose it again")
+            raise HapticdError("upload: the file was removed; choose it again")
         return path
 
     def close(self) -> None:
+        """Remove all files."""
         self._waiting.clear()
         if self._folder is not None:
             self._folder.cleanup()
 
-    def _place(self, name: str) -> Path:
+    def _path_of(self, name: str) -> Path:
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="hapticd-uploads-")
         return Path(self._folder.name, name)
 
 
-async def _kept(request: web.Request, path: Path) -> bool:
-    """Writes the body into a file; False, and no file, where it is too large."""
-    received = told = 0
+async def _write_body(request: web.Request, path: Path) -> bool:
+    """Write the body into a file, and return True; if it is too large, remove the file and return False."""
+    received = reported = 0
     with open(path, "xb") as file:
-        async for block in request.content.iter_chunked(_BLOCK):
+        async for block in request.content.iter_chunked(_UPLOAD_BLOCK_BYTES):
             received += len(block)
-            if received > MOST_BYTES:
+            if received > MAX_UPLOAD_BYTES:
                 break
             await asyncio.to_thread(file.write, block)
-            if received - told >= _BLOCK:
-                told = received
-                goes_on()
-    if received > MOST_BYTES:
+            if received - reported >= _UPLOAD_BLOCK_BYTES:
+                reported = received
+                extend_deadline()
+    if received > MAX_UPLOAD_BYTES:
         path.unlink()
         return False
     return True

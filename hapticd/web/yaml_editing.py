@@ -1,8 +1,8 @@
-"""A YAML text changed in place: only the values that differ are written anew, everything else stays as it stands.
+"""Changing a YAML text in place: only values that differ are replaced, everything else stays.
 
-Comments, order, alignment, quotes and the way numbers are written are part of a file that somebody wrote by hand.
-PyYAML says where each value stands, and what differs is replaced there. What comes out is read again by hapticd's own
-loader; if that does not give what was meant, the text is written anew.
+Comments, order, alignment, quotes and number formats of a handwritten file are kept. PyYAML gives the position of each
+value, where it is replaced. The result is read again by hapticd's loader; if that gives other values than intended, the
+text is written again from scratch.
 """
 
 from __future__ import annotations
@@ -16,18 +16,20 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json, load_text
 from hapticd.base.yaml_text import flow_text
 
-_LOADER: Final = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
-_LINE_END: Final = re.compile(r"\r\n|[\n\r\x85\u2028\u2029]|\Z")
-_LONGEST_LINE: Final = 100
-"""Characters of a mapping that is added on one line; a longer one becomes a block."""
+_YAML_LOADER: Final = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
+"""PyYAML's loader that finds positions and does not convert values."""
+_LINE_END_PATTERN: Final = re.compile(r"\r\n|[\n\r\x85\u2028\u2029]|\Z")
+"""End of a line, as YAML defines it."""
+_MAX_LINE_CHARACTERS: Final = 100
+"""Length of a line with an added mapping; a longer mapping is written as a block."""
 
 
 class _IntricateError(Exception):
-    """A place where values cannot be changed one by one."""
+    """A place in the text where values cannot be replaced one by one."""
 
 
 def same(one: Json, other: Json) -> bool:
-    """Whether two values mean the same: 800 and 800.0 do, true and 1 do not."""
+    """Return whether two values are the same: 800 and 800.0 are, true and 1 are not."""
     if isinstance(one, dict) and isinstance(other, dict):
         return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
     if isinstance(one, list) and isinstance(other, list):
@@ -36,9 +38,10 @@ def same(one: Json, other: Json) -> bool:
 
 
 def edited(text: str, after: dict[str, Json]) -> tuple[str, bool]:
-    """The text with the values of `after` in place of its own, and whether everything else stands as before.
+    """Return the text with the values of `after`, and whether everything else is unchanged.
 
-    `text` is one that load_text takes, a mapping. False: it was too intricate, and was written anew without comments.
+    `text` must be a mapping that load_text accepts. False: values could not be replaced in place, and the text was
+    written again without its comments.
     """
     mark = "\ufeff" if text.startswith("\ufeff") else ""
     body = text.removeprefix("\ufeff")
@@ -46,7 +49,7 @@ def edited(text: str, after: dict[str, Json]) -> tuple[str, bool]:
     if same(before, after):
         return text, True
     try:
-        node = yaml.compose(body, Loader=_LOADER)
+        node = yaml.compose(body, Loader=_YAML_LOADER)
         found = _Edits(body)
         found.value(cast(yaml.Node, node), before, after)
         new = found.applied()
@@ -58,7 +61,7 @@ def edited(text: str, after: dict[str, Json]) -> tuple[str, bool]:
 
 
 class _Edits:
-    """Replacements in one text, found from the outside in."""
+    """Replacements in one text, found from outer to inner values."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -66,7 +69,7 @@ class _Edits:
         self._edits: list[tuple[int, int, str]] = []
 
     def applied(self) -> str:
-        """The text with all of them; they do not overlap."""
+        """Return the text with all replacements, which must not overlap."""
         parts, at = [], 0
         for start, end, new in sorted(self._edits, key=lambda edit: edit[:2]):
             if start < at:
@@ -76,7 +79,7 @@ class _Edits:
         return "".join((*parts, self._text[at:]))
 
     def value(self, node: yaml.Node, before: Json, after: Json, key: yaml.Node | None = None) -> None:
-        """Has `node`, which holds `before` and is the value of `key`, hold `after`."""
+        """Replace the value `before` of `node` by `after`; `key` is the node's key in a mapping."""
         if same(before, after):
             return
         kept = len(self._edits)
@@ -97,7 +100,7 @@ class _Edits:
         if key is not None:
             between = self._text[key.end_mark.index : start]
             if "\n" in between or "\r" in between or start == end or not between.endswith((" ", "\t")):
-                # A block below its key, or nothing at all: what takes its place stands beside the key.
+                # The old value is a block below its key, or empty: the new one is written next to the key.
                 start = self._text.index(":", key.end_mark.index) + 1
                 end = max(start, end)
                 new = f" {new}"
@@ -182,7 +185,7 @@ class _Edits:
         return start
 
     def _end(self, node: yaml.Node) -> int:
-        """Behind the last character of a value; a block's own mark stands behind comments that follow it."""
+        """Return the index after the last character of a value. A block's end mark is after the comments below it."""
         while isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
             last = node.value[-1]
             node = last[1] if isinstance(last, tuple) else last
@@ -193,32 +196,32 @@ class _Edits:
         return max(self._text.rfind(mark, 0, at) for mark in "\n\r\x85\u2028\u2029") + 1
 
     def _entry_end(self, entry: tuple[yaml.Node, yaml.Node]) -> int:
-        """Behind the value, or behind the key of one that has none."""
+        """Return the index after the value, or after the key if the value is empty."""
         return max(self._end(entry[1]), entry[0].end_mark.index)
 
     def _after_line(self, at: int) -> int:
-        """Where the next line begins."""
-        match = _LINE_END.search(self._text, at)
+        """Return the index at which the next line begins."""
+        match = _LINE_END_PATTERN.search(self._text, at)
         assert match is not None
         return match.end()
 
 
 def block_text(mapping: dict[str, Json]) -> str:
-    """A text of its own: what fits on one line stands there, and the rest in blocks."""
+    """Return a new YAML text: values that fit are on one line, others in blocks."""
     return "".join(f"{line}\n" for name, value in mapping.items() for line in _entry(name, value, 0))
 
 
 def _entry(name: str, value: Json, pad: int) -> list[str]:
-    """An entry of a block mapping, as lines without their indentation."""
-    key, whole = flow_text(name), flow_text(value)
-    small = pad + len(key) + len(whole) + 2 <= _LONGEST_LINE
+    """Return an entry of a block mapping as lines without indentation."""
+    key, flow = flow_text(name), flow_text(value)
+    small = pad + len(key) + len(flow) + 2 <= _MAX_LINE_CHARACTERS
     if isinstance(value, dict) and value and not (small and _is_leaf(value)):
         return [f"{key}:", *(f"  {line}" for inner, part in value.items() for line in _entry(inner, part, pad + 2))]
     if isinstance(value, list) and value and not small:
         return [f"{key}:", *(f"  - {flow_text(each)}" for each in value)]
-    return [f"{key}: {whole}"]
+    return [f"{key}: {flow}"]
 
 
 def _is_leaf(mapping: dict[str, Json]) -> bool:
-    """Whether a mapping holds no other one."""
+    """Return whether a mapping contains no other mapping."""
     return not any(isinstance(value, dict) for value in mapping.values())

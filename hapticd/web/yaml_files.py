@@ -1,7 +1,7 @@
-"""YAML of a page: what a file holds for the daemon, and the page's scene and materials as a file.
+"""Files of a page: checking the text of a file for the daemon, and writing scene and materials as a file.
 
-A page sends the text of a file; nothing here opens a file that a page names. The text goes through hapticd's own
-loader, which refuses aliases, nesting without end and texts without end before anything is built from them.
+A page sends the text of a file; no file that a page names is opened. hapticd's loader refuses aliases, too deep nesting
+and too long texts before it builds values.
 """
 
 from __future__ import annotations
@@ -20,43 +20,47 @@ from hapticd.config.materials import Material, shipped_materials, validate_mater
 from hapticd.config.scene import Scene, used_materials, validate_scene
 from hapticd.web.yaml_editing import block_text, edited, same
 
-PARTS: Final = ("materials", "scene")
-LONGEST_NAME: Final = 200
-_PLACE: Final = re.compile(r"(\d+):(\d+)(?:: (.*))?$", re.DOTALL)
-_BEGINS: Final = (
+FILE_PARTS: Final = ("materials", "scene")
+"""Sections of a configuration that a page can open and save."""
+MAX_FILE_NAME_CHARACTERS: Final = 200
+"""Length of the name of a file that a page opens."""
+_PLACE_PATTERN: Final = re.compile(r"(\d+):(\d+)(?:: (.*))?$", re.DOTALL)
+"""Line, column and key of a problem's place, after the file name."""
+_FIRST_LINE: Final = (
     "# Scene and materials as they were on the page of hapticd web; `hapticd check -c FILE` reads it again.\n"
 )
+"""First line of a new file."""
 
 _Map = dict[str, Json]
 
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """What a text holds."""
+    """The content of a file's text."""
 
     document: Document
     change: ChangeFiles
     left_out: tuple[str, ...]
-    """Its sections that are for the start of a daemon alone."""
+    """Sections that only matter at the start of a daemon and were not applied."""
 
     @property
     def materials(self) -> _Map:
-        """In full, by name."""
+        """The materials by name, with all members."""
         return {} if self.change.materials is None else cast(_Map, dict(self.change.materials))
 
     @property
     def scene(self) -> _Map | None:
-        """In full; None where it holds none."""
+        """The scene with all members; None: the file has none."""
         return None if self.change.scene is None else cast(_Map, dict(self.change.scene))
 
 
 def read(name: object, text: object) -> Opened:
-    """Reads and checks the text of a file that a person calls `name`.
+    """Read and check the text of a file; errors call it `name`.
 
-    Raises InvalidError, which names every fault by line and key; also for a configuration that is faulty elsewhere.
+    Raises InvalidError with the line and key of every problem, also of problems in other sections of a configuration.
     """
-    if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME:
-        raise HapticdError(f"name: must be a text of at most {LONGEST_NAME} characters")
+    if not isinstance(name, str) or not 0 < len(name) <= MAX_FILE_NAME_CHARACTERS:
+        raise HapticdError(f"name: must be a text of at most {MAX_FILE_NAME_CHARACTERS} characters")
     if not isinstance(text, str):
         raise HapticdError("text: must be a text")
     document = load_text(text, name)
@@ -64,27 +68,27 @@ def read(name: object, text: object) -> Opened:
         return Opened(document, change_of([document]), ())
     assert isinstance(document.data, dict)
     config_of_documents([document])
-    kept = {key: value for key, value in document.data.items() if key in PARTS}
+    kept = {key: value for key, value in document.data.items() if key in FILE_PARTS}
     if not kept:
-        text = "holds neither materials nor a scene, only what a daemon is started with; use: hapticd run -c"
+        text = "has neither materials nor a scene, only sections for the start of a daemon; use: hapticd run -c"
         raise InvalidError([Problem(document.where(()), text)])
     left_out = tuple(key for key in CONFIGURATION_KEYS if key in document.data)
     return Opened(document, change_of([replace(document, data=kept)]), left_out)
 
 
 def placed(problems: Sequence[Problem], name: str) -> list[dict[str, Json]]:
-    """Faults for a page: `line`, `column` (from 1; nil where a fault has no place), `where`, the key, and `problem`."""
+    """Return problems for a page: `line` and `column` (from 1; nil without a place), the key `where`, and `problem`."""
     found: list[dict[str, Json]] = []
     for each in problems:
         rest = each.where.removeprefix(one_line(name))
-        match = _PLACE.match(rest.removeprefix(":"))
+        match = _PLACE_PATTERN.match(rest.removeprefix(":"))
         line, column, where = (int(match[1]), int(match[2]), match[3] or "") if match else (None, None, rest)
         found.append({"line": line, "column": column, "where": where, "problem": each.problem})
     return found
 
 
 def changed_materials(materials: Mapping[str, object]) -> _Map:
-    """Those that differ from the shipped library, in full. Raises InvalidError."""
+    """Return the materials that differ from the shipped ones, with all members. Raises InvalidError."""
     shipped = shipped_materials()
     found = {name: material.to_dict() for name, material in validate_materials(dict(materials)).items()}
     return {
@@ -94,29 +98,29 @@ def changed_materials(materials: Mapping[str, object]) -> _Map:
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """The text of a file."""
+    """The text of a file to save."""
 
     text: str
     kept: bool
-    """Comments, order and layout are those of the opened file."""
+    """Whether comments, order and layout of the opened file were kept."""
     materials: list[str]
-    """Names of the materials in it."""
+    """Names of the materials in the file."""
 
 
 def saved(
     scene: Mapping[str, object],
     materials: Mapping[str, object],
-    parts: Collection[str] = PARTS,
+    parts: Collection[str] = FILE_PARTS,
     opened: Opened | None = None,
     text: str = "",
     others: Mapping[str, object] | None = None,
 ) -> Saved:
-    """The daemon's scene and materials as a file that `hapticd check -c`, `run -c` and `apply` read.
+    """Return the daemon's scene and materials as a file that `hapticd check -c`, `run -c` and `apply` read.
 
-    Only materials that differ from the shipped library are written, and of everything only what differs from its
-    default. `opened` with its `text`: the file that they go into; what differs is changed in it, the rest stays.
-    `others`: materials that the daemon had when it was opened and that are not in it; they are added only if they have
-    changed since, or the scene names them. Raises HapticdError where there is nothing to save.
+    Only materials that differ from the shipped ones are written, without members that have their default. `opened` with
+    its `text`: the file to change; only values that differ are replaced in it. `others`: materials that the daemon had
+    when the file was opened and that the file does not have; they are added only if they have changed since, or if the
+    scene names them. Raises HapticdError if there is nothing to save.
     """
     found = validate_scene(dict(scene))
     written: _Map
@@ -145,19 +149,19 @@ def saved(
         "scene": _brief(found),
     }
     if opened is None:
-        text, kept = _BEGINS + block_text({part: brief[part] for part in PARTS if part in wanted}), True
+        text, kept = _FIRST_LINE + block_text({part: brief[part] for part in FILE_PARTS if part in wanted}), True
     else:
         text, kept = _into(opened, text, wanted, brief)
     return Saved(text, kept, sorted(written) if "materials" in wanted else [])
 
 
 def _brief(model: Scene | Material) -> Json:
-    """Without what is as by default."""
+    """Return a model without members that have their default."""
     return _whole_numbers(cast(Json, model.model_dump(mode="json", exclude_none=True, exclude_defaults=True)))
 
 
 def _whole_numbers(tree: Json) -> Json:
-    """800.0 as 800, as people write it."""
+    """Return values with integers in place of floats such as 800.0."""
     if isinstance(tree, dict):
         return {key: _whole_numbers(value) for key, value in tree.items()}
     if isinstance(tree, list):
@@ -166,24 +170,24 @@ def _whole_numbers(tree: Json) -> Json:
 
 
 def _into(opened: Opened, text: str, wanted: _Map, brief: _Map) -> tuple[str, bool]:
-    """The opened text with the parts that are wanted."""
+    """Return the opened text with the new parts, and whether its comments and layout were kept."""
     raw = opened.document.data
     assert isinstance(raw, dict)
     bare = {"bare scene": "scene", "bare materials": "materials"}.get(kind_of(raw) or "")
-    whole = True
+    moved = True
     canonical: _Map = {"materials": opened.materials, "scene": opened.scene or {}}
     if bare is not None and set(wanted) <= {bare}:
         return edited(text, cast(_Map, _over(raw, canonical[bare], wanted[bare], brief[bare])))
     if bare is not None:
-        # What stood alone becomes a section beside another one.
+        # The file has a part without a section: it becomes a section next to the other one.
         raw, text = {bare: raw}, _below(bare, text)
-        whole = same(_data_of(text), raw)
-        text = text if whole else block_text(raw)
+        moved = same(_data_of(text), raw)
+        text = text if moved else block_text(raw)
     after = dict(raw)
     for part, value in wanted.items():
         after[part] = _over(raw[part], canonical[part], value, brief[part]) if part in raw else brief[part]
     text, kept = edited(text, after)
-    return text, kept and whole
+    return text, kept and moved
 
 
 def _data_of(text: str) -> Json:
@@ -194,7 +198,7 @@ def _data_of(text: str) -> Json:
 
 
 def _below(key: str, text: str) -> str:
-    """A text as what stands below a key."""
+    """Return the text indented below a key."""
     lines = text.removeprefix("\ufeff").splitlines(keepends=True)
     comments = next((row for row, line in enumerate(lines) if not line.startswith("#")), len(lines))
     return "".join(
@@ -203,8 +207,12 @@ def _below(key: str, text: str) -> str:
 
 
 def _over(raw: Json, before: Json, wanted: Json, brief: Json) -> Json:
-    """What is to stand in a file in place of `raw`, which means `before` in full: as it is where it means what is
-    wanted; of a mapping only the members that differ. `brief`: what is wanted, without what is as by default."""
+    """Return the value to write in place of `raw`.
+
+    `before` is `raw` with all members and `wanted` the new value with all members. `raw` is kept if they are the same,
+    and of a mapping only the members that differ are changed. `brief` is `wanted` without members that have their
+    default.
+    """
     if same(before, wanted):
         return raw
     if isinstance(raw, dict) and isinstance(before, dict) and isinstance(wanted, dict) and isinstance(brief, dict):

@@ -1,4 +1,4 @@
-"""Methods of a page: what may be edited, and the files that hold it."""
+"""Methods of a page: the editors' schema, and opening and saving files of scenes and materials."""
 
 from __future__ import annotations
 
@@ -16,35 +16,42 @@ from hapticd.protocol.messages import Code
 from hapticd.web import yaml_files
 from hapticd.web.editor_schema import editor_schema
 from hapticd.web.page import Method, Page
-from hapticd.web.yaml_files import PARTS, Opened
+from hapticd.web.yaml_files import FILE_PARTS, Opened
 
-_FOLDERS: Final = ("scenes", "materials")
+_SHIPPED_FOLDERS: Final = ("scenes", "materials")
+"""Kinds of shipped files that a page can open."""
 
 
 async def _schema(_: Page, params: Mapping[str, object]) -> object:
-    """web.schema: see editor_schema.py."""
+    """Answer web.schema, see editor_schema.py."""
     return editor_schema()
 
 
 async def _shipped(_: Page, params: Mapping[str, object]) -> object:
-    """web.yaml_shipped: scenes and files of materials that ship, `name` and `shows` of each."""
+    """Answer web.yaml_shipped: `name` and `shows` of each shipped scene and file of materials."""
 
     def found() -> object:
-        return {folder: [{"name": each.name, "shows": each.shows} for each in described(folder)] for folder in _FOLDERS}
+        return {
+            folder: [{"name": each.name, "shows": each.shows} for each in described(folder)]
+            for folder in _SHIPPED_FOLDERS
+        }
 
     return await asyncio.to_thread(found)
 
 
 async def _open(page: Page, params: Mapping[str, object]) -> object:
-    """web.yaml_open: the `text` of a file that a person calls `name`, checked and applied as one change."""
+    """Answer web.yaml_open: check the `text` of a file called `name`, and apply it as one change."""
     return await _apply(page, params.get("name"), params.get("text"))
 
 
 async def _open_shipped(page: Page, params: Mapping[str, object]) -> object:
-    """web.yaml_open_shipped: one that ships, by `folder` (scenes, materials) and `name`; the answer has its `text`."""
+    """Answer web.yaml_open_shipped: apply a shipped file, by `folder` (scenes, materials) and `name`.
+
+    The result has its `text`.
+    """
     folder, name = params.get("folder"), params.get("name")
-    if folder not in _FOLDERS:
-        raise HapticdError(f"folder: must be {' or '.join(_FOLDERS)}")
+    if folder not in _SHIPPED_FOLDERS:
+        raise HapticdError(f"folder: must be {' or '.join(_SHIPPED_FOLDERS)}")
     files = shipped(folder)
     if not isinstance(name, str) or name not in files:
         raise HapticdError(f"name: must be one of {', '.join(files)}")
@@ -53,7 +60,7 @@ async def _open_shipped(page: Page, params: Mapping[str, object]) -> object:
 
 
 async def _apply(page: Page, name: object, text: object) -> dict[str, object]:
-    """Has the daemon take what a text holds. Faults of the text and of the daemon are listed by line and key."""
+    """Apply the content of a text; problems that this process or the daemon finds are listed by line and key."""
     given = str(name)
     try:
         opened = await asyncio.to_thread(_read, name, text)
@@ -79,7 +86,7 @@ async def _apply(page: Page, name: object, text: object) -> dict[str, object]:
 
 def _read(name: object, text: object) -> Opened:
     if isinstance(text, str) and len(text) > MAX_YAML_BYTES:
-        raise HapticdError(f"the file has more than {wording.size(MAX_YAML_BYTES)}")
+        raise HapticdError(f"text: must have at most {wording.size(MAX_YAML_BYTES)}")
     return yaml_files.read(name, text)
 
 
@@ -90,11 +97,14 @@ def _refused(name: str, problems: tuple[Problem, ...]) -> RemoteError:
 
 
 async def _save(page: Page, params: Mapping[str, object]) -> object:
-    """web.yaml_save: the daemon's scene and materials as a file's `text`. `parts`: what of them; `opened`: {name, text,
-    others}, the file that they go into, as web.yaml_open took it and with the `others` that it answered."""
-    parts = params.get("parts", list(PARTS))
-    if not isinstance(parts, list) or not parts or not all(part in PARTS for part in parts):
-        raise HapticdError(f"parts: must be a list of {' and '.join(PARTS)}")
+    """Answer web.yaml_save: return the daemon's scene and materials as a file's `text`.
+
+    `parts`: which of them. `opened`: {name, text, others}, the file to change: `name` and `text` as given to
+    web.yaml_open, and `others` from its result.
+    """
+    parts = params.get("parts", list(FILE_PARTS))
+    if not isinstance(parts, list) or not parts or not all(part in FILE_PARTS for part in parts):
+        raise HapticdError(f"parts: must be a list of one or both of {', '.join(FILE_PARTS)}")
     given = params.get("opened")
     if given is not None and not isinstance(given, dict):
         raise HapticdError("opened: must be a map of name, text and others")
@@ -113,7 +123,7 @@ async def _save(page: Page, params: Mapping[str, object]) -> object:
     return {"text": found.text, "kept": found.kept, "materials": found.materials}
 
 
-METHODS: Final[dict[str, Method]] = {
+YAML_PAGE_METHODS: Final[dict[str, Method]] = {
     "web.schema": _schema,
     "web.yaml_shipped": _shipped,
     "web.yaml_open": _open,

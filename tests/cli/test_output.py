@@ -20,7 +20,7 @@ from hapticd.cli.common import print_result
 from hapticd.cli.failure import report_error
 from hapticd.client.sources import patch_tree
 from hapticd.daemon.counters import Granted
-from hapticd.daemon.status_text import FAULTS, lines, text_of
+from hapticd.daemon.status_text import FAULT_REASONS, lines, text_of
 from hapticd.hid.signs import SignsStatus
 from hapticd.protocol.calls import DaemonNotRunning, RemoteError, result_of
 from hapticd.protocol.events import fault_names
@@ -82,7 +82,7 @@ def test_what_is_wrong_comes_first_with_what_to_do() -> None:
     )
     assert text_of(list(lines(told))).splitlines()[:9] == [
         "forces           off by a fault: the device does not report and a lease lapsed",
-        "                 `hapticd force on` turns them on again once its cause is gone",
+        "                 `hapticd force on` turns them on again once the cause has ended",
         "real time        no priority, any processor, no memory locked, idle states as they are",
         "                 not granted: SCHED_FIFO priority 80: Operation not permitted",
         "                 `hapticd doctor` says how to grant it",
@@ -98,7 +98,7 @@ def test_what_is_wrong_comes_first_with_what_to_do() -> None:
 def test_the_status_counts_the_messages_of_streams_that_came() -> None:
     streams = {"target": {"received": 0}, "force": {"received": 300, "used": 222, "timeouts": 12, "active": False}}
     told = dict(lines(status(streams=streams)))
-    assert told["force stream"] == "ended: 300 messages received, 222 used; ended 12 times so far"
+    assert told["force stream"] == "ended: 300 messages received, 222 used; timed out 12 times"
     assert "target stream" not in told
 
 
@@ -162,7 +162,7 @@ def test_force_on_says_what_the_check_of_signs_waits_for(tmp_path: Path, capsys:
 
 
 def test_every_fault_has_words() -> None:
-    assert [fault_names(fault)[0] for fault in Fault] == [*FAULTS]
+    assert [fault_names(fault)[0] for fault in Fault] == [*FAULT_REASONS]
 
 
 # ---- failures --------------------------------------------------------------------------------------------------------

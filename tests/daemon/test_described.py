@@ -19,9 +19,9 @@ from referencing import Registry, Resource
 from hapticd.base.core import EventKind
 from hapticd.cli import cli
 from hapticd.daemon.described.documents import asyncapi_document, openrpc_document
-from hapticd.daemon.described.words import CODES, METHODS, RULES_OF_METHOD
+from hapticd.daemon.described.words import CODE_DESCRIPTIONS, METHOD_DESCRIPTIONS, RULES_OF_METHOD
 from hapticd.daemon.methods import METHOD_PARAMS
-from hapticd.daemon.telemetry import TOPICS
+from hapticd.daemon.telemetry import TELEMETRY_TOPICS
 from hapticd.protocol.messages import Code
 from tests.support.daemon_process import PATIENCE_S, Daemon, Wire, running_daemon, wired
 from tests.support.schema_messages import validator
@@ -134,10 +134,10 @@ def _references(tree: Any) -> set[str]:
 
 
 def test_every_method_code_and_topic_is_described() -> None:
-    assert [*METHODS] == [*METHOD_PARAMS] == [method["name"] for method in OPENRPC["methods"]] == [*CALLS]
-    assert [*CODES] == [*Code]
-    assert [channel for channel in ASYNCAPI["channels"] if channel != "command"] == [*TOPICS]
-    assert RULES_OF_METHOD.keys() <= METHODS.keys()
+    assert [*METHOD_DESCRIPTIONS] == [*METHOD_PARAMS] == [method["name"] for method in OPENRPC["methods"]] == [*CALLS]
+    assert [*CODE_DESCRIPTIONS] == [*Code]
+    assert [channel for channel in ASYNCAPI["channels"] if channel != "command"] == [*TELEMETRY_TOPICS]
+    assert RULES_OF_METHOD.keys() <= METHOD_DESCRIPTIONS.keys()
 
 
 @pytest.mark.parametrize(("protocol", "document"), [("openrpc", OPENRPC), ("asyncapi", ASYNCAPI)])
@@ -166,11 +166,11 @@ def wire(daemon: Daemon) -> Iterator[Wire]:
 @pytest.fixture(scope="module")
 def sent(daemon: Daemon, wire: Wire) -> dict[str, list[Any]]:
     """What came of each topic while every method was called, and the results by method, as "method NAME"."""
-    found: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
+    found: dict[str, list[Any]] = {topic: [] for topic in TELEMETRY_TOPICS}
     with zmq.Context() as context, context.socket(zmq.SUB) as telemetry:
         telemetry.setsockopt(zmq.RCVTIMEO, int(1e3 * PATIENCE_S))
         telemetry.connect(f"ipc://{daemon.directory}/hapticd.telemetry")
-        for topic in (*TOPICS, "state"):
+        for topic in (*TELEMETRY_TOPICS, "state"):
             telemetry.subscribe(topic)
 
         def hear() -> str:
@@ -200,7 +200,7 @@ def test_a_result_is_as_described(sent: dict[str, list[Any]], method: Any) -> No
     assert [error.message for error in check.iter_errors(result)] == []
 
 
-@pytest.mark.parametrize("topic", TOPICS)
+@pytest.mark.parametrize("topic", TELEMETRY_TOPICS)
 def test_telemetry_is_as_described(sent: dict[str, list[Any]], topic: str) -> None:
     payload = ASYNCAPI["components"]["messages"][topic]["payload"]
     check = validator(closed(payload), {})

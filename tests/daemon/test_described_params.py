@@ -13,7 +13,7 @@ import pytest
 
 from hapticd.config.configuration import load_config
 from hapticd.daemon.described.documents import openrpc_document
-from hapticd.daemon.described.words import RULES, RULES_OF_METHOD
+from hapticd.daemon.described.words import RULES_OF_METHOD, VALIDATION_RULES
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import Methods
 from hapticd.daemon.refusal import MethodError
@@ -59,7 +59,7 @@ SAYS: Final = {
     "provenance": r"must be a day|must not end below",
     "stroke": "from_m and to_m must differ",
     "json": r"what JSON can hold|bytes as JSON|^data\S*: must be finite",
-    "known": r"unknown material|no object|has the id|is used by object|is a waveform, which play|neither a tap nor",
+    "known": r"unknown (material|object)|has the id|cannot be removed|is a waveform, which play|neither a tap nor",
     "rate": r"of the rate|servo rate|servo\.rate",
     "reach": r"is beyond the|has no stiffness|cannot be punctured|would last",
     "seq": "must be above .*the last of this stream",
@@ -227,4 +227,6 @@ def test_a_thousand_random_messages(daemon: Daemon, method: str) -> None:
 
 
 def test_every_rule_is_told_and_known() -> None:
-    assert {*SAYS, "merged"} == RULES.keys() == {rule for rules in RULES_OF_METHOD.values() for rule in rules}
+    assert (
+        {*SAYS, "merged"} == VALIDATION_RULES.keys() == {rule for rules in RULES_OF_METHOD.values() for rule in rules}
+    )

@@ -89,7 +89,7 @@ class Daemon:
         """Makes all changes; how many steps that took."""
         steps = 0
         while self.dispatch.busy:
-            self.dispatch.go_on()
+            self.dispatch.continue_change()
             steps += 1
         return steps
 
@@ -97,7 +97,7 @@ class Daemon:
 @pytest.fixture
 def daemon(monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
     """Whose changes go on for one step at a time."""
-    monkeypatch.setattr(dispatching, "SLICE_NS", 0)
+    monkeypatch.setattr(dispatching, "CHANGE_SLICE_NS", 0)
     made = Daemon()
     made.engine.start()
     yield made
@@ -137,7 +137,7 @@ def test_changes_are_made_in_the_order_in_which_they_came(daemon: Daemon) -> Non
 def test_no_more_changes_wait_than_there_is_room_for(daemon: Daemon) -> None:
     long = daemon.send("apply", taken())
     silent = daemon.send("update_scene", {"objects": {}}, notification=True)
-    waiting = [daemon.send("update_scene", {"objects": {}}) for _ in range(dispatching.MOST_WAITING - 2)]
+    waiting = [daemon.send("update_scene", {"objects": {}}) for _ in range(dispatching.MAX_WAITING_CHANGES - 2)]
     assert daemon.code(daemon.send("update_scene", {"objects": {}})) == messages.Code.RING_FULL
     daemon.go_on()
     assert "result" in daemon.answers[long] and all("result" in daemon.answers[id] for id in waiting)
@@ -164,7 +164,7 @@ def test_a_refused_change_changes_nothing_and_the_next_one_is_made(daemon: Daemo
     faulty["scene"]["objects"]["floor"] = FLOOR | {"material": "no such"}
     long, next_one = daemon.send("apply", faulty), daemon.send("update_scene", {"objects": {}})
     while long not in daemon.answers:
-        daemon.dispatch.go_on()
+        daemon.dispatch.continue_change()
     assert daemon.code(long) == messages.Code.INVALID_PARAMS
     assert daemon.engine.state is before
     daemon.go_on()
@@ -184,18 +184,18 @@ def test_reloads_wait_for_other_changes_and_become_one(monkeypatch: pytest.Monke
 
     daemon = Daemon(load)
     scene = {"objects": {f"wall {place}": FLOOR for place in range(500)}}
-    monkeypatch.setattr(dispatching, "SLICE_NS", 0)
+    monkeypatch.setattr(dispatching, "CHANGE_SLICE_NS", 0)
     long = daemon.send("set_scene", {"scene": scene})
     for _ in range(40):
         daemon.dispatch.ask_reload()
-        daemon.dispatch.turn()
+        daemon.dispatch.queue_reload()
     assert daemon.woken.is_set() and not loads
     while told != ["reloading"]:
-        daemon.dispatch.go_on()
+        daemon.dispatch.continue_change()
     assert "result" in daemon.answers[long]
     assert daemon.ask("get_status")["revision"] == 2
     asked = daemon.send("update_scene", {"objects": {}})
-    daemon.dispatch.go_on()
+    daemon.dispatch.continue_change()
     assert asked not in daemon.answers
     read.set()
     daemon.go_on()
@@ -249,7 +249,7 @@ def test_the_first_sample_is_waited_for(daemon: Daemon, monkeypatch: pytest.Monk
     states: list[dict[str, object] | None] = [None, None, {"tick": 0}]
     daemon.methods._read_state = lambda: states.pop(0)
     assert daemon.ask("get_state") == {"tick": 0} and not states
-    monkeypatch.setattr(methods_module, "STATE_WAIT_S", 0.0)
+    monkeypatch.setattr(methods_module, "FIRST_STATE_TIMEOUT_S", 0.0)
     daemon.methods._read_state = lambda: None
     assert daemon.code(daemon.send("get_state")) == messages.Code.WAIT_TIMED_OUT
 
@@ -263,12 +263,12 @@ class Beating:
     def beat(self) -> None:
         self.begun.set()
 
-    def look_after(self) -> None:
+    def poll_servo(self) -> None:
         """Nothing is wrong here."""
 
 
 def test_it_ends_without_a_request_or_a_beat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dispatching, "BEAT_EVERY_S", 3600.0)
+    monkeypatch.setattr(dispatching, "BEAT_INTERVAL_S", 3600.0)
     listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
     listening.bind(str(tmp_path / "s"))
     listening.listen()

@@ -13,7 +13,7 @@ import pytest
 
 from hapticd.base.core import SAMPLE_DTYPE, records
 from hapticd.config.scene import Scene
-from hapticd.daemon.flight_recorder import AFTER_S, MOST_EVENTS, Flight, directory_of
+from hapticd.daemon.flight_recorder import FAULT_AFTERMATH_S, MAX_KEPT_EVENTS, Flight, directory_of
 from hapticd.daemon.flight_scene import FlightScene
 from tests.support.special_files import KINDS, special, untouched
 
@@ -34,7 +34,7 @@ class Life:
             batch["tick"] = np.arange(self.tick, self.tick + 20)
             self.flight.keep_samples(batch)
             self.tick += 20
-            self.flight.turn(self.tick * 1_000_000)
+            self.flight.hand_over_due(self.tick * 1_000_000)
 
     def fault(self, *faults: str) -> None:
         self.flight.keep_event({"event": "fault", "tick": self.tick, "time_ns": 0, "faults": list(faults)})
@@ -66,7 +66,7 @@ def test_a_file_goes_from_before_the_fault_to_a_second_after_it(tmp_path: Path) 
     (path,) = tmp_path.iterdir()
     first, last, about = ticks_of(path)
     assert about == {"reason": "fault", "tick": 5000, "complete_from": 0}
-    assert last == 5000 + AFTER_S * RATE_HZ - 1
+    assert last == 5000 + FAULT_AFTERMATH_S * RATE_HZ - 1
     assert 5000 - 2000 - 20 < first <= 5000 - 2000
     assert life.flight.status()["skipped"] == 1
 
@@ -94,9 +94,9 @@ def test_what_is_kept_is_bounded(tmp_path: Path) -> None:
         for _ in range(50):
             life.flight.keep_event({"event": "release", "tick": life.tick, "time_ns": 0, "object": None})
     assert {int(str(event["tick"])) for event in life.flight._events} == set(range(7000, 10_001, 200))
-    for _ in range(2 * MOST_EVENTS):
+    for _ in range(2 * MAX_KEPT_EVENTS):
         life.flight.keep_event({"event": "release", "tick": life.tick, "time_ns": 0, "object": None})
-    assert len(life.flight._events) == MOST_EVENTS
+    assert len(life.flight._events) == MAX_KEPT_EVENTS
     life.flight.dump()
     life.end()
     (path,) = tmp_path.iterdir()
@@ -150,7 +150,7 @@ def test_whoever_asks_without_end_has_two_copies_kept_at_most(tmp_path: Path) ->
     life.end()
     assert len(list(tmp_path.iterdir())) == 3
     later = life.flight.dump()
-    life.flight.turn(life.tick * 1_000_000)
+    life.flight.hand_over_due(life.tick * 1_000_000)
     life.end()
     assert later.exists() and life.flight.status()["under_way"] == 0
 
@@ -176,7 +176,7 @@ def test_what_was_written_is_let_go(tmp_path: Path) -> None:
     writer.start()
     try:
         path = life.flight.dump()
-        life.flight.turn(life.tick * 1_000_000)
+        life.flight.hand_over_due(life.tick * 1_000_000)
         life.go_on(4000)  # it is too old to be kept
         pause, deadline = threading.Event(), time.monotonic() + 60.0
         while kept() is not None and time.monotonic() < deadline:

@@ -17,7 +17,7 @@ import zmq
 
 from hapticd.base.codec import Encoded
 from hapticd.daemon import peers, publisher, router
-from hapticd.daemon.peers import Peer, Peers, Turns
+from hapticd.daemon.peers import Peer, Peers, TurnQueue
 from hapticd.daemon.publisher import Publisher
 from hapticd.daemon.router import Router
 from hapticd.protocol import zmtp
@@ -176,7 +176,7 @@ def test_a_client_that_reads_late_loses_no_answer(path: Path) -> None:
         except TimeoutError:
             pass
         assert 10 < sent < 1000, "it is not read from while it does not read"
-        assert made._held <= peers.UNSENT_BYTES + 2 * len(body) + peers.READ_BYTES
+        assert made._held <= peers.MAX_UNSENT_BYTES + 2 * len(body) + peers.MAX_READ_BYTES
         client.socket.settimeout(30)
         parser = zmtp.Parser(zmtp.Bounds(1, 10_000, 10_000))
         came = 0
@@ -229,7 +229,7 @@ def test_one_that_floods_over_many_connections_costs_another_a_turn_each() -> No
     def one(uid: int, pid: int) -> Peer:
         return Peer(cast(Any, None), uid, pid, zmtp.Parser(zmtp.Bounds(1, 1, 1)))
 
-    turns = Turns()
+    turns = TurnQueue()
     flood = [one(1, 10 + number // 10) for number in range(100)]
     for each in flood:
         turns.add(each)
@@ -280,8 +280,8 @@ def ends(
         (b"\x01\x01x" * 1000, "a message of more than 1,024 parts"),
         (b"\x01\x00" * 1000, "a message of more than 1,024 parts"),
         (zmtp.header(2**17, zmtp.MORE_FLAG) + bytes(2**17), "a message of more than 67,108,864 bytes"),
-        (b"\x00\x00" + b"\x40", "its data is not ZMTP 3"),
-        (zmtp.command(b"SUBSCRIBE", b"") + zmtp.command(b"READY", b""), "a command out of place"),
+        (b"\x00\x00" + b"\x40", "what it sends is not ZMTP 3"),
+        (zmtp.command(b"SUBSCRIBE", b"") + zmtp.command(b"READY", b""), "unexpected command"),
     ],
 )
 def test_requests_without_end_end_the_connection(
@@ -296,7 +296,7 @@ def test_subscriptions_without_end_end_the_connection(path: Path, caplog: pytest
     made = Publisher(listening(path), TOPICS)
     data = b"".join(zmtp.message([b"\x01%d" % number]) for number in range(100))
     text = ends(path, made, lambda: made.wait(0.1), caplog, data, b"SUB")
-    assert "was disconnected: more than 1,000 subscriptions to what there is not" in text
+    assert "was disconnected: more than 1,000 subscriptions that match no topic" in text
 
 
 def test_a_wake_after_the_end_writes_to_no_file_that_has_the_number_then(path: Path) -> None:
@@ -327,7 +327,7 @@ def test_a_subscription_takes_no_memory_that_matches_nothing(path: Path, context
 
 
 def test_connections_of_one_process_are_bounded(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    limits = replace(router.LIMITS, process_connections=10)
+    limits = replace(router.COMMAND_SOCKET_LIMITS, process_connections=10)
     made = Router(listening(path), limits)
     clients = [Raw(path) for _ in range(40)]
     for client in clients[10:]:
@@ -338,7 +338,7 @@ def test_connections_of_one_process_are_bounded(path: Path, caplog: pytest.LogCa
         while thread.is_alive():
             made.receive(0.01)
     assert len(made) == 10
-    assert "it has 10 connections already" in caplog.text
+    assert "it already has 10 connections" in caplog.text
     clients[3].close()
     while len(made) == 10:
         made.receive(0.01)
@@ -360,7 +360,7 @@ def test_who_has_most_connections_makes_room_for_another(path: Path, monkeypatch
             super().__init__(sock, *next(came), parser)
 
     monkeypatch.setattr(peers, "Peer", Told)
-    made = Router(listening(path), replace(router.LIMITS, connections=10))
+    made = Router(listening(path), replace(router.COMMAND_SOCKET_LIMITS, connections=10))
     clients = [Raw(path) for _ in owners]
     while made._owners.get(2, {}).keys() != {200, 201, 202}:
         made.receive(0.01)
@@ -376,7 +376,7 @@ def test_who_has_most_connections_makes_room_for_another(path: Path, monkeypatch
 def test_who_holds_most_memory_is_disconnected_when_all_hold_too_much(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    made = Router(listening(path), replace(router.LIMITS, buffers=3_000_000))
+    made = Router(listening(path), replace(router.COMMAND_SOCKET_LIMITS, buffers=3_000_000))
     clients = [Raw(path) for _ in range(4)]
     small = clients[0]
     small.socket.sendall(zmtp.header(200) + b"x" * 100)
@@ -390,7 +390,7 @@ def test_who_holds_most_memory_is_disconnected_when_all_hold_too_much(
         made.receive(0.01)
     second = threading.Thread(target=clients[2].socket.sendall, args=(zmtp.header(2_000_000) + b"x" * 1_500_000,))
     second.start()
-    while "for all clients" not in caplog.text:
+    while "buffers, all clients" not in caplog.text:
         made.receive(0.01)
     while second.is_alive():
         made.receive(0.01)
@@ -406,7 +406,7 @@ def test_who_holds_most_memory_is_disconnected_when_all_hold_too_much(
 
 
 def test_a_handshake_that_does_not_end_is_ended(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(peers, "HANDSHAKE_S", 0.0)
+    monkeypatch.setattr(peers, "HANDSHAKE_TIMEOUT_S", 0.0)
     made = Router(listening(path))
     client = Raw(path, shake=False)
     client.socket.sendall(zmtp.ZMTP_GREETING)
@@ -447,7 +447,7 @@ def test_without_a_descriptor_left_clients_wait_and_the_thread_sleeps(
     while request is None:
         request = made.receive(1)
     assert full.tries >= 3
-    assert "clients have to wait: Too many open files" in caplog.text
+    assert "cannot accept clients at the moment: Too many open files" in caplog.text
     made.close()
 
 
@@ -516,9 +516,9 @@ def test_who_does_not_read_loses_the_oldest_and_costs_nobody_anything(path: Path
         made.wait(0)
         read()
     assert came == list(range(1000))
-    assert {len(queue) for queue in made._queues.values()} == {publisher.QUEUED_MESSAGES}
+    assert {len(queue) for queue in made._queues.values()} == {publisher.MAX_QUEUED_MESSAGES}
     kept = {id(data) for queue in made._queues.values() for _, data in queue._messages}
-    assert len(kept) <= publisher.QUEUED_MESSAGES + 1, "each has messages of its own"
+    assert len(kept) <= publisher.MAX_QUEUED_MESSAGES + 1, "each has messages of its own"
     made._reported_s = 0.0  # as if a second had passed
     made.wait(0)
     lost = [peer.lost for peer in made._peers.values()]
@@ -565,5 +565,5 @@ def test_a_socket_of_another_kind_is_refused(
     thread.start()
     while thread.is_alive():
         made.wait(0.01)
-    assert "a socket of another kind than SUB and XSUB" in caplog.text
+    assert "socket type must be one of SUB, XSUB" in caplog.text
     made.close()

@@ -71,7 +71,7 @@ class Watch:
     def look(self) -> None:
         if self.beats:
             self.engine.beat()
-            self.engine.look_after()
+            self.engine.poll_servo()
         # Events of a tick are in their ring before its sample is in its own, and both before its faults are known.
         count, _ = self.engine.read_samples(self._room)
         self.samples = np.concatenate([self.samples, self._room[:count]])[-30_000:]
@@ -495,7 +495,7 @@ def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPat
         over.wait()
         return engine.config
 
-    monkeypatch.setattr(reload, "LOAD_S", 0.0)
+    monkeypatch.setattr(reload, "CONFIG_LOAD_TIMEOUT_S", 0.0)
     with pytest.raises(MethodError, match="were not read within 0 s"):
         Methods(engine, load).call("reload", {})
     over.set()
@@ -504,7 +504,7 @@ def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("unit", ["hapticd.service", "hapticd.user.service"])
 def test_no_unit_gives_up_before_a_reload_does(unit: str) -> None:
     limits = dict(re.findall(r"^(TimeoutStopSec|WatchdogSec)=(\d+)$", (ROOT / "systemd" / unit).read_text(), re.M))
-    assert len(limits) == 2 and all(int(limit) > reload.LOAD_S for limit in limits.values())
+    assert len(limits) == 2 and all(int(limit) > reload.CONFIG_LOAD_TIMEOUT_S for limit in limits.values())
 
 
 @pytest.mark.slow

@@ -96,7 +96,7 @@ def test_a_stream_stands_until_it_timed_out_and_then_another_begins_at_any_numbe
     assert bench.send("a", 1000)
     bench.now_ns += TIMEOUT_NS - 1
     assert not bench.send("b", 2000)
-    with pytest.raises(NotInTurnError, match="stopped for 20 ms") as held:
+    with pytest.raises(NotInTurnError, match="sent nothing for 20 ms") as held:
         bench.streams.take("b", "force", 2000, 0.0, 0.0)
     assert (held.value.code, held.value.data) == (Code.STREAM_HELD, {"free_s": 1e-9})
     assert bench.send("b", 1, "target")  # the other kind is free
@@ -187,7 +187,7 @@ def test_a_device_with_a_hand_of_its_own_takes_forces_and_no_targets(tmp_path: P
     engine.stop()
     refused, taken = answers
     assert (refused["id"], refused["error"]["code"]) == (1, messages.Code.NO_OPERATOR)
-    assert "this device is of kind replay" in refused["error"]["message"]
+    assert "device.kind is replay" in refused["error"]["message"]
     assert taken["result"]["forces"] == "off" and "warning" in taken["result"]
     status: Any = methods.status()["streams"]
     assert (status["target"]["received"], status["target"]["refused"]) == (2, 2)

@@ -58,7 +58,7 @@ class Sprung(World):
         while not self._stop.wait(0.0005):
             if self.engine is not None:
                 self.engine.beat()
-                self.engine.look_after()
+                self.engine.poll_servo()
             stick = self.stick
             if stick is not None:
                 force = stick.force()

@@ -28,7 +28,7 @@ from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.hid import Hid
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.process import _stop_what_was_left
+from hapticd.daemon.process import _stop_device_of_killed_daemon
 from hapticd.hid.connection import Opened
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.stopper import Identity, Record, StopFile, identity_of, load, stop_device
@@ -381,15 +381,15 @@ def test_a_daemon_stops_first_what_the_one_before_it_left(
     """A record of a device that is not there any more, one that is not ours, none."""
     (node.entry / "device" / "uevent").unlink()
     with caplog.at_level(logging.INFO):
-        _stop_what_was_left(record)
-        assert "the daemon before: " in caplog.text and "nothing was sent" in caplog.text
+        _stop_device_of_killed_daemon(record)
+        assert "previous daemon: " in caplog.text and "nothing was sent" in caplog.text
         assert not record.exists()
         record.write_text("{}")
         record.chmod(0o622)
         _stop_what_was_left(record)
         assert "other users may change it" in caplog.text
         caplog.clear()
-        _stop_what_was_left(tmp_path / "none")
+        _stop_device_of_killed_daemon(tmp_path / "none")
     assert not caplog.records
 
 

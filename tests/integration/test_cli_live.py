@@ -253,7 +253,7 @@ def test_files_for_another_command(shell: Shell) -> None:
 
 def test_ids_with_typos(shell: Shell) -> None:
     shell("scene", "set", "scene.yaml")
-    assert 'no object "flor"; did you mean floor?' in shell.fails("reset", "flor")
+    assert 'unknown object "flor"; did you mean floor?' in shell.fails("reset", "flor")
     Path("tap.yaml").write_text("gesture: {kind: tap, object: flor, speed_m_per_s: 0.1}\n")
     assert 'has the id "flor"; did you mean floor?' in shell.fails("operator", "tap.yaml")
     assert "did you mean wood?" in shell.fails("play", "woood", "--amplitude", "1")
@@ -322,7 +322,7 @@ def test_play_force_reset_operator(shell: Shell) -> None:
     assert shell.noted("operator", "operator.yaml") == ""
     assert shell("reset", "skin").startswith("reset at tick ")
     assert shell("reset").startswith("reset at tick ")
-    assert 'no object "nothing"' in shell.fails("reset", "nothing")
+    assert 'unknown object "nothing"' in shell.fails("reset", "nothing")
     assert shell("operator", "operator.yaml") == "takes 300 ms\n"
     Path("tap.yaml").write_text("gesture: {kind: tap, object: floor, speed_m_per_s: 0.1}\n")
     assert shell("operator", "tap.yaml").startswith("takes ")

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from hapticd.daemon.methods import _METHODS
+from hapticd.daemon.methods import _METHOD_HANDLERS
 from tests.support.daemon_process import Daemon, Wire, running_daemon, until, wired
 
 TIMES = 2000
@@ -76,10 +76,10 @@ def test_methods_are_the_only_kinds() -> None:
     """A client cannot think of more kinds of lines than there are methods and codes."""
     with running_daemon() as running, wired(running) as wire:
         for _ in range(20):
-            for method in _METHODS:
+            for method in _METHOD_HANDLERS:
                 wire.socket.send(notification(method, **{f"k{next(NAMES)}": 1}))
         wire.result("get_status")
-        assert len(lines_of(running, 0, "notification ")) <= 2 * len(_METHODS)
+        assert len(lines_of(running, 0, "notification ")) <= 2 * len(_METHOD_HANDLERS)
 
 
 @pytest.mark.long

@@ -24,9 +24,9 @@ from hapticd.config.hid import Hid, Quirk
 from hapticd.config.materials import ModeKeys
 from hapticd.config.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
 from hapticd.daemon.counters import Granted
-from hapticd.daemon.described.words import CODES
+from hapticd.daemon.described.words import CODE_DESCRIPTIONS
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.methods import _METHODS, Methods
+from hapticd.daemon.methods import _METHOD_HANDLERS, Methods
 from hapticd.doctor import diagnose
 from hapticd.doctor.machine import Machine, Needs
 from hapticd.protocol import messages
@@ -101,12 +101,12 @@ def test_tables_are_those_of_the_code(name: str) -> None:
 
 def test_every_method_is_documented() -> None:
     documented = re.findall(r"^### (\w+)$", section(PROTOCOL, "## Methods"), flags=re.MULTILINE)
-    assert documented == list(_METHODS)
+    assert documented == list(_METHOD_HANDLERS)
 
 
-@pytest.mark.parametrize("method", _METHODS)
+@pytest.mark.parametrize("method", _METHOD_HANDLERS)
 def test_parameters(method: str) -> None:
-    model: type[BaseModel] = _METHODS[method][0] or OperatorParams
+    model: type[BaseModel] = _METHOD_HANDLERS[method][0] or OperatorParams
     rows = tables(section(PROTOCOL, f"### {method}")).get("parameter", [])
     assert {name for name in first_names(rows) if name != "id"} == set(model.model_fields)
     for row in rows:
@@ -139,7 +139,7 @@ def test_error_codes() -> None:
     rows = tables(section(PROTOCOL, "## Errors"))["code"]
     assert {
         Code(int(row[0])): (row[2], row[3]) for row in ([without_links(cell) for cell in row] for row in rows)
-    } == CODES
+    } == CODE_DESCRIPTIONS
     assert {(int(row[0]), *names(row[1])) for row in rows} == {(int(code), code.name) for code in messages.Code}
 
 

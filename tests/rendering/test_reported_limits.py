@@ -86,7 +86,7 @@ def test_it_is_refused_in_a_scene_an_object_and_a_material() -> None:
 def test_patches_keep_their_materials_too() -> None:
     daemon = methods(floor={**FLOOR, "patches": [{"from_m": 0, "to_m": 1, "material": "fine"}]})
     (found,) = refused(lambda: daemon.call("update_materials", {"materials": {"fine": None}}))
-    assert found == {"where": "materials.fine", "problem": 'is used by object "floor" of the scene, so it must stay'}
+    assert found == {"where": "materials.fine", "problem": 'cannot be removed: object "floor" uses it'}
     (found,) = refused(
         lambda: daemon.call(
             "update_scene", {"objects": {"floor": {"patches": [{"from_m": 0, "to_m": 1, "material": "x"}]}}}

@@ -136,5 +136,5 @@ def test_the_log_names_the_worst_at_the_start(caplog: pytest.LogCaptureFixture) 
     stiff = {f"m{place}": {"stiffness_n_per_m": 80 * place} for place in range(2, 7)}
     (line,) = said(stiff)
     worst = "wall_m6 0.17, wall_m5 0.2 and wall_m4 0.25"
-    assert line == f"5 surfaces with a margin of stability below 1: {worst}; `hapticd check` says more"
+    assert line == f"5 surfaces with a margin of stability below 1: {worst}; see `hapticd check`"
     assert said({"soft": {"stiffness_n_per_m": 40}}) == []

@@ -456,9 +456,9 @@ def sim(run: Run) -> None:
 
 
 def known_methods() -> set[str]:
-    from hapticd.daemon.methods import _METHODS
+    from hapticd.daemon.methods import _METHOD_HANDLERS
 
-    return set(_METHODS)
+    return set(_METHOD_HANDLERS)
 
 
 def overload(run: Run) -> None:

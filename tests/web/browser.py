@@ -22,7 +22,7 @@ import pytest
 import yaml
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, sync_playwright
 
-from hapticd.web.demo import CONFIG
+from hapticd.web.demo import DEMO_CONFIG_PATH
 from tests.support.daemon_process import PATIENCE_S
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -75,7 +75,7 @@ class Demo:
         if servo is not None:
             changed = folder / "servo.yaml"
             changed.write_text(yaml.safe_dump({"servo": dict(servo)}))
-            options = (*options, "-c", str(CONFIG), "-c", str(changed))
+            options = (*options, "-c", str(DEMO_CONFIG_PATH), "-c", str(changed))
         with open(self._log, "ab") as log:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "hapticd", "web", "--demo", "--port", "0", *options],

@@ -15,7 +15,7 @@ import msgpack
 
 from hapticd.client.asynchronous import Client
 from hapticd.system.paths import runtime_paths
-from hapticd.web.application import STATIC, Pages, Site
+from hapticd.web.application import STATIC_FOLDER, Pages, Site
 from hapticd.web.connections import Connections
 from hapticd.web.http_server import serving
 from hapticd.web.listening import listen
@@ -67,12 +67,12 @@ async def served(
         at = listen("127.0.0.1", 0, None, None, password_file)
         place, sessions = runtime_paths(folder), Sessions()
         control = Client(place, PATIENCE_S)
-        hub = TelemetryHub(place, lambda daemon_there: pages.tell({"daemon": daemon_there}))
+        hub = TelemetryHub(place, lambda daemon_there: pages.send_news({"daemon": daemon_there}))
         pages = Pages(place, hub, control, False, lambda: f"{at.url}/?token={sessions.new_token()}", recordings)
         held = Connections() if connections is None else connections
         tasks = [asyncio.create_task(hub.run()), asyncio.create_task(held.run())]
         try:
-            async with serving(at, sessions, Site(STATIC / "index.html", pages.add_routes), held) as guard:
+            async with serving(at, sessions, Site(STATIC_FOLDER / "index.html", pages.add_routes), held) as guard:
                 if there:
                     await hub.found(PATIENCE_S)
                 site = WebSite(at.url, sessions, pages, held, guard)

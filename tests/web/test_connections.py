@@ -55,7 +55,7 @@ def test_a_request_that_does_not_come_whole_is_let_go(sent: bytes) -> None:
             time.now += 0.2
             site.connections.sweep()
             assert await ended(reader)
-            assert site.connections.let_go == 1
+            assert site.connections.timed_out == 1
             await until(lambda: len(site.connections) == 0)
             writer.close()
 
@@ -111,7 +111,7 @@ async def all_of(page: Tab, topic: str, value: int) -> None:
 
 
 def test_a_page_that_reads_nothing_is_closed_and_delays_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page_module, "FROZEN_S", 0.05)
+    monkeypatch.setattr(page_module, "PAGE_READ_TIMEOUT_S", 0.05)
 
     async def test() -> None:
         async with served() as site, tab(site) as other:

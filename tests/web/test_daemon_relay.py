@@ -49,7 +49,7 @@ def test_calls_wait_for_a_daemon_in_their_order_and_messages_of_streams_do_not()
 
 
 def test_calls_that_no_daemon_takes_are_answered_one_by_one(monkeypatch: Any) -> None:
-    monkeypatch.setattr(daemon_relay, "_CONNECT_S", 0.05)
+    monkeypatch.setattr(daemon_relay, "_CONNECT_TIMEOUT_S", 0.05)
 
     async def test(folder: str) -> None:
         answers: asyncio.Queue[Any] = asyncio.Queue()

@@ -11,9 +11,9 @@ from typing import Any
 import aiohttp
 import pytest
 
-from hapticd.web.application import METHODS, STATIC
+from hapticd.web.application import STATIC_FOLDER, WEB_PAGE_METHODS
 from hapticd.web.passwords import write_password
-from hapticd.web.security import HEADERS
+from hapticd.web.security import SECURITY_HEADERS
 from tests.web.served import WebSite, served, tab
 
 Answer = tuple[int, str, Mapping[str, str]]
@@ -49,7 +49,7 @@ def test_the_token_of_an_address_lets_in_one_browser_once() -> None:
             assert (await ask(site, "/", headers={"Cookie": session}))[0] == 200
             # A second browser, and the same one that goes back to its address.
             status, text, _ = await ask(site, f"/?token={token}")
-            assert status == 403 and "has been used" in text and "kill -USR1" in text
+            assert status == 403 and "was used before" in text and "kill -USR1" in text
             status, _, headers = await ask(site, f"/?token={token}", headers={"Cookie": session})
             assert (status, headers["Location"]) == (303, "/") and "Set-Cookie" not in headers
 
@@ -86,7 +86,7 @@ def test_nothing_is_shown_to_who_was_not_let_in(path: str, cookie: str | None) -
             if cookie is not None:
                 headers["Cookie"] = f"{site.guard.cookie}={cookie}"
             status, text, _ = await ask(site, path, headers=headers)
-            assert status == 403 and "not been let in" in text
+            assert status == 403 and "has no access" in text
 
     asyncio.run(test())
 
@@ -103,16 +103,16 @@ def test_every_answer_has_the_headers() -> None:
                 ("/door.css", {}),
             ):
                 _, _, answered = await ask(site, path, headers=headers)
-                assert {name: answered.get(name) for name in HEADERS} == HEADERS, path
+                assert {name: answered.get(name) for name in SECURITY_HEADERS} == SECURITY_HEADERS, path
                 assert "Server" not in answered
-        policy = HEADERS["Content-Security-Policy"]
+        policy = SECURITY_HEADERS["Content-Security-Policy"]
         assert "unsafe" not in policy and "default-src 'none'" in policy and "worker-src 'self'" in policy
 
     asyncio.run(test())
 
 
 def test_the_page_has_no_inline_code() -> None:
-    for path in STATIC.glob("*.html"):
+    for path in STATIC_FOLDER.glob("*.html"):
         text = path.read_text()
         assert not re.search(r"<script>|<style|javascript:|\son[a-z]+=|\sstyle=", text)
 
@@ -148,7 +148,7 @@ def test_a_link_in_static_is_not_followed(tmp_path: Path, monkeypatch: pytest.Mo
     folder.mkdir()
     (folder / "here.txt").write_text("here")
     (folder / "link.txt").symlink_to(secret)
-    monkeypatch.setattr("hapticd.web.application.STATIC", folder)
+    monkeypatch.setattr("hapticd.web.application.STATIC_FOLDER", folder)
 
     async def test() -> None:
         async with served(there=False) as site:
@@ -224,7 +224,7 @@ def test_only_our_own_pages_open_a_socket(origin: str | None, status: int | None
 
 
 def test_a_password_opens_the_door_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hapticd.web.passwords._N", 1 << 10)
+    monkeypatch.setattr("hapticd.web.passwords._SCRYPT_N", 1 << 10)
     path = str(tmp_path / "password")
     write_password(path, "rosewood comb")
 
@@ -248,7 +248,7 @@ def test_a_password_opens_the_door_too(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_passwords_are_not_tried_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hapticd.web.passwords._N", 1 << 10)
+    monkeypatch.setattr("hapticd.web.passwords._SCRYPT_N", 1 << 10)
     path = str(tmp_path / "password")
     write_password(path, "rosewood comb")
 
@@ -275,4 +275,4 @@ def test_without_a_password_file_there_is_no_form() -> None:
 
 
 def test_all_methods_of_this_process_begin_with_web() -> None:
-    assert all(name.startswith("web.") for name in METHODS)
+    assert all(name.startswith("web.") for name in WEB_PAGE_METHODS)

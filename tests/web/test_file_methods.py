@@ -112,15 +112,15 @@ def test_shipped_files_are_opened_by_name_alone(tmp_path: Path) -> None:
         ("web.yaml_save", {"parts": ["secrets"]}, "parts: must be"),
         ("web.yaml_save", {"opened": 3}, "opened: must be"),
         ("web.yaml_save", {"opened": {"name": "a", "text": "scene: {}", "others": 3}}, "others: must be"),
-        ("web.recording_delete", {"name": "../x.npz"}, "name: takes"),
+        ("web.recording_delete", {"name": "../x.npz"}, "name: must consist"),
         ("web.recording_delete", {"name": "x.npz"}, "no such recording"),
-        ("web.record_start", {"name": "/tmp/x.npz"}, "name: takes"),
+        ("web.record_start", {"name": "/tmp/x.npz"}, "name: must consist"),
         ("web.record_start", {"name": "x.npz"}, "no daemon listens"),
         ("web.record_stop", {}, "nothing is being recorded"),
-        ("web.playback_open", {"name": "../x.npz"}, "name: takes"),
+        ("web.playback_open", {"name": "../x.npz"}, "name: must consist"),
         ("web.playback_open", {"name": "x.npz"}, "no such recording"),
-        ("web.playback_open", {"upload": "../x"}, "here no longer"),
-        ("web.playback_open", {"upload": ["x"]}, "here no longer"),
+        ("web.playback_open", {"upload": "../x"}, "the file was removed"),
+        ("web.playback_open", {"upload": ["x"]}, "the file was removed"),
         ("web.playback_rows", {"first": 0, "count": 1}, "no recording is open"),
     ],
 )
@@ -151,7 +151,7 @@ def test_a_recording_is_opened_and_forgotten(tmp_path: Path) -> None:
                 {"first": 1.5, "count": 1},
                 {"first": 0, "count": True},
             ):
-                assert "whole number" in (await problem(page, "web.playback_rows", params))["message"]
+                assert "must be an integer" in (await problem(page, "web.playback_rows", params))["message"]
             await page.call("web.playback_close")
             assert "no recording is open" in (await problem(page, "web.playback_scene", {"row": 0}))["message"]
 
@@ -202,7 +202,7 @@ def test_a_file_that_is_sent_is_opened_once_and_removed(tmp_path: Path) -> None:
                 token = (await answer.json())["upload"]
             facts = (await page.call("web.playback_open", {"upload": token, "name": "tap.npz"}))["result"]
             assert (facts["rows"], facts["name"]) == (300, "tap.npz")
-            assert "here no longer" in (await problem(page, "web.playback_open", {"upload": token}))["message"]
+            assert "the file was removed" in (await problem(page, "web.playback_open", {"upload": token}))["message"]
             async with session.post(url, data=b"x", headers=found.cookie) as answer:
                 assert answer.status == 403
             async with session.post(
@@ -218,7 +218,7 @@ def test_a_file_that_is_sent_is_opened_once_and_removed(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_too_large_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uploads, "MOST_BYTES", 1000)
+    monkeypatch.setattr(uploads, "MAX_UPLOAD_BYTES", 1000)
 
     async def in_pieces() -> AsyncIterator[bytes]:
         for _ in range(3):

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hapticd.daemon.methods import _METHODS
+from hapticd.daemon.methods import _METHOD_HANDLERS
 from hapticd.protocol import messages, streams
 from hapticd.protocol.messages import Code, WireError
 from hapticd.web import outbox, page_calls, page_limits
-from hapticd.web.application import MOST_PAGES
-from hapticd.web.page import MAX_MESSAGE, TOO_MUCH
+from hapticd.web.application import MAX_OPEN_PAGES
+from hapticd.web.page import MAX_PAGE_MESSAGE_BYTES, RATE_LIMIT_CODE
 from hapticd.web.token_bucket import Bucket
 from tests.support.fake_daemon import result
 from tests.web.served import WebSite, echo, served, tab, until
@@ -27,7 +27,7 @@ def silent(_: dict[str, Any]) -> list[bytes]:
     return []
 
 
-@pytest.mark.parametrize("method", sorted(page_calls.PASSED))
+@pytest.mark.parametrize("method", sorted(page_calls.FORWARDED_METHODS))
 def test_calls_pass_as_they_are(method: str) -> None:
     async def test() -> None:
         async with served() as site, tab(site) as page:
@@ -51,8 +51,11 @@ def test_what_is_not_listed_is_refused_and_never_reaches_the_daemon(method: str)
 
 
 def test_no_method_of_the_daemon_is_there_without_a_decision() -> None:
-    known = {*_METHODS, *streams.STREAM_KIND_BY_METHOD}
-    assert known - page_calls.PASSED - page_calls.SAFETY - page_calls.STREAMS == {"reload", "dump_flight"}
+    known = {*_METHOD_HANDLERS, *streams.STREAM_KIND_BY_METHOD}
+    assert known - page_calls.FORWARDED_METHODS - page_calls.SAFETY_METHODS - page_calls.STREAM_METHODS == {
+        "reload",
+        "dump_flight",
+    }
 
 
 def test_answers_keep_their_ids() -> None:
@@ -112,7 +115,7 @@ def test_text_and_what_is_too_large_close_the_page() -> None:
         async with served() as site:
             for send in (
                 lambda socket: socket.send_str("{}"),
-                lambda socket: socket.send_bytes(bytes(MAX_MESSAGE + 1)),
+                lambda socket: socket.send_bytes(bytes(MAX_PAGE_MESSAGE_BYTES + 1)),
             ):
                 async with tab(site) as page:
                     await send(page.socket)
@@ -210,10 +213,10 @@ def test_calls_under_way_are_bounded_and_stop_passes() -> None:
 
     async def test() -> None:
         async with served(answer) as site, tab(site) as page:
-            for id in range(page_limits.UNDER_WAY):
+            for id in range(page_limits.MAX_PENDING_CALLS):
                 await page.send({"jsonrpc": "2.0", "id": f"w{id}", "method": "get_status"})
             refused = await page.call("get_status")
-            assert refused["error"]["code"] == TOO_MUCH
+            assert refused["error"]["code"] == RATE_LIMIT_CODE
             assert "result" in await page.call("set_forces", {"enabled": False})
             assert (await page.telemetry("refused"))["refused"] == {"calls": 1}
 
@@ -221,19 +224,19 @@ def test_calls_under_way_are_bounded_and_stop_passes() -> None:
 
 
 def test_calls_a_second_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page_limits, "CALLS_PER_S", 5.0)
+    monkeypatch.setattr(page_limits, "MAX_CALLS_PER_S", 5.0)
 
     async def test() -> None:
         async with served() as site, tab(site) as page:
             answers = [await page.call("get_status") for _ in range(30)]
-            assert "result" in answers[0] and answers[-1]["error"]["code"] == TOO_MUCH
+            assert "result" in answers[0] and answers[-1]["error"]["code"] == RATE_LIMIT_CODE
             assert "result" in await page.call("set_forces", {"enabled": False})
 
     asyncio.run(test())
 
 
 def test_streams_a_second_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page_limits, "STREAMS_PER_S", 40.0)
+    monkeypatch.setattr(page_limits, "MAX_STREAMS_PER_S", 40.0)
 
     async def test() -> None:
         async with served() as site, tab(site) as page:
@@ -264,12 +267,12 @@ def test_pages_are_bounded() -> None:
     async def test() -> None:
         async with served(there=False) as site, aiohttp.ClientSession() as session:
             headers = {**site.cookie, **site.origin}
-            opened = [await session.ws_connect(f"{site.url}/socket", headers=headers) for _ in range(MOST_PAGES)]
+            opened = [await session.ws_connect(f"{site.url}/socket", headers=headers) for _ in range(MAX_OPEN_PAGES)]
             with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
                 await session.ws_connect(f"{site.url}/socket", headers=headers)
             assert refused.value.status == 503
             await opened[0].close()
-            await until(lambda: len(site.pages.open) < MOST_PAGES)
+            await until(lambda: len(site.pages.open) < MAX_OPEN_PAGES)
             await (await session.ws_connect(f"{site.url}/socket", headers=headers)).close()
             for socket in opened:
                 await socket.close()
@@ -331,9 +334,9 @@ def test_an_outbox_loses_the_oldest_of_a_topic_and_no_answer() -> None:
             box.telemetry("state", b"state %d" % number)
             box.telemetry("samples", b"samples %d" % number)
         box.answer(b"answer")
-        kept = outbox.KEPT["samples"]
+        kept = outbox.MAX_WAITING_BY_TOPIC["samples"]
         assert len(box) == kept + 2
-        assert len(box._telemetry) <= 2 * sum(outbox.KEPT.values()) + 1
+        assert len(box._telemetry) <= 2 * sum(outbox.MAX_WAITING_BY_TOPIC.values()) + 1
         assert box.dropped == {"state": 999, "samples": 1000 - kept}
         sent = [await box.next() for _ in range(len(box))]
         assert sent[0] == b"answer"
@@ -363,11 +366,11 @@ def test_what_waits_for_a_page_that_is_gone_is_dropped() -> None:
 def test_an_outbox_takes_no_more_answers_than_it_may() -> None:
     async def test() -> None:
         box = outbox.Outbox()
-        with pytest.raises(outbox.Overflow):
-            for _ in range(outbox.MOST_ANSWERS + 1):
+        with pytest.raises(outbox.OutboxFullError):
+            for _ in range(outbox.MAX_WAITING_ANSWERS + 1):
                 box.answer(b"x")
         box = outbox.Outbox()
-        with pytest.raises(outbox.Overflow):
+        with pytest.raises(outbox.OutboxFullError):
             for _ in range(17):
                 box.answer(bytes(1 << 20))
 

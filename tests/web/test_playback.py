@@ -8,7 +8,7 @@ import pytest
 from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.recording.recording import Recording
-from hapticd.web.playback import MOST_PIXELS, MOST_ROWS, Playback
+from hapticd.web.playback import MAX_OUTLINE_PIXELS, MAX_ROWS_PER_ANSWER, Playback
 
 RATE_HZ = 1000.0
 
@@ -44,9 +44,9 @@ def test_rows_end_with_the_recording() -> None:
     assert found["count"] == 2
 
 
-@pytest.mark.parametrize(("first", "count"), [(-1, 1), (1000, 1), (0, 0), (0, MOST_ROWS + 1), (2**70, 1)])
+@pytest.mark.parametrize(("first", "count"), [(-1, 1), (1000, 1), (0, 0), (0, MAX_ROWS_PER_ANSWER + 1), (2**70, 1)])
 def test_rows_beyond_are_refused(first: int, count: int) -> None:
-    with pytest.raises(HapticdError, match="must be from"):
+    with pytest.raises(HapticdError, match="must be between"):
         Playback(recording()).rows(first, count)
 
 
@@ -79,7 +79,7 @@ def test_an_outline_leaves_out_what_is_no_number() -> None:
         ("secret", 0, 10, 5),
         ("force_n", 10, 10, 5),
         ("force_n", 0, 1001, 5),
-        ("force_n", 0, 10, MOST_PIXELS + 1),
+        ("force_n", 0, 10, MAX_OUTLINE_PIXELS + 1),
         ("force_n", 0, 10, 0),
     ],
 )
@@ -123,9 +123,9 @@ def test_facts_have_the_events_by_row() -> None:
 
 
 def test_what_cannot_be_played_is_refused() -> None:
-    with pytest.raises(HapticdError, match="holds no samples"):
+    with pytest.raises(HapticdError, match="contains no samples"):
         Playback(recording(0))
-    with pytest.raises(HapticdError, match="no rate of a servo"):
+    with pytest.raises(HapticdError, match="its rate must be between"):
         Playback(recording(texts={"config": {"servo": {"rate_hz": 1e300}}}))
     with pytest.raises(HapticdError, match="holds no servo rate"):
         Playback(recording(texts={"config": {}}))

@@ -85,7 +85,7 @@ def test_it_goes_on_without_the_page_that_began_it(run: Callable[..., Any], tmp_
         news: list[Mapping[str, Any]] = []
         made.watch(news.append)
         await made.start("tap.npz")
-        made.forget(news.append)
+        made.unwatch(news.append)
         heard = len(news)
         assert made.state()["recording"] is True
         await made.close()
@@ -113,7 +113,7 @@ def test_why_it_ended_early_is_said(run: Callable[..., Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "said"), [(HapticdError("no daemon listens"), "no daemon listens"), (KeyError("x"), "a defect")]
+    ("error", "said"), [(HapticdError("no daemon listens"), "no daemon listens"), (KeyError("x"), "internal error")]
 )
 def test_what_keeps_it_from_beginning_is_said(run: Callable[..., Any], error: Exception, said: str) -> None:
     def fails(*rest: object, **more: object) -> RecordSummary:
@@ -130,11 +130,11 @@ def test_what_keeps_it_from_beginning_is_said(run: Callable[..., Any], error: Ex
 @pytest.mark.parametrize(
     ("name", "notes", "for_s", "said"),
     [
-        ("../tap.npz", None, None, "name: takes letters"),
+        ("../tap.npz", None, None, "name: must consist of letters"),
         ("tap.csv", None, None, "name: must end in"),
         ("tap.npz", "text", None, "notes: must be a map"),
-        ("tap.npz", {"note": "a" * 4001}, None, "notes: each is a text"),
-        ("tap.npz", {"note": 3}, None, "notes: each is a text"),
+        ("tap.npz", {"note": "a" * 4001}, None, "notes: each must be a text"),
+        ("tap.npz", {"note": 3}, None, "notes: each must be a text"),
         ("tap.npz", {}, 0, "for_s: must be a number"),
         ("tap.npz", {}, float("nan"), "for_s: must be a number"),
         ("tap.npz", {}, True, "for_s: must be a number"),
@@ -156,7 +156,7 @@ def test_a_full_disk_is_said_before_the_beginning(run: Callable[..., Any], monke
     monkeypatch.setattr(RecordingFolder, "free_bytes", lambda _: 1 << 20)
 
     async def test(made: WebRecorder) -> None:
-        with pytest.raises(HapticdError, match="the disk has room for"):
+        with pytest.raises(HapticdError, match="a recording needs at least"):
             await made.start("tap.npz")
 
     run(test)

@@ -95,7 +95,7 @@ def test_what_is_no_regular_file_is_not_opened(folder: RecordingFolder, tmp_path
             place.mkdir()
         case "pipe":
             os.mkfifo(place)
-    with pytest.raises(HapticdError, match=r"link\.npz: there is no such recording"), folder.file("link.npz"):
+    with pytest.raises(HapticdError, match=r"link\.npz: no such recording"), folder.file("link.npz"):
         pass
     with pytest.raises(HapticdError, match="no such recording"):
         folder.delete("link.npz")
@@ -103,7 +103,7 @@ def test_what_is_no_regular_file_is_not_opened(folder: RecordingFolder, tmp_path
 
 
 def test_a_taken_name_is_refused_and_a_dangling_link_too(folder: RecordingFolder) -> None:
-    with pytest.raises(HapticdError, match=r"there is a recording first\.npz already"):
+    with pytest.raises(HapticdError, match=r"first\.npz already exists"):
         folder.target("first.npz")
     os.symlink("/nowhere", folder.path / "gone.npz")
     with pytest.raises(HapticdError, match="already"):
@@ -113,7 +113,7 @@ def test_a_taken_name_is_refused_and_a_dangling_link_too(folder: RecordingFolder
 def test_a_recording_is_deleted_once(folder: RecordingFolder) -> None:
     folder.delete("first.npz")
     assert folder.list() == []
-    with pytest.raises(HapticdError, match=r"first\.npz: there is no such recording"):
+    with pytest.raises(HapticdError, match=r"first\.npz: no such recording"):
         folder.delete("first.npz")
 
 

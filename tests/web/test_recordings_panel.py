@@ -61,7 +61,7 @@ def record(panel: Locator, stem: str, note: str = "") -> None:
 
 
 def look_through(panel: Locator, name: str) -> None:
-    panel.get_by_role("button", name=f"Look through {name}").click()
+    panel.get_by_role("button", name=f"Open {name}").click()
     panel.get_by_role("heading", name=name).wait_for()
 
 

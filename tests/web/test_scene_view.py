@@ -141,7 +141,7 @@ def test_wheel_drag_keys_and_buttons_zoom_and_pan(scene: Page) -> None:
     assert view()[0] == pytest.approx(0.8 * scale)
     scene.keyboard.press("0")
     assert view() == pytest.approx(whole, rel=0.02, abs=0.002)
-    scene.get_by_role("button", name="Show the whole workspace").click()
+    scene.get_by_role("button", name="Show the complete workspace").click()
     size = scene.evaluate("() => [hapticd.scene.canvas.clientWidth, hapticd.scene.canvas.clientHeight]")
     for corner in ([-0.075, -0.075], [0.075, 0.075]):  # the travel of the simulated joystick
         assert all(0 < place < most for place, most in zip(to_px(scene, corner), size, strict=True))

@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Browser, Page, Route
 
 from hapticd.config.materials import shipped_materials
-from hapticd.web.application import STATIC
+from hapticd.web.application import STATIC_FOLDER
 
 pytestmark = pytest.mark.slow
 
@@ -64,7 +64,7 @@ def modules(browser: Browser) -> Iterator[Page]:
         elif path == "/store.js":
             route.fulfill(body=STORE, content_type="text/javascript")
         else:
-            file = STATIC / path.removeprefix("/static/")
+            file = STATIC_FOLDER / path.removeprefix("/static/")
             route.fulfill(body=file.read_bytes(), content_type=TYPES[Path(file).suffix])
 
     page = browser.new_page()

@@ -165,7 +165,7 @@ async def visited(browser: aiohttp.ClientSession, origin: str) -> dict[str, Any]
 def check(found: dict[str, Any]) -> None:
     assert list(found["at first"]) == [200, "/login", True]
     status, text, cookie = found["wrong"]
-    assert status == 403 and "This is not the password." in text and cookie == ""
+    assert status == 403 and "Wrong password." in text and cookie == ""
     status, _, cookie = found["right"]
     assert status == 303 and cookie.startswith("__Host-hapticd-")
     for word in ("Secure", "HttpOnly", "SameSite=Strict", "Path=/"):
@@ -220,7 +220,7 @@ def test_without_tls_nothing_is_answered(web: Web) -> None:
         ({"Host": "127.0.0.1"}, "Host: this address is not served here\n"),
         ({"Origin": "https://evil.example"}, "Origin: only pages of this server may do this\n"),
         ({"Origin": f"http://{NAME}"}, "Origin: only pages of this server may do this\n"),
-        ({}, "Origin: it is missing; only pages of this server may do this\n"),
+        ({}, "Origin: is missing; only pages of this server may do this\n"),
     ],
     ids=["foreign host", "number instead of the name", "foreign origin", "origin without TLS", "no origin"],
 )
@@ -263,7 +263,7 @@ def test_what_is_missing_is_said_in_one_line(
         (password, "--tls-cert and --tls-key are missing"),
         ((*cert, *password), "--tls-key is missing"),
     ):
-        begin = "hapticd: --host 0.0.0.0: other machines reach this address, which takes TLS and a password: "
+        begin = "hapticd: --host 0.0.0.0: other machines can reach this address, so TLS and a password are needed: "
         assert refusal(capfd, *words, *given) == f"{begin}{missing}\n"
     nowhere = str(tmp_path / "nowhere")
     told = refusal(capfd, *words, *cert, *key, "--password-file", nowhere)

@@ -13,7 +13,7 @@ from hapticd.config.configuration import load_config
 from hapticd.config.materials import shipped_materials
 from hapticd.config.shipped_files import shipped
 from hapticd.web import yaml_files
-from hapticd.web.yaml_files import PARTS, placed, read, saved
+from hapticd.web.yaml_files import FILE_PARTS, placed, read, saved
 
 PLAY = (Path(yaml_files.__file__).parents[1] / "shipped/play.yaml").read_text(encoding="utf-8")
 LIBRARY: dict[str, Any] = {name: material.to_dict() for name, material in shipped_materials().items()}
@@ -54,12 +54,12 @@ def test_a_configuration_gives_materials_and_scene_and_leaves_out_the_rest() -> 
         ),
         ("scene:\n  objects: {\n", 3, "", "while parsing a flow "),
         ("servo: {rate_hz: 1}\nscene: {}\n", 1, "servo.rate_hz", "should be greater than or equal to 1000"),
-        ("servo: {rate_hz: 1000}\n", 1, "", "holds neither materials nor a scene"),
+        ("servo: {rate_hz: 1000}\n", 1, "", "neither materials nor a scene"),
         ("gesture: {kind: tap, object: a}\n", None, "", "holds a gesture"),
         ("a: &x [1]\nb: *x\n", 2, "", "aliases are not allowed"),
         ("a: 1\na: 2\n", 2, "", "duplicate key"),
         ("[" * 40 + "]" * 40, 1, "", "deeper"),
-        ("", 1, "", "holds neither materials nor a scene"),
+        ("", 1, "", "neither materials nor a scene"),
         ("scene: !!python/object/apply:os.system [ls]\n", 1, "", "is not allowed here"),
     ],
 )
@@ -118,7 +118,7 @@ def test_what_changed_is_changed_in_the_file_and_comments_stay(tmp_path: Path) -
     scene["objects"]["peg"]["radius_m"] = 0.01
     scene["objects"]["ball"] = {"kind": "disc", "center_m": [0.0, 0.05], "radius_m": 0.004, "material": "wood"}
     materials["comb"]["friction"]["coefficient"] = 0.35
-    found = saved(scene, materials, PARTS, read("play.yaml", PLAY), PLAY)
+    found = saved(scene, materials, FILE_PARTS, read("play.yaml", PLAY), PLAY)
     before, after = PLAY.splitlines(), found.text.splitlines()
     assert [line for line in before if line not in after] == [
         "    friction: {coefficient: 0.2, stiffness_n_per_m: 500}",
@@ -128,7 +128,7 @@ def test_what_changed_is_changed_in_the_file_and_comments_stay(tmp_path: Path) -
     config = loads(found.text, tmp_path)
     assert config.scene.to_dict() == read("a", found.text).scene == yaml_files.validate_scene(scene).to_dict()
     assert config.materials["comb"].to_dict() == materials["comb"]
-    again = saved(*running(found.text), PARTS, read("a.yaml", found.text), found.text)
+    again = saved(*running(found.text), FILE_PARTS, read("a.yaml", found.text), found.text)
     assert again.text == found.text
 
 
@@ -141,7 +141,7 @@ def test_without_a_file_only_what_differs_from_the_library_is_saved(tmp_path: Pa
     config = loads(found.text, tmp_path)
     assert config.scene.to_dict() == scene
     assert config.materials["wood"].stiffness_n_per_m == 900
-    again = saved(*running(found.text), PARTS, read("a.yaml", found.text), found.text)
+    again = saved(*running(found.text), FILE_PARTS, read("a.yaml", found.text), found.text)
     assert again.text == found.text
 
 
@@ -151,11 +151,11 @@ def test_a_scene_alone_gets_the_materials_that_it_needs(tmp_path: Path) -> None:
     materials["wood"] = {**materials["wood"], "stiffness_n_per_m": 900.0}
     materials["unused"] = {"stiffness_n_per_m": 1.0, "damping_n_s_per_m": 0.0}
     opened = read("a.yaml", text)
-    found = saved(scene, materials, PARTS, opened, text, {"unused": materials["unused"]})
+    found = saved(scene, materials, FILE_PARTS, opened, text, {"unused": materials["unused"]})
     assert found.materials == ["wood"] and found.kept
     assert found.text.startswith("# Mine.\nscene:\n  objects:\n    a: {kind: disc") and "# round" in found.text
     assert loads(found.text, tmp_path).materials["wood"].stiffness_n_per_m == 900
-    later = saved(scene, {**materials, "unused": {"stiffness_n_per_m": 2.0}}, PARTS, opened, text, {"unused": {}})
+    later = saved(scene, {**materials, "unused": {"stiffness_n_per_m": 2.0}}, FILE_PARTS, opened, text, {"unused": {}})
     assert later.materials == ["unused", "wood"]
 
 
@@ -164,7 +164,7 @@ def test_a_default_that_the_file_says_and_strings_of_the_core_schema_stay() -> N
     scene, materials = running(text)
     assert scene["passivity"] == "off" and "off" in scene["objects"]
     scene["objects"]["off"]["damping_n_s_per_m"] = 3.5
-    found = saved(scene, materials, PARTS, read("a", text), text)
+    found = saved(scene, materials, FILE_PARTS, read("a", text), text)
     assert found.text == text.replace("m: 2}", "m: 3.5}")
 
 

@@ -1,4 +1,4 @@
-"""The documents: OpenRPC of the requests of the command socket, AsyncAPI of telemetry and streams."""
+"""The OpenRPC document of the command socket's requests, and the AsyncAPI document of telemetry and streams."""
 
 from __future__ import annotations
 
@@ -6,55 +6,67 @@ from typing import Final, NamedTuple, cast
 
 from hapticd._version import __version__
 from hapticd.base.yaml_source import Json
-from hapticd.daemon.described.schemas import REF, event_schema, params_model, params_schemas, samples_schema, schema_of
+from hapticd.daemon.described.schemas import (
+    SCHEMA_REF_PREFIX,
+    event_schema,
+    params_model,
+    params_schemas,
+    samples_schema,
+    schema_of,
+)
 from hapticd.daemon.described.words import (
-    CODES,
+    CODE_DESCRIPTIONS,
     CODES_OF_ANY_MESSAGE,
     CODES_OF_EVERY_METHOD,
-    METHODS,
-    RULES,
+    METHOD_DESCRIPTIONS,
     RULES_OF_METHOD,
+    VALIDATION_RULES,
 )
-from hapticd.daemon.telemetry import SAMPLES_EVERY_S, STATE_EVERY_S, STATUS_EVERY_S
+from hapticd.daemon.telemetry import (
+    SAMPLES_INTERVAL_S,
+    STATE_INTERVAL_S,
+    STATUS_INTERVAL_S,
+)
 from hapticd.protocol import results
 from hapticd.protocol.messages import PROTOCOL_VERSION, Code
 from hapticd.protocol.streams import STREAM_KIND_BY_METHOD as STREAMS
 
 # ---- OpenRPC ---------------------------------------------------------------------------------------------------------
 
-OPENRPC: Final = "1.3.2"
-_EMPTY: Final[dict[str, Json]] = {"type": "object", "description": "An empty map."}
+OPENRPC_VERSION: Final = "1.3.2"
+"""The version of the OpenRPC specification."""
+_EMPTY_MAP_SCHEMA: Final[dict[str, Json]] = {"type": "object", "description": "An empty map."}
 _ABOUT_REQUESTS: Final = """\
-The requests of hapticd's command socket. `docs/protocol.md` says what everything means; SI units, endings of names say
-which.
+The requests of hapticd's command socket. `docs/protocol.md` explains all members. Quantities are in SI units; the
+ending of a name is its unit.
 
-What differs from JSON-RPC 2.0:
+Differences from JSON-RPC 2.0:
 
-- The transport is ZeroMQ: a DEALER or REQ socket that connects to `hapticd.command` in the daemon's runtime directory,
-  a Unix socket. One message is one frame, the body; or an empty frame and the body.
-- A body is msgpack, not JSON: one map with the members of a JSON-RPC object. Its strings are UTF-8, its keys strings;
-  it has no extension types. It has 2 MiB and 32 levels at most.
-- `params` is a map, never an array (by name). There are no batches.
-- `integer` in a schema is an integer of msgpack: 1.0 is none. `number` is an integer or a float, and finite.
-- nil is null, and a byte string is none of JSON's types: no parameter takes one.
-- Answers come in the order of the requests, but for those of long changes. Notifications are carried out and not
+- The transport is ZeroMQ: a DEALER or REQ socket that connects to the Unix socket `hapticd.command` in the daemon's
+  runtime directory. One message is one frame, the body; or an empty frame and the body.
+- A body is msgpack, not JSON: one map with the members of a JSON-RPC object. Its strings are UTF-8, its keys are
+  strings, and it has no extension types. It has at most 2 MiB and 32 levels.
+- `params` is a map (by name), never an array. Batches are not supported.
+- `integer` in a schema is a msgpack integer: 1.0 is refused. `number` is a finite integer or float.
+- nil is null. No parameter accepts a byte string.
+- Answers come in the order of the requests, except those of long changes. Notifications are carried out and not
   answered.
 
-The schema of a method's params as one object is `x-params`: it also says which go together, and that there are no
-others. `x-validation` lists what the daemon validates beyond it. Whatever is refused by schema or by these rules has
-code -32602. A stale `expect_revision` (-32001), `set_operator` without a simulation (-32008) are refused before the
-rest is validated.
+`x-params` is the schema of all params of a method together: it also says which exclude each other, and that there are
+no others. `x-validation` lists rules that the daemon validates in addition. Params that break the schema or a rule are
+refused with code -32602. A stale `expect_revision` (-32001), and `set_operator` without the simulated joystick
+(-32008), are refused before the other params are validated.
 """
 
 
 def openrpc_document() -> dict[str, Json]:
-    """OpenRPC 1.3 of every request; its JSON Schemas are draft 7."""
+    """Return the OpenRPC 1.3 document of all requests. Its JSON Schemas are draft 7."""
     schemas = params_schemas()
-    for described in METHODS.values():
+    for described in METHOD_DESCRIPTIONS.values():
         if described.result is not None:
             schemas[described.result.__name__] = schema_of(described.result)
     return {
-        "openrpc": OPENRPC,
+        "openrpc": OPENRPC_VERSION,
         "info": {
             "title": "hapticd, requests",
             "version": __version__,
@@ -63,7 +75,7 @@ def openrpc_document() -> dict[str, Json]:
         },
         "x-protocol": PROTOCOL_VERSION,
         "x-errors-of-any-message": [_error_ref(code) for code in CODES_OF_ANY_MESSAGE],
-        "methods": [_method(name, schemas) for name in METHODS],
+        "methods": [_method(name, schemas) for name in METHOD_DESCRIPTIONS],
         "components": {
             "schemas": cast(Json, schemas),
             "errors": {code.name: _error(code) for code in Code},
@@ -72,7 +84,7 @@ def openrpc_document() -> dict[str, Json]:
 
 
 def _error(code: Code) -> Json:
-    described = CODES[code]
+    described = CODE_DESCRIPTIONS[code]
     data: dict[str, Json] = {"data": described.data} if described.data else {}
     return {"code": int(code), "message": described.when, **data}
 
@@ -82,14 +94,14 @@ def _error_ref(code: Code) -> Json:
 
 
 def _ref(result: type) -> dict[str, Json]:
-    return {"$ref": f"{REF}{result.__name__}"}
+    return {"$ref": f"{SCHEMA_REF_PREFIX}{result.__name__}"}
 
 
 def _method(name: str, schemas: dict[str, dict[str, Json]]) -> Json:
-    described, model = METHODS[name], params_model(name).__name__
+    described, model = METHOD_DESCRIPTIONS[name], params_model(name).__name__
     params = cast("dict[str, dict[str, Json]]", schemas[model].get("properties", {}))
     required = cast("list[str]", schemas[model].get("required", []))
-    result = _EMPTY if described.result is None else _ref(described.result)
+    result = _EMPTY_MAP_SCHEMA if described.result is None else _ref(described.result)
     return {
         "name": name,
         "summary": described.summary,
@@ -97,56 +109,60 @@ def _method(name: str, schemas: dict[str, dict[str, Json]]) -> Json:
         "params": [_param(each, schema, each in required) for each, schema in params.items()],
         "result": {"name": "result", "schema": result},
         "errors": [_error_ref(code) for code in (*CODES_OF_EVERY_METHOD, *described.codes)],
-        "x-params": {"$ref": f"{REF}{model}"},
-        "x-validation": [RULES[rule] for rule in RULES_OF_METHOD.get(name, ())],
+        "x-params": {"$ref": f"{SCHEMA_REF_PREFIX}{model}"},
+        "x-validation": [VALIDATION_RULES[rule] for rule in RULES_OF_METHOD.get(name, ())],
     }
 
 
 def _param(name: str, schema: dict[str, Json], required: bool) -> Json:
-    told: dict[str, Json] = {"description": schema["description"]} if "description" in schema else {}
-    return {"name": name, **told, "required": required, "schema": cast(Json, schema)}
+    about: dict[str, Json] = {"description": schema["description"]} if "description" in schema else {}
+    return {"name": name, **about, "required": required, "schema": cast(Json, schema)}
 
 
 # ---- AsyncAPI --------------------------------------------------------------------------------------------------------
 
-ASYNCAPI: Final = "3.0.0"
-_MSGPACK: Final = "application/msgpack"
+ASYNCAPI_VERSION: Final = "3.0.0"
+"""The version of the AsyncAPI specification."""
+_MSGPACK_MEDIA_TYPE: Final = "application/msgpack"
 _ABOUT_TELEMETRY: Final = """\
-What hapticd sends by itself, and what is streamed to it. `docs/protocol.md` says what everything means; SI units,
-endings of names say which. Requests and their answers are in the OpenRPC document.
+The telemetry that hapticd publishes, and the messages that clients stream to it. `docs/protocol.md` explains all
+members. Quantities are in SI units; the ending of a name is its unit. Requests and their answers are in the OpenRPC
+document.
 
-- The transport is ZeroMQ over Unix sockets in the daemon's runtime directory; the address of a channel is a topic of
-  `hapticd.telemetry` (PUB, connect with SUB), or `hapticd.command` (ROUTER, connect with DEALER).
-- A message of telemetry has two frames, the topic in ASCII and a map in msgpack, which the payload describes. Clients
-  ignore members that they do not know. A subscriber that reads too slowly loses messages.
+- The transport is ZeroMQ over Unix sockets in the daemon's runtime directory: `hapticd.telemetry` (PUB, connect with
+  SUB) and `hapticd.command` (ROUTER, connect with DEALER). The address of a telemetry channel is its topic.
+- A telemetry message has two frames: the topic in ASCII, and a map in msgpack, which the payload describes. Clients
+  must ignore members that they do not know. A subscriber that reads too slowly loses messages.
 - A message of a stream has one frame, a map in msgpack: a JSON-RPC 2.0 notification.
 """
 
 
 class _Topic(NamedTuple):
+    """A topic of telemetry."""
+
     name: str
-    told: str
+    summary: str
     payload: dict[str, Json]
 
 
 def _topics() -> list[_Topic]:
     return [
-        _Topic("samples", f"Every tick, in batches that leave every {1e3 * SAMPLES_EVERY_S:.0f} ms.", samples_schema()),
-        _Topic("state", f"The newest sample, {1 / STATE_EVERY_S:.0f} times a second.", schema_of(results.State)),
-        _Topic("event", "What happened: contacts, ruptures, faults, marks.", event_schema()),
-        _Topic("change", "What commands changed, once they did.", schema_of(results.Change)),
-        _Topic("status", f"What `get_status` answers, every {STATUS_EVERY_S:.0f} s.", schema_of(results.Status)),
+        _Topic("samples", f"One sample a tick, in batches every {1e3 * SAMPLES_INTERVAL_S:.0f} ms.", samples_schema()),
+        _Topic("state", f"The newest sample, {1 / STATE_INTERVAL_S:.0f} times a second.", schema_of(results.State)),
+        _Topic("event", "Events: contacts, ruptures, faults, marks and others.", event_schema()),
+        _Topic("change", "What a command changed, sent after the change.", schema_of(results.Change)),
+        _Topic("status", f"The result of `get_status`, every {STATUS_INTERVAL_S:.0f} s.", schema_of(results.Status)),
     ]
 
 
 def asyncapi_document() -> dict[str, Json]:
-    """AsyncAPI 3.0 of telemetry and streams; its JSON Schemas are draft 7."""
+    """Return the AsyncAPI 3.0 document of telemetry and streams. Its JSON Schemas are draft 7."""
     schemas = params_schemas()
     topics = _topics()
     channels: dict[str, Json] = {
         topic.name: {
             "address": topic.name,
-            "description": topic.told,
+            "description": topic.summary,
             "servers": [{"$ref": "#/servers/telemetry"}],
             "messages": {topic.name: {"$ref": f"#/components/messages/{topic.name}"}},
         }
@@ -154,15 +170,15 @@ def asyncapi_document() -> dict[str, Json]:
     }
     channels["command"] = {
         "address": None,
-        "description": "Requests and notifications; those of streams are described here.",
+        "description": "Requests and notifications. This document describes those of streams.",
         "servers": [{"$ref": "#/servers/command"}],
         "messages": {name: {"$ref": f"#/components/messages/{name}"} for name in STREAMS},
     }
-    messages = {topic.name: _message(topic.name, topic.told, topic.payload) for topic in topics}
-    told = "One message of a stream, up to 1,000 a second. It is not answered; the newest counts."
-    messages |= {name: _message(name, told, _notification(name)) for name in STREAMS}
+    messages = {topic.name: _message(topic.name, topic.summary, topic.payload) for topic in topics}
+    summary = "A message of a stream, up to 1,000 a second. It is not answered; a newer one replaces it."
+    messages |= {name: _message(name, summary, _notification(name)) for name in STREAMS}
     return {
-        "asyncapi": ASYNCAPI,
+        "asyncapi": ASYNCAPI_VERSION,
         "info": {
             "title": "hapticd, telemetry and streams",
             "version": __version__,
@@ -170,7 +186,7 @@ def asyncapi_document() -> dict[str, Json]:
             "license": {"name": "MIT"},
         },
         "x-protocol": PROTOCOL_VERSION,
-        "defaultContentType": _MSGPACK,
+        "defaultContentType": _MSGPACK_MEDIA_TYPE,
         "servers": {name: _server(name) for name in ("telemetry", "command")},
         "channels": channels,
         "operations": {
@@ -199,8 +215,8 @@ def _server(name: str) -> Json:
     }
 
 
-def _message(name: str, told: str, payload: dict[str, Json]) -> Json:
-    return {"name": name, "summary": told, "contentType": _MSGPACK, "payload": payload}
+def _message(name: str, summary: str, payload: dict[str, Json]) -> Json:
+    return {"name": name, "summary": summary, "contentType": _MSGPACK_MEDIA_TYPE, "payload": payload}
 
 
 def _operation(action: str, channel: str, message: str) -> Json:
@@ -218,7 +234,7 @@ def _notification(method: str) -> dict[str, Json]:
         "properties": {
             "jsonrpc": {"const": "2.0"},
             "method": {"const": method},
-            "params": {"$ref": f"{REF}{params_model(method).__name__}"},
+            "params": {"$ref": f"{SCHEMA_REF_PREFIX}{params_model(method).__name__}"},
         },
         "additionalProperties": False,
     }

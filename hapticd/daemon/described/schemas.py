@@ -1,15 +1,26 @@
-"""JSON Schema, draft 7, of what is sent: params, results and the maps of telemetry.
+"""JSON Schemas (draft 7) of params, results and the maps of telemetry.
 
-Params are described by the models that validate them, and by merge patches (RFC 7396), which have members of what they
-are merged into, each optional and with null for one that is removed. What a patch makes of an object or a material is
-validated whole; that depends on what there is. Results and telemetry are described by the types of protocol/results and
-the records of the core. Members that this version does not have may come with a later one, so their objects are open.
+Schemas of params come from the models that validate them. Those of merge patches (RFC 7396) have the members of the
+patched object, each optional, and null to remove it; the daemon validates the patched object as well, which depends on
+its state. Schemas of results and telemetry come from the types of protocol/results and the records of the core. Later
+versions may add members, so these objects allow others.
 """
 
 from __future__ import annotations
 
 from types import NoneType, UnionType
-from typing import Any, Final, Literal, NotRequired, Union, cast, get_args, get_origin, get_type_hints, is_typeddict
+from typing import (
+    Any,
+    Final,
+    Literal,
+    NotRequired,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+    is_typeddict,
+)
 
 import numpy as np
 from pydantic.json_schema import models_json_schema
@@ -25,22 +36,21 @@ from hapticd.daemon.methods import METHOD_PARAMS
 from hapticd.protocol.events import event_map
 from hapticd.recording.event_columns import EVENT_MEMBER_SCHEMAS, NULLABLE_MEMBERS
 
-# ---- Draft 7, which OpenRPC and AsyncAPI have, of what pydantic gives, 2020-12 ---------------------------------------
+# ---- From draft 2020-12, of pydantic, to draft 7, of OpenRPC and AsyncAPI --------------------------------------------
 
-_OPEN_API: Final = "discriminator"
-"""A keyword of OpenAPI; the `const` of `kind` says the same."""
+_OPEN_API_KEYWORD: Final = "discriminator"
+"""A keyword of OpenAPI that is left out: the `const` of `kind` expresses the same."""
 
 
 def draft7(schema: Json) -> Json:
-    """The same schema in draft 7: a list of fixed length by `items`, nothing beside a `$ref`, no default that is
-    null."""
+    """Return the schema in draft 7: `items` for lists of fixed length, a `$ref` alone, no default of null."""
     if isinstance(schema, list):
         return [draft7(each) for each in schema]
     if not isinstance(schema, dict):
         return schema
-    found = {key: draft7(value) for key, value in schema.items() if key != _OPEN_API}
+    found = {key: draft7(value) for key, value in schema.items() if key != _OPEN_API_KEYWORD}
     if isinstance(found.get("properties"), dict):
-        # pydantic's title of a property is its key in other letters.
+        # pydantic's title of a property only repeats its key.
         found["properties"] = {key: _untitled(each) for key, each in found["properties"].items()}  # type: ignore[union-attr]
     if "prefixItems" in found:
         found["items"] = found.pop("prefixItems")
@@ -59,34 +69,39 @@ def _untitled(schema: Json) -> Json:
 
 # ---- Params ----------------------------------------------------------------------------------------------------------
 
-REF: Final = "#/components/schemas/"
-_NULL: Final[dict[str, Json]] = {"type": "null"}
-_KEPT: Final = ("type", "description", "properties")
-"""What a patch has of the schema of an object; the rest is of the object as a whole."""
+SCHEMA_REF_PREFIX: Final = "#/components/schemas/"
+"""Beginning of a reference to a schema of the document."""
+_NULL_SCHEMA: Final[dict[str, Json]] = {"type": "null"}
+_PATCH_KEYWORDS: Final = ("type", "description", "properties")
+"""Keywords of an object's schema that also apply to a patch of it."""
 Schemas = dict[str, dict[str, Json]]
 
 
 def params_model(method: str) -> type[Model]:
-    """The model that validates the params of a method."""
+    """Return the model that validates the params of a method."""
     return METHOD_PARAMS[method] or OperatorParams
 
 
 def params_schemas() -> Schemas:
-    """By the names of the models, in draft 7: `params_model` of every method, and what they refer to."""
+    """Return the schemas of the params of all methods, and of the models that they refer to, by the models' names."""
     models = {params_model(method): None for method in METHOD_PARAMS} | {Scene: None, Material: None}
-    _, found = models_json_schema([(model, "validation") for model in models], ref_template=f"{REF}{{model}}")
+    _, found = models_json_schema(
+        [(model, "validation") for model in models], ref_template=f"{SCHEMA_REF_PREFIX}{{model}}"
+    )
     schemas = cast(Schemas, draft7(closed(cast(Json, found["$defs"]))))
     kinds = [model.__name__ for model in _kinds()]
     schemas["MaterialPatch"] = _patch("Material", schemas)
     for kind in kinds:
         schemas[f"{kind}Patch"] = _patch(kind, schemas)
-    _properties(schemas["UpdateMaterialsParams"])["materials"]["patternProperties"] = _by_name([f"{REF}MaterialPatch"])
+    _properties(schemas["UpdateMaterialsParams"])["materials"]["patternProperties"] = _by_name(
+        [f"{SCHEMA_REF_PREFIX}MaterialPatch"]
+    )
     _properties(schemas["UpdateSceneParams"])["objects"]["patternProperties"] = _by_name(
-        [f"{REF}{kind}Patch" for kind in kinds]
+        [f"{SCHEMA_REF_PREFIX}{kind}Patch" for kind in kinds]
     )
     for model, name in (("UpdateMaterialsParams", "materials"), ("UpdateSceneParams", "objects")):
-        # What never was there is removed without an error, whatever its name.
-        _properties(schemas[model])[name]["additionalProperties"] = _NULL
+        # Removing a name that does not exist is not an error, even if the name is invalid.
+        _properties(schemas[model])[name]["additionalProperties"] = _NULL_SCHEMA
     return schemas
 
 
@@ -101,21 +116,23 @@ def _properties(schema: dict[str, Json]) -> Schemas:
 def _by_name(patches: list[str]) -> dict[str, Json]:
     pattern = NAME_PATTERN.replace("]+$", f"]{{1,{NAME_MAX_CHARACTERS}}}$")
     options: list[Json] = [{"$ref": patch} for patch in patches]
-    return {pattern: {"anyOf": [*options, _NULL]}}
+    return {pattern: {"anyOf": [*options, _NULL_SCHEMA]}}
 
 
 def _patch(name: str, schemas: Schemas) -> dict[str, Json]:
-    """A merge patch over what this schema describes. Keys that it does not have may be removed: they belonged to a kind
-    that the object had before."""
-    found = {key: value for key, value in schemas[name].items() if key in _KEPT}
+    """Return the schema of a merge patch of the model `name`.
+
+    Unknown keys may be null: the patch removes a key of a kind that the object had before.
+    """
+    found = {key: value for key, value in schemas[name].items() if key in _PATCH_KEYWORDS}
     found["description"] = f"A JSON Merge Patch. {found['description']}"
     found["properties"] = {key: _patched(value, schemas) for key, value in _properties(found).items()}
-    return {**found, "additionalProperties": _NULL}
+    return {**found, "additionalProperties": _NULL_SCHEMA}
 
 
 def _patched(schema: dict[str, Json], schemas: Schemas) -> Json:
-    """A member of a patch: null, a patch where it is an object, else the member as it is to be."""
-    told = {"description": schema["description"]} if "description" in schema else {}
+    """Return the schema of a member of a patch: null, a patch if the member is an object, else its new value."""
+    about = {"description": schema["description"]} if "description" in schema else {}
     options = cast(
         "list[dict[str, Json]]", schema.get("anyOf") or schema.get("oneOf") or schema.get("allOf") or [schema]
     )
@@ -127,9 +144,9 @@ def _patched(schema: dict[str, Json], schemas: Schemas) -> Json:
             members.append(_nested(reference, schemas))
         elif choices:
             members += [_nested(cast(str, choice["$ref"]), schemas) for choice in choices]
-        elif option != _NULL:
+        elif option != _NULL_SCHEMA:
             members.append(_by_names(option) if "patternProperties" in option else _without_words(option))
-    return {**told, "anyOf": [*members, _NULL]}
+    return {**about, "anyOf": [*members, _NULL_SCHEMA]}
 
 
 def _without_words(schema: dict[str, Json]) -> dict[str, Json]:
@@ -137,38 +154,44 @@ def _without_words(schema: dict[str, Json]) -> dict[str, Json]:
 
 
 def _by_names(schema: dict[str, Json]) -> dict[str, Json]:
-    """A patch over a mapping by names."""
+    """Return the schema of a patch of a mapping by names."""
     found = {key: value for key, value in _without_words(schema).items() if key != "propertyNames"}
     patterns = cast(Schemas, schema["patternProperties"])
-    found["patternProperties"] = {pattern: {"anyOf": [value, _NULL]} for pattern, value in patterns.items()}
-    return {**found, "additionalProperties": _NULL}
+    found["patternProperties"] = {pattern: {"anyOf": [value, _NULL_SCHEMA]} for pattern, value in patterns.items()}
+    return {**found, "additionalProperties": _NULL_SCHEMA}
 
 
 def _nested(reference: str, schemas: Schemas) -> Json:
-    name = reference.removeprefix(REF)
+    name = reference.removeprefix(SCHEMA_REF_PREFIX)
     if schemas[name].get("type") != "object":
         return {"$ref": reference}
     if f"{name}Patch" not in schemas:
-        schemas[f"{name}Patch"] = {}  # its place, should it refer to itself
+        schemas[f"{name}Patch"] = {}  # a placeholder, in case that the schema refers to itself
         schemas[f"{name}Patch"] = _patch(name, schemas)
     return {"$ref": f"{reference}Patch"}
 
 
 # ---- Results and telemetry -------------------------------------------------------------------------------------------
 
-_PLAIN: Final[dict[object, str]] = {bool: "boolean", int: "integer", float: "number", str: "string", NoneType: "null"}
+_JSON_TYPE_NAMES: Final[dict[object, str]] = {
+    bool: "boolean",
+    int: "integer",
+    float: "number",
+    str: "string",
+    NoneType: "null",
+}
 
 
 class _AnyJson:
-    """Stands for `Json` in the annotations of results: anything."""
+    """Stands for `Json`, any value, in the annotations of results."""
 
 
 def schema_of(kind: Any) -> dict[str, Json]:
-    """JSON Schema of a type of protocol/results, with its docstring as description."""
+    """Return the JSON Schema of a type of protocol/results, with its docstring as description."""
     if kind is _AnyJson:
         return {}
-    if kind in _PLAIN:
-        return {"type": _PLAIN[kind]}
+    if kind in _JSON_TYPE_NAMES:
+        return {"type": _JSON_TYPE_NAMES[kind]}
     if is_typeddict(kind):
         return _mapping(kind)
     arguments, origin = get_args(kind), get_origin(kind)
@@ -197,7 +220,7 @@ def _mapping(kind: Any) -> dict[str, Json]:
 
 
 def event_schema() -> dict[str, Json]:
-    """One event: by its kind, with the members that `event_map` gives it."""
+    """Return the schema of an event: for each kind the members that `event_map` gives it."""
     record = records(EVENT_DTYPE, 1)[0]
     kinds: list[Json] = []
     for kind in EventKind:
@@ -215,7 +238,7 @@ def _event_member(name: str) -> Json:
 
 
 def samples_schema() -> dict[str, Json]:
-    """One batch of samples. JSON has no bytes: `data` is msgpack's bin."""
+    """Return the schema of a batch of samples. `data` is msgpack's bin, which JSON does not have."""
     return {
         "title": "Samples",
         "type": "object",
@@ -224,7 +247,7 @@ def samples_schema() -> dict[str, Json]:
             "first_tick": {"type": "integer", "description": "tick of the first sample"},
             "dropped": {
                 "type": "integer",
-                "description": "samples that found the daemon's ring full, total since the start",
+                "description": "samples lost because the daemon's ring was full, total since the start",
             },
             "dtype": {
                 "type": "array",
@@ -235,7 +258,7 @@ def samples_schema() -> dict[str, Json]:
             "data": {
                 "type": "string",
                 "format": "binary",
-                "description": "the records, little-endian and packed as `dtype` says, "
+                "description": "the records, little-endian and packed as `dtype` describes, "
                 f"{SAMPLE_DTYPE.itemsize} bytes each in this version",
             },
         },

@@ -1,4 +1,4 @@
-"""What the documents say in words: methods, error codes, and what is validated that JSON Schema cannot say."""
+"""Texts of the documents: summaries of methods, error codes, and validation rules beyond JSON Schema."""
 
 from __future__ import annotations
 
@@ -10,136 +10,149 @@ from hapticd.protocol.messages import Code
 # ---- Methods ---------------------------------------------------------------------------------------------------------
 
 _CHANGE_CODES: Final = (Code.STALE_REVISION, Code.RING_FULL, Code.WAIT_TIMED_OUT)
+"""Errors of the methods that change scene or materials."""
 _COMMAND_CODES: Final = (Code.RING_FULL, Code.WAIT_TIMED_OUT)
+"""Errors of the methods that send the servo a command."""
 
 CODES_OF_EVERY_METHOD: Final = (Code.INVALID_PARAMS, Code.INTERNAL, Code.DAEMON_AWAY)
 """Errors that a request of any method may get."""
 CODES_OF_ANY_MESSAGE: Final = (Code.PARSE, Code.INVALID_REQUEST, Code.NO_SUCH_METHOD)
-"""Errors of a message that calls none of the methods."""
+"""Errors of a message that does not call a method of the protocol."""
 
 
-class MethodInWords(NamedTuple):
-    """A method, as a reader who looks for one needs it."""
+class MethodDescription(NamedTuple):
+    """Summary, result and error codes of a method."""
 
     summary: str
     result: type | None
-    """None: an empty map."""
+    """The type of the result; None: an empty map."""
     codes: tuple[Code, ...] = ()
 
 
-METHODS: Final[dict[str, MethodInWords]] = {
-    "get_status": MethodInWords("What the daemon is and does", results.Status),
-    "get_state": MethodInWords("The newest sample", results.State, (Code.WAIT_TIMED_OUT,)),
-    "get_config": MethodInWords("Servo and device of the configuration", results.ConfigResult),
-    "get_scene": MethodInWords("The scene, in a form that can be sent back", results.SceneResult),
-    "set_scene": MethodInWords("Replaces the scene, all or nothing", results.RevisionResult, _CHANGE_CODES),
-    "update_scene": MethodInWords("Changes, adds and removes objects", results.RevisionResult, _CHANGE_CODES),
-    "get_materials": MethodInWords("All materials, the shipped ones too", results.MaterialsResult),
-    "set_materials": MethodInWords("Adds materials, or replaces them whole", results.RevisionResult, _CHANGE_CODES),
-    "update_materials": MethodInWords("Changes, adds and removes materials", results.RevisionResult, _CHANGE_CODES),
-    "apply": MethodInWords("Materials and scene in one change", results.RevisionResult, _CHANGE_CODES),
-    "play": MethodInWords("Strikes a mode once", results.PlayResult, (Code.FORCES_OFF, *_COMMAND_CODES)),
-    "reset": MethodInWords("Closes membranes and forgets contacts", results.TickResult, _COMMAND_CODES),
-    "mark": MethodInWords("Leaves a mark in events and recordings", results.TickResult, _COMMAND_CODES),
-    "set_forces": MethodInWords("Turns forces on or off", results.ForcesResult, (Code.FORCES_OFF, *_COMMAND_CODES)),
-    "set_operator": MethodInWords(
-        "Moves the hand on the simulated joystick", results.OperatorResult, (Code.NO_OPERATOR, *_COMMAND_CODES)
+METHOD_DESCRIPTIONS: Final[dict[str, MethodDescription]] = {
+    "get_status": MethodDescription("Return the state of the daemon", results.Status),
+    "get_state": MethodDescription("Return the newest sample", results.State, (Code.WAIT_TIMED_OUT,)),
+    "get_config": MethodDescription(
+        "Return the sections `servo` and `device` of the configuration", results.ConfigResult
     ),
-    "stream_target": MethodInWords(
-        "Where the simulated hand wants to be, one of a stream", None, (Code.NO_OPERATOR, Code.STREAM_HELD)
+    "get_scene": MethodDescription("Return the scene, in a form that can be sent back", results.SceneResult),
+    "set_scene": MethodDescription("Replace the scene, all or nothing", results.RevisionResult, _CHANGE_CODES),
+    "update_scene": MethodDescription("Change, add and remove objects", results.RevisionResult, _CHANGE_CODES),
+    "get_materials": MethodDescription("Return all materials, the shipped ones too", results.MaterialsResult),
+    "set_materials": MethodDescription(
+        "Add materials, or replace them completely", results.RevisionResult, _CHANGE_CODES
     ),
-    "stream_force": MethodInWords(
-        "A force that is added, one of a stream", results.StreamedForceResult, (Code.STREAM_HELD,)
+    "update_materials": MethodDescription("Change, add and remove materials", results.RevisionResult, _CHANGE_CODES),
+    "apply": MethodDescription("Set materials and scene in one change", results.RevisionResult, _CHANGE_CODES),
+    "play": MethodDescription("Strike a mode once", results.PlayResult, (Code.FORCES_OFF, *_COMMAND_CODES)),
+    "reset": MethodDescription("Close punctured membranes and clear contacts", results.TickResult, _COMMAND_CODES),
+    "mark": MethodDescription("Put a mark into events and recordings", results.TickResult, _COMMAND_CODES),
+    "set_forces": MethodDescription("Turn forces on or off", results.ForcesResult, (Code.FORCES_OFF, *_COMMAND_CODES)),
+    "set_operator": MethodDescription(
+        "Move the hand on the simulated joystick", results.OperatorResult, (Code.NO_OPERATOR, *_COMMAND_CODES)
     ),
-    "lease": MethodInWords(
-        "Takes, renews or ends the lease under which forces stay on",
+    "stream_target": MethodDescription(
+        "Set the target of the simulated hand: one message of a stream", None, (Code.NO_OPERATOR, Code.STREAM_HELD)
+    ),
+    "stream_force": MethodDescription(
+        "Set the force that is added to the rendered one: one message of a stream",
+        results.StreamedForceResult,
+        (Code.STREAM_HELD,),
+    ),
+    "lease": MethodDescription(
+        "Take, renew or end the lease under which forces stay on",
         results.LeaseResult,
         (Code.LEASE_HELD, Code.LEASE_LAPSED),
     ),
-    "reload": MethodInWords("Reads the configuration files again", results.RevisionResult, _CHANGE_CODES),
-    "dump_flight": MethodInWords("Writes what the flight recorder keeps", results.FlightResult),
+    "reload": MethodDescription("Read the configuration files again", results.RevisionResult, _CHANGE_CODES),
+    "dump_flight": MethodDescription(
+        "Write the seconds that the flight recorder keeps to a file", results.FlightResult
+    ),
 }
 
-# ---- Errors: docs/protocol.md has the same words ---------------------------------------------------------------------
+# ---- Errors: the same texts as in docs/protocol.md -------------------------------------------------------------------
 
 
-class CodeInWords(NamedTuple):
-    """One row of the table of errors."""
+class CodeDescription(NamedTuple):
+    """A row of the table of errors: when the error occurs, and its `data`."""
 
     when: str
     data: str = ""
 
 
-CODES: Final[dict[Code, CodeInWords]] = {
-    Code.PARSE: CodeInWords(
+CODE_DESCRIPTIONS: Final[dict[Code, CodeDescription]] = {
+    Code.PARSE: CodeDescription(
         "the body is over 2 MiB, truncated, not msgpack, followed by other bytes, nested deeper than "
-        "32, has a map of more than 65,536 members, has a key twice or one that is no string, an "
+        "32, has a map of more than 65,536 members, a duplicate key, a key that is not a string, an "
         "extension type, or a string that is not UTF-8; `id` is nil",
     ),
-    Code.INVALID_REQUEST: CodeInWords(
+    Code.INVALID_REQUEST: CodeDescription(
         'wrong number of frames, not a map, a batch, `jsonrpc` is not `"2.0"`, an id of another type, '
         "`method` is not a string, an unknown member",
     ),
-    Code.NO_SUCH_METHOD: CodeInWords("there is no such method"),
-    Code.INVALID_PARAMS: CodeInWords(
+    Code.NO_SUCH_METHOD: CodeDescription("unknown method"),
+    Code.INVALID_PARAMS: CodeDescription(
         "`params` is not a map (then without `data`), or its content is wrong",
         'a list of `{"where", "problem"}`',
     ),
-    Code.INTERNAL: CodeInWords("a defect of the daemon; its log says more"),
-    Code.STALE_REVISION: CodeInWords(
+    Code.INTERNAL: CodeDescription("internal error of the daemon; see its log"),
+    Code.STALE_REVISION: CodeDescription(
         "`expect_revision` is not the scene's revision",
-        '`{"revision"}`: the scene\'s',
+        '`{"revision"}`: the revision of the scene',
     ),
-    Code.FORCES_OFF: CodeInWords(
-        "`play` while forces are off; `set_forces` that could not clear every fault",
+    Code.FORCES_OFF: CodeDescription(
+        "`play` while forces are off; `set_forces` if it could not clear every fault",
         '`{"faults"}`, if faults are the reason',
     ),
-    Code.LEASE_HELD: CodeInWords(
-        "a client with another token has the lease",
+    Code.LEASE_HELD: CodeDescription(
+        "a client with a different token has the lease",
         '`{"lease_s"}`: seconds until that lease ends',
     ),
-    Code.RING_FULL: CodeInWords(
+    Code.RING_FULL: CodeDescription(
         "the servo has not yet taken earlier commands, or 64 marks are under way, or "
-        "64 changes wait, or 4 MiB of them. Nothing of this command was done: send it again",
+        "64 changes, or changes of 4 MiB in all, wait. The command was not carried out: send it again",
     ),
-    Code.WAIT_TIMED_OUT: CodeInWords(
+    Code.WAIT_TIMED_OUT: CodeDescription(
         "the servo did not take a command or a revision within a second. It may still take it: a "
         "changed scene stays changed, and a mark may still appear. Also: `get_state`, if no first "
         "tick was rendered in that time",
     ),
-    Code.LEASE_LAPSED: CodeInWords(
+    Code.LEASE_LAPSED: CodeDescription(
         "no lease has this token: the lease lapsed, was ended, or never existed",
         '`{"faults"}`: the latched faults',
     ),
-    Code.NO_OPERATOR: CodeInWords("`set_operator` or `stream_target`, but the device is not the simulated joystick"),
-    Code.DAEMON_AWAY: CodeInWords("from the server of the page: no daemon took the request, or none answered it"),
-    Code.STREAM_HELD: CodeInWords(
-        "the stream of another connection is under way",
+    Code.NO_OPERATOR: CodeDescription(
+        "`set_operator` or `stream_target`, but the device is not the simulated joystick"
+    ),
+    Code.DAEMON_AWAY: CodeDescription("from the server of the page: no daemon accepted or answered the request"),
+    Code.STREAM_HELD: CodeDescription(
+        "a stream of another connection is under way",
         '`{"free_s"}`: seconds until that stream ends, if its sender sends nothing more',
     ),
 }
 
-# ---- Rules: params that are valid by their schema are taken, or refused with -32602 for one of these reasons ---------
+# ---- Rules: params that match their schema are accepted, or refused with -32602 for one of these reasons -------------
 
-RULES: Final[dict[str, str]] = {
-    "length": "a normal, and the direction of play, have a length of at least 1e-9",
-    "patches": "a patch of a wall is at least 1e-5 m wide; patches do not overlap, and touch or are 1e-5 m apart",
-    "rising": "points over a speed, a force or time rise: by 1e-6 m/s, 1e-6 N, 1e-5 s",
-    "as_many": "a table has as many rows, frequencies and decay times as it has speeds and forces",
-    "grooves": "width_m of grooves is at most their spacing_m",
-    "waveform": "a waveform begins and ends with 0, has a sample that is not 0, and lasts 0.1 s at most",
-    "models": "models of a texture are stable, have an RMS of 1e6 m/s^2 at most, at most 256 different speeds and as "
-    "many different forces, and no two of them have the same speed and force",
-    "provenance": "a date is a day of the calendar; an interval does not end below its beginning",
-    "stroke": "from_m and to_m of a stroke differ",
-    "json": "data of a mark holds no byte strings, and has at most 8192 bytes as JSON",
-    "known": "materials, objects and the tap or rupture of a material that are named must be there; materials that "
-    "the scene uses stay",
-    "rate": "the rate of the servo can carry the frequencies of textures that the scene uses",
-    "reach": "a gesture lies on its object, which has a stiffness (a stroke) or a rupture (a puncture)",
-    "merged": "what a merge patch makes of an object or a material is valid as a whole",
-    "seq": "seq is above that of the message before",
-    "files": "the configuration files are sound, and change nothing that needs a restart",
+VALIDATION_RULES: Final[dict[str, str]] = {
+    "length": "a normal, and the direction of play, must have a length of at least 1e-9",
+    "patches": "a patch of a wall must be at least 1e-5 m wide; patches must not overlap, and the gap between two must "
+    "be 0 or at least 1e-5 m",
+    "rising": "speeds, forces and times of a list of points must rise by at least 1e-6 m/s, 1e-6 N or 1e-5 s",
+    "as_many": "a table must have a row, a frequency and a decay time for each of its speeds and forces",
+    "grooves": "width_m of grooves must be at most their spacing_m",
+    "waveform": "a waveform must begin and end with 0, have a sample that is not 0, and last at most 0.1 s",
+    "models": "models of a texture must be stable, have an RMS of at most 1e6 m/s^2, at most 256 different speeds and "
+    "256 different forces, and no two of them may have the same speed and force",
+    "provenance": "a date must be a day of the calendar; the upper end of an interval must not be below the lower one",
+    "stroke": "from_m and to_m of a stroke must differ",
+    "json": "data of a mark must not contain byte strings, and must have at most 8192 bytes as JSON",
+    "known": "materials, objects and the tap or rupture of a material that are named must exist; materials that the "
+    "scene uses cannot be removed",
+    "rate": "frequencies of textures that the scene uses must be below the limit of the servo's rate",
+    "reach": "a gesture must lie on its object, which must have a stiffness (a stroke) or a rupture (a puncture)",
+    "merged": "an object or a material must be valid after a merge patch",
+    "seq": "seq must be above that of the previous message",
+    "files": "the configuration files must be valid, and must not change a key that needs a restart",
 }
 
 _SCENE_RULES: Final = ("length", "patches", "known", "rate")
@@ -158,4 +171,4 @@ RULES_OF_METHOD: Final[dict[str, tuple[str, ...]]] = {
     "stream_force": ("seq",),
     "reload": ("files",),
 }
-"""The rules that apply to each method; to others, none."""
+"""The rules that apply to each method; methods without rules are left out."""

@@ -146,7 +146,7 @@ class _SessionPages:
                 pages = replace(pages, methods=own, passes=passes)
             else:
                 own = experimenter_page.methods(self._front, presence)
-                pages = replace(pages, methods={**application.METHODS, **own})
+                pages = replace(pages, methods={**application.WEB_PAGE_METHODS, **own})
             site = Site(STATIC_FOLDER / f"{who}.html", partial(_add_routes, pages))
             await stack.enter_async_context(serving(at, self._sessions[who], site, connections))
             running += [asyncio.create_task(each.run(), name=f"{who}-{each}") for each in (presence, connections)]
@@ -171,11 +171,11 @@ class _SessionPages:
         screen = self._front.screen
         if screen["screen"] != self._screen:
             self._screen = int(str(screen["screen"]))
-            pages["participant"].tell({"screen": screen})
+            pages["participant"].send_news({"screen": screen})
         if (notice := self._front.notice) != self._notice:
             self._notice = notice
-            pages["participant"].tell({"notice": notice})
-        pages["experimenter"].tell(experimenter_page.news(self._front))
+            pages["participant"].send_news({"notice": notice})
+        pages["experimenter"].send_news(experimenter_page.news(self._front))
 
 
 def _add_routes(pages: Pages, app: Any) -> None:

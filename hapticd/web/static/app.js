@@ -1,5 +1,4 @@
-// What pages share that are put together of parts (main.js says what `app` has): the page of `hapticd web`, and the
-// experimenter's of a session.
+// What the page of `hapticd web` and the experimenter's page of a session share. main.js describes `app`.
 import { Attention } from "./attention.js";
 import { Link } from "./connection.js";
 import { Model } from "./model.js";
@@ -8,11 +7,11 @@ import { Playback } from "./playback.js";
 import { SampleStore } from "./samples.js";
 import { Timing } from "./timing.js";
 
-// `newSafety(app)` makes who holds the forces; it may put more into `app`.
+// `newSafety(app)` makes the object that controls the forces; it may put more into `app`.
 export function newApp(newSafety) {
   const link = new Link(new URL("/socket", location.href));
   const app = { link, samples: new SampleStore(60), model: new Model(link), view: new EventTarget() };
-  globalThis.hapticd = app; // for tests, and for whoever is curious in the console
+  globalThis.hapticd = app; // for tests, and for the browser's console
   app.playback = new Playback(link, app.view);
   app.safety = newSafety(app);
   app.timing = new Timing(app);
@@ -23,8 +22,8 @@ export function newApp(newSafety) {
   return app;
 }
 
-// `frame` needs no daemon and comes first, `parts` after everything is here. `load` is what is asked for at the beginning and
-// after a lost connection.
+// The parts of `frame` need no daemon and are mounted first, those of `parts` once `load` has resolved. `load` is called at
+// the beginning and after a lost connection.
 export async function begin(app, frame, parts, load = () => app.model.load()) {
   await app.parts.mount(frame);
   await app.link.open();

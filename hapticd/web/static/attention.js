@@ -1,24 +1,24 @@
-// Whether anybody looks: a page that has been hidden for 10 s does not ask for samples and states any more, and does so
-// again when it is shown. What goes on without being seen (sound) says `hold("sound")`, and `release("sound")` at its end.
-const HIDDEN_S = 10;
-const ALWAYS = ["event", "change", "status"];
-const ALL = ["samples", "state", ...ALWAYS];
+// Visibility of the page: 10 s after it was hidden it unsubscribes from samples and states, until it is shown again. A
+// function that works on a hidden page (sound) calls `hold("sound")`, and `release("sound")` at its end.
+const UNSUBSCRIBE_AFTER_S = 10;
+const TOPICS_WHEN_HIDDEN = ["event", "change", "status"];
+const TOPICS_WHEN_SHOWN = ["samples", "state", ...TOPICS_WHEN_HIDDEN];
 
 export class Attention {
   resting = false;
-  since = Infinity; // performance.now() from which on telemetry is due
+  since = Infinity; // performance.now() since which samples are subscribed to
   #held = new Set();
   #timer = null;
   #app;
 
-  constructor(app, hidden_s = HIDDEN_S) {
+  constructor(app, hidden_s = UNSUBSCRIBE_AFTER_S) {
     this.#app = app;
     this.hidden_s = hidden_s;
     document.addEventListener("visibilitychange", () => this.#look());
   }
 
   async begin() {
-    await this.#app.link.subscribe(ALL);
+    await this.#app.link.subscribe(TOPICS_WHEN_SHOWN);
     this.since = performance.now();
   }
 
@@ -45,9 +45,9 @@ export class Attention {
     if (resting !== this.resting) {
       this.resting = resting;
       if (!resting) {
-        this.#app.samples.expectGap(); // what was left out meanwhile is no loss
+        this.#app.samples.expectGap(); // the samples left out meanwhile do not count as lost
       }
-      this.#app.link.subscribe(resting ? ALWAYS : ALL);
+      this.#app.link.subscribe(resting ? TOPICS_WHEN_HIDDEN : TOPICS_WHEN_SHOWN);
     }
   }
 }

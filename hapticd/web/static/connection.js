@@ -1,17 +1,17 @@
-// The WebSocket to `hapticd web`: calls with answers, notifications, telemetry. hapticd/web/page.py has the messages.
+// The WebSocket to `hapticd web`: calls with answers, notifications, telemetry. hapticd/web/page.py describes the messages.
 //
-// Where the connection is lost, it is tried again after 0.25 s, then each time after twice as long, 5 s at most; what was
-// subscribed to is subscribed to again. A socket that has said nothing for 3 s is asked; without an answer it is given up.
+// A lost connection is tried again after 0.25 s, then after twice the pause each time, at most 5 s; subscriptions are
+// restored. If no message came for 3 s, a request is sent; without an answer the socket is closed.
 import { decode, encode } from "./vendor/msgpack/index.mjs";
 
-const FIRST_PAUSE_S = 0.25;
-const LONGEST_PAUSE_S = 5;
-const SILENCE_S = 3;
-const MOST_WAITING = 256; // calls without an answer yet
-const MOST_UNSENT = 1 << 20; // bytes that the browser has not sent yet; notifications are dropped far earlier
-const MOST_UNSENT_NOTIFICATIONS = 16 << 10;
+const MIN_RETRY_PAUSE_S = 0.25;
+const MAX_RETRY_PAUSE_S = 5;
+const MAX_SILENCE_S = 3;
+const MAX_WAITING_CALLS = 256; // calls that wait for an answer
+const MAX_UNSENT_BYTES = 1 << 20; // bytes that the browser has not sent yet
+const MAX_UNSENT_NOTIFICATION_BYTES = 16 << 10; // unsent bytes above which notifications are dropped
 
-export const CONNECTION_LOST = 0; // CallError's code where no answer came; the others are those of docs/protocol.md
+export const CONNECTION_LOST = 0; // code of a CallError without an answer; the other codes are those of docs/protocol.md
 
 export class CallError extends Error {
   constructor(error) {
@@ -21,18 +21,18 @@ export class CallError extends Error {
   }
 }
 
-// Events: `open`, `close`, each time; `waiting` {pause_s, refused} before another try; and each topic of telemetry by
-// its name, the message in `detail`.
+// Events: `open` and `close`; `waiting` {pause_s, refused} before the next try; and an event for each topic of telemetry,
+// with the message in `detail`.
 export class Link extends EventTarget {
   heardAt = 0; // performance.now() of the last message
   #silentS = 0; // seconds, counted while this page ran, without a message
-  dropped = 0; // notifications that were not sent, because those before them were not sent yet
+  dropped = 0; // notifications that were not sent because earlier ones were still waiting
   #url;
   #socket = null;
   #lastId = 0;
   #waiting = new Map();
   #topics = null;
-  #pause_s = FIRST_PAUSE_S;
+  #pause_s = MIN_RETRY_PAUSE_S;
   #retry = null;
   #watch = null;
   #ended = false;
@@ -45,14 +45,14 @@ export class Link extends EventTarget {
     document.addEventListener("visibilitychange", () => document.hidden || this.#tryNow());
   }
 
-  // Resolves with the first connection, and goes on connecting afterwards whenever it is lost.
+  // Resolves with the first connection, and reconnects whenever it is lost.
   open() {
     const opened = new Promise((resolve) => this.addEventListener("open", resolve, { once: true }));
     this.#connect();
     return opened;
   }
 
-  // From now on a connection that is lost is not looked for any more.
+  // Stops reconnecting.
   end() {
     this.#ended = true;
     clearTimeout(this.#retry);
@@ -69,7 +69,7 @@ export class Link extends EventTarget {
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       this.#socket = socket;
-      this.#pause_s = FIRST_PAUSE_S;
+      this.#pause_s = MIN_RETRY_PAUSE_S;
       this.heardAt = performance.now();
       this.#silentS = 0;
       this.#watch = setInterval(() => this.#askWhereSilent(), 1000);
@@ -84,7 +84,7 @@ export class Link extends EventTarget {
 
   #closed(socket) {
     if (this.#socket !== null && this.#socket !== socket) {
-      return; // it was given up before, and another one took its place
+      return; // an old socket that was replaced
     }
     clearInterval(this.#watch);
     const was = this.#socket;
@@ -103,10 +103,10 @@ export class Link extends EventTarget {
       return;
     }
     const pause_s = this.#pause_s;
-    this.#pause_s = Math.min(2 * pause_s, LONGEST_PAUSE_S);
+    this.#pause_s = Math.min(2 * pause_s, MAX_RETRY_PAUSE_S);
     clearTimeout(this.#retry);
     this.#retry = setTimeout(() => this.#connect(), 1e3 * pause_s);
-    // A WebSocket does not tell why it was refused. A request does: 403 is another process, which wants its own link.
+    // A WebSocket does not report why it was refused, a request does: 403 means another process, which needs a new address.
     const answer = await fetch("/", { method: "HEAD" }).catch(() => null);
     if (this.#socket === null) {
       this.dispatchEvent(new CustomEvent("waiting", { detail: { pause_s, refused: answer?.status === 403 } }));
@@ -120,23 +120,23 @@ export class Link extends EventTarget {
     }
   }
 
-  // Once a second. A page that was held up itself, as while it loads, has messages waiting: that is no silence.
+  // Called once a second. Time in which the page itself was blocked, as while it loads, does not count: messages may wait.
   #askWhereSilent() {
     this.#silentS++;
-    if (this.#silentS === SILENCE_S) {
-      this.call("web.hello", {}, { timeout_s: 2 * SILENCE_S }).catch((error) => {
+    if (this.#silentS === MAX_SILENCE_S) {
+      this.call("web.hello", {}, { timeout_s: 2 * MAX_SILENCE_S }).catch((error) => {
         if (error.code !== CONNECTION_LOST) {
           throw error;
         }
       });
-    } else if (this.#silentS >= 2 * SILENCE_S) {
+    } else if (this.#silentS >= 2 * MAX_SILENCE_S) {
       const socket = this.#socket;
-      socket.close(); // takes its time where the network is gone
+      socket.close(); // takes long if the network is lost
       this.#closed(socket);
     }
   }
 
-  // From now on telemetry of these topics comes, and of no others; over a lost connection, too.
+  // Subscribes to these topics, and to no others. The subscription is restored after a lost connection.
   subscribe(topics) {
     this.#topics = [...topics];
     return this.connected ? this.#subscribe() : Promise.resolve();
@@ -150,8 +150,8 @@ export class Link extends EventTarget {
     });
   }
 
-  // The result of a method, by the names of docs/protocol.md or hapticd/web/page.py. Rejects with CallError. `urgent`: it
-  // is sent however many others wait.
+  // Calls a method of docs/protocol.md or of hapticd/web and resolves with its result; rejects with CallError. `urgent`: it
+  // is sent regardless of how many other calls wait.
   call(method, params = {}, { timeout_s = 120, urgent = false } = {}) {
     return new Promise((resolve, reject) => {
       const refuse = (message) => reject(new CallError({ code: CONNECTION_LOST, message }));
@@ -159,7 +159,7 @@ export class Link extends EventTarget {
         refuse("no connection to hapticd web");
         return;
       }
-      if (!urgent && (this.#waiting.size >= MOST_WAITING || this.#socket.bufferedAmount > MOST_UNSENT)) {
+      if (!urgent && (this.#waiting.size >= MAX_WAITING_CALLS || this.#socket.bufferedAmount > MAX_UNSENT_BYTES)) {
         refuse("hapticd web does not keep up with this page's requests");
         return;
       }
@@ -177,10 +177,9 @@ export class Link extends EventTarget {
     });
   }
 
-  // Without an answer: for what is sent many times a second. False: it was not sent, because what was sent before it still
-  // waits; the next one will say it.
+  // Sends a notification, which is not answered. Returns false if it was not sent because earlier data still waits.
   notify(method, params = {}) {
-    if (this.#socket === null || this.#socket.bufferedAmount > MOST_UNSENT_NOTIFICATIONS) {
+    if (this.#socket === null || this.#socket.bufferedAmount > MAX_UNSENT_NOTIFICATION_BYTES) {
       this.dropped++;
       return false;
     }
@@ -198,7 +197,7 @@ export class Link extends EventTarget {
     }
     const waiting = this.#waiting.get(message.id);
     if (waiting === undefined) {
-      return; // it came after its time
+      return; // its call has already failed
     }
     if (message.error) {
       waiting.reject(new CallError(message.error));

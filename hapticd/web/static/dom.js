@@ -1,4 +1,4 @@
-// Elements in one line each, and ids that are nobody else's.
+// Functions that make elements in one line, and unique ids.
 
 let last = 0;
 export const newId = (name) => `${name}-${++last}`;

@@ -1,20 +1,20 @@
-// Files: shipped scenes and materials, YAML files of the person, and the scene as a file. hapticd/web/yaml_methods.py
-// checks and writes; this panel shows what it says. A file that was opened is kept here as text: what is saved goes into
-// it, so that its comments stay.
+// The panel of files: shipped scenes and materials, YAML files of the user, and the scene as a file.
+// hapticd/web/yaml_methods.py checks and writes files. The text of an opened file is kept here: changes are saved into it,
+// so that its comments stay.
 import { make } from "./dom.js";
 import { check, options } from "./scope/elements.js";
 import { fileName, save } from "./scope/export.js";
 
-const MOST_BYTES = 1_900_000; // what a message to hapticd web holds
+const MAX_FILE_BYTES = 1_900_000; // largest file: a message to hapticd web has at most 2 MiB
 const plural = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
 
 export function mount(app, panel) {
-  new FilesPanel(app, panel).begin(); // shown before the answers are here
+  new FilesPanel(app, panel).begin(); // shown before the answers have come
 }
 
 class FilesPanel {
   #app;
-  #opened = null; // {name, text, others}: the file that is saved into
+  #opened = null; // {name, text, others}: the file into which changes are saved
   #shipped = null;
 
   constructor(app, panel) {
@@ -45,7 +45,7 @@ class FilesPanel {
     }
   }
 
-  // ---- What it looks like -----------------------------------------------------------------------------------------
+  // ---- Elements ---------------------------------------------------------------------------------------------------
 
   #build(panel) {
     this.scenes = make("select", { id: "shipped-scene", class: "select", on: { change: () => this.#describe("scenes") } });
@@ -151,7 +151,7 @@ class FilesPanel {
     this.name.focus();
   }
 
-  // ---- What went well and what did not ----------------------------------------------------------------------------
+  // ---- Results and problems ---------------------------------------------------------------------------------------
 
   #say(text) {
     this.faults.replaceChildren();
@@ -171,7 +171,7 @@ class FilesPanel {
     );
   }
 
-  // One thing at a time: the controls rest meanwhile.
+  // Runs one action at a time; the controls are disabled meanwhile.
   async #during(work) {
     try {
       await work();
@@ -196,9 +196,9 @@ class FilesPanel {
       return undefined;
     }
     return this.#during(async () => {
-      if (file.size > MOST_BYTES) {
+      if (file.size > MAX_FILE_BYTES) {
         throw new Error(
-          `${file.name} has ${(file.size / 1e6).toFixed(1)} MB; at most ${MOST_BYTES / 1e6} MB are taken`,
+          `${file.name} has ${(file.size / 1e6).toFixed(1)} MB; at most ${MAX_FILE_BYTES / 1e6} MB are taken`,
         );
       }
       const bytes = await file.arrayBuffer();

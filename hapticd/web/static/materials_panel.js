@@ -1,5 +1,5 @@
-// The tab of the materials: which there are, every parameter of the one that is picked, what the scene makes of it, and
-// its two states A and B. What is changed here is felt at once.
+// The tab of the materials: a list, all parameters of the selected material, warnings about its use in the scene, and its
+// two states A and B. Changes take effect at once.
 import { button, make } from "./dom.js";
 import { Compare, compareCard } from "./editor/compare.js";
 import { Editor } from "./editor/editor.js";
@@ -20,7 +20,7 @@ export async function mount(app, element) {
   app.materials = new MaterialsPanel(app, element, schemas, shipped.materials);
 }
 
-// Names of all materials: those of the scene first, each group by the alphabet.
+// Names of all materials: those of the scene first, both groups in alphabetical order.
 function sorted(app) {
   const used = usedMaterials(app.model.scene);
   const names = Object.keys(app.model.materials);
@@ -35,7 +35,7 @@ export function unitsOf(schemas) {
 }
 
 class MaterialsPanel {
-  name = null; // of the material that is shown
+  name = null; // name of the material that is shown
   #app;
   #element;
   #schemas;
@@ -57,7 +57,7 @@ class MaterialsPanel {
     this.show(sorted(app)[0]);
   }
 
-  // Shows a material; null or one that is not there: the first.
+  // Shows a material; the first one if the name is null or unknown.
   show(name) {
     const { model } = this.#app;
     this.name = name in model.materials ? name : (sorted(this.#app)[0] ?? null);
@@ -70,7 +70,7 @@ class MaterialsPanel {
     this.#follow();
   }
 
-  // Escape shows all materials again; where it has nothing to clear it stops the forces.
+  // Escape clears the search and shows all materials; if there is nothing to clear, it stops the forces.
   #searchKey(event) {
     if (event.key === "Escape" && event.target.value !== "") {
       event.preventDefault();
@@ -141,7 +141,7 @@ class MaterialsPanel {
     }
   }
 
-  // Beside the stiffness, which it is about.
+  // Placed next to the stiffness, which it concerns.
   #showStability({ kind, text }) {
     const { stability } = this.#parts;
     const field = this.#form.fieldAt(["stiffness_n_per_m"]);
@@ -204,7 +204,7 @@ class MaterialsPanel {
   }
 
 
-  // The new name, the objects that had the old one, and then the old one goes.
+  // Adds the new name, changes the objects that use the old one, and removes the old one.
   async #rename(name) {
     const { model } = this.#app;
     const old = this.name;
@@ -213,7 +213,7 @@ class MaterialsPanel {
       return;
     }
     if (name in model.materials) {
-      this.#parts.problem.textContent = `There is a material ${name} already.`;
+      this.#parts.problem.textContent = `A material ${name} already exists.`;
       return;
     }
     const [to, from] = [{}, {}];
@@ -231,7 +231,7 @@ class MaterialsPanel {
   }
 }
 
-// The patch that gives an object another material in the place of one.
+// Returns the patch that replaces one material of an object by another.
 function renamedIn(object, old, name) {
   const patch = object.material === old ? { material: name } : {};
   if ((object.patches ?? []).some((each) => each.material === old)) {

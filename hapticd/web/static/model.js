@@ -1,13 +1,13 @@
 // Scene, materials and configuration as the daemon has them. Events: `scene`, `materials`, `config`, when they changed
 // (the scene's `display` too), `status` once a second, `state` with every newest sample, `away` when the daemon does not
-// answer and `back` when it does again.
+// answer and `back` when it answers again.
 //
-// The topic `change` says what changed, and is applied as it comes. Everything is asked for again only where a change was
-// missed, was too large to be told, or the daemon is another one; never more than one question at a time.
+// Changes come by the topic `change` and are applied at once. Everything is requested again only if a change was missed or
+// too large to be listed, or if the daemon was restarted; there is at most one request at a time.
 import { CallError } from "./connection.js";
 import { merged } from "./editor/merge_patch.js";
 
-const RETRY_S = 1;
+const LOAD_RETRY_S = 1;
 
 export class Model extends EventTarget {
   scene = { objects: {} };
@@ -16,13 +16,13 @@ export class Model extends EventTarget {
   status = {}; // as get_status
   state = null; // the newest sample, 60 times a second
   revision = null;
-  margins; // by surface, as get_scene has them; undefined: the daemon does not know them
-  marginsRevision = null; // the newest whose changes are all in `margins`
+  margins; // by surface, as in get_scene; undefined: the daemon does not know them
+  marginsRevision = null; // the newest revision whose changes are all in `margins`
   away = false;
   #link;
   #loading = null;
   #again = false;
-  #during = []; // changes that came while everything was asked for
+  #during = []; // changes that came while everything was requested
 
   constructor(link) {
     super();
@@ -39,7 +39,7 @@ export class Model extends EventTarget {
     return this.status.rate_hz ?? this.config.servo?.rate_hz ?? 10000;
   }
 
-  // Asks for everything. Resolves when it is here, however often that has to be tried.
+  // Requests everything, again after a failure, and resolves when it has come.
   load() {
     if (this.#loading !== null) {
       this.#again = true;
@@ -60,7 +60,7 @@ export class Model extends EventTarget {
           throw error;
         }
         this.#isAway(true, error.message);
-        await new Promise((resolve) => setTimeout(resolve, 1e3 * RETRY_S));
+        await new Promise((resolve) => setTimeout(resolve, 1e3 * LOAD_RETRY_S));
         this.#again = true;
       }
     } while (this.#again);
@@ -72,10 +72,10 @@ export class Model extends EventTarget {
     const [status, scene, materials, config] = await Promise.all(methods.map(call));
     this.#isAway(false);
     if (scene.revision !== materials.revision) {
-      this.#again = true; // something changed between the two
+      this.#again = true; // something changed between the two answers
       return;
     }
-    // Status has histograms only where it came as telemetry.
+    // A status has histograms only if it came as telemetry.
     this.status = { ...(this.status.started_ns === status.started_ns ? this.status : {}), ...status };
     this.scene = scene.scene;
     this.materials = materials.materials;
@@ -95,7 +95,7 @@ export class Model extends EventTarget {
     this.status = status;
     this.#isAway(false);
     this.dispatchEvent(new Event("status"));
-    // A status of before the newest change is no news.
+    // A status from before the newest change is outdated.
     if (another || this.revision === null || status.revision > this.revision) {
       this.load();
     }
@@ -107,14 +107,14 @@ export class Model extends EventTarget {
     this.marginsRevision = revision;
   }
 
-  // What a call of this page changed, a merge patch over `materials`, `objects` or `scene`, and its answer. The topic
-  // `change` says the same a little later, in the daemon's own form, but for the margins.
+  // Applies a change by a call of this page: a merge patch of `materials`, `objects` or `scene`, and its answer. The topic
+  // `change` brings the same change a little later in canonical form, but without margins.
   applied(target, patch, { revision, margins }) {
     if (revision === this.marginsRevision + 1) {
       this.margins = margins && { ...this.margins, ...margins };
       this.marginsRevision = revision;
     }
-    const removed = target === "materials" && Object.values(patch).includes(null); // one may be there again, as shipped
+    const removed = target === "materials" && Object.values(patch).includes(null); // a shipped material may be restored
     if (this.#loading !== null || revision !== this.revision + 1 || removed) {
       return;
     }
@@ -133,7 +133,7 @@ export class Model extends EventTarget {
       return;
     }
     if (change.revision === undefined || this.revision === null || change.revision < this.revision) {
-      return; // of a command; or it is in what was loaded
+      return; // a change by play or reset, or one that is already loaded
     }
     if (change.large || change.revision > this.revision + 1) {
       this.load();

@@ -1,7 +1,7 @@
-// Lines for the person, of any module: `app.view.dispatchEvent(new CustomEvent("notice", {detail: {text, kind}}))`, kind
-// `info` or `error`. An error stays until it is closed, anything else for 6 s; of the same text there is one.
-const SHOWN_S = 6;
-const MOST = 4;
+// Notices of all modules: `app.view.dispatchEvent(new CustomEvent("notice", {detail: {text, kind}}))`, kind `info` or
+// `error`. An error stays until it is closed, an info for 6 s. The same text is shown once.
+const INFO_SHOWN_S = 6;
+const MAX_NOTICES = 4;
 
 export function mount(app, element) {
   function show({ text, kind = "info" }) {
@@ -22,11 +22,11 @@ export function mount(app, element) {
     close.addEventListener("click", () => line.remove());
     line.append(words, close);
     element.append(line);
-    while (element.children.length > MOST) {
+    while (element.children.length > MAX_NOTICES) {
       element.firstElementChild.remove();
     }
     if (kind !== "error") {
-      setTimeout(() => line.remove(), 1e3 * SHOWN_S);
+      setTimeout(() => line.remove(), 1e3 * INFO_SHOWN_S);
     }
   }
 

@@ -1,5 +1,5 @@
-// The tab of the objects: which there are, every parameter of the one that is picked, new ones, and what of the scene
-// is displayed. The object that is picked is the one that is picked in the scene view.
+// The tab of the objects: a list, all parameters of the selected object, new objects, and what of the scene is displayed.
+// The selected object is that of the scene view.
 import { button, make } from "./dom.js";
 import { Editor } from "./editor/editor.js";
 import { Form } from "./editor/form.js";
@@ -10,7 +10,7 @@ import { RenameForm } from "./editor/rename_form.js";
 import { KINDS } from "./editor/words.js";
 import { notice, undoButtons } from "./undo.js";
 
-const REACH_M = 0.075; // of the hand, where the configuration does not say it
+const DEFAULT_REACH_M = 0.075; // reach of the hand if the configuration is not known
 
 export function mount(app, element) {
   if (app.materials === undefined) {
@@ -20,9 +20,9 @@ export function mount(app, element) {
 }
 
 class ObjectsPanel {
-  id = null; // of the object that is shown
+  id = null; // id of the object that is shown
   #app;
-  #awaited = null; // an object that was made here and is to be picked as soon as the model has it
+  #awaited = null; // id of an object made here, which is selected as soon as the model has it
   #schemas;
   #form = null;
   #kind = null;
@@ -40,7 +40,7 @@ class ObjectsPanel {
     this.#show(Object.keys(app.model.scene.objects)[0] ?? null);
   }
 
-  // Picks an object, here and in the scene view.
+  // Selects an object, here and in the scene view.
   pick(id) {
     this.#app.view.dispatchEvent(new CustomEvent("select", { detail: { id } }));
   }
@@ -142,7 +142,7 @@ class ObjectsPanel {
   }
 
   get #reach() {
-    return this.#app.model.config.device?.sim?.workspace_m ?? REACH_M;
+    return this.#app.model.config.device?.sim?.workspace_m ?? DEFAULT_REACH_M;
   }
 
   #list() {
@@ -165,7 +165,7 @@ class ObjectsPanel {
     }
   }
 
-  // The answer may come before the change is in the model: then #follow picks it, unless another was picked meanwhile.
+  // The answer may come before the model has the change: then #follow selects the object, unless another was selected.
   #pickNew(id) {
     if (id in this.#app.model.scene.objects) {
       this.pick(id);
@@ -216,7 +216,7 @@ class ObjectsPanel {
       return;
     }
     if (id in objects) {
-      this.#parts.problem.textContent = `There is an object ${id} already.`;
+      this.#parts.problem.textContent = `An object ${id} already exists.`;
       return;
     }
     if (await this.#attempt(`rename ${old} to ${id}`, { [id]: objects[old], [old]: null }, { [old]: objects[old], [id]: null })) {

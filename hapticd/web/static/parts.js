@@ -1,5 +1,5 @@
-// Loads and mounts the parts of the page, each once. A part that fails, says so in its place and leaves the others whole,
-// the stop before all. It is mounted again when its button is pressed or the connection is back.
+// Loads and mounts the parts of the page, each once. A part that fails shows the error in its place and does not affect the
+// others, above all the stop. It is mounted again when its button is pressed or the connection is restored.
 import { button, make } from "./dom.js";
 
 export class Parts {
@@ -18,7 +18,7 @@ export class Parts {
     return this.#queue(() => parts);
   }
 
-  // Mounts those that failed. Parts that are there are left alone, so that none of their listeners is there twice.
+  // Mounts the parts that failed. Mounted parts are left alone, so that no listener is added twice.
   mountFailed() {
     return this.#queue(() => [...this.#failed]);
   }

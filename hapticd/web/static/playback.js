@@ -1,30 +1,30 @@
-// A recording that is looked through: its samples around one moment, in a store like that of samples.js.
+// The playback of a recording: its samples around one moment, in a store like that of samples.js.
 //
-// app.playback   the one of the page. While `active`, scope and scene show `store`, `scene` and `state` in place of
-//                app.samples, app.model.scene and app.model.state.
+// app.playback   the playback of the page. While it is `active`, scope and scene show its `store`, `scene` and `state` in
+//                place of app.samples, app.model.scene and app.model.state.
 //   active       a recording is open
 //   store        SampleStore: rows, first, columns, ticks, rateHz, capacity as in samples.js. The newest row
-//                (rows - 1) is the moment that is shown: whoever draws the newest samples draws the recorded moment.
+//                (rows - 1) is the moment: a module that draws the newest samples draws the recorded moment.
 //                Rows are those of the file: row 0 is its first sample; time_s counts from there.
-//                Events: `added` {count} as it plays; `restart` when it jumped, before all rows are others.
-//   state        the sample at the moment, as the map of telemetry's `state`; null without one
-//   scene, materials   what it was rendered with
+//                Events: `added` {count} while it plays; `restart` after a jump, before all rows are replaced.
+//   state        the sample at the moment, as in the topic `state`; null without one
+//   scene, materials   the scene and the materials of that sample
 //   facts        name, rows, rate_hz, duration_s, notes, events (of telemetry, each with its `row`); see
 //                hapticd/web/playback.py
-//   row, timeS   the moment
+//   row, timeS   the moment, as row and in s
 //   playing, speed     speed: 1 is real time
-//   spanS        how much before the moment is fetched after a jump, in s; the scope may raise it to its width
+//   spanS        time before the moment that is fetched after a jump, in s; the scope may raise it to its width
 //
-// app.view gets the event `playback`, {active, moved, playing, store, state, touching}, when a recording is opened or left
-// (`active` is false then, `store` and `state` null), when the moment jumped (`moved`), and when playing begins or ends;
-// the event `moment`, the same, with every picture while it plays. `touching`: ids of the objects that were touched.
+// app.view gets the event `playback`, {active, moved, playing, store, state, touching}, when a recording is opened or closed
+// (then `active` is false, `store` and `state` are null), when the moment jumped (`moved`), and when playing begins or ends;
+// and the event `moment` with the same members with every frame while it plays. `touching`: ids of the touched objects.
 import { SampleStore } from "./samples.js";
 
-const ROWS_AT_ONCE = 20000; // as hapticd/web/playback.py allows
-const SECONDS = 60;
-const AHEAD_S = 0.5; // fetched before it is played
+const MAX_ROWS_PER_CALL = 20000; // as hapticd/web/playback.py allows
+const STORED_S = 60;
+const FETCH_AHEAD_S = 0.5; // fetched before it is played
 
-// A part of an answer of web.playback_rows, from its row `from` to before `to`.
+// The rows from `from` to before `to` of an answer of web.playback_rows.
 function slice(batch, from, to) {
   const size = batch.data.byteLength / batch.count;
   const data = batch.data.subarray(from * size, to * size);
@@ -43,11 +43,11 @@ export class Playback {
   spanS = 10;
   #link;
   #view;
-  #ahead = []; // the rows that come next, as they were answered
-  #fetching = null; // the jump after which they are being fetched
+  #ahead = []; // answers with the rows that come next
+  #fetching = null; // number of the jump whose rows are being fetched
   #jumping = false;
   #jump = 0; // counts jumps: an answer to an older one is dropped
-  #revision = null; // of the scene that was fetched
+  #revision = null; // revision of the scene that was fetched
   #exact = 0; // the moment while it plays, in rows, with its fraction
   #lastFrame = 0;
 
@@ -84,18 +84,18 @@ export class Playback {
     };
   }
 
-  // Opens what `params` name, {name} in the folder or {upload, name}, and goes to its first tenth of a second.
+  // Opens a recording, {name} in the folder or {upload, name}, and goes to its first tenth of a second.
   async open(params) {
     this.pause();
     let facts;
     try {
       facts = await this.#link.call("web.playback_open", params);
     } catch (error) {
-      this.#closed(); // hapticd web closes the one that was open before it reads another
+      this.#closed(); // hapticd web has closed the recording that was open
       throw error;
     }
     this.facts = facts;
-    this.store = new SampleStore(SECONDS);
+    this.store = new SampleStore(STORED_S);
     this.store.setRate(facts.rate_hz);
     this.store.events = facts.events;
     this.active = true;
@@ -119,21 +119,21 @@ export class Playback {
     this.active = this.playing = false;
     this.store = this.facts = null;
     this.#ahead = [];
-    this.#tell(false);
+    this.#dispatch(false);
   }
 
-  // Goes to a row of the file. Many calls may follow each other, as from a slider: the last one counts.
+  // Goes to a row of the file. Of many calls, as from a slider, only the last takes effect.
   async seek(row) {
     const jump = ++this.#jump;
     const to = Math.max(0, Math.min(this.facts.rows - 1, Math.round(row)));
-    const from = Math.max(0, to + 1 - Math.round(Math.min(this.spanS, SECONDS) * this.facts.rate_hz));
+    const from = Math.max(0, to + 1 - Math.round(Math.min(this.spanS, STORED_S) * this.facts.rate_hz));
     const batches = [];
     this.#ahead = [];
     this.#jumping = true;
     try {
-      // The newest rows first: they are what is looked at, and the rest may be given up for the next jump.
+      // The newest rows first: they are shown, and the next jump may cancel the others.
       for (let end = to + 1; end > from;) {
-        const first = Math.max(from, end - ROWS_AT_ONCE);
+        const first = Math.max(from, end - MAX_ROWS_PER_CALL);
         const batch = await this.#link.call("web.playback_rows", { first, count: end - first });
         if (jump !== this.#jump) {
           return;
@@ -152,7 +152,7 @@ export class Playback {
       }
     }
     if (jump === this.#jump) {
-      this.#tell(true);
+      this.#dispatch(true);
     }
   }
 
@@ -180,14 +180,14 @@ export class Playback {
     this.playing = true;
     this.#exact = this.row;
     this.#lastFrame = performance.now();
-    this.#tell(false);
+    this.#dispatch(false);
     requestAnimationFrame((now) => this.#frame(now));
   }
 
   pause() {
     if (this.playing) {
       this.playing = false;
-      this.#tell(false);
+      this.#dispatch(false);
     }
   }
 
@@ -195,7 +195,8 @@ export class Playback {
     if (!this.playing) {
       return;
     }
-    const elapsedS = Math.min(0.1, Math.max(0, (now - this.#lastFrame) / 1000)); // a hidden page goes on where it was
+    // A page that was hidden continues where it was.
+    const elapsedS = Math.min(0.1, Math.max(0, (now - this.#lastFrame) / 1000));
     this.#lastFrame = now;
     this.#exact += elapsedS * this.speed * this.facts.rate_hz;
     if (!this.#jumping) {
@@ -204,13 +205,13 @@ export class Playback {
         this.pause();
         return;
       }
-      this.#tell(false, "moment");
-      this.#exact = Math.min(this.#exact, this.store.rows); // what has not come yet is waited for
+      this.#dispatch(false, "moment");
+      this.#exact = Math.min(this.#exact, this.store.rows); // waits for rows that have not come yet
     }
     requestAnimationFrame((next) => this.#frame(next));
   }
 
-  // Adds rows up to `to` as far as they are here, and asks for those after.
+  // Adds the rows before `to` that have come, and requests the next ones.
   #advance(to) {
     const { store } = this;
     while (this.#ahead.length > 0 && store.rows < to) {
@@ -223,7 +224,7 @@ export class Playback {
     }
     const last = this.#ahead.at(-1);
     const next = last === undefined ? store.rows : last.first + last.count;
-    if (this.#fetching !== this.#jump && next < this.facts.rows && next - store.rows < AHEAD_S * this.facts.rate_hz) {
+    if (this.#fetching !== this.#jump && next < this.facts.rows && next - store.rows < FETCH_AHEAD_S * this.facts.rate_hz) {
       this.#fetchAhead(next);
     }
   }
@@ -232,9 +233,9 @@ export class Playback {
     const jump = this.#jump;
     this.#fetching = jump;
     const count = Math.min(
-      ROWS_AT_ONCE,
+      MAX_ROWS_PER_CALL,
       this.facts.rows - first,
-      Math.max(1, Math.round(AHEAD_S * this.facts.rate_hz)),
+      Math.max(1, Math.round(FETCH_AHEAD_S * this.facts.rate_hz)),
     );
     try {
       const [batch] = await Promise.all([
@@ -269,7 +270,7 @@ export class Playback {
     return [...touched];
   }
 
-  #tell(moved, event = "playback") {
+  #dispatch(moved, event = "playback") {
     const { active, playing, store, state } = this;
     const detail = { active, moved, playing, store, state, touching: this.#touching() };
     this.#view.dispatchEvent(new CustomEvent(event, { detail }));

@@ -1,12 +1,12 @@
-// A recording that is looked through: its force over time with a mark at the moment, a slider, play and speed. What it
-// shows comes from app.playback (playback.js), which scope and scene follow, too.
+// The player of a recording: its force over time with a mark at the moment, a slider, play and speed. It shows app.playback
+// (playback.js), as do the scope and the scene.
 import { make } from "./dom.js";
 import { options } from "./scope/elements.js";
 import { color, onTheme } from "./theme.js";
 
-const SPEEDS = [0.1, 0.2, 0.5, 1];
-const HEIGHT = 72;
-const EVENTS = { contact: "--contact", puncture: "--rupture", mark: "--accent" };
+const PLAYBACK_SPEEDS = [0.1, 0.2, 0.5, 1];
+const OUTLINE_HEIGHT_PX = 72;
+const EVENT_COLOURS = { contact: "--contact", puncture: "--rupture", mark: "--accent" };
 
 export class RecordingPlayer {
   #app;
@@ -55,7 +55,7 @@ export class RecordingPlayer {
     });
     options(
       this.speed,
-      SPEEDS.map((speed) => [String(speed), `${speed}×`]),
+      PLAYBACK_SPEEDS.map((speed) => [String(speed), `${speed}×`]),
       "1",
     );
     const zoom = (text, label, click) =>
@@ -82,7 +82,7 @@ export class RecordingPlayer {
         { class: "row" },
         zoom("Closer", "Show less time around the moment", () => this.#zoom(0.25)),
         zoom("Wider", "Show more time around the moment", () => this.#zoom(4)),
-        zoom("Whole", "Show the whole recording", () => this.#zoom(Infinity)),
+        zoom("Whole", "Show the complete recording", () => this.#zoom(Infinity)),
         make("span", { class: "spacer" }),
         make("button", { type: "button", class: "button", on: { click: () => this.#leave() } }, "Back to now"),
       ),
@@ -90,7 +90,7 @@ export class RecordingPlayer {
     );
   }
 
-  // ---- What happens -----------------------------------------------------------------------------------------------
+  // ---- Events -----------------------------------------------------------------------------------------------------
 
   #shown({ active, playing }) {
     const { playback } = this.#app;
@@ -164,7 +164,7 @@ export class RecordingPlayer {
 
   async #seek(row) {
     const { rows } = this.#app.playback.facts;
-    this.slider.value = Math.max(0, Math.min(rows - 1, Math.round(row))); // at once, whenever the samples come
+    this.slider.value = Math.max(0, Math.min(rows - 1, Math.round(row))); // at once, before the samples come
     this.#seeking = true;
     try {
       await this.#app.playback.seek(row);
@@ -198,7 +198,7 @@ export class RecordingPlayer {
     this.#show(this.#app.playback.row - width / 2, width);
   }
 
-  // So many rows from `first` on, as far as there are any.
+  // Returns the range of `count` rows from `first` on, limited to the rows of the recording.
   #show(first, width) {
     const { rows } = this.#app.playback.facts;
     const wide = Math.max(Math.min(16, rows), Math.min(rows, Math.round(width)));
@@ -234,7 +234,7 @@ export class RecordingPlayer {
     if (!playback.active || this.#outline === null || width === 0) {
       return;
     }
-    const height = Math.round(HEIGHT * devicePixelRatio);
+    const height = Math.round(OUTLINE_HEIGHT_PX * devicePixelRatio);
     if (this.canvas.width !== width || this.canvas.height !== height) {
       Object.assign(this.canvas, { width, height });
     }
@@ -265,7 +265,7 @@ export class RecordingPlayer {
     const [first, last] = this.#range;
     const x = (row) => ((row - first) / (last - first)) * width;
     for (const event of this.#app.playback.facts.events) {
-      const found = EVENTS[event.event];
+      const found = EVENT_COLOURS[event.event];
       if (found !== undefined && event.row >= first && event.row < last) {
         context.fillStyle = color(found.slice(2));
         context.fillRect(x(event.row), height - 8 * devicePixelRatio, 2 * devicePixelRatio, 8 * devicePixelRatio);

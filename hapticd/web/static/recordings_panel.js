@@ -1,18 +1,18 @@
-// Recordings: made by hapticd web in a folder of its own, listed, downloaded, deleted, and looked through moment by
-// moment. recording_player.js is the part that looks through one.
+// The panel of recordings: hapticd web records into a folder; the panel lists, downloads, deletes and plays its files.
+// recording_player.js plays a recording.
 import { make } from "./dom.js";
 import { RecordingPlayer } from "./recording_player.js";
 import { check } from "./scope/elements.js";
 
-const UNITS = [
+const BYTE_UNITS = [
   [1e9, "GB"],
   [1e6, "MB"],
   [1e3, "kB"],
 ];
-const MOST_UPLOAD = 512 * 2 ** 20; // as hapticd/web/uploads.py
+const MAX_UPLOAD_BYTES = 512 * 2 ** 20; // as in hapticd/web/uploads.py
 
 export function bytes(count) {
-  const [size, unit] = UNITS.find(([least]) => count >= least) ?? [1, "bytes"];
+  const [size, unit] = BYTE_UNITS.find(([least]) => count >= least) ?? [1, "bytes"];
   return `${size === 1 ? count : (count / size).toPrecision(3)} ${unit}`;
 }
 
@@ -24,7 +24,7 @@ export function clock(seconds) {
 }
 
 export function mount(app, panel) {
-  new RecordingsPanel(app, panel).begin(); // shown before the answers are here
+  new RecordingsPanel(app, panel).begin(); // shown before the answers have come
 }
 
 class RecordingsPanel {
@@ -56,7 +56,7 @@ class RecordingsPanel {
     });
   }
 
-  // ---- What it looks like -----------------------------------------------------------------------------------------
+  // ---- Elements ---------------------------------------------------------------------------------------------------
 
   #build(panel) {
     this.said = make("p", { class: "note", role: "status" });
@@ -68,10 +68,10 @@ class RecordingsPanel {
   #recordCard() {
     this.name = make("input", { id: "recording-name", type: "text", maxlength: "64", spellcheck: "false" });
     this.notes = make("textarea", { id: "recording-notes", rows: "2", maxlength: "4000" });
-    this.limited = check("End by itself after", false, (on) => (this.seconds.disabled = !on), {
+    this.limited = check("Stop automatically after", false, (on) => (this.seconds.disabled = !on), {
       id: "recording-limited",
     });
-    const label = "End by itself after, s";
+    const label = "Stop automatically after, s";
     const range = { type: "number", min: "1", max: "86400", step: "1", value: "60" };
     this.seconds = make("input", { id: "recording-seconds", "aria-label": label, disabled: true, ...range });
     const button = (id, kind, text, click) =>
@@ -95,7 +95,7 @@ class RecordingsPanel {
       ),
       make("div", { class: "row" }, this.start, this.stop),
       this.state,
-      make("p", { class: "note" }, "A recording goes on when this page is closed. Any page can stop it."),
+      make("p", { class: "note" }, "A recording continues when this page is closed. Any page can stop it."),
     );
   }
 
@@ -130,7 +130,7 @@ class RecordingsPanel {
     );
   }
 
-  // A name that is free: the day and a number.
+  // Returns an unused name: the day and a number.
   #propose() {
     const now = new Date();
     const day = [now.getFullYear(), now.getMonth() + 1, now.getDate()]
@@ -186,7 +186,7 @@ class RecordingsPanel {
     });
   }
 
-  // `state`: as hapticd/web/recorder.py tells it.
+  // `state`: as in hapticd/web/recorder.py.
   #progress(state) {
     const ended = this.#state.recording && !state.recording;
     this.#state = state;
@@ -248,7 +248,7 @@ class RecordingsPanel {
     const actions = make(
       "div",
       { class: "row" },
-      button("Look through", "Look through", () => this.#open({ name })),
+      button("Open", "Open", () => this.#open({ name })),
       make(
         "a",
         {
@@ -313,7 +313,7 @@ class RecordingsPanel {
     });
   }
 
-  // ---- Look through -----------------------------------------------------------------------------------------------
+  // ---- Play -------------------------------------------------------------------------------------------------------
 
   #open(params) {
     return this.#during(async () => {
@@ -332,8 +332,8 @@ class RecordingsPanel {
       return undefined;
     }
     return this.#during(async () => {
-      if (file.size > MOST_UPLOAD) {
-        throw new Error(`${file.name} has ${bytes(file.size)}; at most ${bytes(MOST_UPLOAD)} are taken`);
+      if (file.size > MAX_UPLOAD_BYTES) {
+        throw new Error(`${file.name} has ${bytes(file.size)}; at most ${bytes(MAX_UPLOAD_BYTES)} are taken`);
       }
       this.said.textContent = `${file.name} is being sent.`;
       const answer = await fetch(`/uploads?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });

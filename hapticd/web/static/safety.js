@@ -1,34 +1,34 @@
-// Who holds the forces, and the stop. One page at a time holds them, by the daemon's lease of 1 s, which its heartbeat
-// renews: forces that a page turned on fade when it is closed, freezes or loses the connection. Whoever does not hold the
-// forces watches, and may stop them, too.
+// Control of the forces, and the stop. One page at a time controls them, by the daemon's lease of 1 s, which its heartbeat
+// renews: forces that a page turned on fade when it is closed, freezes or loses the connection. Other pages only watch, but
+// every page can stop the forces.
 //
-//   begin()                at a press on the scene: takes the forces of the simulated joystick. True: this page holds them.
-//   engage()               by the button: of a real device, too, and after a stop or a fault
-//   stop()                 forces off, at once, whoever holds them. After it only the button turns them on
+//   begin()                at a press on the scene: takes control of the simulated joystick's forces. True: this page has it
+//   engage()               by the button: also with a real device, and after a stop or a fault
+//   stop()                 turns forces off at once, also those of another page. Then only the button turns them on
 //
-// The hand of the simulated joystick is moved by the page that holds the forces (`holds`).
-// Events: `change`, when anything of this changed: `holder`, `forces`, `faults`, `stopping`, `problem`.
+// The page that controls the forces (`holds`) moves the hand of the simulated joystick.
+// Event: `change`, when `holder`, `forces`, `faults`, `stopping` or `problem` changed.
 import { CallError, CONNECTION_LOST } from "./connection.js";
 
 export const LEASE_S = 1;
-const FORCES_OFF = -32003;
-const LEASE_HELD = -32004;
+const FORCES_OFF_CODE = -32003;
+const LEASE_HELD_CODE = -32004;
 
 export class Safety extends EventTarget {
   forces = "unknown"; // on, off, faulted, unknown
   faults = [];
   stopping = false; // the stop was pressed, and the daemon has not answered yet
-  problem = ""; // why the last thing that was asked for was not done
+  problem = ""; // why the last action failed
   #app;
   #token = null;
-  #another = false; // somebody else holds the lease
+  #another = false; // another page or program holds the lease
   #renewing = false;
-  #asked = 0; // raised by each stop: what was begun before it is given up
+  #asked = 0; // number of stops: a stop cancels what was begun before it
   #engaging = null;
   #unsentStop = false;
-  #sinceTick = 0; // telemetry of before this tick is older than an answer that is known already
-  #startedNs = null; // of the daemon
-  #endedAt = -Infinity; // when this page ended a lease
+  #sinceTick = 0; // telemetry from before this tick is older than the last answer
+  #startedNs = null; // start time of the daemon
+  #endedAt = -Infinity; // time at which this page ended a lease
   #worker = new Worker(new URL("./heartbeat_worker.js", import.meta.url));
 
   constructor(app) {
@@ -69,7 +69,7 @@ export class Safety extends EventTarget {
     return false;
   }
 
-  // ---- What the daemon says ----------------------------------------------------------------------------------------
+  // ---- State of the daemon -----------------------------------------------------------------------------------------
 
   #gotStatus() {
     const { forces, faults, lease_s, tick, started_ns } = this.#app.model.status;
@@ -80,13 +80,13 @@ export class Safety extends EventTarget {
     if (tick < this.#sinceTick) {
       return;
     }
-    // A status that was under way when this page ended its lease still has it.
+    // A status that was sent before this page ended its lease still contains the lease.
     this.#another = lease_s !== null && !this.holds && performance.now() - this.#endedAt > 1e3 * LEASE_S;
     this.#set({ forces, faults });
     this.#giveUpWhatIsOff();
   }
 
-  // 60 times a second, where the status comes once.
+  // Called 60 times a second; the status comes only once a second.
   #gotState() {
     const { tick, flag_names: flags } = this.#app.model.state;
     if (tick < this.#sinceTick) {
@@ -99,7 +99,7 @@ export class Safety extends EventTarget {
     }
   }
 
-  // Somebody else stopped, or a fault did: there is nothing to hold any more.
+  // Another page or a fault turned the forces off: this page ends its lease.
   #giveUpWhatIsOff() {
     if (this.holds && this.#engaging === null && this.forces !== "on") {
       this.#endLease();
@@ -125,7 +125,7 @@ export class Safety extends EventTarget {
     return this.#engaging;
   }
 
-  // As a press on the scene does.
+  // Called at a press on the scene.
   begin() {
     return this.engage({ press: true });
   }
@@ -137,7 +137,7 @@ export class Safety extends EventTarget {
     if (this.forces === "off") {
       return "Forces are off. “Turn forces on” at the top turns them on.";
     }
-    // A lease that lapsed is a page that was closed: the next one goes on.
+    // A lapsed lease belonged to a page that was closed: this page may continue.
     if (this.faults.some((fault) => fault !== "lease")) {
       return "A fault keeps the forces off. The line at the top says which.";
     }
@@ -171,18 +171,18 @@ export class Safety extends EventTarget {
       throw error;
     }
     this.#endLease();
-    if (error.code === LEASE_HELD) {
+    if (error.code === LEASE_HELD_CODE) {
       this.#another = true;
       return this.#refuse("Another page holds the forces. They are free 1 s after it is closed or gives them back.");
     }
-    if (error.code === FORCES_OFF) {
+    if (error.code === FORCES_OFF_CODE) {
       this.#set({ forces: "faulted", faults: error.data?.faults ?? this.faults });
       return this.#refuse("The cause of a fault is still there. Forces stay off.");
     }
     return this.#refuse(`Forces were not turned on: ${error.message}`);
   }
 
-  // ---- Holding them ------------------------------------------------------------------------------------------------
+  // ---- Renewing the lease ------------------------------------------------------------------------------------------
 
   async #beat() {
     const token = this.#token;
@@ -193,7 +193,7 @@ export class Safety extends EventTarget {
     try {
       await this.#app.link.call("lease", { duration_s: LEASE_S, token }, { timeout_s: LEASE_S });
     } catch (error) {
-      // Without a connection it is tried again: within its second the lease can still be renewed by its token.
+      // Tried again without a connection: until the lease lapses after a second, its token can still renew it.
       if (!(error instanceof CallError)) {
         throw error;
       }
@@ -212,7 +212,7 @@ export class Safety extends EventTarget {
     this.dispatchEvent(new Event("change"));
   }
 
-  // Ends the lease; if that is not heard, it lapses.
+  // Ends the lease; if the message is lost, the lease lapses.
   #endLease(token = this.#token) {
     if (token !== null) {
       this.#forget();
@@ -227,12 +227,12 @@ export class Safety extends EventTarget {
 
   // ---- The stop ----------------------------------------------------------------------------------------------------
 
-  // True when the daemon has turned the forces off.
+  // Returns true once the daemon has turned the forces off.
   async stop() {
     this.#asked++;
     const { link } = this.#app;
     const answer = link.call("set_forces", { enabled: false }, { timeout_s: LEASE_S, urgent: true });
-    // Whatever becomes of the answer: nothing is renewed any more.
+    // Regardless of the answer, the lease is not renewed any more.
     this.#worker.postMessage(false);
     const token = this.#token;
     this.#token = null;
@@ -248,7 +248,7 @@ export class Safety extends EventTarget {
       if (!(error instanceof CallError)) {
         throw error;
       }
-      this.#unsentStop = true; // as soon as there is a connection again
+      this.#unsentStop = true; // sent once the connection is restored
       this.#set({ stopping: false });
       return this.#refuse(
         token === null

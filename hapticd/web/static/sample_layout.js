@@ -1,15 +1,15 @@
-// Where the fields of a sample lie in a batch, by numpy's description of a record: `[name, format]` or
-// `[name, format, [length]]`, packed. What is aligned and little-endian, as all samples of today, is read through typed
-// arrays; anything else through a DataView, at a tenth of the speed.
+// The layout of samples in a batch, from numpy's description of a record: `[name, format]` or `[name, format, [length]]`,
+// packed. Aligned little-endian fields, as in all samples of this version, are read through typed arrays, others through a
+// DataView at a tenth of the speed.
 
-const KINDS = {
+const FORMAT_READERS = {
   f8: [8, "getFloat64", Float64Array], f4: [4, "getFloat32", Float32Array],
   i8: [8, "getBigInt64", null], u8: [8, "getBigUint64", null], // time_ns: see difference()
   i4: [4, "getInt32", Int32Array], u4: [4, "getUint32", Uint32Array],
   i2: [2, "getInt16", Int16Array], u2: [2, "getUint16", Uint16Array],
   i1: [1, "getInt8", Int8Array], u1: [1, "getUint8", Uint8Array], b1: [1, "getUint8", Uint8Array],
 };
-const LITTLE = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;
+const IS_LITTLE_ENDIAN = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;
 
 // Integers of 64 bits minus `origin`, exact as long as the difference is below 2^53, without making a BigInt of each.
 function difference(view, at, stride, count, signed, little, origin, put) {
@@ -27,12 +27,12 @@ class Records {
   constructor(layout, data) {
     this.layout = layout;
     this.count = Math.floor(data.byteLength / layout.size);
-    const whole = data.byteOffset % 8 === 0 ? data : data.slice(); // typed arrays want their own alignment
+    const whole = data.byteOffset % 8 === 0 ? data : data.slice(); // typed arrays need alignment
     this.view = new DataView(whole.buffer, whole.byteOffset, whole.byteLength);
     this.arrays = new Map();
   }
 
-  // A field of the first record, as a BigInt.
+  // Returns a field of the first record as a BigInt.
   integer(name) {
     const field = this.layout.fields.get(name);
     if (field === undefined) {
@@ -50,8 +50,8 @@ class Records {
     return array;
   }
 
-  // A component of a field of the records from `skip` on, into the ring `column` from the place `at` on. NaN (0 in a
-  // column of integers) where samples do not have it.
+  // Copies a component of a field of the records from `skip` on into the ring `column` from index `at` on. The values are
+  // NaN (0 in a column of integers) if samples do not have the field.
   copy(name, component, column, at, skip, factor, origin) {
     const field = this.layout.fields.get(name);
     const { size } = this.layout;
@@ -70,7 +70,7 @@ class Records {
       });
       return;
     }
-    if (field.little === LITTLE && size % field.width === 0 && begin % field.width === 0) {
+    if (field.little === IS_LITTLE_ENDIAN && size % field.width === 0 && begin % field.width === 0) {
       const source = this.#array(field.type);
       const stride = size / field.width;
       for (let i = 0, from = begin / field.width; i < n; i++, from += stride, at = at + 1 === capacity ? 0 : at + 1) {
@@ -90,7 +90,7 @@ class Layout {
 
   constructor(dtype) {
     for (const [name, format, shape] of dtype) {
-      const kind = KINDS[format.slice(1)];
+      const kind = FORMAT_READERS[format.slice(1)];
       if (kind === undefined || !"<>|".includes(format[0])) {
         throw new Error(`samples: field ${name} has a format that this page cannot read: ${format}`);
       }
@@ -107,7 +107,7 @@ class Layout {
   }
 }
 
-const layouts = new Map(); // by the description; there is one, and a new one after an update of the daemon
+const layouts = new Map(); // by description; usually one, and a second one after an update of the daemon
 
 export function layoutOf(dtype) {
   const key = JSON.stringify(dtype);

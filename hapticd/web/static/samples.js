@@ -1,12 +1,12 @@
-// The last samples, every one of them: a ring of columns. Rows are counted from 0 since the page began; a row's place in
-// a column is `row % capacity`; those from `first` to `rows - 1` are there. Batches come as docs/protocol.md says under
-// `samples`, and are read by their `dtype` (sample_layout.js), so that fields may be added, moved or left out.
+// All samples of the last minute: a ring of columns. Rows are counted from 0 since the page was opened; the index of a row
+// in a column is `row % capacity`; rows from `first` to `rows - 1` are stored. Batches are those of the topic `samples`
+// (docs/protocol.md), and are read by their `dtype` (sample_layout.js), so that fields may be added, moved or left out.
 //
-// Rows follow each other in time, but not without gaps: `ticks` shows where samples were lost or left out on purpose.
-// Where the daemon was started again, the rows of before are forgotten: their ticks and times are of another clock.
+// Rows are in the order of time, with gaps: `ticks` shows where samples were lost or left out on purpose. After a restart
+// of the daemon all rows are removed, because their ticks and times belong to another clock.
 import { layoutOf } from "./sample_layout.js";
 
-const COLUMNS = {
+const SAMPLE_COLUMNS = {
   // name: [field of the sample, component, factor]
   time_s: ["time_ns", 0, 1e-9], x_m: ["position_m", 0, 1], y_m: ["position_m", 1, 1],
   vx_m_per_s: ["velocity_m_per_s", 0, 1], vy_m_per_s: ["velocity_m_per_s", 1, 1],
@@ -15,25 +15,24 @@ const COLUMNS = {
   force_x_n: ["force_n", 0, 1], force_y_n: ["force_n", 1, 1],
   lateness_s: ["lateness_ns", 0, 1e-9], work_s: ["work_ns", 0, 1e-9], flags: ["flags", 0, 1],
 };
-const TYPES = { time_s: Float64Array, flags: Uint32Array };
-export const MOST_ROWS = 800_000; // 54 MB; at rates above 13 kHz they are less than a minute
+const COLUMN_TYPES = { time_s: Float64Array, flags: Uint32Array };
+export const MOST_ROWS = 800_000; // 54 MB; at rates above 13 kHz less than a minute
 
-// Events: `added` {count}, when rows came; `lost` {count}, samples that never came; `restart`, when the rows of before
-// were forgotten.
+// Events: `added` {count}: rows were added; `lost` {count}: samples were lost; `restart`: all rows were removed.
 export class SampleStore extends EventTarget {
-  rows = 0; // rows that came so far; the newest is rows - 1
-  lost = 0; // samples that never came here; `dropped` of them the daemon lost already
+  rows = 0; // number of rows; the newest is rows - 1
+  lost = 0; // samples that did not arrive; the daemon lost `dropped` of them
   dropped = 0;
   originNs = null; // time_ns of the first sample, where time_s is 0
   rateHz = 10000;
   capacity = 0;
   columns = {};
   ticks = null;
-  #start = 0; // the oldest row that counts
-  #nextTick = null; // null: what comes next may be any later tick
+  #start = 0; // the oldest row that may be used
+  #nextTick = null; // null: the next sample may have any later tick
   #lastTick = -1;
   #lastDropped = null;
-  #leftOut = []; // rows that come after samples that were left out on purpose
+  #leftOut = []; // rows before which samples were left out on purpose
 
   constructor(seconds) {
     super();
@@ -44,7 +43,7 @@ export class SampleStore extends EventTarget {
     return Math.max(this.#start, this.rows - this.capacity, 0);
   }
 
-  // The servo's rate: the ring grows so that it holds its seconds. It never shrinks.
+  // Sets the servo's rate. The ring grows so that it stores its time span; it never shrinks.
   setRate(rateHz) {
     this.rateHz = rateHz;
     const wanted = Math.min(Math.ceil(this.seconds * rateHz), MOST_ROWS);
@@ -63,27 +62,27 @@ export class SampleStore extends EventTarget {
       return column;
     };
     const columns = {};
-    for (const name of Object.keys(COLUMNS)) {
-      columns[name] = moved(TYPES[name] ?? Float32Array, this.columns[name]);
+    for (const name of Object.keys(SAMPLE_COLUMNS)) {
+      columns[name] = moved(COLUMN_TYPES[name] ?? Float32Array, this.columns[name]);
     }
     this.ticks = moved(Float64Array, this.ticks);
     this.columns = columns;
     this.capacity = capacity;
-    this.#start = from; // what the smaller ring had forgotten does not come back
+    this.#start = from; // rows that the smaller ring had overwritten are lost
   }
 
-  // Samples are left out on purpose from here on: the next gap is no loss.
+  // Samples are left out on purpose from now on: the next gap is not counted as lost.
   expectGap() {
     this.#nextTick = null;
     this.#lastDropped = null;
   }
 
-  // Whether samples were left out on purpose between this row and the one before it.
+  // Returns whether samples were left out on purpose before this row.
   leftOutBefore(row) {
     return this.#leftOut.includes(row);
   }
 
-  // Forgets all rows: the next one that is added is `row`, and time_s counts from `originNs`, or from that row.
+  // Removes all rows: the next one added is `row`, and time_s counts from `originNs`, or from that row.
   clear(row = 0, originNs = null) {
     this.rows = this.#start = row;
     this.originNs = originNs;
@@ -104,8 +103,8 @@ export class SampleStore extends EventTarget {
     }
     this.#follow(batch, records);
     const count = Math.min(records.count, this.capacity);
-    const skipped = records.count - count; // a batch longer than the ring: its end counts
-    for (const [name, [field, component, factor]] of Object.entries(COLUMNS)) {
+    const skipped = records.count - count; // of a batch longer than the ring only the end is kept
+    for (const [name, [field, component, factor]] of Object.entries(SAMPLE_COLUMNS)) {
       const column = this.columns[name];
       const origin = name === "time_s" ? this.originNs : 0n;
       records.copy(field, component, column, (this.rows + skipped) % this.capacity, skipped, factor, origin);
@@ -117,7 +116,7 @@ export class SampleStore extends EventTarget {
     this.dispatchEvent(new CustomEvent("added", { detail: { count: records.count } }));
   }
 
-  // Counts what was lost before this batch, and notices another daemon.
+  // Counts the samples lost before this batch, and detects a restarted daemon.
   #follow(batch, records) {
     const restarted = batch.first_tick <= this.#lastTick;
     if (restarted) {

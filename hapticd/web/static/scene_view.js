@@ -1,9 +1,9 @@
-// The scene: objects, handle, hand and forces on a canvas, to scale; mouse, touch, keyboard and gamepad as the hand of the
-// simulated joystick, or to arrange objects. What is drawn stands in scene_view/picture.js, what happens in contacts.js.
+// The scene: objects, handle, hand and forces on a canvas, to scale. Mouse, touch, keyboard and gamepad move the hand of the
+// simulated joystick or arrange objects. scene_view/picture.js draws; contacts.js shows events.
 //
-// It leaves `app.scene`: {mode, setMode, fit, hand, transform, picture}, and listens to `select` and `playback` of
-// app.view. `playback` {state, touching} shows a moment of a recording (playback.js), a map like one of the topic `state`,
-// in the scene that was recorded; {state: null} shows the present again.
+// It sets `app.scene`: {mode, setMode, fit, hand, transform, picture}, and listens to `select` and `playback` of app.view.
+// `playback` {state, touching} shows a moment of a recording (playback.js), a map as in the topic `state`, in the recorded
+// scene; {state: null} shows the present again.
 import { onTheme } from "./theme.js";
 import { Arrange } from "./scene_view/arrange.js";
 import { Contacts } from "./scene_view/contacts.js";
@@ -34,8 +34,8 @@ class SceneView {
   transform = new Transform();
   objects = {};
   #app;
-  #fitted = "objects"; // what the view shows whole, whatever the size of the canvas; null: somebody moved it
-  #looks = ""; // of the last moment that was drawn
+  #fitted = "objects"; // what the view shows completely at any size of the canvas; null: the user moved the view
+  #drawnKey = ""; // key of the last drawn moment
 
   constructor(app, element) {
     this.#app = app;
@@ -49,7 +49,7 @@ class SceneView {
     this.#listen();
   }
 
-  // ---- What the parts ask of each other ----
+  // ---- Methods that the parts call ----
 
   get chips() {
     return this.picture.chips;
@@ -67,23 +67,23 @@ class SceneView {
     return this.#app.model.config.device ?? {};
   }
 
-  // [left, bottom, right, top] of what the handle can reach, m.
+  // The workspace of the handle: [left, bottom, right, top], in m.
   get workspace() {
     const half = this.#device.kind === "sim" ? this.#device.sim?.workspace_m : this.#device.hid?.travel_m;
     return half === undefined ? null : [-half, -half, half, half];
   }
 
-  // Null: the configuration is not to be had.
+  // Null: the configuration is not known.
   get limitN() {
     return this.#device.max_force_n ?? null;
   }
 
-  // Whether this page is the hand: of the simulated joystick, live. A real joystick has one of its own.
+  // Whether this page can move the hand: that of the simulated joystick, and not of a recording.
   get canFeel() {
     return this.#device.kind === "sim" && this.moments.playback === null;
   }
 
-  // Whether objects may be changed: those of a recording may not.
+  // Whether objects may be changed: not while a recording is shown.
   get canArrange() {
     return this.moments.playback === null;
   }
@@ -101,7 +101,7 @@ class SceneView {
     this.viewed();
   }
 
-  // Shows all "objects" and the handle, or the "workspace" whole.
+  // Fits all "objects" and the handle, or the complete "workspace", into the view.
   fit(what) {
     this.#fitted = what;
     const whole = what === "workspace" ? this.workspace : null;
@@ -115,7 +115,7 @@ class SceneView {
     this.picture.refresh();
   }
 
-  // What the pointer does now: for the cursor.
+  // Sets the cursor for what the pointer does now.
   touched(use) {
     this.canvas.dataset.use = use ?? "";
     this.picture.draw();
@@ -146,7 +146,7 @@ class SceneView {
     this.#description.update(moment, this.contacts.touching);
   }
 
-  // ---- Its own ----
+  // ---- Private ----
 
   #description;
   #tools;
@@ -156,8 +156,8 @@ class SceneView {
     return this.moments.newest?.position ?? [0, 0];
   }
 
-  // Forces are for whoever moves the hand: the page takes the lease, if it did not yet. Where it cannot, safety.js says why,
-  // and the hand, which is another's, is let go.
+  // The page that moves the hand needs control of the forces: it takes the lease if it does not have it. If it cannot,
+  // safety.js shows why, and the page releases the hand.
   async #ready() {
     if (!(await this.#app.safety.begin())) {
       this.hand.releaseAll();
@@ -201,7 +201,7 @@ class SceneView {
     const spoken = document.createElement("p");
     spoken.className = "visually-hidden";
     spoken.setAttribute("role", "status");
-    spoken.setAttribute("aria-label", "What the scene shows");
+    spoken.setAttribute("aria-label", "State of the scene");
     foot.append(figures, spoken, this.#legend.element);
     element.append(this.#tools.element, body, foot);
     this.#description = new Description(figures, spoken);
@@ -258,7 +258,7 @@ class SceneView {
     this.picture.drawAtOnce();
   }
 
-  // Scene, or what is laid over it while changes are on their way.
+  // The scene, with changes that are not confirmed yet.
   #changed() {
     const { model, playback } = this.#app;
     this.objects = playback.active ? playback.scene.objects : this.updates.over(model.scene.objects);
@@ -283,7 +283,7 @@ class SceneView {
     });
   }
 
-  // Samples came: drawn if they look different.
+  // Draws new samples if they differ visibly from the last drawn moment.
   #arrived() {
     const moment = this.moments.newest;
     if (moment === null || this.moments.playback !== null) {
@@ -292,13 +292,13 @@ class SceneView {
     const px = this.transform.toPx(moment.position).map((value) => Math.round(value * 4));
     const forces = [...moment.contact, ...moment.force, ...moment.vibration].map((value) => Math.round(value * 100));
     const looks = [...px, ...forces, moment.flags].join();
-    if (looks !== this.#looks) {
-      this.#looks = looks;
+    if (looks !== this.#drawnKey) {
+      this.#drawnKey = looks;
       this.picture.draw();
     }
   }
 
-  // `set_operator` moved the hand after this page did: what this page knows of it is old. The status comes once a second.
+  // Forgets the hand's position if `set_operator` moved it after this page did. Called with the status, once a second.
   #handTaken() {
     const { operator } = this.#app.model.status;
     if (operator && operator.started_tick !== null && operator.started_tick !== this.#operatorTick) {
@@ -311,7 +311,7 @@ class SceneView {
   }
 
   #operatorTick = null;
-  #movedTick = -1; // of the newest moment when this page moved the hand last
+  #movedTick = -1; // newest tick when this page last moved the hand
   #sceneShown = null; // the scene of the recording that was drawn last; the present one if none is open
 
   #played({ state, touching }) {

@@ -1,8 +1,8 @@
-// The oscilloscope: traces of the samples, trigger, cursors, fit of a tap, spectrum, lateness, files. The modules in
-// scope/ each do one of these; this one puts them together, and draws when there is something new.
+// The oscilloscope: traces of the samples, trigger, cursors, fit of a tap, spectrum, lateness, files. Each module in scope/
+// implements one of these; this one connects them, and draws when something changed.
 //
 // For tests and other modules, `app.scope` has: `acquisition`, `view`, `source`, `cursors`, `tap` (the last measured
-// tap, or null), `channels` (ids that are drawn), `actions` (what the controls do) and `timing` (milliseconds a frame).
+// tap, or null), `channels` (ids of drawn channels), `actions` (of the controls) and `timing` (milliseconds a frame).
 import { make } from "./dom.js";
 import { CHANNELS, QUANTITIES, SCALES } from "./scope/channels.js";
 import { Controls, TracesPanel } from "./scope/controls.js";
@@ -20,13 +20,13 @@ import { Acquisition, Trigger } from "./scope/trigger.js";
 import { ViewWindow } from "./scope/view_window.js";
 import { onTheme } from "./theme.js";
 
-const BEGIN = ["position_y", "contact_y", "vibration_y"];
+const INITIAL_CHANNELS = ["position_y", "contact_y", "vibration_y"];
 const KEPT_EVENTS = 256;
-const PLAYBACK_S = 10; // of a recording at least so much before the moment is fetched
-const TEXT_EVERY_MS = 100; // figures that change faster cannot be read
+const MIN_PLAYBACK_S = 10; // shortest time of a recording that is fetched before the moment
+const TEXT_INTERVAL_MS = 100; // figures that change faster cannot be read
 
 class Scope {
-  channels = [...BEGIN];
+  channels = [...INITIAL_CHANNELS];
   view = new ViewWindow();
   trigger = new Trigger();
   acquisition = new Acquisition(this.trigger, this.view);
@@ -34,8 +34,8 @@ class Scope {
   tap = null;
   shown = "traces";
   #spectrumOf = "vibration_y";
-  #events = []; // the newest, for the fit of a tap: what was struck after it
-  #wanted = false; // a frame is asked for
+  #events = []; // the newest events, which the fit of a tap uses to find later strikes
+  #wanted = false; // a frame is requested
   #dirty = true; // something changed that is not a new sample
   #tapPending = false;
   #textAt = -Infinity;
@@ -123,7 +123,7 @@ class Scope {
     this.#changed();
   }
 
-  // Something is to be drawn although no sample came.
+  // Requests a frame although no sample came.
   #changed() {
     this.#dirty = true;
     this.controls.show({
@@ -141,7 +141,7 @@ class Scope {
     this.#ask();
   }
 
-  // ---- What the controls do ---------------------------------------------------------------------------------------
+  // ---- Actions of the controls ------------------------------------------------------------------------------------
 
   #actions() {
     return {
@@ -268,7 +268,7 @@ class Scope {
     this.#configure();
   }
 
-  // ---- What comes -------------------------------------------------------------------------------------------------
+  // ---- Telemetry --------------------------------------------------------------------------------------------------
 
   #listen() {
     const { app } = this;
@@ -293,7 +293,7 @@ class Scope {
 
   #event(event) {
     if (this.source.store !== this.live) {
-      return; // what happens now is not in the recording
+      return; // current events are not those of the recording
     }
     this.#events.push(event);
     if (this.#events.length > KEPT_EVENTS) {
@@ -307,14 +307,14 @@ class Scope {
     store.addEventListener("restart", () => store === this.source.store && this.#begin());
   }
 
-  // All rows are others: the daemon was started again, or a recording was left, opened or looked at elsewhere.
+  // All rows were replaced: the daemon was restarted, or a recording was opened, closed or moved to another time.
   #begin() {
     this.source.begin();
     this.#events = this.source.store === this.live ? [] : [...this.app.playback.facts.events];
     this.#restart(() => {});
   }
 
-  // The samples that are shown are of this store: those that come now, or a recording's (playback.js).
+  // Shows the samples of a store: the current ones, or those of a recording (playback.js).
   #play(store) {
     if (store !== this.source.store) {
       this.source = new Source(store);
@@ -324,12 +324,12 @@ class Scope {
       this.#begin();
     }
     if (store !== this.live) {
-      this.app.playback.spanS = Math.max(PLAYBACK_S, this.view.widthS);
+      this.app.playback.spanS = Math.max(MIN_PLAYBACK_S, this.view.widthS);
     }
     this.#changed();
   }
 
-  // What a tap was rendered with.
+  // Returns the conditions under which a tap was rendered.
   get #world() {
     const { model, playback } = this.app;
     if (this.source.store !== this.live) {
@@ -359,7 +359,7 @@ class Scope {
     }
     const state = acquisition.state;
     if (acquisition.update(source)) {
-      this.#dirty = true; // another picture
+      this.#dirty = true; // the picture changed
       this.tap = null;
       this.#tapPending = acquisition.shown.event?.event === "contact";
     }
@@ -379,10 +379,10 @@ class Scope {
     } else if (this.shown === "spectrum") {
       this.#stepSpectrum(moved);
     }
-    if (moved && begun - this.#textAt > TEXT_EVERY_MS) {
+    if (moved && begun - this.#textAt > TEXT_INTERVAL_MS) {
       this.#texts(begun);
     } else if (moved && !moves) {
-      setTimeout(() => this.#texts(performance.now()), TEXT_EVERY_MS);
+      setTimeout(() => this.#texts(performance.now()), TEXT_INTERVAL_MS);
     }
     if (moved) {
       this.timing.add(performance.now() - begun);
@@ -407,7 +407,7 @@ class Scope {
     }
   }
 
-  // What spectrum and files are of: between the cursors, or the window.
+  // The range of spectrum and files: between the cursors, or the window.
   get stretch() {
     return this.cursors.shown ? this.cursors.stretch : [this.view.left, this.view.right];
   }

@@ -1,15 +1,15 @@
-// The panel of the sound: vibration_force_n to both ears, noise that masks the motors' sound, and how late it is.
+// The sound: vibration_force_n on both ears, noise that masks the sound of the motors, and the latency.
 //
-//   app.sound.start(), stop()   a browser lets sound begin only after a press of a button or a key
-//   app.sound.latency()         its parts in ms, and their sum: from the time of a sample to the sound of it
-//   app.sound.report            what sound_worklet.js told last: fill, gaps, peak, ...
-//   app.sound.output            the AudioNode that is heard, while it runs
+//   app.sound.start(), stop()   a browser allows sound only after a press of a button or a key
+//   app.sound.latency()         latency from the time of a sample to its sound: its parts in ms, and their sum
+//   app.sound.report            the last report of sound_worklet.js: fill, gaps, peak, ...
+//   app.sound.output            the AudioNode of the output, while the sound runs
 import { SoundPanel } from "./sound_panel.js";
 
 const WORKLET = new URL("./sound_worklet.js", import.meta.url);
-const KEPT = "hapticd.sound";
-const COMPARISONS = 10;
-const AVERAGED = 0.1; // of an arrival in the mean
+const STORAGE_KEY = "hapticd.sound";
+const CLOCK_COMPARISONS = 10;
+const ARRIVAL_WEIGHT = 0.1; // weight of an arrival in the moving average
 
 export class Sound extends EventTarget {
   settings = { volume: 0.5, muted: false, pitch: 1, noise: 0 };
@@ -22,15 +22,15 @@ export class Sound extends EventTarget {
   #lost = 0;
   #rate = 0;
   #offsetMs = null; // CLOCK_MONOTONIC minus performance.now()
-  #arrivalMs = null; // from the time of the newest sample of a batch until it is here, on average
+  #arrivalMs = null; // mean time from the newest sample of a batch to its arrival
 
   constructor(app) {
     super();
     this.#app = app;
     try {
-      Object.assign(this.settings, JSON.parse(localStorage.getItem(KEPT) ?? "{}"));
+      Object.assign(this.settings, JSON.parse(localStorage.getItem(STORAGE_KEY) ?? "{}"));
     } catch {
-      localStorage.removeItem(KEPT); // not ours
+      localStorage.removeItem(STORAGE_KEY); // not written by this page
     }
     app.samples.addEventListener("added", () => this.running && this.#send());
     app.samples.addEventListener("lost", ({ detail }) => (this.#lost += detail.count));
@@ -38,7 +38,7 @@ export class Sound extends EventTarget {
     app.model.addEventListener("status", () => this.running && app.model.rateHz !== this.#rate && this.#restart());
   }
 
-  // Called by a press of a button or a key. Raises what the browser says where it has no sound.
+  // Must be called by a press of a button or a key. Throws the browser's error if there is no sound output.
   async start() {
     if (this.running) {
       return;
@@ -50,7 +50,7 @@ export class Sound extends EventTarget {
       this.#rate = model.rateHz;
       const options = { numberOfInputs: 0, outputChannelCount: [2], processorOptions: { rate: this.#rate } };
       const output = new AudioWorkletNode(context, "hapticd-vibration", options);
-      output.port.onmessage = ({ data }) => this.#told(data.report);
+      output.port.onmessage = ({ data }) => this.#reported(data.report);
       output.onprocessorerror = () => this.#failed();
       output.port.postMessage(this.settings);
       output.connect(context.destination);
@@ -81,13 +81,13 @@ export class Sound extends EventTarget {
 
   set(settings) {
     Object.assign(this.settings, settings);
-    localStorage.setItem(KEPT, JSON.stringify(this.settings));
+    localStorage.setItem(STORAGE_KEY, JSON.stringify(this.settings));
     this.output?.port.postMessage(settings);
     this.dispatchEvent(new Event("changed"));
   }
 
-  // From the time of a sample to its sound, in ms; null while nothing is played. `way`: to this page, of the newest
-  // sample of a batch; `buffer`: what is played before it; `pitch`: the grains; `output`: the browser and the device.
+  // Returns the latency from the time of a sample to its sound, in ms; null while nothing is played. `way`: from the daemon
+  // to this page; `buffer`: buffered samples; `pitch`: the grains; `output`: the browser and the device.
   latency() {
     if (this.report === null || this.report.written_fill_s === null || this.#arrivalMs === null) {
       return null;
@@ -102,7 +102,7 @@ export class Sound extends EventTarget {
     return { ...parts, sum: parts.way + parts.buffer + parts.pitch + parts.output };
   }
 
-  #told(report) {
+  #reported(report) {
     if (report !== undefined && this.running) {
       this.report = report;
       this.dispatchEvent(new Event("report"));
@@ -123,7 +123,7 @@ export class Sound extends EventTarget {
     this.#compareClocks();
   }
 
-  // What came since the last call.
+  // Sends the samples that came since the last call.
   #send() {
     const { samples } = this.#app;
     const { vibration_x_n: x, vibration_y_n: y, time_s: time } = samples.columns;
@@ -139,17 +139,17 @@ export class Sound extends EventTarget {
     if (this.#offsetMs !== null) {
       const newest = Number(samples.originNs) / 1e6 + 1e3 * time[(samples.rows - 1) % samples.capacity];
       const arrivalMs = performance.now() + this.#offsetMs - newest;
-      this.#arrivalMs = this.#arrivalMs === null ? arrivalMs : this.#arrivalMs + AVERAGED * (arrivalMs - this.#arrivalMs);
+      this.#arrivalMs = this.#arrivalMs === null ? arrivalMs : this.#arrivalMs + ARRIVAL_WEIGHT * (arrivalMs - this.#arrivalMs);
     }
     this.output.port.postMessage({ pairs, missing }, [pairs.buffer]);
   }
 
-  // The distance between the daemon's clock and this page's, known to half of the shortest way there and back.
+  // Measures the offset between the daemon's clock and this page's, with an error of at most half the shortest round trip.
   async #compareClocks() {
     let shortest = Infinity;
     this.#offsetMs = null;
     let offsetMs = null;
-    for (let i = 0; i < COMPARISONS; i++) {
+    for (let i = 0; i < CLOCK_COMPARISONS; i++) {
       const before = performance.now();
       const { clock } = await this.#app.link.call("get_status");
       const after = performance.now();

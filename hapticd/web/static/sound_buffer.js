@@ -1,21 +1,21 @@
-// Samples on their way to the ear: a ring that is written in batches by one clock and read evenly by another one.
+// The jitter buffer of the sound: a ring that is written in batches by one clock and read evenly by another.
 //
-//   fill       what is in it, in seconds; it is held at `target_s` by reading up to 0.5 % faster or slower (a PI
-//              controller on the fill, averaged over a second), which nobody hears
-//   gap        it ran dry: the sound fades out within 3 ms, waits until the fill is at its target, and fades in. The
-//              target grows by 15 ms with each gap, up to 80 ms, and goes back by 0.5 ms in a second
-//   skip       more than `most_s` above the target is in it (the page was held up): it fades out, leaves samples out, fades in
-//   lost       samples that never came: the ends of what is there fade within 3 ms, so that nothing clicks
+//   fill       buffered time in seconds; it is kept at `target_s` by reading up to 0.5 % faster or slower, which cannot be
+//              heard (a PI controller on the fill, averaged over a second)
+//   gap        the ring is empty: the sound fades out within 3 ms, waits until the fill is at its target, and fades in. The
+//              target grows by 15 ms with each gap, up to 80 ms, and decreases by 0.5 ms a second
+//   skip       the fill is more than `most_s` above the target (the page was blocked): fades out, skips samples, fades in
+//   lost       samples that did not arrive: the sound fades out and in within 3 ms, to avoid clicks
 //
-// Two components, x and y, in N. Nothing here knows of audio; a place is counted in samples since the beginning.
+// Samples have two components, x and y, in N. A place is an index of samples since the beginning.
 import { REACH } from "./sound_interpolator.js";
 
 const CAPACITY = 1 << 17;
 export const MASK = CAPACITY - 1;
 export const BASE_S = 0.045;
-const MOST_TARGET_S = 0.08; // with it a sound is still less than 150 ms late
-const GAP_STEP_S = 0.015;
-const BACK_S_PER_S = 0.0005;
+const MOST_TARGET_S = 0.08; // keeps the latency below 150 ms
+const TARGET_STEP_S = 0.015;
+const TARGET_DECREASE_S_PER_S = 0.0005;
 const HALF_BATCH_S = 0.01;
 const FADE_S = 0.003;
 const AVERAGE_S = 1;
@@ -27,10 +27,10 @@ export class SampleBuffer {
   x = new Float32Array(CAPACITY);
   y = new Float32Array(CAPACITY);
   written = 0;
-  place = 0; // that is read next
+  place = 0; // the place that is read next
   playing = false;
-  fade = 0; // 0 to 1, by which everything is multiplied
-  correction = 0; // how much faster than the nominal rate it is read
+  fade = 0; // gain, 0 to 1
+  correction = 0; // relative deviation of the reading rate from the nominal one
   gaps = 0;
   skips = 0;
   lost = 0;
@@ -51,7 +51,7 @@ export class SampleBuffer {
     return (this.written - this.place) / this.rate;
   }
 
-  // Pairs [x, y, x, y, ...]; `missing`: samples that were lost before them.
+  // Writes pairs [x, y, x, y, ...]; `missing`: number of samples lost before them.
   write(pairs, missing = 0) {
     const from = this.written;
     const count = pairs.length >> 1;
@@ -85,7 +85,7 @@ export class SampleBuffer {
     }
   }
 
-  // Another rate, or another daemon: nothing of before is played.
+  // Drops all samples: the rate changed or the daemon was restarted.
   restart(rate) {
     this.rate = rate;
     this.place = this.written;
@@ -94,7 +94,7 @@ export class SampleBuffer {
     this.#integral = this.#surplus_s = this.correction = 0;
   }
 
-  // Before `seconds` of sound: whether anything is played, and how fast.
+  // Called before each `seconds` of sound: decides whether samples are played, and how fast.
   follow(seconds) {
     if (!this.playing) {
       const wanted_s = this.target_s + HALF_BATCH_S;
@@ -105,7 +105,7 @@ export class SampleBuffer {
       this.place = this.written - wanted_s * this.rate;
       this.#surplus_s = 0;
     }
-    this.target_s = Math.max(BASE_S, this.target_s - BACK_S_PER_S * seconds);
+    this.target_s = Math.max(BASE_S, this.target_s - TARGET_DECREASE_S_PER_S * seconds);
     const surplus_s = this.fill_s - this.target_s;
     if (surplus_s > this.most_s) {
       this.#skipping = true;
@@ -116,8 +116,8 @@ export class SampleBuffer {
     this.correction = limited(PROPORTIONAL_PER_S * this.#surplus_s + this.#integral);
   }
 
-  // The next `seconds` of the fade, after one value was read; false: there is none to be read. `ahead`: so many samples
-  // behind the place that is read next are needed, too.
+  // Advances the fade by `seconds` after a value was read; returns false if no value can be read. `ahead`: number of samples
+  // after the place that must be in the ring, too.
   step(seconds, ahead) {
     if (!this.playing) {
       return false;
@@ -137,7 +137,7 @@ export class SampleBuffer {
     }
     this.playing = false;
     this.gaps++;
-    this.target_s = Math.min(MOST_TARGET_S, this.target_s + GAP_STEP_S);
+    this.target_s = Math.min(MOST_TARGET_S, this.target_s + TARGET_STEP_S);
     return false;
   }
 }

@@ -1,11 +1,10 @@
-// Samples between samples: a signal of one rate read at any place, through a windowed sinc (Kaiser, 32 samples long).
-// What lies above `cutoff`, in parts of half the signal's rate, is left out, so that a signal that is read fast does not
-// fold down.
+// Interpolation between samples by a windowed sinc (Kaiser, 32 samples long). Frequencies above `cutoff`, a fraction of half
+// the signal's rate, are removed, so that a signal that is read faster does not alias.
 const TAPS = 32;
 const PHASES = 128;
 const BETA = 8;
 
-export const REACH = TAPS / 2; // so many samples after a place are needed for it
+export const REACH = TAPS / 2; // number of samples that are needed after a place
 
 // The modified Bessel function of order zero.
 function bessel(x) {
@@ -30,7 +29,7 @@ function kernel(cutoff) {
       sum += value;
     }
     for (let tap = 0; tap < TAPS; tap++) {
-      table[phase * TAPS + tap] /= sum; // what does not change comes out as it is
+      table[phase * TAPS + tap] /= sum; // a constant signal stays unchanged
     }
   }
   return table;
@@ -43,7 +42,7 @@ export class Interpolator {
     this.#table = kernel(Math.min(1, cutoff));
   }
 
-  // The value of a ring at a place, which is counted in samples since the beginning. `mask`: its length minus one.
+  // Returns the value of a ring at a place, counted in samples since the beginning. `mask`: the ring's length minus one.
   at(ring, mask, place) {
     const whole = Math.floor(place);
     const phase = (place - whole) * PHASES;

@@ -1,4 +1,4 @@
-// The controls of the sound, and what it does at the moment.
+// The controls of the sound, and its state.
 const NUMBERS = new Intl.NumberFormat("en", { maximumFractionDigits: 0 });
 
 function made(html) {
@@ -43,7 +43,7 @@ const PANEL = `
   <p class="note">Masks the sound of the motors, as for the subjects of Okamura et al. (1998). 0 % is off.</p>
 </div>
 <div class="card stack">
-  <h3>What is heard</h3>
+  <h3>State</h3>
   <dl class="facts">
     <dt>Sample to sound</dt><dd id="sound-latency"></dd>
     <dt>Buffer</dt><dd id="sound-buffer"></dd>
@@ -121,9 +121,9 @@ export class SoundPanel {
     put("gaps", report === null ? "-" : `${report.gaps + report.skips}${lost}`);
     put("correction", report === null ? "-" : `${(1e2 * report.correction).toFixed(3)} %`);
     const parts = latency ?? { way: 0, buffer: 0, pitch: 0, output: 0 };
-    const told =
+    const text =
       `To this page ${ms(parts.way)}, in the buffer ${ms(parts.buffer)}, for the pitch ${ms(parts.pitch)}, ` +
       `in browser and device ${ms(parts.output)}.`;
-    put("parts", latency === null ? "" : told);
+    put("parts", latency === null ? "" : text);
   }
 }

@@ -1,24 +1,24 @@
-// The same vibration at another pitch, for what is below hearing: times 4, times 8.
+// Pitch shifting by 4 or 8, to hear vibrations below the range of hearing.
 //
 // Grains, each a few periods long, are read `pitch` times as fast as they came and overlap by half (Hann windows), so that
-// the pitch rises and the time does not run away. Where a grain begins is searched so that it goes on as the one before it
-// would have (the largest normalised correlation over the last 15 ms): the waves of a tone stay in step, and the tone
-// comes out at exactly `pitch` times its frequency. A tap comes out higher and as long as before.
+// the pitch rises and the duration stays. The beginning of a grain is searched so that it continues the previous grain (the
+// largest normalised correlation over the last 15 ms): a tone stays in phase and gets exactly `pitch` times its frequency. A
+// tap becomes higher and keeps its duration.
 //
-// A grain needs (pitch - 1) times its length of what came before: this is the delay that a pitch adds, on average half
-// of it and half of the search. At a pitch of 1 samples are read as they are.
+// A grain needs earlier samples of (pitch - 1) times its length. This adds a delay: on average half of that and half of the
+// search. At a pitch of 1 samples are read unchanged.
 import { MASK } from "./sound_buffer.js";
 import { Interpolator } from "./sound_interpolator.js";
 
 const GRAIN_S = { 4: 0.02, 8: 0.012 };
 const SEARCH_S = 0.015;
-const COMPARED = 96; // places of two grains that are compared
-const HEARD = 0.9; // of half the output's rate
+const COMPARED_PLACES = 96; // number of places at which two grains are compared
+const MAX_FREQUENCY_FRACTION = 0.9; // highest frequency, as a fraction of half the output's rate
 
 class Grain {
   constructor(begin, at) {
-    this.begin = begin; // place of its first sample
-    this.at = at; // values of it that were read
+    this.begin = begin; // place of the first sample
+    this.at = at; // number of values that were read
   }
 }
 
@@ -27,7 +27,7 @@ export class PitchReader {
   #outRate;
   #interpolator;
   #grains = [];
-  #length = 0; // of a grain, values
+  #length = 0; // length of a grain, in values
   #until = 0; // values until the next grain begins
 
   constructor(outRate) {
@@ -35,21 +35,21 @@ export class PitchReader {
     this.set(1, 10000);
   }
 
-  // `rate`: of the samples.
+  // `rate`: the rate of the samples.
   set(pitch, rate) {
     this.pitch = pitch;
-    this.#interpolator = new Interpolator((HEARD * this.#outRate) / (pitch * rate));
+    this.#interpolator = new Interpolator((MAX_FREQUENCY_FRACTION * this.#outRate) / (pitch * rate));
     this.#length = pitch === 1 ? 0 : 2 * Math.round((GRAIN_S[pitch] * this.#outRate) / 2);
     this.#grains = [];
     this.#until = 0;
   }
 
-  // What it adds to the delay, s.
+  // The delay that the pitch adds, in s.
   get delay_s() {
     return this.pitch === 1 ? 0 : ((this.pitch - 1) * GRAIN_S[this.pitch] + SEARCH_S) / 2;
   }
 
-  // The value at the buffer's place, [x, y] into `value`; `step`: samples from one value to the next.
+  // Stores the value at the buffer's place, [x, y], in `value`; `step`: samples from one value to the next.
   read(buffer, step, value) {
     if (this.pitch === 1) {
       value[0] = this.#interpolator.at(buffer.x, MASK, buffer.place);
@@ -75,7 +75,7 @@ export class PitchReader {
   }
 
   #begin(buffer, step) {
-    // So early that its end is not read before it came.
+    // Early enough that the end of the grain is not read before it has come.
     const latest = buffer.place - (this.pitch - 1) * this.#length * step;
     const before = this.#grains.at(-1);
     let begin = latest;
@@ -87,10 +87,10 @@ export class PitchReader {
     this.#grains.push(new Grain(begin, 0));
   }
 
-  // How many samples before `latest` a grain begins that is most like what begins at `goesOn`.
+  // Returns how many samples before `latest` the grain begins that is most similar to the samples from `goesOn` on.
   #lagOf(buffer, goesOn, latest, overlap) {
     const { x, y } = buffer;
-    const every = Math.max(1, Math.floor(overlap / COMPARED));
+    const every = Math.max(1, Math.floor(overlap / COMPARED_PLACES));
     const most = Math.round(SEARCH_S * buffer.rate);
     let [best, found] = [0, 0];
     for (let lag = 0; lag <= most; lag++) {

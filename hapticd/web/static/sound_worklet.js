@@ -1,26 +1,27 @@
-// Vibration to both ears, in the browser's audio thread. Messages to it:
+// The sound of vibration on both ears, in the browser's audio thread. Messages to it:
 //
-//   {pairs: Float32Array [x, y, ...], missing}   samples of vibration_force_n, N, and how many were lost before them
-//   {rate}                                       of the samples, a second; what was not played yet is left out
+//   {pairs: Float32Array [x, y, ...], missing}   samples of vibration_force_n, N, and the number lost before them
+//   {rate}                                       samples a second; samples that were not played yet are dropped
 //   {volume, muted, pitch, noise}                volume and noise from 0 to 1; pitch 1, 4 or 8
 //
-// and from it, five times a second, what sound.js shows. Left is x + y, right y - x, so that a vibration in any direction
-// is heard. One newton along an axis is a third of full scale at full volume; what is louder than 0.8 is bent, not cut.
+// It sends the state that sound.js shows five times a second. Left is x + y, right is y - x, so that vibration in any
+// direction can be heard. One newton along an axis is a third of full scale at full volume; values above 0.8 are compressed,
+// not clipped.
 import { SampleBuffer } from "./sound_buffer.js";
 import { PitchReader } from "./sound_pitch.js";
 
-const PER_N = 1 / 3;
-const KNEE = 0.8;
-const SMOOTH_S = 0.02;
-const REPORT_S = 0.2;
-const NOISE_RMS = 0.25; // of full scale, at full volume
+const FULL_SCALE_PER_N = 1 / 3;
+const COMPRESSION_KNEE = 0.8;
+const SMOOTHING_S = 0.02;
+const REPORT_INTERVAL_S = 0.2;
+const NOISE_RMS = 0.25; // fraction of full scale at full volume
 
 function bent(value) {
   const size = Math.abs(value);
-  return size <= KNEE ? value : Math.sign(value) * (KNEE + (1 - KNEE) * Math.tanh((size - KNEE) / (1 - KNEE)));
+  return size <= COMPRESSION_KNEE ? value : Math.sign(value) * (COMPRESSION_KNEE + (1 - COMPRESSION_KNEE) * Math.tanh((size - COMPRESSION_KNEE) / (1 - COMPRESSION_KNEE)));
 }
 
-// Volumes by ear: half way is a quarter of the force.
+// Perceived volume: the slider's middle is a quarter of the amplitude.
 const gainOf = (volume) => volume * volume;
 
 class Vibration extends AudioWorkletProcessor {
@@ -30,7 +31,7 @@ class Vibration extends AudioWorkletProcessor {
   #gain = 0;
   #noise = 0;
   #peak = 0;
-  #silent = 0; // values since the last report
+  #silent = 0; // silent values since the last report
   #writtenFill_s = null; // the fill after the last batch
   #value = new Float64Array(2);
 
@@ -56,7 +57,7 @@ class Vibration extends AudioWorkletProcessor {
     }
   }
 
-  // Another pitch begins where nothing is heard.
+  // The pitch changes while nothing is heard.
   #turnToPitch() {
     const { pitch } = this.#settings;
     if (pitch === this.#reader.pitch) {
@@ -73,10 +74,10 @@ class Vibration extends AudioWorkletProcessor {
     const settings = this.#settings;
     const seconds = 1 / sampleRate;
     buffer.follow(left.length * seconds);
-    const wanted = settings.muted ? 0 : gainOf(settings.volume) * PER_N * this.#turnToPitch();
+    const wanted = settings.muted ? 0 : gainOf(settings.volume) * FULL_SCALE_PER_N * this.#turnToPitch();
     const noise = gainOf(settings.noise) * NOISE_RMS * Math.sqrt(3);
     const step = (buffer.rate / sampleRate) * (1 + buffer.correction);
-    const part = seconds / SMOOTH_S;
+    const part = seconds / SMOOTHING_S;
     const value = this.#value;
     for (let i = 0; i < left.length; i++) {
       this.#gain += (wanted - this.#gain) * part;
@@ -92,7 +93,7 @@ class Vibration extends AudioWorkletProcessor {
       this.#peak = Math.max(this.#peak, Math.abs(left[i]), Math.abs(right[i]));
     }
     this.#silent += left.length;
-    if (this.#silent >= REPORT_S * sampleRate) {
+    if (this.#silent >= REPORT_INTERVAL_S * sampleRate) {
       this.#report();
     }
     return true;

@@ -1,9 +1,9 @@
-// The bar at the top: what the daemon does, who holds the forces, faults and warnings in plain words, and the stop.
-// Space stops the forces wherever the focus is, but in a field that text is written in. Escape stops them there, too, unless it
-// has something to take back or to close: then it does that alone (whoever does it prevents the default).
+// The bar at the top: state of the daemon, control of the forces, faults, warnings, and the stop. Space stops the forces
+// unless the focus is in a text field. Escape stops them there, too, unless it cancels or closes something: then it does only
+// that (the listener prevents the default).
 import { faultText, lateness } from "./status_words.js";
 
-const HTML = `
+const BAR_HTML = `
   <div class="bar">
     <span class="brand">hapticd</span>
     <div class="forces">
@@ -19,19 +19,19 @@ const HTML = `
   </div>
   <div id="alerts"></div>`;
 
-const FACTS = ["Device", "Rate", "Lateness", "Missed", "Lost here", "Revision"];
-const SILENT_S = 3; // the status comes once a second
+const FACT_NAMES = ["Device", "Rate", "Lateness", "Missed", "Lost here", "Revision"];
+const MAX_STATUS_SILENCE_S = 3; // the status comes once a second
 
-// Whether the daemon, which says its status every second, has stopped to.
-const silent = ({ app, heard }) => performance.now() - Math.max(heard, app.attention.since) > 1e3 * SILENT_S;
+// Whether the daemon, which sends its status every second, has stopped sending.
+const silent = ({ app, heard }) => performance.now() - Math.max(heard, app.attention.since) > 1e3 * MAX_STATUS_SILENCE_S;
 
 const number = new Intl.NumberFormat("en");
 
 export function mount(app, element) {
-  element.innerHTML = HTML;
+  element.innerHTML = BAR_HTML;
   const part = (id) => document.getElementById(id);
   const facts = {};
-  for (const name of FACTS) {
+  for (const name of FACT_NAMES) {
     const group = document.createElement("div");
     const [term, value] = [document.createElement("dt"), document.createElement("dd")];
     term.textContent = name;
@@ -81,17 +81,17 @@ export function mount(app, element) {
 
 // ---- The stop ------------------------------------------------------------------------------------------------------
 
-// Fields that take a space. A number has none.
-const TYPED = "input:is([type=text], [type=search], [type=password], :not([type])):not([data-number]), textarea, [contenteditable=true]";
+// Fields in which a space can be typed; not fields of numbers.
+const TEXT_FIELDS = "input:is([type=text], [type=search], [type=password], :not([type])):not([data-number]), textarea, [contenteditable=true]";
 
 const isModified = (event) => event.ctrlKey || event.altKey || event.metaKey;
-const isFreeSpace = (event) => event.key === " " && !event.target.closest?.(TYPED);
+const isFreeSpace = (event) => event.key === " " && !event.target.closest?.(TEXT_FIELDS);
 
 function stopBy(app, button) {
-  // On the way down, so that nothing that takes keys of its own can hold it back.
+  // In the capture phase, so that no other key listener can block the stop.
   addEventListener("keydown", (event) => {
     if (isFreeSpace(event) && !isModified(event)) {
-      event.preventDefault(); // neither scrolls nor presses or ticks what has the focus: Enter does
+      event.preventDefault(); // so that the space does not scroll, press or tick the focused element; Enter does
       if (!event.repeat) {
         app.safety.stop();
       }
@@ -110,12 +110,12 @@ function stopBy(app, button) {
       app.safety.stop();
     } else if (event.key === "Enter" && event.target.matches?.("input[type=checkbox]")) {
       event.preventDefault();
-      event.target.click(); // what the space does elsewhere
+      event.target.click(); // as a space usually does
     }
   });
   let pressed = false;
   button.addEventListener("pointerdown", () => {
-    pressed = true; // not first when the finger is lifted
+    pressed = true; // at the press, not at the release
     app.safety.stop();
   });
   button.addEventListener("click", () => {
@@ -126,7 +126,7 @@ function stopBy(app, button) {
   });
 }
 
-// ---- What is shown -------------------------------------------------------------------------------------------------
+// ---- Display -------------------------------------------------------------------------------------------------------
 
 function drawFacts({ app, facts, late }) {
   const { status } = app.model;
@@ -149,7 +149,7 @@ function drawFacts({ app, facts, late }) {
   set("Revision", number.format(status.revision));
 }
 
-// [word, class of the pill] of forces and connection, the worst first.
+// [text, class] of the pill for forces and connection, the worst first.
 function stateOf(bar) {
   const { app, waiting } = bar;
   const { safety, link, model } = app;
@@ -192,7 +192,7 @@ function draw(bar) {
   drawAlerts(bar);
 }
 
-// Lines below the bar: why there is no connection, why forces are off, what of the scene is not displayed as meant.
+// Lines below the bar: why there is no connection, why forces are off, what of the scene is not displayed as specified.
 function drawAlerts(bar) {
   const { app, part, waiting } = bar;
   const { safety, model, link } = app;
@@ -202,7 +202,7 @@ function drawAlerts(bar) {
       ? "The server of this page was started again. Open the address that it printed."
       : `The server of this page does not answer. The next try is in ${number.format(waiting.pause_s)} s.`]);
   } else if (link.connected && (model.away || silent(bar))) {
-    lines.push(["bad", "The daemon does not answer. `hapticd status` says more; the page goes on when it is back."]);
+    lines.push(["bad", "The daemon does not answer. See `hapticd status`; the page continues when it answers again."]);
   } else if (link.connected) {
     for (const fault of safety.faults) {
       lines.push(["bad", faultText(fault, model)]);

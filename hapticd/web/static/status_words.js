@@ -1,6 +1,6 @@
-// Words and figures of the status bar: faults in plain words, the lateness of the last seconds.
+// Texts and numbers of the status bar: explanations of faults, the lateness of the last seconds.
 
-const WORDS = {
+const FAULT_TEXTS = {
   nonfinite: "A position or a force was not a finite number, so the force was set to zero.",
   control: "The daemon answered no commands for 1 s, so the forces faded.",
   lease: "The page or program that held the forces was closed, froze or lost its connection, so the forces faded.",
@@ -8,7 +8,7 @@ const WORDS = {
   frozen: "The joystick reported the same position for too long while it was pushed. Move the handle to see whether it reports.",
 };
 
-// One line: what happened, and what to do where there is something to do.
+// Returns one line: what happened, and what can be done about it.
 export function faultText(fault, model) {
   if (fault === "overrun") {
     const share = model.status.overruns?.threshold;
@@ -18,19 +18,19 @@ export function faultText(fault, model) {
   if (fault === "signs") {
     return model.status.connection?.signs?.advice ?? "The check of the joystick's directions failed.";
   }
-  return WORDS[fault] ?? `Fault: ${fault}.`;
+  return FAULT_TEXTS[fault] ?? `Fault: ${fault}.`;
 }
 
-const SECONDS = 10;
+const LATENESS_WINDOW_S = 10;
 
 function microseconds(ns) {
   return ns < 9950 ? (ns / 1e3).toFixed(1) : Math.round(ns / 1e3).toLocaleString("en");
 }
 
-// The lateness that 99 % of the ticks of the last 10 s kept, from the status's histograms, whose edges lie 19 % apart: it
-// is the edge above. `max` is that since the daemon's start.
+// The 99 % quantile of the lateness in the last 10 s, rounded up to an edge of the status's histograms (steps of 19 %).
+// `max` is the maximum since the daemon's start.
 export function lateness() {
-  let kept = []; // counts of the last seconds
+  let kept = []; // histogram counts of the last seconds
   let newest = null;
   let started = null;
 
@@ -42,7 +42,7 @@ export function lateness() {
       [kept, started] = [[], startedNs];
     }
     kept.push(histogram.counts);
-    kept = kept.slice(-(SECONDS + 1));
+    kept = kept.slice(-(LATENESS_WINDOW_S + 1));
     newest = histogram;
   }
 

@@ -1,6 +1,6 @@
-// The tabs of the panels: one is shown. Arrow keys, Home and End move between them, as WAI-ARIA's tabs do. The one that
-// was shown last is shown again after a reload.
-const REMEMBERED = "hapticd.tab";
+// The tabs of the panels, of which one is shown. Arrow keys, Home and End move between them, as in WAI-ARIA. After a reload
+// the last tab is shown again.
+const TAB_STORAGE_KEY = "hapticd.tab";
 
 export function mount(app, element) {
   const tabs = [...element.querySelectorAll('[role="tab"]')];
@@ -12,7 +12,7 @@ export function mount(app, element) {
       each.tabIndex = each === tab ? 0 : -1;
       panelOf(each).hidden = each !== tab;
     }
-    sessionStorage.setItem(REMEMBERED, tab.id);
+    sessionStorage.setItem(TAB_STORAGE_KEY, tab.id);
     app.view.dispatchEvent(new CustomEvent("tab", { detail: { panel: panelOf(tab).id } }));
   }
 
@@ -33,5 +33,5 @@ export function mount(app, element) {
     }
   });
   app.tabs = { show: (panel) => show(tabs.find((tab) => panelOf(tab).id === panel)) };
-  show(tabs.find((tab) => tab.id === sessionStorage.getItem(REMEMBERED)) ?? tabs[0]);
+  show(tabs.find((tab) => tab.id === sessionStorage.getItem(TAB_STORAGE_KEY)) ?? tabs[0]);
 }

@@ -1,5 +1,5 @@
-// Colours of style.css for what is drawn on a canvas: `color("contact")` is the value of --contact, light or dark as the
-// page is. `onTheme(call)` calls when that changes, so that a picture is drawn again.
+// Colours of style.css for canvases: `color("contact")` is the value of --contact in the current theme, light or dark.
+// `onTheme(call)` calls a function when the theme changes, to draw again.
 const dark = matchMedia("(prefers-color-scheme: dark)");
 let known = new Map();
 

@@ -1,17 +1,17 @@
-// How fast the page is, measured while somebody asks for it: `hapticd.timing.start()`, then `await report()`.
+// Frame rate and latencies of the page, measured on request: `hapticd.timing.start()`, then `await report()`.
 //
-//   frames           pictures that the browser showed, a second, and the time between two of them
-//   sample_to_pixel  from the time of a sample (`time_ns`) to the end of the frame that first had it. A module that draws
-//                    samples calls `drew(row)` with the newest row in its picture; where none did, `source` is "frames":
-//                    the newest row that was here when the frame was drawn.
-//   pointer_to_force from a movement of the pointer over the scene while it is pressed to the first sample whose force
-//                    is another one by 0.02 N
+//   frames           frames a second, and the time between two of them
+//   sample_to_pixel  time from a sample (`time_ns`) to the end of the first frame that shows it. A module that draws
+//                    samples calls `drew(row)` with the newest row that it drew; if none did, `source` is "frames" and the
+//                    newest row that had come before the frame is used.
+//   pointer_to_force time from a movement of the pressed pointer over the scene to the first sample whose force differs by
+//                    0.02 N
 //
-// Times of samples are CLOCK_MONOTONIC of the daemon's machine. Their distance to this page's clock is asked for: it is
-// known to half of the shortest way there and back, which the report has as `clock_error_ms`.
-const KEPT = 20_000;
-const FORCE_N = 0.02;
-const TOO_LATE_MS = 500;
+// Times of samples are CLOCK_MONOTONIC of the daemon's machine. Their offset to this page's clock is measured with an error
+// of at most half the shortest round trip, which the report has as `clock_error_ms`.
+const MAX_FRAMES = 20_000;
+const FORCE_CHANGE_N = 0.02;
+const MAX_LATENCY_MS = 500;
 
 export function quantile(values, share) {
   const sorted = [...values].sort((a, b) => a - b);
@@ -25,7 +25,7 @@ function summary(values) {
 class Kept {
   values = [];
   add(value) {
-    if (this.values.length < KEPT) {
+    if (this.values.length < MAX_FRAMES) {
       this.values.push(value);
     }
   }
@@ -36,8 +36,8 @@ export class Timing {
   #app;
   #begun = 0;
   #frames = 0;
-  #last = null; // time of the frame before
-  #seenRow = 0; // rows before this one were in a picture
+  #last = null; // time of the previous frame
+  #seenRow = 0; // rows before this one were shown
   #drawnRow = null; // newest row that a module drew since the last frame
   #toldRows = false;
   #pointer = null; // a movement that waits for its force
@@ -51,11 +51,11 @@ export class Timing {
   constructor(app) {
     this.#app = app;
     app.samples.addEventListener("added", () => this.running && this.#added());
-    const scene = document.getElementById("scene-view"); // a page without one has no pointer to time
+    const scene = document.getElementById("scene-view"); // without a scene there is no pointer to measure
     scene?.addEventListener("pointermove", (event) => this.running && this.#moved(event), { capture: true, passive: true });
   }
 
-  // After a picture: the newest row in it.
+  // Notes the newest row that a module drew.
   drew(row) {
     this.#drawnRow = row;
     this.#toldRows = true;
@@ -72,7 +72,7 @@ export class Timing {
     requestAnimationFrame((now) => this.#frame(now));
   }
 
-  // What was measured since start(); ends measuring.
+  // Ends measuring, and returns the results since start().
   report() {
     const seconds = (performance.now() - this.#begun) / 1e3;
     this.running = false;
@@ -87,7 +87,7 @@ export class Timing {
     };
   }
 
-  // Finds the distance of the two clocks; start() does so, too.
+  // Measures the offset of the two clocks; start() does so, too.
   async compareClocks() {
     this.#errorMs = Infinity;
     for (let i = 0; i < 20; i++) {
@@ -101,7 +101,7 @@ export class Timing {
     }
   }
 
-  // When a row was rendered, as performance.now() of this page, ms.
+  // Returns the time at which a row was rendered, as performance.now() of this page, in ms.
   timeOf(row) {
     const { samples } = this.#app;
     const ns = Number(samples.originNs) / 1e6 + samples.columns.time_s[row % samples.capacity] * 1e3;
@@ -119,7 +119,7 @@ export class Timing {
     this.#last = now;
     const here = this.#app.samples.rows - 1;
     this.#drawnRow = null;
-    // A task that is put in line here runs after the picture is made, and after whoever draws in it.
+    // A task queued here runs after all modules have drawn and the frame is complete.
     const { port1, port2 } = new MessageChannel();
     port1.onmessage = () => {
       this.#shown(this.#toldRows ? this.#drawnRow : here, performance.now());
@@ -129,7 +129,7 @@ export class Timing {
     requestAnimationFrame((next) => this.#frame(next));
   }
 
-  // The rows up to this one (null: none) are in the picture that was made now.
+  // Notes that the current frame shows the rows up to this one (null: none).
   #shown(row, shown) {
     const from = Math.max(this.#seenRow, this.#app.samples.first);
     if (row === null || row < from) {
@@ -167,12 +167,12 @@ export class Timing {
         waiting.force = force;
       } else {
         waiting.force ??= force;
-        if (Math.hypot(force[0] - waiting.force[0], force[1] - waiting.force[1]) >= FORCE_N) {
+        if (Math.hypot(force[0] - waiting.force[0], force[1] - waiting.force[1]) >= FORCE_CHANGE_N) {
           this.#pointerMs.add(time - waiting.at);
           this.#pointer = null;
           return;
         }
-        if (time - waiting.at > TOO_LATE_MS) {
+        if (time - waiting.at > MAX_LATENCY_MS) {
           this.#unanswered++;
           this.#pointer = null;
           return;

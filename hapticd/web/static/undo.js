@@ -1,24 +1,24 @@
-// Undo and redo, for everything on the page that changes scene or materials: `app.undo`.
+// Undo and redo of all changes of scene and materials on the page: `app.undo`.
 //
-//   app.undo.change(label, forward, backward)   does `forward` and remembers the step
-//   app.undo.note(label, forward, backward)     remembers a step that was done already: the end of a drag
+//   app.undo.change(label, forward, backward)   makes the change `forward` and stores the step
+//   app.undo.note(label, forward, backward)     stores a step that was already made, as at the end of a drag
 //   app.undo.undo(), app.undo.redo()            also by Ctrl+Z and Ctrl+Shift+Z
 //
-// `label` says what was done, as "move floor". `forward` and `backward` are changes: maps of `materials`, `objects` and
-// `scene`, each a merge patch as update_materials and update_scene take them (`scene`: display, ramp_s and passivity):
+// `label` describes the step, as "move floor". `forward` and `backward` are changes: maps of `materials`, `objects` and
+// `scene`, each a merge patch as for update_materials and update_scene (`scene`: display, ramp_s and passivity):
 //
 //   app.undo.note("move peg", {objects: {peg: {center_m: [0, 0]}}}, {objects: {peg: {center_m: [0.01, 0]}}})
 //
-// A step is taken back only if what it changed still is as the step left it. If another client changed it meanwhile,
-// the page says so and changes nothing; to undo once more overwrites it. Both may be functions instead: they are called, and
-// what they do is theirs.
+// A step is undone only if its values are still those that it set. If another client changed them, the page shows a notice
+// and changes nothing; a second undo overwrites them. `forward` and `backward` may also be functions, which are called
+// without this check.
 //
-// Events: `changed`, when there is something else to undo or to redo.
+// Event: `changed`, when the steps to undo or redo changed.
 import { button } from "./dom.js";
 import { Changed, Changes } from "./editor/changes.js";
 import { isMap } from "./editor/merge_patch.js";
 
-const MOST_STEPS = 500;
+const MAX_STEPS = 500;
 const JOINED_WITHIN_MS = 1000;
 
 export class Undo extends EventTarget {
@@ -26,8 +26,8 @@ export class Undo extends EventTarget {
   #past = [];
   #future = [];
   #busy = Promise.resolve();
-  #underWay = new Set(); // promises of changes that are not noted yet
-  #insisting = null; // the step that is undone or redone whatever others did
+  #underWay = new Set(); // promises of changes that are not stored yet
+  #insisting = null; // the step that is undone or redone even if other clients changed its values
 
   constructor(app) {
     super();
@@ -52,7 +52,7 @@ export class Undo extends EventTarget {
     });
   }
 
-  // Does a change that ends with `note`. To undo waits for it, and takes back this change and not the one before.
+  // Runs a change that ends with `note`. An undo meanwhile waits for it, and undoes this change.
   during(work) {
     const done = work();
     this.#underWay.add(done);
@@ -61,7 +61,7 @@ export class Undo extends EventTarget {
     return done;
   }
 
-  // `join`: a name; steps of one name that follow one another within a second become one, as of a key that is held.
+  // `join`: a name; successive steps of the same name within a second become one step, as while a key is held.
   note(label, forward, backward, join = null) {
     const last = this.#past.at(-1);
     const now = performance.now();
@@ -70,11 +70,11 @@ export class Undo extends EventTarget {
       last.at = now;
     } else {
       this.#past.push({ label, forward, backward, join, at: now });
-      this.#past.splice(0, this.#past.length - MOST_STEPS);
+      this.#past.splice(0, this.#past.length - MAX_STEPS);
     }
     this.#future = [];
     this.#insisting = null;
-    this.#tell();
+    this.#dispatch();
   }
 
   undo() {
@@ -85,7 +85,7 @@ export class Undo extends EventTarget {
     return this.#step(() => this.#future, () => this.#past, "forward", "backward", "Redone");
   }
 
-  // One after the other, however fast the keys come.
+  // Runs one undo or redo after the other, even if keys come fast.
   #step(from, to, direction, other, done) {
     this.#busy = this.#busy.then(async () => {
       await Promise.allSettled(this.#underWay);
@@ -109,12 +109,12 @@ export class Undo extends EventTarget {
       from().pop();
       to().push({ ...step, join: null });
       this.#app.view.dispatchEvent(notice(`${done}: ${step.label}`, "info"));
-      this.#tell();
+      this.#dispatch();
     });
     return this.#busy;
   }
 
-  // `expected`: what the change before left, which must still be so; null: whatever there is now.
+  // `expected`: values that must still be in force; null: they are not checked.
   async #carryOut(change, expected = null) {
     if (typeof change === "function") {
       return change();
@@ -127,7 +127,7 @@ export class Undo extends EventTarget {
     return result;
   }
 
-  #tell() {
+  #dispatch() {
     this.dispatchEvent(new Event("changed"));
   }
 
@@ -137,7 +137,7 @@ export class Undo extends EventTarget {
     }
     const key = event.key.toLowerCase();
     const redo = (key === "z" && event.shiftKey) || key === "y";
-    // A text that is being written has an undo of its own.
+    // A text field has its separate undo.
     if ((key !== "z" && !redo) || event.target.matches?.('textarea, [data-draft="true"], [type="search"], [type="text"]:not([data-number])')) {
       return;
     }
@@ -146,7 +146,7 @@ export class Undo extends EventTarget {
   }
 }
 
-// Materials that come, then objects, then what is not needed any more: so every step is a sound scene.
+// Adds materials, changes objects, then removes unused materials, so that the scene is valid after every step.
 function* ordered(change) {
   const materials = Object.entries(change.materials ?? {});
   const coming = Object.fromEntries(materials.filter(([, patch]) => patch !== null));

@@ -1,19 +1,19 @@
-// What the editors send to the daemon: one call under way, and of all that waits the newest value of each key.
+// The editors' calls of the daemon: at most one is under way, and of waiting changes only the newest value of each key is
+// kept.
 //
-// A slider that is dragged changes its value a hundred times a second. Each value is merged into the patch that waits;
-// when the daemon has answered, the patch leaves as one call. Nothing is sent that was overtaken, and the last value
-// always is.
+// A dragged slider changes its value a hundred times a second. Each value is merged into the waiting patch, which is sent as
+// one call when the daemon has answered. Superseded values are not sent; the last value always is.
 import { at, canJoin, departures, isMap, joined, leaves, merged } from "./merge_patch.js";
 import { parsePath, related } from "./problem_path.js";
 
-const INVALID = -32602;
-const STALE = -32001;
-const BUSY = -32005;
+const INVALID_PARAMS_CODE = -32602;
+const STALE_REVISION_CODE = -32001;
+const RING_FULL_CODE = -32005;
 const RETRY_MS = 100;
-const MOST_TRIES = 50;
+const MAX_TRIES = 50;
 const TARGETS = ["materials", "objects", "scene"];
 
-// What the daemon refused. `problems`: [{path, problem}], the path inside the target.
+// The error of a change that the daemon refused. `problems`: [{path, problem}], the path inside the target.
 export class Refused extends Error {
   constructor(message, problems) {
     super(message);
@@ -21,7 +21,7 @@ export class Refused extends Error {
   }
 }
 
-// Somebody else changed what a step would change. `departures`: [{path, is, wanted}].
+// The error of a step whose values another client has changed. `departures`: [{path, is, wanted}].
 export class Changed extends Error {
   constructor(target, found) {
     super("it was changed elsewhere");
@@ -32,9 +32,9 @@ export class Changed extends Error {
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
-// Events: `taken`, {target, patch, warnings}, after each call that the daemon took.
+// Event: `taken`, {target, patch, warnings}, after each call that the daemon accepted.
 export class Changes extends EventTarget {
-  calls = 0; // made so far
+  calls = 0; // number of calls
   #link;
   #model;
   #waiting = []; // {target, patch, resolve, reject}, oldest first
@@ -46,8 +46,8 @@ export class Changes extends EventTarget {
     this.#model = model;
   }
 
-  // Sends a merge patch over `materials` or `objects`, both by name, or over `scene` (display, ramp_s, passivity).
-  // Resolves when it is in force or was overtaken by a newer one that is; rejects with Refused.
+  // Sends a merge patch of `materials` or `objects`, both by name, or of `scene` (display, ramp_s, passivity). Resolves when
+  // it, or a newer one that superseded it, is in force; rejects with Refused.
   send(target, patch) {
     return new Promise((resolve, reject) => {
       this.#waiting.push({ target, patch, resolve, reject });
@@ -55,14 +55,14 @@ export class Changes extends EventTarget {
     });
   }
 
-  // Whether a value at this path of the target is still on its way.
+  // Returns whether a value at this path of the target is not in force yet.
   isUnderWay(target, path) {
     return [...this.#waiting, ...this.#batch].some(
       (each) => each.target === target && [...leaves(each.patch)].some(([other]) => related(path, other)),
     );
   }
 
-  // Calls `work` when every change that was sent is answered. Callers take turns: the next one waits for what `work` sends.
+  // Calls `work` when all sent changes are answered. Other callers wait until the changes of `work` are answered.
   async afterAll(work = () => {}) {
     while (this.#running) {
       await this.#running;
@@ -70,10 +70,10 @@ export class Changes extends EventTarget {
     return work();
   }
 
-  // Sends a patch if the target still is what `expected`, a patch as well, made of it; else rejects with Changed.
+  // Sends a patch if the target still has the values of the patch `expected`; else rejects with Changed.
   async sendIfStill(target, patch, expected) {
     await this.afterAll();
-    for (let tries = 0; tries < MOST_TRIES; tries++) {
+    for (let tries = 0; tries < MAX_TRIES; tries++) {
       const { value, revision } = await this.#read(target);
       const found = departures(value, expected);
       if (found.length) {
@@ -82,7 +82,7 @@ export class Changes extends EventTarget {
       try {
         return await this.#call(target, patch, revision);
       } catch (error) {
-        if (error.code !== STALE) {
+        if (error.code !== STALE_REVISION_CODE) {
           throw this.#refusal(target, error);
         }
       }
@@ -93,7 +93,7 @@ export class Changes extends EventTarget {
   #batch = [];
 
   async #run() {
-    await null; // what is sent in one go leaves together
+    await null; // joins the changes of one task into one call
     while (this.#waiting.length) {
       const { target } = this.#waiting[0];
       let patch = {};
@@ -107,7 +107,7 @@ export class Changes extends EventTarget {
     }
   }
 
-  // Sends what is in the batch. What the daemon names as faulty is taken out, and the rest is sent again.
+  // Sends the batch. If the daemon refuses a part of it, the rest is sent again.
   async #deliver(target) {
     for (let tries = 0; this.#batch.length; tries++) {
       const patch = this.#batch.map((each) => each.patch).reduce(joined);
@@ -116,7 +116,7 @@ export class Changes extends EventTarget {
         this.#batch.forEach((each) => each.resolve(result));
         return;
       } catch (error) {
-        if (error.code === BUSY && tries < MOST_TRIES) {
+        if (error.code === RING_FULL_CODE && tries < MAX_TRIES) {
           await pause(RETRY_MS);
           continue;
         }
@@ -130,7 +130,7 @@ export class Changes extends EventTarget {
   }
 
   #refusal(target, error) {
-    if (error.code !== INVALID || !Array.isArray(error.data)) {
+    if (error.code !== INVALID_PARAMS_CODE || !Array.isArray(error.data)) {
       return new Refused(error.message, []);
     }
     const problems = error.data.map(({ where, problem }) => {
@@ -147,7 +147,7 @@ export class Changes extends EventTarget {
     return { value, revision: got.revision, scene: got.scene };
   }
 
-  // One call; the model knows the outcome at once.
+  // Makes one call, and passes its result to the model at once.
   async #call(target, patch, revision) {
     if (!TARGETS.includes(target)) {
       throw new Error(`no such target: ${target}`);
@@ -166,7 +166,7 @@ export class Changes extends EventTarget {
     return result;
   }
 
-  // What is not an object is changed with the scene as a whole, if nobody changed it meanwhile.
+  // Keys other than objects are changed by sending the complete scene, unless another client changed it meanwhile.
   async #setScene(patch, revision) {
     for (let tries = 0; ; tries++) {
       const got = await this.#read("scene");
@@ -174,7 +174,7 @@ export class Changes extends EventTarget {
       try {
         return await this.#link.call("set_scene", { scene, expect_revision: revision ?? got.revision });
       } catch (error) {
-        if (error.code !== STALE || revision !== undefined || tries === MOST_TRIES) {
+        if (error.code !== STALE_REVISION_CODE || revision !== undefined || tries === MAX_TRIES) {
           throw error;
         }
       }
@@ -182,7 +182,7 @@ export class Changes extends EventTarget {
   }
 }
 
-// Whether a problem lies in what a patch sets.
+// Returns whether a problem concerns a value that a patch sets.
 function concerns(problems, patch) {
   return problems.some(({ path }) => {
     const there = at(patch, path);

@@ -1,20 +1,20 @@
-// Keys of which one takes the place of others: how the editors offer them, and what a switch does to the values.
+// Keys that exclude each other: how the editors offer them, and how a switch converts the values.
 //
-// The JSON Schema of the configuration says which keys exclude each other (`oneOf`, `not`); here stands what a person is asked, and what one form of
-// a value is in the other.
+// The JSON Schema of the configuration defines which keys exclude each other (`oneOf`, `not`); this module has the options
+// that the user chooses from, and the conversions.
 
-const TURN = 2 * Math.PI;
+const FULL_TURN_RAD = 2 * Math.PI;
 
-// Two keys for one figure. Each becomes the other by the function beside it.
+// Two keys for one quantity, with the functions that convert one to the other.
 export const PAIRS = [
-  { keys: ["frequency_hz", "angular_frequency_rad_per_s"], to: (hertz) => TURN * hertz, from: (radians) => radians / TURN },
+  { keys: ["frequency_hz", "angular_frequency_rad_per_s"], to: (hertz) => FULL_TURN_RAD * hertz, from: (radians) => radians / FULL_TURN_RAD },
   { keys: ["decay_time_s", "decay_rate_per_s"], to: (seconds) => 1 / seconds, from: (rate) => 1 / rate },
 ];
 
 export const pairOf = (key) => PAIRS.find(({ keys }) => keys.includes(key));
 
 const MODE_KEYS = PAIRS.flatMap(({ keys }) => keys);
-const frequency = (value) => value.frequency_hz ?? (value.angular_frequency_rad_per_s ?? TURN * 200) / TURN;
+const frequency = (value) => value.frequency_hz ?? (value.angular_frequency_rad_per_s ?? FULL_TURN_RAD * 200) / FULL_TURN_RAD;
 const decay = (value) => value.decay_time_s ?? 1 / (value.decay_rate_per_s ?? 200);
 const decayKeys = (value) => ("decay_rate_per_s" in value ? {} : { decay_time_s: decay(value) });
 
@@ -33,8 +33,8 @@ const aimed = (what) => ({
   what,
 });
 
-// By definition. The option whose keys are there is the one in force; `keys` of others go when it is chosen, and `start`
-// gives what is missing. `rare`: offered only where it is in force.
+// Choices by definition of the schema. The option whose keys a value has is in force. When an option is chosen, the `keys` of
+// the others are removed, and `start` gives the missing values. `rare`: offered only if it is in force.
 export const CHOICES = {
   Tap: [
     {
@@ -120,7 +120,7 @@ function slope(tap) {
   return Number((amplitude / speed).toPrecision(4));
 }
 
-// As docs/materials.md says: depth = R sqrt((1 + strain)^2 - 1).
+// depth = R sqrt((1 + strain)^2 - 1), see docs/materials.md.
 function depth({ max_strain: strain = 0.1, radius_m: radius = 0.01 }) {
   return Number((radius * Math.sqrt(strain * (2 + strain))).toPrecision(4));
 }
@@ -130,30 +130,30 @@ function strain({ depth_m: deep = 0.004 }) {
   return { radius_m: radius, max_strain: Number((Math.hypot(1, deep / radius) - 1).toPrecision(4)) };
 }
 
-// By how grooves are displayed: the keys that belong to it alone, and where they begin.
-const DISPLAYS = {
+// For each display of grooves, the keys that only it has, with their initial values.
+const GROOVE_DISPLAYS = {
   vibration: { keys: [...MODE_KEYS, "frequency_table", "velocity_gain_per_s", "force_gain_m_per_s2_per_n"], start: { velocity_gain_per_s: 60, force_gain_m_per_s2_per_n: 6 } },
   geometry: { keys: ["depth_m"], start: { depth_m: 0.0001 } },
   damping: { keys: ["damping_n_s_per_m"], start: { damping_n_s_per_m: 3 } },
 };
 
-// What else changes when grooves are displayed another way. Strikes ring with the mode of the tap, if it has one.
+// Returns the other changes when the display of grooves changes. Strikes get the mode of the tap, if there is one.
 export function displayed(grooves, display, tap) {
-  const others = Object.entries(DISPLAYS).flatMap(([name, { keys }]) => (name === display ? [] : keys));
+  const others = Object.entries(GROOVE_DISPLAYS).flatMap(([name, { keys }]) => (name === display ? [] : keys));
   const gone = Object.fromEntries(others.filter((key) => key in grooves).map((key) => [key, null]));
   const rings = tap !== undefined && !("waveform" in tap) && !("mode_table" in tap);
   const mode = display === "vibration" && !rings ? { frequency_hz: 200, decay_time_s: 0.003 } : {};
-  return { ...gone, ...DISPLAYS[display].start, ...mode };
+  return { ...gone, ...GROOVE_DISPLAYS[display].start, ...mode };
 }
 
 const present = (option, value) => (option.is ? option.is(value) : option.keys.some((key) => key in value));
 
-// The option that a value has: of those whose keys are there the last; where none is, the one that needs no key.
+// Returns the option of a value: the last one whose keys it has, or else the one that needs no key.
 export function chosen(choice, value) {
   return choice.options.findLast((option) => present(option, value)) ?? choice.options.find(({ keys }) => !keys.length) ?? choice.options[0];
 }
 
-// The merge patch that takes a value from the option that it has to another.
+// Returns the merge patch that changes a value to another option.
 export function switchTo(choice, option, value) {
   const start = option.start(value);
   const patch = {};

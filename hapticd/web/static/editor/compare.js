@@ -1,22 +1,22 @@
-// A and B: two states of a material, or of all, of which one is in force and the other is kept.
+// A and B: two states of one or all materials, of which one is in force and the other is stored.
 //
-// What is in force is simply what the daemon has: every change goes to it. The other state is kept here until the
-// two change places, by a button or by the key X.
+// The state in force is that of the daemon, and every change applies to it. The other state is stored here until the two are
+// swapped, by a button or by the key X.
 import { button, fill, make } from "../dom.js";
 import { difference, equal, isMap, merged } from "./merge_patch.js";
 import { withUnit } from "./numbers.js";
 import { labelOf } from "./words.js";
 import { notice } from "../undo.js";
 
-const OTHER = { A: "B", B: "A" };
-const ALL = "";
-const MOST_SHOWN = 12;
+const OTHER_LETTER = { A: "B", B: "A" };
+const ALL_MATERIALS = "";
+const MAX_SHOWN_DIFFERENCES = 12;
 
 // Events: `changed`.
 export class Compare extends EventTarget {
-  scope = ALL; // a material's name, or ALL
+  scope = ALL_MATERIALS; // a material's name, or ALL_MATERIALS
   #app;
-  #kept = new Map(); // by scope: {inForce, other: materials by name}
+  #stored = new Map(); // by scope: {inForce, other: materials by name}
   #busy = Promise.resolve();
   #toggling = Promise.resolve();
 
@@ -32,24 +32,24 @@ export class Compare extends EventTarget {
   }
 
   get begun() {
-    return this.#kept.has(this.scope);
+    return this.#stored.has(this.scope);
   }
 
   get inForce() {
-    return this.#kept.get(this.scope)?.inForce ?? "A";
+    return this.#stored.get(this.scope)?.inForce ?? "A";
   }
 
-  // The materials of the scope as they are; those that are gone are left out.
+  // Returns the current materials of the scope, without removed ones.
   #current(names = this.#names()) {
     const { materials } = this.#app.model;
     return Object.fromEntries(names.filter((name) => name in materials).map((name) => [name, materials[name]]));
   }
 
   #names() {
-    return this.scope === ALL ? Object.keys(this.#app.model.materials) : [this.scope];
+    return this.scope === ALL_MATERIALS ? Object.keys(this.#app.model.materials) : [this.scope];
   }
 
-  // Puts the state of this letter in force, and keeps the other.
+  // Puts the state of this letter in force, and stores the other.
   to(letter) {
     this.#busy = this.#busy.then(async () => {
       if (letter === this.inForce) {
@@ -57,12 +57,12 @@ export class Compare extends EventTarget {
       }
       const scope = this.scope;
       const current = this.#current();
-      const kept = this.#kept.get(scope)?.other ?? current;
+      const kept = this.#stored.get(scope)?.other ?? current;
       const patch = difference(this.#current(Object.keys(kept)), kept);
       if (Object.keys(patch).length) {
         await this.#app.undo.changes.send("materials", patch);
       }
-      this.#kept.set(scope, { inForce: letter, other: current });
+      this.#stored.set(scope, { inForce: letter, other: current });
       this.dispatchEvent(new Event("changed"));
     });
     const done = this.#busy;
@@ -70,7 +70,7 @@ export class Compare extends EventTarget {
     return done;
   }
 
-  // As `to`, as a step that can be taken back.
+  // The same as a step that can be undone.
   async choose(letter) {
     const [scope, before] = [this.scope, this.inForce];
     if (letter === before) {
@@ -87,30 +87,30 @@ export class Compare extends EventTarget {
     }
   }
 
-  // One after the other, however fast the keys come.
+  // Runs one swap after the other, even if keys come fast.
   toggle() {
-    this.#toggling = this.#toggling.then(() => this.choose(OTHER[this.inForce]));
+    this.#toggling = this.#toggling.then(() => this.choose(OTHER_LETTER[this.inForce]));
     return this.#toggling;
   }
 
-  // The other state becomes what is in force.
+  // Copies the state in force to the other one.
   copy() {
-    this.#kept.set(this.scope, { inForce: this.inForce, other: this.#current() });
+    this.#stored.set(this.scope, { inForce: this.inForce, other: this.#current() });
     this.dispatchEvent(new Event("changed"));
   }
 
-  // [{path, A, B}] of every figure in which the two differ; undefined: not there.
+  // Returns [{path, A, B}] of all values that differ; undefined: the value does not exist.
   differences() {
-    const kept = this.#kept.get(this.scope);
+    const kept = this.#stored.get(this.scope);
     if (kept === undefined) {
       return [];
     }
     const current = this.#current();
-    return [...figures(current, kept.other)].map(({ path, one, other }) => ({ path, [kept.inForce]: one, [OTHER[kept.inForce]]: other }));
+    return [...figures(current, kept.other)].map(({ path, one, other }) => ({ path, [kept.inForce]: one, [OTHER_LETTER[kept.inForce]]: other }));
   }
 }
 
-// Where two values differ, key by key.
+// Returns the paths at which two values differ.
 export function* figures(one, other, path = []) {
   if (isMap(one) && isMap(other)) {
     for (const key of Object.keys(merged(one, other))) {
@@ -124,18 +124,18 @@ export function* figures(one, other, path = []) {
 // The two states, as a card. `units`: by key.
 export function compareCard(app, compare, units) {
   const letters = ["A", "B"].map((letter) => button(letter, "", () => compare.choose(letter), { "aria-pressed": "false", "aria-keyshortcuts": "x" }));
-  const scope = make("select", { class: "select", "aria-label": "What is compared" });
+  const scope = make("select", { class: "select", "aria-label": "Compared materials" });
   const copy = button("", "small", () => compare.copy());
   const state = make("p", { class: "note", role: "status" });
   const list = make("ul", { class: "differences" });
   let material = null;
-  scope.addEventListener("change", () => compare.look(scope.value === "all" ? ALL : material));
+  scope.addEventListener("change", () => compare.look(scope.value === "all" ? ALL_MATERIALS : material));
 
   function follow() {
-    fill(scope, [["one", `of ${material ?? "the material"}`], ["all", "of all materials"]], compare.scope === ALL ? "all" : "one");
+    fill(scope, [["one", `of ${material ?? "the material"}`], ["all", "of all materials"]], compare.scope === ALL_MATERIALS ? "all" : "one");
     const { inForce } = compare;
     letters.forEach((each) => each.setAttribute("aria-pressed", String(each.textContent === inForce)));
-    copy.textContent = `Copy ${inForce} to ${OTHER[inForce]}`;
+    copy.textContent = `Copy ${inForce} to ${OTHER_LETTER[inForce]}`;
     copy.disabled = !compare.begun;
     const found = compare.differences();
     state.textContent = !compare.begun
@@ -143,9 +143,9 @@ export function compareCard(app, compare, units) {
       : found.length
         ? `${inForce} is in force. ${found.length === 1 ? "One figure differs" : `${found.length} figures differ`}:`
         : `${inForce} is in force. A and B are the same.`;
-    const more = found.length - MOST_SHOWN;
+    const more = found.length - MAX_SHOWN_DIFFERENCES;
     list.replaceChildren(
-      ...found.slice(0, MOST_SHOWN).map((each) => make("li", { text: differenceText(each, units, compare.scope === ALL) })),
+      ...found.slice(0, MAX_SHOWN_DIFFERENCES).map((each) => make("li", { text: differenceText(each, units, compare.scope === ALL_MATERIALS) })),
       ...(more > 0 ? [make("li", { text: `and ${more} more` })] : []),
     );
     list.hidden = !found.length;
@@ -169,7 +169,7 @@ export function compareCard(app, compare, units) {
   return {
     element,
     show(name) {
-      const one = compare.scope !== ALL || material === null;
+      const one = compare.scope !== ALL_MATERIALS || material === null;
       material = name;
       one ? compare.look(name) : follow();
     },

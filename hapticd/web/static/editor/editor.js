@@ -1,4 +1,4 @@
-// One material, one object or the scene's own keys while it is edited: its value, and what becomes of a change.
+// The editing of one material, one object or the scene's keys: its value, and its changes.
 import { at, difference, inverse, merged, patchAt } from "./merge_patch.js";
 import { related } from "./problem_path.js";
 
@@ -23,7 +23,7 @@ export class Editor {
     return at(this.value, path);
   }
 
-  // The merge patch that puts a value at a path; of a map, that merges it. Lists are sent whole.
+  // Returns the merge patch that sets the value at a path. A map is merged, a list is replaced completely.
   patch(path, value) {
     const cut = path.findIndex((key) => typeof key === "number");
     if (cut < 0) {
@@ -35,13 +35,13 @@ export class Editor {
     return patchAt(path.slice(0, cut), list);
   }
 
-  // Whether a value at this path is on its way to the daemon.
+  // Returns whether a value at this path is not in force yet.
   isUnderWay(path) {
     const cut = path.findIndex((key) => typeof key === "number");
     return this.app.undo.changes.isUnderWay(this.target, this.#whole(cut < 0 ? path : path.slice(0, cut)));
   }
 
-  // Sends a value that is not final: of a slider that is dragged. Null, or what the daemon found wrong, as one line.
+  // Sends an intermediate value, as of a dragged slider. Resolves with null or the daemon's problem, as one line.
   async live(patch) {
     try {
       await this.app.undo.changes.send(this.target, this.#wrap(patch));
@@ -51,14 +51,14 @@ export class Editor {
     }
   }
 
-  // Sends a final value and remembers how to take it back. `before`: the value before the drag; `join`: of one control.
-  // It leaves at once, joined with what waits: for a slider, whose older values nobody misses.
+  // Sends a final value and stores the step for undo. `before`: the value before the drag; `join`: joins steps of a control.
+  // It is sent at once with other waiting changes, so that older values of a slider may be skipped.
   commit(what, patch, { before = this.value, join = null } = {}) {
     return this.app.undo.during(() => this.#commit(what, patch, before, join));
   }
 
-  // Sends a change as a step of its own, after all changes before it. `build` returns the patch, made from the value that
-  // these left; undefined: there is nothing to change any more.
+  // Sends a change as a separate step, after all changes before it. `build` returns the patch from the value after these;
+  // undefined: there is nothing to change any more.
   change(what, build) {
     const { undo } = this.app;
     const send = () => {
@@ -77,7 +77,7 @@ export class Editor {
     return problem;
   }
 
-  // Lines of warning that concern a path.
+  // Returns the warnings that concern a path, as lines.
   warningsAt(path) {
     const whole = this.#whole(path);
     return this.app.warnings

@@ -1,4 +1,4 @@
-// What every field has around its control: label, help, the problem that the daemon found, warnings.
+// The frame of a field around its control: label, help, the daemon's problem, warnings.
 import { button, make, newId } from "../dom.js";
 import { shownUnit, withUnit } from "./numbers.js";
 
@@ -49,7 +49,7 @@ export function fieldFrame(editor, spec) {
   };
 }
 
-// The description, the limits, the default, and under which key and in which unit the daemon has it.
+// Returns the help text: description, limits, default, and the daemon's key and unit.
 export function helpOf({ schema, path, label }) {
   const lines = [schema.description ?? ""];
   const { minimum, maximum } = limitsOf(schema);
@@ -68,13 +68,13 @@ export function helpOf({ schema, path, label }) {
   return lines.filter(Boolean).join(" ").trim() || label;
 }
 
-// Of a number, or of the components of a vector.
+// Returns the limits of a number or of the components of a vector.
 export function limitsOf(schema) {
   const part = schema.prefixItems?.[0] ?? schema;
   return { minimum: part.minimum, maximum: part.maximum };
 }
 
-// A problem names its limits in SI: said where something else is shown.
+// A problem has its limits in SI units, which is noted if the field shows another unit.
 export function inShownUnit(problem, unit) {
   return problem && unit.places !== 0 && /\d/.test(problem) ? `${problem} (in ${unit.si})` : problem;
 }

@@ -1,17 +1,17 @@
 // The fields of a form, one for each kind of value: number with slider, choice, switch, vector, direction, material.
 //
-// A field is {element, follow(), path}. `follow` takes what the daemon has, unless the field is being edited or shows a
-// value that was refused. Nothing is sent that a person did not change.
+// A field is {element, follow(), path}. `follow` takes the daemon's value, unless the field is being edited or shows a
+// refused value. Only values that the user changed are sent.
 import { fill, make } from "../dom.js";
 import { fieldFrame, inShownUnit, limitsOf } from "./field_frame.js";
 import { format, parse, shownUnit, withUnit } from "./numbers.js";
 import { STEPS, atEnd, scaleAround } from "./scale.js";
 import { typicalOf, valueLabel } from "./words.js";
 
-const NO_NUMBER = "Must be a number, such as 6.48.";
-const LARGEST_SLIDER = 1e9; // beyond it a number is a name, such as a seed
+const NOT_A_NUMBER_TEXT = "Must be a number, such as 6.48.";
+const MAX_SLIDER_VALUE = 1e9; // larger numbers have no slider, such as a seed
 
-// A number in a text field and, where `slider` is given, on a slider; the two are one value.
+// A number in a text field and, if `slider` is given, on a slider; both show one value.
 //
 // `number`: {get() -> SI or undefined, patch(value) -> merge patch, unit, limits: {min, max, integer, linear}, typical, name}.
 export function numberInput(editor, frame, spec, number) {
@@ -47,15 +47,15 @@ export function numberInput(editor, frame, spec, number) {
     }
   }
 
-  function tell(problem) {
+  function showProblem(problem) {
     state.refused = problem !== null;
     const held = number.get();
     const inForce = state.refused && held !== undefined ? ` In force: ${withUnit(held, number.unit)}; Escape puts it back.` : "";
     frame.showProblem(problem && `${inShownUnit(problem, unit).replace(/\.$/, "")}.${inForce}`, [text]);
   }
 
-  // The answer to a value does not touch what was written or dragged after it was sent. Steps of the slider join, as of
-  // a key that is held; each number that is written is a step of its own. `before`: the value before a drag.
+  // The answer to a value does not change what was typed or dragged after it was sent. Steps of the slider are joined, as
+  // while a key is held; each typed number is a separate step. `before`: the value before a drag.
   async function send(value, before = null, join = null) {
     const sent = state.edits;
     const label = spec.label.toLowerCase();
@@ -64,7 +64,7 @@ export function numberInput(editor, frame, spec, number) {
     if (state.edits !== sent) {
       return;
     }
-    tell(problem);
+    showProblem(problem);
     if (problem === null) {
       state.draft = false;
       follow();
@@ -82,18 +82,18 @@ export function numberInput(editor, frame, spec, number) {
       return;
     }
     const value = text.value === format(number.get() ?? NaN, unit) ? number.get() : parse(text.value, unit);
-    Number.isNaN(value) ? tell(NO_NUMBER) : send(value);
+    Number.isNaN(value) ? showProblem(NOT_A_NUMBER_TEXT) : send(value);
   });
   text.addEventListener("keydown", (event) => {
     if (event.key === "Escape" && (state.draft || state.refused)) {
-      event.preventDefault(); // or it would stop the forces
+      event.preventDefault(); // otherwise the key would stop the forces
       reset();
     }
   });
 
   function reset() {
     state.draft = false;
-    tell(null);
+    showProblem(null);
     show(number.get());
   }
 
@@ -107,7 +107,7 @@ export function numberInput(editor, frame, spec, number) {
     const drag = state.drag;
     editor.live(number.patch(value)).then((problem) => {
       if (state.drag === drag && drag.value === value) {
-        tell(problem);
+        showProblem(problem);
       }
     });
   });
@@ -143,7 +143,7 @@ export function numberField(editor, spec) {
     unit: spec.schema.unit,
     limits: spec.schema.unit === "rad" ? turns(limits) : limits,
     typical: typicalOf(spec.definition, spec.key, spec.schema.unit),
-    slider: limits.max < LARGEST_SLIDER,
+    slider: limits.max < MAX_SLIDER_VALUE,
     get: () => editor.at(spec.path),
     patch: (value) => editor.patch(spec.path, value),
   });
@@ -154,10 +154,10 @@ export function numberField(editor, spec) {
   return withWarnings({ element: frame.element, path: spec.path, follow: input.follow }, frame);
 }
 
-// An angle is turned by a slider over one turn at most, whatever its limits.
+// The slider of an angle covers at most one turn, regardless of the limits.
 const turns = (limits) => ({ ...limits, min: Math.max(limits.min, -Math.PI), max: Math.min(limits.max, Math.PI) });
 
-// One figure that may stand under either of two keys: a number whose unit is chosen.
+// A quantity that may be given by one of two keys: a number whose unit can be chosen.
 export function pairField(editor, spec, pair, schemas) {
   const frame = fieldFrame(editor, spec);
   const held = () => pair.keys.find((key) => editor.at([...spec.path.slice(0, -1), key]) !== undefined) ?? pair.keys[0];
@@ -199,7 +199,7 @@ export function withWarnings(field, frame) {
   return { ...field, follow };
 }
 
-// Sends the value of a control without a draft; `follow` takes a refused one back. `patchOf`: the patch with a value.
+// Sends the value of a control at once; `follow` restores it if it is refused. `patchOf` returns the patch for a value.
 function sending(editor, frame, spec, control, follow, patchOf = (value) => editor.patch(spec.path, value)) {
   return async (value) => {
     const problem = await editor.change(spec.label.toLowerCase(), () => patchOf(value));
@@ -234,7 +234,7 @@ export function switchField(editor, spec) {
   return withWarnings({ element: frame.element, path: spec.path, follow }, frame);
 }
 
-// The name of a material, of those that there are; those in the scene first.
+// A choice of material names; those of the scene first.
 export function materialField(editor, spec) {
   const frame = fieldFrame(editor, spec);
   const select = make("select", { class: "select", id: frame.ids.control, "aria-describedby": frame.describedBy });
@@ -271,7 +271,7 @@ export function vectorField(editor, spec, names = ["x", "y"]) {
   return withWarnings({ element: frame.element, path: spec.path, follow: () => inputs.forEach((input) => input.follow()) }, frame);
 }
 
-// A unit vector, as the angle from the x axis, counterclockwise.
+// A unit vector, shown as its angle from the x axis, counterclockwise.
 export function directionField(editor, spec) {
   const frame = fieldFrame(editor, spec);
   const angle = () => {
@@ -293,7 +293,7 @@ export function directionField(editor, spec) {
   return withWarnings({ element: frame.element, path: spec.path, follow: input.follow }, frame);
 }
 
-// Right angles are exact.
+// Multiples of a right angle give exact components.
 export function unitVector(angle) {
   const clean = (value) => (Math.abs(value) < 1e-15 ? 0 : Math.abs(Math.abs(value) - 1) < 1e-15 ? Math.sign(value) : value);
   return [clean(Math.cos(angle)), clean(Math.sin(angle))];

@@ -1,7 +1,7 @@
-// A form for a definition of the schema: a field for each key that a value has, a button for each block that it may have.
+// A form for a definition of the schema: a field for each key of a value, and a button for each block that may be added.
 //
-// A form is built from the value. When the daemon has another value of the same shape, the fields follow it; when a
-// block came or went, the form is built again.
+// A form is built from the value. If the daemon's value changes and has the same keys, the fields follow it; if a block was
+// added or removed, the form is built again.
 import { CHOICES, chosen, displayed, pairOf, switchTo } from "./choices.js";
 import { button, fill, make, newId } from "../dom.js";
 import { directionField, enumField, materialField, numberField, pairField, switchField, vectorField } from "./fields.js";
@@ -14,7 +14,7 @@ const TABLES = { amplitudes, mode_table: modeTable, frequency_table: frequencyTa
 const LISTS = { coefficients: false, samples: true };
 const COMPONENTS = { size_m: ["width", "height"] };
 
-// What of a value decides which fields there are.
+// Returns the key of a value on which the fields depend.
 function shapeOf(value) {
   if (!isMap(value)) {
     return Array.isArray(value) && value.some(isMap) && "coefficients" in value[0] ? value.map(shapeOf) : 0;
@@ -27,9 +27,9 @@ function shapeOf(value) {
 export class Form {
   #fields = [];
   #shape = null;
-  #model = 0; // which of the models of recorded noise is shown
+  #model = 0; // index of the shown model of recorded noise
 
-  // `schemas`: the answer of `web.schema`; `definition`: a name of its $defs; `leaveOut`: keys that others show.
+  // `schemas`: the answer of `web.schema`; `definition`: a name of its $defs; `leaveOut`: keys that are shown elsewhere.
   constructor(editor, schemas, definition, leaveOut = []) {
     this.editor = editor;
     this.schemas = schemas;
@@ -57,7 +57,7 @@ export class Form {
     }
   }
 
-  // The field that shows a path, or a part of it.
+  // Returns the field that shows a path or a part of it.
   fieldAt(path) {
     return this.element.querySelector(`[data-path="${CSS.escape(path.join("."))}"]`);
   }
@@ -66,7 +66,7 @@ export class Form {
     return schema.$ref ? { name: schema.$ref.split("/").pop(), ...this.schemas.$defs[schema.$ref.split("/").pop()], ...schema } : schema;
   }
 
-  // Elements for the members of a definition at a path: fields, then blocks, then what may be added.
+  // Makes the elements for the members of a definition at a path: fields, then blocks, then buttons to add blocks.
   #members(name, path) {
     const definition = this.schemas.$defs[name];
     const value = this.editor.at(path) ?? {};
@@ -101,7 +101,7 @@ export class Form {
     return elements;
   }
 
-  // A map that has fields of its own. Display is always there and small: its fields stand among the others.
+  // Makes a block for a map. The fields of `display`, which always exists and is small, are among the others.
   #isBlock(schema) {
     const kind = schema.title;
     return !(kind in TABLES) && (isMap(schema.properties) || schema.oneOf?.[0]?.$ref !== undefined);
@@ -151,12 +151,12 @@ export class Form {
     return numberField(editor, spec);
   }
 
-  // What else changes with a value of an enumeration: of how grooves are displayed, the keys that belong to it.
+  // Returns the other changes with a value of an enumeration: for the display of grooves, the keys that it needs.
   #needed({ definition, path }, value) {
     return definition === "Grooves" ? displayed(this.editor.at(path.slice(0, -1)) ?? {}, value, this.editor.at(["tap"])) : {};
   }
 
-  // A list of the options, and in a form of its own nothing: the keys of the option in force follow as fields.
+  // Makes a list of the options of a choice; the keys of the option in force follow as fields.
   #choice(definition, path, choice, value) {
     const id = newId("choice");
     const select = make("select", { class: "select", id });
@@ -204,7 +204,7 @@ export class Form {
     return make("section", { class: "block", "aria-label": label, data: { path: path.join(".") } }, head, note, problem, ...parts);
   }
 
-  // Which kind of texture.
+  // Makes the choice of the kind of texture.
   #kinds(path, kind) {
     const id = newId("kind");
     const select = make("select", { class: "select", id });
@@ -234,7 +234,7 @@ export class Form {
     return make("div", { class: "adders" }, make("div", { class: "row" }, ...buttons), problem);
   }
 
-  // Models of recorded noise: one is shown, of as many as there are.
+  // Makes the block for models of recorded noise, of which one is shown.
   #models(spec) {
     const { editor } = this;
     const id = newId("model");
@@ -253,7 +253,7 @@ export class Form {
       show(Math.min(index, list().length - 1));
     };
     const another = () => ({ ...(list()[at] ?? MODEL), force_n: 2 * (list().at(-1).force_n || 0.5) });
-    const add = button("Add model", "small", () => send(() => [...list(), another()], Infinity)); // shows the last one
+    const add = button("Add model", "small", () => send(() => [...list(), another()], Infinity)); // Infinity: shows the last one
     const remove = button("Remove model", "small", () => send(() => list().toSpliced(at, 1), at));
     const follow = () => {
       const names = list().map((model, index) => [String(index), `${index + 1}: ${Number((1000 * model.speed_m_per_s).toPrecision(4))} mm/s, ${model.force_n} N`]);

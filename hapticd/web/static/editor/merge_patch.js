@@ -1,4 +1,4 @@
-// JSON Merge Patch (RFC 7396) on plain values: what a patch makes of a value, and the patch between two values.
+// JSON Merge Patch (RFC 7396) on plain values: applying a patch, and computing the patch between two values.
 
 export function isMap(value) {
   return value !== null && typeof value === "object" && !Array.isArray(value) && !ArrayBuffer.isView(value);
@@ -15,7 +15,7 @@ export function equal(a, b) {
   return Object.is(a, b) || (a === 0 && b === 0);
 }
 
-// What the patch makes of the value. Nothing that is given is changed.
+// Returns the patched value. The arguments are not changed.
 export function merged(value, patch) {
   if (!isMap(patch)) {
     return patch;
@@ -31,7 +31,7 @@ export function merged(value, patch) {
   return result;
 }
 
-// The patch that makes `after` of `before`, both maps; {} where they are equal.
+// Returns the patch from map `before` to map `after`; {} if they are equal.
 export function difference(before, after) {
   const patch = {};
   for (const key of Object.keys(before)) {
@@ -54,12 +54,12 @@ export function difference(before, after) {
   return patch;
 }
 
-// The patch that takes back what `patch` does to the map `before`.
+// Returns the patch that undoes `patch` of the map `before`.
 export function inverse(before, patch) {
   return difference(merged(before, patch), before);
 }
 
-// One patch that does what `first` does, and then `second`; see canJoin.
+// Returns one patch for `first` followed by `second`; see canJoin.
 export function joined(first, second) {
   if (!isMap(first) || !isMap(second)) {
     return second;
@@ -71,12 +71,12 @@ export function joined(first, second) {
   return result;
 }
 
-// Whether one patch can do what two do: not where the second goes into what the first removes or replaces.
+// Returns whether two patches can be joined: not if the second changes a member of what the first removes or replaces.
 export function canJoin(first, second) {
   return Object.entries(second).every(([key, part]) => !Object.hasOwn(first, key) || !isMap(part) || (isMap(first[key]) && canJoin(first[key], part)));
 }
 
-// [path, value] of everything that a patch sets; null: removed.
+// Returns [path, value] of all values that a patch sets; null: removed.
 export function* leaves(patch, path = []) {
   if (isMap(patch) && Object.keys(patch).length) {
     for (const [key, part] of Object.entries(patch)) {
@@ -87,17 +87,17 @@ export function* leaves(patch, path = []) {
   }
 }
 
-// What lies at a path of keys and indices; undefined: nothing.
+// Returns the value at a path of keys and indices, or undefined.
 export function at(value, path) {
   return path.reduce((found, key) => (found !== null && typeof found === "object" ? found[key] : undefined), value);
 }
 
-// The patch that sets one path of keys.
+// Returns the patch that sets one path of keys.
 export function patchAt(path, value) {
   return path.reduceRight((part, key) => ({ [key]: part }), value);
 }
 
-// Paths at which the value is not what a patch would have made of it.
+// Returns the paths at which a value differs from what a patch sets.
 export function departures(value, patch) {
   const found = [];
   for (const [path, wanted] of leaves(patch)) {

@@ -1,9 +1,9 @@
-// Numbers as a person reads them: in practical units (mm, ms, degrees), while the daemon has SI.
+// Numbers in practical units (mm, ms, degrees), while the daemon has SI units.
 //
-// A decimal point is moved in the text, not by a multiplication, so that 6.48 ms is the very double 0.00648.
+// The decimal point is moved in the text, not by a multiplication, so that 6.48 ms is exactly the double 0.00648.
 
-// By the schema's unit: what is shown, how many places the point moves to get there, and how it is spoken.
-const UNITS = {
+// By the schema's unit: the shown unit, the decimal places to it, and its name for screen readers.
+const SHOWN_UNITS = {
   m: ["mm", 3, "millimetres"],
   s: ["ms", 3, "milliseconds"],
   "m/s": ["mm/s", 3, "millimetres per second"],
@@ -19,46 +19,46 @@ const UNITS = {
   "m^2/s^4": ["m²/s⁴", 0, "metres squared per second to the fourth"],
   "rad/s": ["rad/s", 0, "radians per second"],
 };
-const DEGREES = 180 / Math.PI;
-const DIGITS = 7;
+const DEGREES_PER_RAD = 180 / Math.PI;
+const SIGNIFICANT_DIGITS = 7;
 
-// {si, text, spoken, places}: how values of a schema's unit are shown; without one, as they are.
+// Returns {si, text, spoken, places}: how values of a schema's unit are shown; unknown units are not converted.
 export function shownUnit(si) {
   if (si === undefined || si === null) {
     return { si: "", text: "", spoken: "", places: 0 };
   }
-  const [text, places, spoken] = UNITS[si] ?? [si, 0, si];
+  const [text, places, spoken] = SHOWN_UNITS[si] ?? [si, 0, si];
   return { si, text, spoken, places };
 }
 
-// The same number with its decimal point moved to the right.
+// Returns a number's text with the decimal point moved to the right.
 function moved(value, places) {
   const [mantissa, exponent = "0"] = String(value).split("e");
   return Number(`${mantissa}e${Number(exponent) + places}`);
 }
 
 export function toShown(value, unit) {
-  return unit.places === null ? value * DEGREES : moved(value, unit.places);
+  return unit.places === null ? value * DEGREES_PER_RAD : moved(value, unit.places);
 }
 
 export function fromShown(value, unit) {
-  return unit.places === null ? value / DEGREES : moved(value, -unit.places);
+  return unit.places === null ? value / DEGREES_PER_RAD : moved(value, -unit.places);
 }
 
-// A value in SI as text in the unit that is shown, without the unit.
+// Returns a value in SI units as text in the shown unit, without the unit.
 export function format(value, unit) {
   const shown = toShown(value, unit);
-  const rounded = Number(shown.toPrecision(unit.places === null ? 6 : DIGITS));
+  const rounded = Number(shown.toPrecision(unit.places === null ? 6 : SIGNIFICANT_DIGITS));
   return Math.abs(rounded) < 1e-12 && unit.places === null ? "0" : String(rounded);
 }
 
-// The value in SI that a text means in the unit that is shown; NaN: none.
+// Returns the value in SI units of a text in the shown unit; NaN if it is not a number.
 export function parse(text, unit) {
   const trimmed = text.trim().replace("\u2212", "-");
   return /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i.test(trimmed) ? fromShown(Number(trimmed), unit) : NaN;
 }
 
-// A value with its unit, for a sentence; `digits` significant ones.
+// Returns a value with its unit for a sentence, with `digits` significant digits.
 export function withUnit(value, si, digits = 4) {
   const unit = shownUnit(si);
   const number = String(Number(toShown(value, unit).toPrecision(digits)));

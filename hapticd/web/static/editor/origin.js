@@ -1,4 +1,4 @@
-// Where the figures of a fitted material come from: read, not edited; it may be removed.
+// The origin of a fitted material's values (`provenance`): shown, not edited; it may be removed.
 import { button, make } from "../dom.js";
 import { isMap } from "./merge_patch.js";
 

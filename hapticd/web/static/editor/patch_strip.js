@@ -1,4 +1,4 @@
-// A wall's patches as a strip, from the left of what the hand reaches to the right, with a scale in mm.
+// The patches of a wall as a strip over the hand's reach, with a scale in mm.
 import { make, svg } from "../dom.js";
 
 const TINTS = 6;

@@ -1,4 +1,4 @@
-// A list of which one entry is picked, by the pointer or by the arrow keys, Home and End.
+// A list of which one entry is selected, by the pointer or by the arrow keys, Home and End.
 import { make } from "../dom.js";
 
 export class PickList {
@@ -9,7 +9,7 @@ export class PickList {
   #picked = null;
   #shown = null;
 
-  // `prefix`: of the ids of the entries. `pick` is called with a name.
+  // `prefix`: prefix of the entries' ids. `pick` is called with the name of a selected entry.
   constructor(label, prefix, pick) {
     this.#prefix = prefix;
     this.#pick = pick;
@@ -17,7 +17,7 @@ export class PickList {
     this.element = make("div", { class: "pick-list", role: "listbox", "aria-label": label, tabindex: 0, on });
   }
 
-  // `entries`: [name, note] each, in their order; `empty`: what is said where there are none.
+  // `entries`: [name, note] each, in their order; `empty`: the text of an empty list.
   show(entries, picked, empty) {
     const key = JSON.stringify([entries, picked]);
     if (this.#shown === key) {
@@ -53,7 +53,7 @@ export class PickList {
     }
   }
 
-  // Scrolls the list alone, not the page.
+  // Scrolls only the list, not the page.
   #scrollTo(option) {
     const list = this.element;
     const [top, bottom] = [option.offsetTop - list.offsetTop, option.offsetTop - list.offsetTop + option.offsetHeight];

@@ -1,10 +1,10 @@
-// Where a new object goes: where there is room, within view.
+// The place of a new object: where there is space, within the view.
 
-const REACH_M = 0.06; // of what is in view, to either side of the middle
-const STEPS = 13;
-const HAND_M = 0.008; // left free about the handle
-const ENOUGH_M = 0.02; // room about a point; more makes it no better
-const WALLS = [
+const MAX_OFFSET_M = 0.06; // largest distance from the middle of the view
+const GRID_STEPS = 13;
+const HANDLE_CLEARANCE_M = 0.008; // distance to the handle that stays free
+const SUFFICIENT_DISTANCE_M = 0.02; // sufficient distance to other objects
+const WALL_CANDIDATES = [
   { point_m: [0, -0.055], normal: [0, 1] },
   { point_m: [-0.065, 0], normal: [1, 0] },
   { point_m: [0.065, 0], normal: [-1, 0] },
@@ -13,7 +13,7 @@ const WALLS = [
 
 const rounded = (value) => Number(value.toFixed(6));
 
-// How far a point lies outside an object, m; negative: inside. Objects that nobody can touch are far.
+// Returns the distance of a point from an object, in m; negative: inside. Objects that cannot be touched are far away.
 export function clearance([x, y], object) {
   const [dx, dy] = object.center_m ? [x - object.center_m[0], y - object.center_m[1]] : [0, 0];
   switch (object.kind) {
@@ -35,14 +35,14 @@ export function clearance([x, y], object) {
   }
 }
 
-// A point with enough room around it, or else the one with most; of equals the one nearest to the middle.
+// Returns a point with enough space around it, or else the one with most; of equal ones that nearest to the middle.
 export function roomiest(objects, handle) {
   const solids = Object.values(objects);
-  const free = (point) => Math.min(ENOUGH_M, Math.hypot(point[0] - handle[0], point[1] - handle[1]) - HAND_M, ...solids.map((object) => clearance(point, object)));
+  const free = (point) => Math.min(SUFFICIENT_DISTANCE_M, Math.hypot(point[0] - handle[0], point[1] - handle[1]) - HANDLE_CLEARANCE_M, ...solids.map((object) => clearance(point, object)));
   let best = { room: -Infinity };
-  for (let i = 0; i < STEPS; i++) {
-    for (let j = 0; j < STEPS; j++) {
-      const point = [i, j].map((step) => rounded(REACH_M * ((2 * step) / (STEPS - 1) - 1)));
+  for (let i = 0; i < GRID_STEPS; i++) {
+    for (let j = 0; j < GRID_STEPS; j++) {
+      const point = [i, j].map((step) => rounded(MAX_OFFSET_M * ((2 * step) / (GRID_STEPS - 1) - 1)));
       const room = free(point);
       const nearer = Math.hypot(...point) < Math.hypot(...(best.point ?? [9, 9]));
       if (room > best.room + 1e-9 || (room > best.room - 1e-9 && nearer)) {
@@ -53,13 +53,13 @@ export function roomiest(objects, handle) {
   return best;
 }
 
-// A wall that leaves the handle and the middles of other objects outside; else the first.
+// Returns a wall that has the handle and the middles of other objects outside; else the first one.
 function freeWall(objects, handle) {
   const points = [handle, ...Object.values(objects).flatMap((object) => (object.center_m ? [object.center_m] : []))];
   const walls = Object.values(objects).filter(({ kind }) => kind === "wall");
   const parallel = (wall) => walls.some(({ normal }) => normal[0] * wall.normal[0] + normal[1] * wall.normal[1] > 0.99);
   const outside = (wall) => points.every((point) => clearance(point, { kind: "wall", ...wall }) > 0);
-  return WALLS.find((wall) => !parallel(wall) && outside(wall)) ?? WALLS.find(outside) ?? WALLS[0];
+  return WALL_CANDIDATES.find((wall) => !parallel(wall) && outside(wall)) ?? WALL_CANDIDATES.find(outside) ?? WALL_CANDIDATES[0];
 }
 
 // A new object of a kind, of a material where it has one.
@@ -95,7 +95,7 @@ export function duplicate(object, objects, handle) {
   return copy;
 }
 
-// A name that nobody has: `wall`, `wall_2`, ...
+// Returns an unused name: `wall`, `wall_2`, ...
 export function freeName(wanted, taken) {
   const base = wanted.replace(/_\d+$/, "");
   let name = taken.includes(wanted) ? `${base}_2` : wanted;

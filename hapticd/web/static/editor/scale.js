@@ -1,15 +1,15 @@
-// The range of a slider: a useful one around the present value, logarithmic where the limits span decades.
+// The range of a slider: a useful range around the current value, logarithmic if the limits span decades.
 
 export const STEPS = 1000;
-const SPAN = 10; // a logarithmic slider reaches from a tenth to ten times the value
-const DECADES = 1000; // limits that far apart make it logarithmic
-const DIGITS = 3;
+const LOG_SPAN = 10; // a logarithmic slider reaches from a tenth to ten times the value
+const LOG_FROM_RATIO = 1000; // ratio of the limits from which on a slider is logarithmic
+const SLIDER_DIGITS = 3;
 
-const rounded = (value) => Number(value.toPrecision(DIGITS));
+const rounded = (value) => Number(value.toPrecision(SLIDER_DIGITS));
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
-// `limits`: {min, max, integer, linear}; `typical`: a value that is common for this key, for where the present one is 0 and
-// says nothing. Returns {low, high, position(value), value(position)}, positions from 0 to STEPS.
+// `limits`: {min, max, integer, linear}; `typical`: a typical value of this key, used if the current value is 0. Returns
+// {low, high, position(value), value(position)}, positions from 0 to STEPS.
 export function scaleAround(value, limits, typical) {
   const { min, max } = limits;
   if (isLogarithmic(value, limits)) {
@@ -26,14 +26,14 @@ export function scaleAround(value, limits, typical) {
 }
 
 function isLogarithmic(value, { min, max, linear }) {
-  return !linear && value >= 0 && (min > 0 ? max / min >= DECADES : max >= DECADES);
+  return !linear && value >= 0 && (min > 0 ? max / min >= LOG_FROM_RATIO : max >= LOG_FROM_RATIO);
 }
 
 function logarithmic(value, { min, max }, typical) {
   const middle = value > 0 ? value : typical;
-  const low = Math.max(min, rounded(middle / SPAN));
-  const high = Math.min(max, rounded(middle * SPAN));
-  const zero = min <= 0 ? 1 : 0; // the leftmost position is 0 where 0 is allowed
+  const low = Math.max(min, rounded(middle / LOG_SPAN));
+  const high = Math.min(max, rounded(middle * LOG_SPAN));
+  const zero = min <= 0 ? 1 : 0; // the leftmost position is 0 if 0 is allowed
   const steps = STEPS - zero;
   const position = (at) =>
     zero && at <= 0 ? 0 : zero + Math.round((steps * Math.log(clamp(at, low, high) / low)) / Math.log(high / low));
@@ -47,7 +47,7 @@ function logarithmic(value, { min, max }, typical) {
   return { low, high, position, value: valueAt };
 }
 
-// Whether a value lies so near an end of a scale that the scale should move, once it is let go.
+// Returns whether a value is so near an end of the scale that the scale should move when the slider is released.
 export function atEnd(scale, value) {
   const position = scale.position(value);
   return value < scale.low || value > scale.high || position < 0.04 * STEPS || position > 0.96 * STEPS;

@@ -1,15 +1,15 @@
 // Lists of numbers as tables and texts: points over speed, frequency tables, coefficients, samples of a waveform, patches.
 //
-// A list is sent whole whenever one of its numbers changed.
+// A list is sent completely when one of its numbers changed.
 import { button, fill, make, svg } from "../dom.js";
 import { fieldFrame } from "./field_frame.js";
 import { withWarnings } from "./fields.js";
 import { format, parse, shownUnit } from "./numbers.js";
 
-const NO_NUMBER = "Must be a number, such as 6.48.";
+const NOT_A_NUMBER_TEXT = "Must be a number, such as 6.48.";
 
-// `table(value)` describes what there is: {head: [text or cell], rows: [[cell]], add: [text, value] or null, remove(row)};
-// a cell is {name, unit, value, set(number) -> the whole new value} or, of a name, {name, options, value, set}.
+// `table(value)` returns {head: [text or cell], rows: [[cell]], add: [text, value] or null, remove(row)}; a cell is
+// {name, unit, value, set(number) -> the complete new value} or, for a name, {name, options, value, set}.
 export function tableField(editor, spec, table) {
   const frame = fieldFrame(editor, spec);
   frame.label.removeAttribute("for");
@@ -17,12 +17,12 @@ export function tableField(editor, spec, table) {
   frame.before(holder);
   let shown = null;
 
-  // `wholeOf` makes the whole new value from the table as the changes before left it: a field that loses its focus to a
+  // `newValueOf` returns the complete new value from the table after all earlier changes: a field that loses its focus to a
   // button sends its number just before the button is pressed.
-  async function send(wholeOf, cell) {
+  async function send(newValueOf, cell) {
     const patch = () => {
       const value = editor.at(spec.path);
-      const whole = value === undefined ? undefined : wholeOf(table(value));
+      const whole = value === undefined ? undefined : newValueOf(table(value));
       return whole === undefined ? undefined : editor.patch(spec.path, whole);
     };
     const problem = await editor.change(spec.label.toLowerCase(), patch);
@@ -31,7 +31,7 @@ export function tableField(editor, spec, table) {
     follow();
   }
 
-  // `find`: the same cell of the table as it is then; undefined where it has gone.
+  // `find` returns the same cell of the table at that time; undefined if it was removed.
   function drawCell(cell, find) {
     const sendCell = (value, input) => send((then) => find(then)?.set(value), input);
     return cell.options ? drawChoice(cell, sendCell, frame) : drawNumber(cell, sendCell, frame);
@@ -89,7 +89,7 @@ function drawNumber(cell, send, frame) {
   input.addEventListener("input", () => (input.dataset.draft = String(input.value !== shown)));
   input.addEventListener("keydown", (event) => {
     if (event.key === "Escape" && (input.value !== shown || input.getAttribute("aria-invalid") !== null)) {
-      event.preventDefault(); // or it would stop the forces
+      event.preventDefault(); // otherwise the key would stop the forces
       input.value = shown;
       input.dataset.draft = "false";
       frame.showProblem(null, [input]);
@@ -102,7 +102,7 @@ function drawNumber(cell, send, frame) {
     }
     const value = input.value === shown ? cell.value : parse(input.value, unit);
     if (Number.isNaN(value)) {
-      frame.showProblem(NO_NUMBER, [input]);
+      frame.showProblem(NOT_A_NUMBER_TEXT, [input]);
     } else {
       frame.showProblem(null, [input]);
       send(value, input);
@@ -197,7 +197,7 @@ export function patches(list, names) {
   };
 }
 
-// Beside the last patch, as far as the present ones go.
+// Returns a new patch next to the last one, as wide as the existing ones.
 export function newPatch(list, names) {
   const from = list.length ? Math.max(...list.map((patch) => patch.to_m)) : -0.01;
   const start = Number((list.length ? from + 0.005 : from).toFixed(6));
@@ -211,7 +211,7 @@ export function listField(editor, spec, picture) {
   const graph = make("div", { class: "curve", "aria-hidden": "true" });
   let shown = null;
   let refused = false;
-  const tell = (problem) => {
+  const showProblem = (problem) => {
     refused = problem !== null;
     frame.showProblem(problem, [text]);
   };
@@ -222,9 +222,9 @@ export function listField(editor, spec, picture) {
     }
     const numbers = text.value.trim().split(/[\s,;]+/).filter(Boolean).map(Number);
     const wrong = numbers.findIndex((number) => !Number.isFinite(number));
-    const problem = wrong >= 0 ? `Entry ${wrong + 1} is no number.` : await editor.change(spec.label.toLowerCase(), () => editor.patch(spec.path, numbers));
+    const problem = wrong >= 0 ? `Entry ${wrong + 1} is not a number.` : await editor.change(spec.label.toLowerCase(), () => editor.patch(spec.path, numbers));
     text.dataset.draft = "false";
-    tell(problem);
+    showProblem(problem);
     follow();
   });
   function follow() {

@@ -1,4 +1,4 @@
-// Buttons that let the simulated hand try a material now, and play its mode without a touch.
+// Buttons with which the simulated hand tries a material, and that play its mode without a contact.
 import { button, make } from "../dom.js";
 import { playOf, punctureGesture, spotOf, strokeGesture, tapGesture } from "./try_it.js";
 
@@ -13,15 +13,15 @@ export function tryCard(app) {
     play: button("Play the mode", "small", play),
   };
 
-  // Null, or why the hand cannot try it.
+  // Returns null, or why the hand cannot try the material.
   function missing() {
     if (app.model.config.device && app.model.config.device.kind !== "sim") {
-      return "There is no simulated hand: try it with the joystick.";
+      return "This device has no simulated hand: try the material with the joystick.";
     }
     return spotOf(app.model.scene, name) === null ? "No object has this material: give it to one under Objects to feel it." : null;
   }
 
-  // What was pressed last is what is said, whichever is answered first.
+  // Shows the result of the button that was pressed last, in whatever order the answers come.
   async function call(method, params, done) {
     const own = ++pressed;
     const say = (text) => {

@@ -1,15 +1,15 @@
-// How the simulated hand tries a material: where in the scene it can be met, and which gesture shows it.
+// How the simulated hand tries a material: where in the scene it can be touched, and by which gesture.
 
-const REACH_M = 0.06; // of the hand, to either side of the middle
-const MARGIN = 0.1; // of a stretch, left free at each end
+const REACH_M = 0.06; // reach of the hand, to either side of the middle
+const MARGIN = 0.1; // fraction of a section that is left free at each end
 
 const TAP = { kind: "tap", speed_m_per_s: 0.2 };
 const STROKE = { kind: "stroke", speed_m_per_s: 0.08, press_n: 1, count: 2 };
 
-// Stretches of a wall that are of a material, within reach: [from, to] along the surface from the wall's point.
+// Returns the sections of a wall with a material, within reach: [from, to] along the surface from the wall's point.
 export function stretches(wall, name) {
   const [nx, ny] = wall.normal;
-  const middle = -(wall.point_m[0] * ny - wall.point_m[1] * nx); // where the origin lies along the surface
+  const middle = -(wall.point_m[0] * ny - wall.point_m[1] * nx); // position of the origin along the surface
   const patches = (wall.patches ?? []).toSorted((a, b) => a.from_m - b.from_m);
   const found = [];
   let from = middle - REACH_M;
@@ -24,7 +24,7 @@ export function stretches(wall, name) {
     .filter((each) => each.material === name && each.to > each.from);
 }
 
-// {object, from, to} along a surface, where the material can be met best; null: nowhere.
+// Returns {object, from, to}, the section of a surface where the material can be touched best; null if there is none.
 export function spotOf(scene, name) {
   const spots = [];
   for (const [object, each] of Object.entries(scene.objects)) {
@@ -45,7 +45,7 @@ export function spotOf(scene, name) {
 
 const rounded = (value) => Number(value.toFixed(6));
 
-// The params of set_operator.
+// Returns the params of set_operator.
 export function tapGesture({ object, from, to }) {
   return { gesture: { ...TAP, object, at_m: rounded((from + to) / 2) } };
 }
@@ -58,7 +58,7 @@ export function punctureGesture({ object, from, to }) {
   return { gesture: { kind: "puncture", object, speed_m_per_s: 0.1, at_m: rounded((from + to) / 2) } };
 }
 
-// The params of play for a material's own mode, as of an approach at the tap's speed; null: it has none.
+// Returns the params of play for a material's mode, as for an approach at the tap's speed; null if it has no mode.
 export function playOf(name, material) {
   const tap = material.tap && !("waveform" in material.tap) ? material.tap : null;
   if (tap === null && !material.rupture) {

@@ -1,8 +1,8 @@
-// What of the scene is displayed otherwise than it was meant, from the daemon's status, and how stable it is, from the
-// margins in its answers: `app.warnings`.
+// Warnings about parts of the scene that are not displayed as specified, from the daemon's status, and about stability, from
+// the margins in its answers: `app.warnings`.
 //
-// The status comes once a second. After a change of this page it is asked for at once, one call under way. What others
-// change comes without margins: they are asked for with the next status.
+// The status comes once a second. After a change of this page it is requested at once, with one call under way. Changes of
+// other clients come without margins, which are requested with the next status.
 import { parsePath } from "./problem_path.js";
 import { withUnit } from "./numbers.js";
 
@@ -10,7 +10,7 @@ import { withUnit } from "./numbers.js";
 export class Warnings extends EventTarget {
   #app;
   #status;
-  #told = {}; // by material: what the daemon said when it was sent, for those that the scene does not use
+  #unused = {}; // warnings when a material was sent, by material, for those that the scene does not use
   #asking = false;
   #askingMargins = false;
   #again = false;
@@ -27,7 +27,7 @@ export class Warnings extends EventTarget {
       if (detail.target === "materials") {
         const lines = detail.warnings.map(({ where, problem }) => ({ path: parsePath(where).slice(1), text: problem }));
         for (const name of Object.keys(detail.patch)) {
-          this.#told[name] = lines.filter(({ path }) => path[0] === name);
+          this.#unused[name] = lines.filter(({ path }) => path[0] === name);
         }
       }
       this.#ask();
@@ -38,7 +38,7 @@ export class Warnings extends EventTarget {
     return this.#status;
   }
 
-  // [{path, text}] of a target: materials, objects or scene; paths begin with the name.
+  // Returns [{path, text}] for a target: materials, objects or scene; paths begin with the name.
   of(target) {
     const { undisplayable = [], warnings = [] } = this.#status;
     const placed = warnings.map(({ where, problem }) => ({ ...placeOf(parsePath(where)), text: problem }));
@@ -47,11 +47,11 @@ export class Warnings extends EventTarget {
       return found;
     }
     const used = usedMaterials(this.#app.model.scene);
-    const told = Object.entries(this.#told).flatMap(([name, lines]) => (used.has(name) ? [] : lines));
-    return [...found, ...told, ...undisplayable.map((mode) => this.#undisplayable(mode))];
+    const unused = Object.entries(this.#unused).flatMap(([name, lines]) => (used.has(name) ? [] : lines));
+    return [...found, ...unused, ...undisplayable.map((mode) => this.#undisplayable(mode))];
   }
 
-  // {kind: ok, warn or plain; text} of the objects that have a material.
+  // Returns {kind: ok, warn or plain; text} for the objects that have a material.
   stabilityOf(name) {
     const { margins, scene, materials } = this.#app.model;
     return stabilityOf(margins, scene, materials, name);
@@ -115,7 +115,7 @@ function placeOf(path) {
   return path[1] === "objects" ? { target: "objects", path: path.slice(2) } : { target: "scene", path: path.slice(1) };
 }
 
-// Where in a material the frequency of a mode stands.
+// Returns the path of a mode's frequency in a material.
 export function modePath(material, mode) {
   const block = { tap: ["tap"], second: ["tap", "second"], rupture: ["rupture"], texture: ["texture"] }[mode];
   const own = (keys, within) => keys.find((key) => key in (within ?? {}));
@@ -129,7 +129,7 @@ export function modePath(material, mode) {
   return key === undefined ? block : [...block, key];
 }
 
-// Names of the materials that objects and patches of a scene have.
+// Returns the names of the materials of objects and patches in a scene.
 export function usedMaterials(scene) {
   const used = new Set();
   for (const object of Object.values(scene.objects ?? {})) {
@@ -141,14 +141,14 @@ export function usedMaterials(scene) {
   return used;
 }
 
-// Ids of the objects that have a material, on a patch or all over.
+// Returns the ids of the objects that have a material, completely or on a patch.
 export function objectsOf(scene, name) {
   return Object.entries(scene.objects ?? {})
     .filter(([, object]) => object.material === name || (object.patches ?? []).some((patch) => patch.material === name))
     .map(([id]) => id);
 }
 
-// `margins`: by object, how many times as stiff it could be by itself, null: any; undefined: the daemon does not know.
+// `margins`: by object, the factor by which its stiffness alone may grow; null: unlimited; undefined: not known.
 export function stabilityOf(margins, scene, materials, name) {
   const ids = objectsOf(scene, name);
   if (!ids.length) {
@@ -167,7 +167,7 @@ export function stabilityOf(margins, scene, materials, name) {
   return { kind: margin < 1 ? "warn" : "ok", text: `${id}: ${withUnit(stiffness, "N/m", 3)}.${reachText(margin, stiffness)}${check}` };
 }
 
-// How stiff it might be.
+// Returns the text of the largest stiffness.
 function reachText(margin, stiffness) {
   if (margin === Infinity) {
     return " No stiffness is too much.";

@@ -1,6 +1,6 @@
-// What the editors call a key, which values are common for it, and with which values an optional block begins.
+// Labels of keys in the editors, typical values, and initial values of optional blocks.
 
-// By key; by definition and key where a key means different things.
+// By key, or by definition and key if a key has several meanings.
 const LABELS = {
   stiffness_n_per_m: "Stiffness",
   damping_n_s_per_m: "Damping",
@@ -43,7 +43,7 @@ const LABELS = {
   provenance: "Origin of the figures",
 };
 
-// What a value of an enumeration is called.
+// Labels of the values of enumerations.
 const VALUES = {
   "Tap.attack.coefficient": "coefficient A",
   "Tap.attack.first_peak": "first peak",
@@ -82,7 +82,7 @@ export function labelOf(definition, key) {
 
 export const valueLabel = (definition, key, value) => VALUES[`${definition}.${key}.${value}`] ?? String(value).replaceAll("_", " ");
 
-// A common value, by key, or else by unit: the middle of a slider where the present value is 0.
+// Typical values by key, or else by unit: the middle of a slider if the current value is 0.
 const TYPICAL = {
   "Friction.coefficient": 0.5,
   damping_n_s_per_m: 1,
@@ -96,7 +96,7 @@ const TYPICAL_BY_UNIT = { m: 0.075, N: 1, "N/m": 800, "1/s": 300, "m/s^2": 30, H
 export const typicalOf = (definition, key, unit) =>
   TYPICAL[`${definition}.${key}`] ?? TYPICAL[key] ?? TYPICAL_BY_UNIT[unit] ?? 1;
 
-// Where a block begins when it is added; `material` is the whole material.
+// Initial values of an added block; `material` is the complete material.
 export const BLOCKS = {
   tap: () => ({ frequency_hz: 200, decay_time_s: 0.005, attack_slope_per_s: 400, attack: "coefficient" }),
   friction: () => ({ coefficient: 0.3, stiffness_n_per_m: 500 }),
@@ -133,7 +133,7 @@ export const TEXTURE_STARTS = {
   autoregressive: () => ({ kind: "autoregressive", rate_hz: 2000, models: [{ ...MODEL }], ...NOISE }),
 };
 
-// A model of recorded noise that sounds at 200 Hz: two poles at 0.9.
+// A model of recorded noise with a peak at 200 Hz: two poles at 0.9.
 export const MODEL = {
   speed_m_per_s: 0.1,
   force_n: 1,

@@ -1,5 +1,5 @@
-// Arranging: picking, moving, turning, sizing and deleting objects, with the pointer or the keyboard. What is dragged is
-// shown at once and sent as updates.js says; a whole drag is one step of undo.
+// Arranging: selecting, moving, turning, sizing and deleting objects with the pointer or the keyboard. Changes of a drag are
+// shown at once and sent by updates.js; a complete drag is one step of undo.
 import { lengthOf, minus, pick } from "./geometry.js";
 import { dragged, gripsOf, isMovable, isTurnable, moved, turned } from "./grips.js";
 
@@ -13,14 +13,14 @@ const KINDS = {
 
 export const kindName = (object) => KINDS[object.kind] ?? object.kind;
 
-// Events: `selected`, another object or none.
+// Event: `selected`, when another object or none is selected.
 export class Arrange extends EventTarget {
   selected = null; // an id
   #app;
   #view;
   #drag = null;
 
-  // `view`: {transform, objects, updates, chips, canArrange}: what is seen, and where fields without a place have their names.
+  // `view`: {transform, objects, updates, chips, canArrange}; `chips` are the labels of fields without a place.
   constructor(app, view) {
     super();
     this.#app = app;
@@ -32,7 +32,7 @@ export class Arrange extends EventTarget {
     return this.#view.objects[this.selected] ?? null;
   }
 
-  // There is an object to be changed.
+  // Whether an object is selected that may be changed.
   get #free() {
     return this.object !== null && this.#view.canArrange;
   }
@@ -45,12 +45,12 @@ export class Arrange extends EventTarget {
     }
   }
 
-  // Picks an object for the whole page.
+  // Selects an object for all modules of the page.
   select(id) {
     this.#app.view.dispatchEvent(new CustomEvent("select", { detail: { id } }));
   }
 
-  // What is under a place on the canvas: {grip} of the selected object, {id}, or {}.
+  // Returns what is at a place on the canvas: {grip} of the selected object, {id}, or {}.
   at(px) {
     const { transform, objects, chips } = this.#view;
     if (this.object !== null) {
@@ -66,7 +66,7 @@ export class Arrange extends EventTarget {
     return id === null ? {} : { id };
   }
 
-  // The pointer goes down; false: on nothing, so that the view is panned.
+  // Called when the pointer is pressed; returns false if nothing is there, so that the view is panned.
   begin(px) {
     const { id, grip } = this.at(px);
     this.select(id ?? null);
@@ -83,7 +83,7 @@ export class Arrange extends EventTarget {
   drag(px, snap) {
     const drag = this.#drag;
     if (drag === null || (drag.patch === null && lengthOf(minus(px, drag.fromPx)) < 3)) {
-      return; // a click is no drag
+      return; // a click, not a drag
     }
     const to = this.#view.transform.toM(px);
     drag.patch = drag.grip === undefined
@@ -100,7 +100,7 @@ export class Arrange extends EventTarget {
     }
   }
 
-  // The drag never was.
+  // Cancels the drag.
   cancel() {
     const drag = this.#drag;
     this.#drag = null;
@@ -142,12 +142,12 @@ export class Arrange extends EventTarget {
   }
 }
 
-// The patch that takes another one back.
+// Returns the patch that undoes another one.
 function before(object, patch) {
   return Object.fromEntries(Object.keys(patch).map((key) => [key, object[key] ?? null]));
 }
 
-// The grips and the outline of what is selected, over the picture.
+// Draws the grips and the outline of the selected object over the picture.
 export function drawSelection(ctx, transform, object, outline, colours) {
   ctx.save();
   ctx.strokeStyle = colours.accent;

@@ -1,13 +1,13 @@
-// Arrows of forces on the hand, and the scale that all of them share.
+// Arrows of the forces on the hand, and their common scale.
 
 const HEAD_PX = 8;
-const LEAST_PX = 3; // shorter arrows say nothing
+const MIN_ARROW_PX = 3; // shorter arrows are not drawn
 
 export function drawArrow(ctx, from, to, colour, width) {
   const dx = to[0] - from[0];
   const dy = to[1] - from[1];
   const length = Math.hypot(dx, dy);
-  if (length < LEAST_PX) {
+  if (length < MIN_ARROW_PX) {
     return;
   }
   const head = Math.min(HEAD_PX + width, length * 0.6);
@@ -28,20 +28,20 @@ export function drawArrow(ctx, from, to, colour, width) {
   ctx.fill();
 }
 
-// Pixels a newton: the limit of the force is a circle of this part of the canvas' shorter side.
+// Returns pixels per newton: the force limit is a circle of a fixed fraction of the canvas' shorter side.
 export function pxPerNewton(limitN, width, height) {
   return (0.42 * Math.min(width, height)) / limitN;
 }
 
-// Where an arrow of this force ends that begins at `from`, pixels; y of the canvas points down.
+// Returns the end of a force's arrow that begins at `from`, in pixels; y of the canvas points down.
 export function tip(from, force, pxPerN) {
   return [from[0] + force[0] * pxPerN, from[1] - force[1] * pxPerN];
 }
 
-const RIM_PX = 9; // arrows begin outside of the handle, and the limit's circle is larger by as much
-const ASIDE_PX = 6;
+const RIM_PX = 9; // distance of arrows from the handle's centre, by which the limit's circle is larger, too
+const SIDE_SHIFT_PX = 6;
 
-// One force at the handle, so many pixels to the side, so that three of one direction are seen as three.
+// Draws a force at the handle, shifted to the side, so that three arrows of one direction can be distinguished.
 function drawForce(ctx, handle, force, aside, pxPerN, colour, width) {
   const size = Math.hypot(force[0], force[1]);
   if (size * pxPerN < 2) {
@@ -52,7 +52,7 @@ function drawForce(ctx, handle, force, aside, pxPerN, colour, width) {
   drawArrow(ctx, from, tip(from, force, pxPerN), colour, width);
 }
 
-// Contact force, vibration and their sum at the handle, the limit around it where it is known.
+// Draws contact force, vibration and their sum at the handle, and the force limit around it if it is known.
 export function drawForces(ctx, handle, forces, { limitN, pxPerN, saturated, colours }) {
   const felt = Object.values(forces).some((force) => Math.hypot(force[0], force[1]) * pxPerN >= 2);
   if (!felt) {
@@ -68,6 +68,6 @@ export function drawForces(ctx, handle, forces, { limitN, pxPerN, saturated, col
     ctx.setLineDash([]);
   }
   drawForce(ctx, handle, forces.force, 0, pxPerN, colours.force, 3);
-  drawForce(ctx, handle, forces.contact, -ASIDE_PX, pxPerN, colours.contact, 2.5);
-  drawForce(ctx, handle, forces.vibration, ASIDE_PX, pxPerN, colours.vibration, 2.5);
+  drawForce(ctx, handle, forces.contact, -SIDE_SHIFT_PX, pxPerN, colours.contact, 2.5);
+  drawForce(ctx, handle, forces.vibration, SIDE_SHIFT_PX, pxPerN, colours.vibration, 2.5);
 }

@@ -1,25 +1,25 @@
-// What is touched now, by which face or side, and where what happened is marked: contacts, grooves, ruptures, from the
-// daemon's events; `state` puts right what an event that was lost left wrong.
+// The touched objects, each with its face or side, and marks of contacts, grooves and ruptures, from the daemon's events.
+// The topic `state` corrects them after a lost event.
 import { SURFACES } from "./geometry.js";
 import { Marks } from "./marks.js";
 import { Punctures } from "./membranes.js";
 import { positionsAround } from "./moments.js";
 import { contactPoint, featureOf, surfacePoint } from "./surface_point.js";
 
-const PATIENCE_S = 0.5; // for the sample of an event's tick
+const SAMPLE_TIMEOUT_S = 0.5; // time that an event waits for the sample of its tick
 
-// Events: `changed`, something else is touched, marked or torn.
+// Event: `changed`, when touched objects, marks or holes changed.
 export class Contacts extends EventTarget {
   marks = new Marks();
   punctures = new Punctures();
   #touched = new Map(); // id: its feature
   #app;
   #objects;
-  #tick = -1; // of the last event
-  #waiting = []; // events whose samples did not come yet
-  #live = true; // false: a recording is looked at
+  #tick = -1; // tick of the last event
+  #waiting = []; // events whose samples have not come yet
+  #live = true; // false: a recording is shown
 
-  // `objects()`: those that are drawn, by id.
+  // `objects()` returns the drawn objects by id.
   constructor(app, objects) {
     super();
     this.#app = app;
@@ -42,7 +42,7 @@ export class Contacts extends EventTarget {
     return [...this.#touched.keys()];
   }
 
-  // Those of a recording that is looked at; null: live again.
+  // Sets the touched objects of a recording that is shown; null: live again.
   show(touching, position) {
     this.#live = touching === null;
     const ids = touching ?? this.#app.model.state?.touching ?? [];
@@ -55,11 +55,11 @@ export class Contacts extends EventTarget {
     return object === undefined ? {} : featureOf(object, before, now);
   }
 
-  // An event comes before the sample of its tick, which says where it happened. Where no samples come, because nobody
-  // sees the page or it does not ask for them, the state is the next best.
+  // An event comes before the sample of its tick, which has its position. Without samples, as on a hidden page, the
+  // position of the newest state is used.
   #sift(stateTick = 0) {
     const { samples, model } = this.#app;
-    const patience = PATIENCE_S * (model.config?.servo?.rate_hz ?? 0);
+    const patience = SAMPLE_TIMEOUT_S * (model.config?.servo?.rate_hz ?? 0);
     while (this.#waiting.length > 0) {
       const { tick } = this.#waiting[0];
       const newest = samples.rows > 0 ? samples.ticks[(samples.rows - 1) % samples.capacity] : -Infinity;
@@ -111,7 +111,7 @@ export class Contacts extends EventTarget {
     this.dispatchEvent(new Event("changed"));
   }
 
-  // Where the probe is, moved onto the surface: it may have left it within the tick of the event.
+  // Returns the probe's position moved onto the surface, which the probe may have left within the tick of the event.
   #onSurface(object, feature, position) {
     const { normal, depth } = contactPoint(object, feature, position);
     return [position[0] + depth * normal[0], position[1] + depth * normal[1]];
@@ -121,7 +121,7 @@ export class Contacts extends EventTarget {
     this.marks.add(kind, point, performance.now());
   }
 
-  // The servo's own list. Events of later ticks came already, then they are right.
+  // Takes the servo's list of touched objects, unless events of later ticks have come.
   #stated(state) {
     if (state.tick < this.#tick) {
       return;
@@ -152,7 +152,7 @@ export class Contacts extends EventTarget {
     }
   }
 
-  // Where the probe, at `position`, is held on the surfaces that it presses; null: on none.
+  // Returns the surface point of a probe at `position`; null if it presses no surface.
   surfacePoint(position) {
     const objects = this.#objects();
     const pressed = [];
@@ -166,7 +166,7 @@ export class Contacts extends EventTarget {
   }
 }
 
-// An object that changed its kind while it was touched has another feature.
+// The face or side of a touched object is not valid after the object's kind has changed.
 function isKnown(object, feature) {
   return object.kind === "membrane" ? "side" in feature : object.kind === "box" ? "face" in feature : true;
 }

@@ -1,6 +1,6 @@
-// What the canvas shows, in words: for whoever does not see it, and as a line of figures below it.
+// The state on the canvas as text: for screen readers, and as a line of numbers below the canvas.
 
-const MOST_NAMED = 3;
+const MAX_NAMED_OBJECTS = 3;
 
 const mm = (metres) => (metres * 1000).toFixed(1);
 
@@ -10,18 +10,18 @@ export function words(moment, touching) {
     return "No samples yet";
   }
   const [x, y] = moment.position.map((value) => mm(value).replace("-0.0", "0.0").replace("-", "\u2212"));
-  const named = touching.slice(0, MOST_NAMED).join(", ");
-  const more = touching.length > MOST_NAMED ? ` and ${touching.length - MOST_NAMED} more` : "";
+  const named = touching.slice(0, MAX_NAMED_OBJECTS).join(", ");
+  const more = touching.length > MAX_NAMED_OBJECTS ? ` and ${touching.length - MAX_NAMED_OBJECTS} more` : "";
   const contact = touching.length === 0 ? "touching nothing" : `touching ${named}${more}`;
   const force = Math.hypot(...moment.force).toFixed(2);
   return `x ${x} mm, y ${y} mm, ${contact}, ${force} N`;
 }
 
-const SHOWN_MS = 100;
-const SPOKEN_MS = 5000;
+const VISIBLE_INTERVAL_MS = 100;
+const SPOKEN_INTERVAL_MS = 5000;
 
-// Shows the words ten times a second, and says them politely to a screen reader: at once when something else is touched,
-// else at most every five seconds.
+// Updates the visible text ten times a second, and a live region for screen readers at once when the touched objects
+// change, otherwise at most every five seconds.
 export class Description {
   #shown;
   #spoken;
@@ -31,7 +31,7 @@ export class Description {
   #newest = [null, []];
   #timer = null;
 
-  // Two elements: one to be seen, one to be heard.
+  // Two elements: one is visible, one is for screen readers.
   constructor(shown, spoken) {
     this.#shown = shown;
     this.#spoken = spoken;
@@ -39,29 +39,29 @@ export class Description {
 
   update(moment, touching) {
     this.#newest = [moment, touching];
-    clearTimeout(this.#timer); // it may be for what is said seconds later
-    this.#tell();
+    clearTimeout(this.#timer); // it may be set for a text several seconds later
+    this.#speak();
   }
 
-  #tell() {
+  #speak() {
     const now = performance.now();
     const [moment, touching] = this.#newest;
     const text = words(moment, touching);
-    if (text !== this.#shown.textContent && now - this.#shownAt >= SHOWN_MS) {
+    if (text !== this.#shown.textContent && now - this.#shownAt >= VISIBLE_INTERVAL_MS) {
       this.#shownAt = now;
       this.#shown.textContent = text;
     }
     const touched = moment === null ? null : touching.join("\n");
-    if (text !== this.#spoken.textContent && (touched !== this.#touched || now - this.#spokenAt >= SPOKEN_MS)) {
+    if (text !== this.#spoken.textContent && (touched !== this.#touched || now - this.#spokenAt >= SPOKEN_INTERVAL_MS)) {
       this.#touched = touched;
       this.#spokenAt = now;
       this.#spoken.textContent = text;
     }
-    const late = [[this.#shown, this.#shownAt + SHOWN_MS], [this.#spoken, this.#spokenAt + SPOKEN_MS]]
+    const late = [[this.#shown, this.#shownAt + VISIBLE_INTERVAL_MS], [this.#spoken, this.#spokenAt + SPOKEN_INTERVAL_MS]]
       .filter(([element]) => element.textContent !== text)
       .map(([, at]) => at - now);
     if (late.length > 0) {
-      this.#timer = setTimeout(() => this.#tell(), Math.max(0, Math.min(...late)));
+      this.#timer = setTimeout(() => this.#speak(), Math.max(0, Math.min(...late)));
     }
   }
 }

@@ -1,9 +1,9 @@
-// Fields: the centre of a spring with rings of equal force, the shading of a viscous one, the arrows of a constant one.
+// Drawing of fields: the centre of a spring with rings of equal force, the shading of a drag, the arrows of a constant force.
 import { EVERYWHERE, lengthOf } from "./geometry.js";
 import { drawArrow } from "./arrows.js";
 import { roundedUp } from "./transform.js";
 
-const RING_PX = 46; // rings of equal force are at least so far apart
+const RING_PX = 46; // least distance of rings of equal force
 const LATTICE_PX = 110;
 
 function drawSpring(pen, id, spring) {
@@ -41,7 +41,7 @@ function drawSpring(pen, id, spring) {
   labels.write(ctx, text, [[x, y - 18], [x, y + 18]], { weight: 600, colour: colours.text, plate: colours.ground });
 }
 
-// Dots over the whole plane, the denser the more it damps.
+// Draws dots over the complete plane, denser for more damping.
 function shadeViscous(pen, viscous) {
   const { ctx, transform, colours } = pen;
   const apart = Math.max(9, 26 - 5 * Math.log2(1 + viscous.damping_n_s_per_m));
@@ -75,7 +75,7 @@ function drawConstant(pen, constant) {
   ctx.globalAlpha = 1;
 }
 
-// What a field without a place is, in words.
+// Returns the description of a field without a place.
 function wordsOf(id, field) {
   if (field.kind === "viscous") {
     return `${id} · ${+field.damping_n_s_per_m.toPrecision(4)} N·s/m everywhere`;
@@ -90,8 +90,8 @@ export function drawFields(pen, objects) {
   }
 }
 
-// Their names: fields with a place at it, those without one below each other at the upper right. Returns where the
-// latter stand, to be picked there: [id, rect].
+// Draws names: those of fields with a place at it, those of others below each other at the upper right. Returns the
+// rectangles of the latter, where they can be selected: [id, rect].
 export function nameFields(pen, objects) {
   const { ctx, transform, colours, labels } = pen;
   const found = [];

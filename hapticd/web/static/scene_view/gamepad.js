@@ -1,18 +1,18 @@
-// A gamepad as the hand: its left stick says how fast the hand goes and where to, not where it is. So a stick that is let
-// go leaves the hand where it is, and a coarse stick still reaches every tenth of a millimetre.
+// A gamepad as the hand: its left stick sets the velocity of the hand, not its position. So the hand stays when the stick is
+// released, and a coarse stick still reaches every tenth of a millimetre.
 
-export const DEAD_ZONE = 0.15; // of the stick's travel: below it is rest
-const MOST_M_PER_S = 0.15; // the stick at its end
+export const DEAD_ZONE = 0.15; // fraction of the stick's travel in which the hand rests
+const MAX_SPEED_M_PER_S = 0.15; // speed at the end of the stick's travel
 
-// Speed of the hand for a stick at x, y (-1 to 1, y down, as the browser has it): nothing within the dead zone, from its
-// rim on the square of what is left, so that small motions are fine.
+// Returns the hand's velocity for a stick at x, y (-1 to 1, y down, as in the browser's API): 0 within the dead zone,
+// quadratic beyond it, so that small motions are fine.
 export function speedOf(x, y) {
   const size = Math.min(1, Math.hypot(x, y));
   if (size <= DEAD_ZONE) {
     return [0, 0];
   }
   const part = (size - DEAD_ZONE) / (1 - DEAD_ZONE);
-  const speed = MOST_M_PER_S * part * part;
+  const speed = MAX_SPEED_M_PER_S * part * part;
   const length = Math.hypot(x, y);
   return [(x / length) * speed, (-y / length) * speed];
 }
@@ -23,7 +23,7 @@ export class GamepadHand {
   #frame = null;
   #before = 0;
 
-  // `allowed()` says whether the hand may be moved; `taking()` is called when the stick leaves its rest.
+  // `allowed()` returns whether the hand may be moved; `taking()` is called when the stick leaves the dead zone.
   constructor(hand, from, allowed, taking) {
     this.#hand = hand;
     this.#from = from;
@@ -72,7 +72,7 @@ export class GamepadHand {
     this.#frame = requestAnimationFrame((next) => this.#look(next));
   }
 
-  #moving = false; // the stick is out of its rest
+  #moving = false; // the stick is beyond the dead zone
 
   #rest() {
     if (this.#moving) {

@@ -18,8 +18,8 @@ export function unit(vector) {
   return length > 0 ? [vector[0] / length, vector[1] / length] : [0, 1];
 }
 
-// Where an object is: its point, its normal, and half its sides along tangent and normal. Of a field without a place
-// the origin.
+// Returns the frame of an object: its point, its normal, and half its sides along tangent and normal. The point of a field
+// without a place is the origin.
 export function frameOf(object) {
   switch (object.kind) {
     case "wall": {
@@ -45,7 +45,7 @@ export function frameOf(object) {
   }
 }
 
-// A point in the axes of a frame: along its tangent, along its normal.
+// Returns the coordinates of a point in a frame, along its tangent and its normal.
 export function local(frame, point) {
   const offset = minus(point, frame.point);
   return [dot(offset, frame.tangent), dot(offset, frame.normal)];
@@ -55,7 +55,7 @@ export function global(frame, [s, h]) {
   return along(along(frame.point, frame.tangent, s), frame.normal, h);
 }
 
-// How far a point lies outside of a surface; negative inside of a solid.
+// Returns the distance of a point from a surface; negative inside of a solid.
 export function distanceTo(object, point) {
   const frame = frameOf(object);
   const [s, h] = local(frame, point);
@@ -89,7 +89,7 @@ export function ends(frame) {
   return [global(frame, [-frame.half[0], 0]), global(frame, [frame.half[0], 0])];
 }
 
-// What of a convex polygon lies behind a line: where (p - point).normal <= 0.
+// Returns the part of a convex polygon behind a line: where (p - point).normal <= 0.
 export function behind(polygon, point, normal) {
   const kept = [];
   for (let i = 0; i < polygon.length; i++) {
@@ -107,8 +107,8 @@ export function behind(polygon, point, normal) {
   return kept;
 }
 
-// The stretch [from, to] of a line through `point` along `direction` that a rectangle [left, bottom, right, top] holds;
-// null: none.
+// Returns the section [from, to] of a line through `point` along `direction` within a rectangle [left, bottom, right, top];
+// null if there is none.
 export function stretchSeen(point, direction, [left, bottom, right, top]) {
   let from = -Infinity;
   let to = Infinity;
@@ -127,7 +127,7 @@ export function stretchSeen(point, direction, [left, bottom, right, top]) {
   return from < to ? [from, to] : null;
 }
 
-// A box that holds the whole object, [left, bottom, right, top]; null: it has no end, or no place.
+// Returns the bounding box of an object, [left, bottom, right, top]; null if it is unbounded or has no place.
 export function boundsOf(object) {
   if (object.kind === "wall" || EVERYWHERE.has(object.kind)) {
     return null;
@@ -143,8 +143,8 @@ export function boundsOf(object) {
   return [x - reach[0], y - reach[1], x + reach[0], y + reach[1]];
 }
 
-// What of a scene a view should show: all that has an end, the patches of walls, a strip around each wall's point, and
-// `also`, points; [left, bottom, right, top].
+// Returns the part of a scene that a view should show, [left, bottom, right, top]: bounded objects, patches of walls, a
+// strip around each wall's point, and the points `also`.
 export function extentOf(objects, also, margin) {
   const points = [...also];
   for (const object of Object.values(objects)) {
@@ -162,8 +162,8 @@ export function extentOf(objects, also, margin) {
   return [...low, ...high];
 }
 
-// The object under a point, by id; null: none. Small things come before large ones, so that what stands on a wall can be
-// picked: fields with a centre, membranes, discs and boxes, walls.
+// Returns the id of the object under a point, or null. Small objects have priority over large ones, so that objects on a
+// wall can be selected: fields with a centre, membranes, discs and boxes, walls.
 export function pick(objects, point, reach) {
   const order = { spring: 0, membrane: 1, disc: 2, box: 2, wall: 3 };
   let best = null;

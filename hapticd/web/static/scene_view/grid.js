@@ -1,8 +1,8 @@
-// What lies under everything: grid, axes with millimetres, the workspace, and the scale bars of length and force.
+// The background: grid, axes in millimetres, the workspace, and the scale bars of length and force.
 import { lengthText, roundedDown } from "./transform.js";
 
-export const EDGE_LEFT_PX = 46; // room for the millimetres of y
-export const EDGE_BOTTOM_PX = 20; // and of x
+export const EDGE_LEFT_PX = 46; // space for the labels of y
+export const EDGE_BOTTOM_PX = 20; // space for the labels of x
 
 // The multiples of `step` within [from, to].
 export function multiples(step, from, to) {
@@ -60,7 +60,7 @@ export function drawWorkspace(pen, workspace) {
   const [left, bottom, right, top] = workspace;
   const [x0, y0] = transform.toPx([left, top]);
   const [x1, y1] = transform.toPx([right, bottom]);
-  // What the handle cannot reach is dimmed.
+  // The area outside of the workspace is dimmed.
   ctx.beginPath();
   ctx.rect(0, 0, transform.width, transform.height);
   ctx.rect(x0, y0, x1 - x0, y1 - y0);
@@ -75,7 +75,7 @@ export function drawWorkspace(pen, workspace) {
   ctx.setLineDash([]);
 }
 
-// Millimetres along the lower and the left edge, over whatever is drawn there.
+// Draws the labels in millimetres along the lower and the left edge, over everything there.
 export function drawTicks(pen) {
   const { ctx, transform, colours, labels } = pen;
   const { width, height } = transform;
@@ -137,7 +137,7 @@ function bar(pen, [x, y], length, text, colour, fromRight) {
   pen.labels.keepFree([left, y - 20, left + width, y + 8]);
 }
 
-// How long a newton is, and how long a millimetre: the same at the lower corners all the time.
+// Draws the scale bars of force and length at the lower corners.
 export function drawScaleBars(pen) {
   const { transform, colours } = pen;
   const y = transform.height - EDGE_BOTTOM_PX - 14;

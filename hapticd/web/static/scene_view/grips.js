@@ -1,25 +1,24 @@
-// How an object is moved, turned and sized: the grips that are drawn at it, and what dragging one makes of it. Pure: each
-// answer is a merge patch of the object.
+// Moving, turning and sizing objects: the grips of an object, and the merge patches that dragging one gives. Pure functions.
 import { along, frameOf, global, local, minus } from "./geometry.js";
 
-const STEP_M = 0.001; // of snapping
+const STEP_M = 0.001; // step of snapping
 const STEP_RAD = Math.PI / 36; // 5 degrees
-const LEAST_SIZE_M = 0.0005;
+const MIN_SIZE_M = 0.0005;
 const KNOB_PX = 34;
 
 const snapped = (value, step) => Math.round(value / step) * step;
-// Without what rounding adds: 0.012000000000000002.
+// Removes rounding errors, as in 0.012000000000000002.
 const tidy = (value) => +value.toPrecision(9);
 const tidyPoint = (point) => point.map(tidy);
 
-const PLACE = { wall: "point_m", box: "center_m", disc: "center_m", membrane: "center_m", spring: "center_m" };
+const PLACE_KEYS = { wall: "point_m", box: "center_m", disc: "center_m", membrane: "center_m", spring: "center_m" };
 
-export const isMovable = (object) => object.kind in PLACE;
+export const isMovable = (object) => object.kind in PLACE_KEYS;
 export const isTurnable = (object) => ["wall", "box", "membrane"].includes(object.kind);
 
-// Moved by `delta` from where it was; `snap`: to whole millimetres.
+// Moves an object by `delta`; `snap`: to integer millimetres.
 export function moved(object, delta, snap = false) {
-  const key = PLACE[object.kind];
+  const key = PLACE_KEYS[object.kind];
   let point = along(object[key], delta, 1);
   if (snap) {
     point = point.map((value) => snapped(value, STEP_M));
@@ -27,7 +26,7 @@ export function moved(object, delta, snap = false) {
   return { [key]: tidyPoint(point) };
 }
 
-// Turned anticlockwise by `angle`; `snap`: to multiples of 5 degrees.
+// Turns an object anticlockwise by `angle`; `snap`: to multiples of 5 degrees.
 export function turned(object, angle, snap = false) {
   if (object.kind === "box") {
     let next = (object.angle_rad ?? 0) + angle;
@@ -60,9 +59,9 @@ export function gripsOf(object, pxPerM) {
   }
 }
 
-const side = (half, snap) => tidy(Math.max(LEAST_SIZE_M, snap ? snapped(2 * half, STEP_M) : 2 * half));
+const side = (half, snap) => tidy(Math.max(MIN_SIZE_M, snap ? snapped(2 * half, STEP_M) : 2 * half));
 
-// What an object becomes when a grip of it, which was at `from`, is dragged to `to`.
+// Returns the patch for dragging a grip of an object from `from` to `to`.
 export function dragged(object, name, from, to, snap = false) {
   const frame = frameOf(object);
   const [s, h] = local(frame, to).map(Math.abs);
@@ -74,7 +73,7 @@ export function dragged(object, name, from, to, snap = false) {
     }
     case "radius": {
       const radius = Math.hypot(s, h);
-      return { radius_m: tidy(Math.max(LEAST_SIZE_M, snap ? snapped(radius, STEP_M) : radius)) };
+      return { radius_m: tidy(Math.max(MIN_SIZE_M, snap ? snapped(radius, STEP_M) : radius)) };
     }
     case "width":
       return object.kind === "box" ? { size_m: [side(s, snap), object.size_m[1]] } : { width_m: side(s, snap) };

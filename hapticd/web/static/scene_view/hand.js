@@ -1,20 +1,20 @@
-// The hand on the simulated joystick: where it wants to be, streamed to the daemon as targets. Mouse, touch, pen,
-// keyboard and gamepad say where it should go; this file says how it gets there.
+// The hand on the simulated joystick: its targets, streamed to the daemon. Mouse, touch, pen, keyboard and gamepad give the
+// aim; this module moves the hand there.
 //
-// Targets leave at the rate of the pointer, 250 a second at most. While the hand is held still they are repeated every
-// 10 ms: so the stream stays ours, and the servo goes on from target to target in short, even steps. Once it is let go no
-// more come; the hand stays where the last one was (docs/protocol.md, Streams).
+// Targets are sent at the rate of the pointer, at most 250 a second. While the hand is held still they are repeated every
+// 10 ms: so this page keeps the stream, and the servo moves between targets in short, even steps. After the hand is released
+// no targets are sent; it stays at the last one (docs/protocol.md, Streams).
 //
-// Nothing leaves before `allow(true)`, nor after `allow(false)`: only the page that holds the forces moves the hand. What was
-// called for meanwhile is begun as soon as it is allowed, if it is still held then.
+// Targets are sent only between `allow(true)` and `allow(false)`: only the page that controls the forces moves the hand. A
+// motion that was requested before begins as soon as it is allowed, if the hand is still held then.
 
-const LEAST_MS = 4; // between two targets
-const REPEAT_MS = 10; // of a hand that is held still
-const REACH_M_PER_S = 0.5; // from where the hand is to where it was called
-const MOST_DT_S = 0.02;
-const THERE_M = 1e-5;
+const MIN_TARGET_INTERVAL_MS = 4; // least time between two targets
+const REPEAT_INTERVAL_MS = 10; // interval of targets while the hand is held still
+const REACH_M_PER_S = 0.5; // speed from the hand's position to a new aim
+const MAX_STEP_TIME_S = 0.02;
+const ARRIVED_WITHIN_M = 1e-5;
 
-// From `from` towards `to`, by at most `step`.
+// Returns the point from `from` towards `to`, at most `step` away.
 export function towards(from, to, step) {
   const [dx, dy] = [to[0] - from[0], to[1] - from[1]];
   const distance = Math.hypot(dx, dy);
@@ -32,10 +32,10 @@ export function clamped(point, limits) {
   return [Math.min(right, Math.max(left, point[0])), Math.min(top, Math.max(bottom, point[1]))];
 }
 
-// Events: `moved`, the target is another one; `held`, it was taken or let go.
+// Events: `moved`, the target changed; `held`, the hand was taken or released.
 export class Hand extends EventTarget {
   limits = null; // [left, bottom, right, top]: the workspace
-  target = null; // where the hand is, as it was sent last; null: this page never moved it
+  target = null; // the target that was sent last; null: this page never moved the hand
   #aim = null;
   #speed = REACH_M_PER_S;
   #allowed = false;
@@ -71,7 +71,7 @@ export class Hand extends EventTarget {
     }
   }
 
-  // Somebody else moved the hand: the next target begins at the handle again.
+  // Called if another client moved the hand: the next target begins at the handle.
   forget() {
     if (!this.held) {
       this.target = null;
@@ -80,7 +80,7 @@ export class Hand extends EventTarget {
     }
   }
 
-  // `who` takes the hand, to move it to `aim`. It begins at `from`, the handle, where this page has not moved it before.
+  // `who` takes the hand to move it to `aim`. It begins at `from`, the handle, if this page has not moved it before.
   take(who, from, aim = null) {
     this.target ??= from;
     this.#aim = clamped(aim ?? this.target, this.limits);
@@ -93,12 +93,12 @@ export class Hand extends EventTarget {
 
   release(who) {
     if (this.#holders.delete(who)) {
-      this.#aim = this.target; // a hand that was on its way stays where it got
+      this.#aim = this.target; // a hand that was moving stays where it is
       this.dispatchEvent(new Event("held"));
     }
   }
 
-  // Nobody holds it any more, and a step of the keyboard goes no further.
+  // Releases the hand; a step of the keyboard ends where it is.
   releaseAll() {
     for (const who of [...this.#holders]) {
       this.release(who);
@@ -106,8 +106,7 @@ export class Hand extends EventTarget {
     this.#aim = this.target;
   }
 
-  // Where the hand should go, of one that holds it. Once it got there it follows at once; before that it reaches out at a
-  // hand's speed.
+  // Sets the aim of the hand that `who` holds. The hand first moves there at a limited speed, then follows the aim at once.
   aimAt(who, point) {
     if (this.#holders.has(who)) {
       this.#aim = clamped(point, this.limits);
@@ -115,7 +114,7 @@ export class Hand extends EventTarget {
     }
   }
 
-  // By so much, at most so fast: a step of the keyboard, which nobody holds.
+  // Moves the hand by `delta` at a limited speed: a step of the keyboard, which does not hold the hand.
   step(delta, from, speed) {
     this.target ??= from;
     this.#aim ??= this.target;
@@ -132,22 +131,22 @@ export class Hand extends EventTarget {
       return;
     }
     const now = this.#now();
-    if (now - this.#sentAt < LEAST_MS) {
-      this.#again(LEAST_MS);
+    if (now - this.#sentAt < MIN_TARGET_INTERVAL_MS) {
+      this.#again(MIN_TARGET_INTERVAL_MS);
       return;
     }
     const before = this.target;
-    const dt = Math.min(MOST_DT_S, (now - this.#pumpedAt) / 1000);
-    // A hand that has caught up is there at once, in no time, too.
+    const dt = Math.min(MAX_STEP_TIME_S, (now - this.#pumpedAt) / 1000);
+    // A hand that follows its aim reaches it at once, also if no time has passed.
     const step = this.#speed === Infinity ? Infinity : this.#speed * dt;
     this.target = towards(this.target, this.#aim, step);
     this.#pumpedAt = now;
-    const there = Math.hypot(this.#aim[0] - this.target[0], this.#aim[1] - this.target[1]) < THERE_M;
+    const there = Math.hypot(this.#aim[0] - this.target[0], this.#aim[1] - this.target[1]) < ARRIVED_WITHIN_M;
     if (there && this.held) {
-      this.#speed = Infinity; // caught up: from now on it is where the pointer is
+      this.#speed = Infinity; // the aim is reached: from now on the hand follows the pointer
     }
     const moved = before[0] !== this.target[0] || before[1] !== this.target[1];
-    if (moved || (this.held && now - this.#sentAt >= REPEAT_MS - 1)) {
+    if (moved || (this.held && now - this.#sentAt >= REPEAT_INTERVAL_MS - 1)) {
       this.#sentAt = now;
       this.#send({ seq: ++this.#seq, position_m: this.target });
     }
@@ -155,7 +154,7 @@ export class Hand extends EventTarget {
       this.dispatchEvent(new Event("moved"));
     }
     if (!there || this.held) {
-      this.#again(there ? REPEAT_MS : LEAST_MS);
+      this.#again(there ? REPEAT_INTERVAL_MS : MIN_TARGET_INTERVAL_MS);
     }
   }
 

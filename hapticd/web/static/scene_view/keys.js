@@ -1,13 +1,13 @@
 // The keyboard on the canvas. In Feel mode the arrow keys move the hand, in Arrange mode the selected object; with Ctrl, or
-// where there is nothing to move, they move the view.
+// if there is nothing to move, they move the view.
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 const PAN_PX = 40;
 const TURN_RAD = Math.PI / 36;
-// Length of a step and the speed at which the hand makes it: with Alt, with Shift, with neither.
-const FINE = [0.0001, 0.02];
-const WHOLE = [0.001, 0.06];
-const FAST = [0.005, 0.25];
+// Length of a step, in m, and speed of the hand, in m/s: FINE_STEP with Alt, FAST_STEP with Shift, NORMAL_STEP without them.
+const FINE_STEP = [0.0001, 0.02];
+const NORMAL_STEP = [0.001, 0.06];
+const FAST_STEP = [0.005, 0.25];
 
 export const KEY_HELP =
   "Arrow keys move the hand by 1 mm, with Shift by 5 mm, with Alt by 0.1 mm. In Arrange mode they move the selected " +
@@ -15,7 +15,7 @@ export const KEY_HELP =
   "objects, 9 the workspace.";
 
 export function stepOf(event) {
-  return event.shiftKey ? FAST : event.altKey ? FINE : WHOLE;
+  return event.shiftKey ? FAST_STEP : event.altKey ? FINE_STEP : NORMAL_STEP;
 }
 
 // `view`: {mode, canFeel, transform, arrange, stepHand(delta, speed), viewed(), fit(what), zoom(factor)}
@@ -85,7 +85,7 @@ function arranging(event, arrange) {
       return true;
     case "Escape":
       if (arrange.selected === null) {
-        return false; // it stops the forces
+        return false; // left to the stop of the forces
       }
       arrange.select(null);
       return true;

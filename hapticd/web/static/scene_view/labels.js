@@ -1,11 +1,11 @@
-// Names on the canvas that never lie over each other: a label takes the first of its places that is free and inside, and
-// stays away where there is none.
+// Names on the canvas, which never overlap: a label is drawn at the first of its places that is free and inside the canvas,
+// or not at all.
 
 const overlaps = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
 
 export class Labels {
   #taken = [];
-  placed = []; // {text, rect} of those that are drawn
+  placed = []; // {text, rect} of the drawn labels
   #bounds;
 
   // `bounds`: [left, top, right, bottom] in pixels.
@@ -13,12 +13,12 @@ export class Labels {
     this.#bounds = bounds;
   }
 
-  // Nothing is written here.
+  // Keeps a rectangle free of labels.
   keepFree(rect) {
     this.#taken.push(rect);
   }
 
-  // Draws `text` at the first free one of `places`, the middles of the label; returns its rectangle, or null.
+  // Draws `text` centred at the first free one of `places`; returns its rectangle, or null.
   write(ctx, text, places, { size = 12, weight = 400, colour, plate = null } = {}) {
     ctx.font = `${weight} ${size}px system-ui, sans-serif`;
     const width = ctx.measureText(text).width + 8;

@@ -1,7 +1,7 @@
-// Marks of what happened: a contact, a groove, a rupture, each where it happened, fading over a second.
+// Marks of contacts, grooves and ruptures at their positions, which fade over a second.
 
 export const FADE_MS = 1000;
-const MOST = 200;
+const MAX_MARKS = 200;
 
 export class Marks {
   #marks = [];
@@ -9,12 +9,12 @@ export class Marks {
   // `point` in m; `at` in ms, the clock of performance.now().
   add(kind, point, at) {
     this.#marks.push({ kind, point, at });
-    if (this.#marks.length > MOST) {
+    if (this.#marks.length > MAX_MARKS) {
       this.#marks.shift();
     }
   }
 
-  // Those that are still seen, with `age` from 0 to 1.
+  // Returns the visible marks, with `age` from 0 to 1.
   seen(now) {
     this.#marks = this.#marks.filter((mark) => now - mark.at < FADE_MS);
     return this.#marks.map((mark) => ({ ...mark, age: Math.max(0, (now - mark.at) / FADE_MS) }));

@@ -1,11 +1,11 @@
-// Membranes as they are now: straight, pushed in by the probe, or punctured, with a hole.
+// Drawing of membranes: straight, deflected by the probe, or punctured, with a hole.
 import { ends, frameOf, global, local } from "./geometry.js";
 import { tint } from "./textures.js";
 
 const HOLE_PX = 14;
 
-// Where the skin runs, in m: its ends, and between them the point that the probe pushes it to. `position`: the probe's,
-// where it touches the skin; null: it does not.
+// Returns the shape of a membrane, in m: its ends, and between them the point to which the probe deflects it. `position`:
+// the probe's position if it touches the membrane, else null.
 export function skinLine(membrane, position) {
   const frame = frameOf(membrane);
   const [from, to] = ends(frame);
@@ -17,11 +17,11 @@ export function skinLine(membrane, position) {
   return [from, global(frame, [Math.min(half, Math.max(-half, s)), h]), to];
 }
 
-// Where a membrane was punctured, along it, so that the hole is where it broke. Kept until it is healed.
+// Positions along the membranes where they were punctured, kept until they are healed.
 export class Punctures {
   #holes = new Map();
 
-  // `position`: where the probe was then, on the side to which it went through.
+  // `position`: the probe's position then, on the side to which it passed through.
   puncture(id, membrane, position) {
     const frame = frameOf(membrane);
     const [s, h] = local(frame, position);
@@ -34,7 +34,7 @@ export class Punctures {
     }
   }
 
-  // What is gone, or is no membrane any more, has no hole.
+  // Removes the holes of objects that were removed or are not membranes any more.
   keepOnly(objects) {
     for (const id of this.#holes.keys()) {
       if (objects[id]?.kind !== "membrane") {
@@ -43,7 +43,7 @@ export class Punctures {
     }
   }
 
-  // {at, side}: where along the membrane, and to which side its edges hang; null: it is whole.
+  // Returns {at, side}: position along the membrane, and the side to which its edges hang; null if it is intact.
   hole(id) {
     return this.#holes.get(id) ?? null;
   }
@@ -73,7 +73,7 @@ function drawTorn(ctx, transform, membrane, { at, side }, colours) {
   ctx.stroke();
 }
 
-// `touch`: the probe's position where it touches this skin, else null. `hole`: where it is torn, else null.
+// `touch`: the probe's position if it touches this membrane, else null. `hole`: the place of its hole, else null.
 export function drawMembrane(ctx, transform, membrane, touch, hole, colours) {
   if (hole !== null) {
     drawTorn(ctx, transform, membrane, hole, colours);

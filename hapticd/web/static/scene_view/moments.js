@@ -1,10 +1,10 @@
-// What is drawn at a moment: the newest sample, or that of a recording that is being looked at. The simulation's
-// position is that of the samples, not the 60 states a second.
+// The moment that is drawn: the newest sample, or that of a recording. Positions come from the samples, not from the 60
+// states a second.
 
 const FLAG_SATURATED = 8;
-const LATEST_S = 0.1; // an older vibration is over, however long nothing was drawn
+const MAX_VIBRATION_AGE_S = 0.1; // older vibration is not drawn, even if nothing was drawn since
 
-// The row of a SampleStore as a moment.
+// Returns the moment of a row of a SampleStore.
 export function momentAt(samples, row) {
   const at = row % samples.capacity;
   const c = samples.columns;
@@ -19,7 +19,7 @@ export function momentAt(samples, row) {
   };
 }
 
-// A map of the topic `state`, or of a recording, as a moment.
+// Returns the moment of a map of the topic `state` or of a recording.
 export function momentOf(state) {
   return {
     tick: state.tick,
@@ -34,7 +34,7 @@ export function momentOf(state) {
 
 export const isSaturated = (moment) => (moment.flags & FLAG_SATURATED) !== 0;
 
-// The largest vibration of the rows [from, to): a thousandth of a second that nobody would see otherwise.
+// Returns the largest vibration of the rows [from, to), so that vibration shorter than a frame is visible.
 export function largestVibration(samples, from, to) {
   const { vibration_x_n: x, vibration_y_n: y } = samples.columns;
   let most = 0;
@@ -50,7 +50,7 @@ export function largestVibration(samples, from, to) {
   return found;
 }
 
-// The rows of a tick and of the one before it, as positions; null where they are gone or did not come yet.
+// Returns the positions at a tick and at the tick before it; null if their rows were removed or have not come yet.
 export function positionsAround(samples, tick) {
   if (samples.capacity === 0 || samples.rows - samples.first < 2) {
     return null;
@@ -58,7 +58,7 @@ export function positionsAround(samples, tick) {
   const newest = samples.rows - 1;
   let row = newest - (samples.ticks[newest % samples.capacity] - tick);
   row = Math.min(newest, Math.max(samples.first + 1, row));
-  // Lost samples make the guess too low: ticks only rise.
+  // Lost samples make the guess too low, because ticks only rise.
   while (row < newest && samples.ticks[row % samples.capacity] < tick) {
     row++;
   }
@@ -70,7 +70,7 @@ export function positionsAround(samples, tick) {
 
 export class Moments {
   #app;
-  #drawn = 0; // rows that were looked at for the largest vibration
+  #drawn = 0; // rows before this one were searched for the largest vibration
   playback = null; // a moment of a recording; null: live
 
   constructor(app) {
@@ -90,13 +90,13 @@ export class Moments {
     return sampled;
   }
 
-  // The largest vibration since this was asked last.
+  // Returns the largest vibration since the last call.
   vibration() {
     const { samples } = this.#app;
     if (this.playback !== null) {
       return this.playback.vibration;
     }
-    const from = Math.max(this.#drawn, samples.rows - Math.ceil(LATEST_S * samples.rateHz));
+    const from = Math.max(this.#drawn, samples.rows - Math.ceil(MAX_VIBRATION_AGE_S * samples.rateHz));
     const found = samples.capacity === 0 ? [0, 0] : largestVibration(samples, from, samples.rows);
     this.#drawn = samples.rows;
     return found;

@@ -1,6 +1,6 @@
-// The picture, in two layers. What stands still (grid, solids, fields, names) is drawn once into a canvas of its own, until
-// the view, the scene or the colours change; what moves (handle, hand, membranes, arrows, marks) is drawn over it, on
-// animation frames alone, and only where something changed.
+// The picture, in two layers. Static elements (grid, solids, fields, names) are drawn into a separate canvas, again only when
+// the view, the scene or the colours change. Moving elements (handle, hand, membranes, arrows, marks) are drawn over it in
+// animation frames, only if something changed.
 import { color } from "../theme.js";
 import { drawForces, pxPerNewton } from "./arrows.js";
 import { drawSelection } from "./arrange.js";
@@ -13,8 +13,8 @@ import { drawMembrane } from "./membranes.js";
 import { isSaturated } from "./moments.js";
 import { drawSolids, isSeen, nameSurfaces } from "./shapes.js";
 
-const UNKNOWN_LIMIT_N = 10; // the scale of arrows where the limit is not known
-const VIBRATION_MS = 150; // a vibration fades from the arrows in this time, so that a tap is seen
+const UNKNOWN_LIMIT_N = 10; // force for the scale of arrows if the limit is not known
+const VIBRATION_MS = 150; // time in which the arrow of a vibration fades, so that a tap is visible
 
 function palette() {
   const names = ["text", "muted", "border", "edge", "accent", "bad", "grid", "sunken", "contact", "vibration", "force",
@@ -24,9 +24,9 @@ function palette() {
 }
 
 export class Picture {
-  chips = []; // [id, rectangle] of fields that have no place but their name
-  labels = []; // {text, rect} of the names that are drawn
-  frames = 0; // drawn so far
+  chips = []; // [id, rectangle] of the labels of fields without a place
+  labels = []; // {text, rect} of the drawn names
+  frames = 0; // number of drawn frames
   #still = document.createElement("canvas");
   #stillFresh = false;
   #canvas;
@@ -44,7 +44,7 @@ export class Picture {
     this.#view = view;
   }
 
-  // The canvas has another size, or another density.
+  // Called when the size or the pixel density of the canvas changed.
   resize() {
     const { transform } = this.#view;
     this.#dpr = Math.min(3, globalThis.devicePixelRatio || 1);
@@ -61,18 +61,18 @@ export class Picture {
     this.refresh();
   }
 
-  // What stands still is another one.
+  // Draws the static elements again.
   refresh() {
     this.#stillFresh = false;
     this.draw();
   }
 
-  // Before the browser shows the next frame: a canvas that was resized is empty.
+  // Draws before the browser shows the next frame: a resized canvas is empty.
   drawAtOnce() {
     this.#drawNow(performance.now());
   }
 
-  // At the next animation frame.
+  // Draws at the next animation frame.
   draw() {
     this.#frame ??= requestAnimationFrame((now) => {
       this.#frame = null;
@@ -118,7 +118,7 @@ export class Picture {
     ctx.setTransform(this.#dpr, 0, 0, this.#dpr, 0, 0);
     const moment = moments.newest;
     ctx.save();
-    ctx.beginPath(); // the millimetres along the edges stay free
+    ctx.beginPath(); // keeps the labels along the edges free
     ctx.rect(EDGE_LEFT_PX, 0, transform.width - EDGE_LEFT_PX, transform.height - EDGE_BOTTOM_PX);
     ctx.clip();
     this.#drawMembranes(ctx, moment, objects);
@@ -156,7 +156,7 @@ export class Picture {
     }
   }
 
-  // The largest vibration since the last frame, then fading: true while it does.
+  // Updates the largest vibration since the last frame, which then fades; returns true while it fades.
   #shownVibration(now) {
     const found = this.#view.moments.vibration();
     const left = Math.max(0, 1 - (now - this.#vibration.at) / VIBRATION_MS);
@@ -201,7 +201,7 @@ export class Picture {
   }
 }
 
-// The hand, and the elastic line from it to the handle: the longer it is, the more the handle is held back.
+// Draws the hand, and the elastic line from it to the handle: a longer line means a larger force between them.
 function drawHand(ctx, at, handle, colours) {
   ctx.strokeStyle = colours.hand;
   ctx.lineWidth = 1.5;
@@ -219,7 +219,7 @@ function drawHand(ctx, at, handle, colours) {
   ctx.stroke();
 }
 
-// The outline of an object as the path of `ctx`.
+// Sets the path of `ctx` to the outline of an object.
 function outline(ctx, transform, object) {
   ctx.beginPath();
   const frame = frameOf(object);

@@ -1,12 +1,12 @@
-// Mouse, touch and pen on the canvas: what a press and a drag mean. One finger or the left button is the hand, or arranges;
-// two fingers, the middle button, or Shift in Feel mode move and zoom the view.
+// Mouse, touch and pen on the canvas. One finger or the left button moves the hand or arranges; two fingers, the middle
+// button, or Shift in Feel mode move and zoom the view.
 
-const RAW = "onpointerrawupdate" in window; // every report of the mouse, not one a frame
+const HAS_RAW_UPDATES = "onpointerrawupdate" in window; // gives all reports of the mouse, not only one a frame
 
 export class Pointers {
   #canvas;
   #view;
-  #down = new Map(); // pointer id: its last place
+  #down = new Map(); // pointer id: its last position
   #use = null; // "hand", "arrange", "pan" or "pinch"
   #pinch = null;
 
@@ -16,9 +16,9 @@ export class Pointers {
     this.#view = view;
     const on = (name, call) => canvas.addEventListener(name, call.bind(this));
     on("pointerdown", this.#pressed);
-    on(RAW ? "pointerrawupdate" : "pointermove", this.#moved);
-    if (RAW) {
-      on("pointermove", this.#moved); // what no raw update told: synthetic pointers
+    on(HAS_RAW_UPDATES ? "pointerrawupdate" : "pointermove", this.#moved);
+    if (HAS_RAW_UPDATES) {
+      on("pointermove", this.#moved); // synthetic pointers have no raw updates
     }
     on("pointerup", this.#lifted);
     on("pointercancel", this.#cancelled);
@@ -112,7 +112,7 @@ export class Pointers {
     } else if (this.#use === "arrange") {
       this.#view.arrange.end();
     }
-    // After a pinch the finger that is left does nothing until it is lifted, too.
+    // After a pinch the remaining finger does nothing until it is lifted.
     this.#use = this.#use === "pinch" && this.#down.size > 0 ? "rest" : null;
     this.#view.touched(this.#use);
   }
@@ -123,7 +123,7 @@ export class Pointers {
     }
   }
 
-  // Whatever is under way ends; nothing moves any more.
+  // Ends every press and drag.
   #stop() {
     this.#view.hand.release("pointer");
     this.#view.arrange.cancel();

@@ -1,5 +1,5 @@
-// The objects that stand still: walls, boxes, discs, and the names of all. Membranes move: membranes.js. `pen` is what
-// everything is drawn with: {ctx, transform, materials, colours, labels}.
+// Drawing of walls, boxes and discs, and of the names of all objects (membranes: membranes.js). `pen` has what drawing
+// needs: {ctx, transform, materials, colours, labels}.
 import { behind, boundsOf, corners, ends, frameOf, global, stretchSeen } from "./geometry.js";
 import { BAND_PX, drawSurface, tint } from "./textures.js";
 
@@ -23,7 +23,7 @@ function hatch(pen) {
   ctx.globalAlpha = 0.4;
   ctx.lineWidth = 1;
   ctx.beginPath();
-  // The hatching moves with the plane, so that panning is seen in it.
+  // The hatching moves with the plane, so that panning is visible.
   const [x, y] = transform.toPx([0, 0]);
   const start = (((x + y) % HATCH_PX) + HATCH_PX) % HATCH_PX;
   for (let c = start - HATCH_PX; c < width + height; c += HATCH_PX) {
@@ -34,7 +34,7 @@ function hatch(pen) {
   ctx.restore();
 }
 
-// The stretches of a wall from end to end of what is seen: [from, to, material], patches and what lies between.
+// Returns the sections of the visible part of a wall, [from, to, material]: patches and the parts between them.
 export function stretches(wall, from, to) {
   const found = [];
   let at = from;
@@ -123,7 +123,7 @@ function nameWall(pen, id, wall) {
   labels.write(ctx, text, places, { weight: 600, colour: colours.text, plate: colours.ground });
 }
 
-// A solid's name: inside where it has room, else around it.
+// Draws the name of a solid: inside if there is space, else around it.
 function nameSolid(pen, id, object) {
   const { ctx, transform, colours, labels } = pen;
   const [left, bottom, right, top] = boundsOf(object);
@@ -161,7 +161,7 @@ function drawBox(pen, box) {
     const tangent = [normal[1], -normal[0]];
     const [length, height] = face % 2 === 0 ? frame.half : [frame.half[1], frame.half[0]];
     if (height * scale < BAND_PX) {
-      continue; // a card: no room for what is below the surface
+      continue; // a thin box without space below its surface
     }
     const middle = [frame.point[0] + normal[0] * height, frame.point[1] + normal[1] * height];
     onSurface(pen, middle, normal, tangent, (surface) =>
@@ -188,10 +188,10 @@ function drawDisc(pen, disc) {
   ctx.stroke();
   const material = materials[disc.material];
   if (radius > 2 * BAND_PX && (material?.texture || material?.friction)) {
-    // The surface is rolled up: short straight pieces of it, each at its own place along the rim.
+    // The surface is drawn as short straight pieces along the rim.
     const pieces = Math.min(180, Math.max(24, Math.round(radius / 4)));
     for (let i = 0; i < pieces; i++) {
-      const angle = -Math.PI + ((i + 0.5) * 2 * Math.PI) / pieces; // of the normal from straight up, clockwise: s / R
+      const angle = -Math.PI + ((i + 0.5) * 2 * Math.PI) / pieces; // angle of the normal, clockwise from up: s / R
       const normal = [Math.sin(angle), Math.cos(angle)];
       const s = disc.radius_m * angle;
       const half = (Math.PI * disc.radius_m) / pieces;
@@ -205,7 +205,7 @@ function drawDisc(pen, disc) {
   }
 }
 
-// A membrane's name; the skin itself moves (membranes.js).
+// Draws the name of a membrane; membranes.js draws the membrane.
 function nameMembrane(pen, id, membrane) {
   const { ctx, transform, colours, labels } = pen;
   const frame = frameOf(membrane);
@@ -222,10 +222,12 @@ function nameMembrane(pen, id, membrane) {
   labels.write(ctx, text, places, { weight: 600, colour: colours.text, plate: colours.ground });
 }
 
-const DRAWN = { wall: drawWall, box: drawBox, disc: drawDisc }; // walls first: what stands on them is drawn over them
-const NAMED = { membrane: nameMembrane, box: nameSolid, disc: nameSolid, wall: nameWall }; // who has least room comes first
+// in this order: objects on a wall are drawn over it
+const SHAPE_DRAWERS = { wall: drawWall, box: drawBox, disc: drawDisc };
+// in this order: names with the least space first
+const NAME_DRAWERS = { membrane: nameMembrane, box: nameSolid, disc: nameSolid, wall: nameWall };
 
-// Whether any of an object lies in [left, bottom, right, top].
+// Returns whether an object overlaps [left, bottom, right, top].
 export function isSeen(object, [left, bottom, right, top]) {
   const bounds = boundsOf(object);
   return bounds === null || (bounds[0] <= right && bounds[2] >= left && bounds[1] <= top && bounds[3] >= bottom);
@@ -244,13 +246,13 @@ function* ofKinds(pen, objects, kinds) {
 }
 
 export function drawSolids(pen, objects) {
-  for (const [draw, , object] of ofKinds(pen, objects, DRAWN)) {
+  for (const [draw, , object] of ofKinds(pen, objects, SHAPE_DRAWERS)) {
     draw(pen, object);
   }
 }
 
 export function nameSurfaces(pen, objects) {
-  for (const [name, id, object] of ofKinds(pen, objects, NAMED)) {
+  for (const [name, id, object] of ofKinds(pen, objects, NAME_DRAWERS)) {
     name(pen, id, object);
   }
 }

@@ -1,9 +1,9 @@
-// The surface point (proxy): the point that stays on the surface while the probe lies inside what it presses. As the
-// daemon has it (csrc/shapes, docs/architecture.md): a box is pressed by the face through which it was entered, a
-// membrane on the side from which it was met, and the probe is lifted out of every surface that it presses. Pure.
+// The surface point (proxy): the point that stays on the surface while the probe is inside an object. As in the daemon
+// (csrc/shapes, docs/architecture.md), a box is pressed at the face through which the probe entered, a membrane at the side
+// of the contact, and the proxy is outside of all pressed surfaces. Pure functions.
 import { along, dot, frameOf, lengthOf, local, minus } from "./geometry.js";
 
-const ITERATIONS = 3; // as hd_proxy.c: one does it for surfaces at right angles
+const ITERATIONS = 3; // as in hd_proxy.c: one is enough for surfaces at right angles
 const RIM_M = 1e-12;
 
 // The faces of a box: 0 along its normal, 1 along its tangent, 2 and 3 opposite to them.
@@ -16,7 +16,7 @@ function faceOf(axis, positive) {
   return axis === 1 ? (positive ? 0 : 2) : positive ? 1 : 3;
 }
 
-// Through which face the segment from a to b, in the box's axes, enters it; null: it does not.
+// Returns the face through which the segment from a to b, in the box's axes, enters the box; null if it does not.
 export function enteredFace(half, a, b) {
   let most = 0;
   let face = null;
@@ -46,7 +46,7 @@ export function nearestFace(half, point) {
   return top <= side ? faceOf(1, point[1] >= 0) : faceOf(0, point[0] >= 0);
 }
 
-// What is remembered of a contact: the face of a box, the side of a membrane. `before` and `now` are the probe's
+// Returns the face of a box or the side of a membrane at the onset of a contact. `before` and `now` are the probe's
 // positions around the onset.
 export function featureOf(object, before, now) {
   const frame = frameOf(object);
@@ -60,7 +60,7 @@ export function featureOf(object, before, now) {
   return {};
 }
 
-// Where the probe is on a surface: how deep below it, and along which normal it is pushed out.
+// Returns the contact point of the probe on a surface: depth and normal.
 export function contactPoint(object, feature, position) {
   const frame = frameOf(object);
   const offset = minus(position, frame.point);
@@ -83,7 +83,7 @@ export function contactPoint(object, feature, position) {
   }
 }
 
-// The probe's position, lifted out of every surface that it presses; null: it presses none. `pressed`: contact points.
+// Returns the probe's position moved out of all pressed surfaces; null if none is pressed. `pressed`: contact points.
 export function surfacePoint(position, pressed) {
   let point = position;
   let lifted = false;

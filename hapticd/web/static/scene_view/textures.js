@@ -1,13 +1,13 @@
-// What a surface is made of, drawn along it: grooves at their true spacing and width, the grain of sandpaper, a hint of
-// friction. Where a groove would be finer than the canvas can show, a band says so instead of a false pattern.
+// Drawing of materials along a surface: grooves at their true spacing and width, the grain of sandpaper, and friction. If
+// grooves are finer than pixels, a band is drawn instead of a false pattern.
 //
-// All of it is drawn in the surface's own axes, in pixels: x along the tangent, y into the solid.
+// Drawing is in the axes of the surface, in pixels: x along the tangent, y into the solid.
 
-export const BAND_PX = 11; // how deep below the surface a texture is drawn
-const LEAST_SPACING_PX = 3; // grooves nearer than this cannot be told apart
-const SHOWN_DEPTH_PX = 5; // of grooves that have no depth of their own
+export const BAND_PX = 11; // depth of a drawn texture
+const MIN_SPACING_PX = 3; // closer grooves are drawn as a band
+const SHOWN_DEPTH_PX = 5; // drawn depth of grooves without a depth
 
-// Hues of the shipped materials; others get one by their name.
+// Hues of the shipped materials; others get a hue computed from their name.
 const HUES = {
   wood: 32, acrylic: 200, delrin: 265, aluminum: 215, glass: 175, cast_iron: 245, steel: 225, cellophane: 55,
 };
@@ -23,12 +23,12 @@ function hueOf(name) {
   return hash;
 }
 
-// A colour that stands for a material, to be laid over the page's ground.
+// Returns the translucent colour of a material.
 export function tint(name, strength) {
   return `hsl(${hueOf(name)} 55% 50% / ${strength})`;
 }
 
-// A sequence that looks random and is the same each time, from 0 to 1.
+// Returns a pseudorandom sequence from 0 to 1 that is the same each time.
 export function hashed(index, salt) {
   let x = Math.imul(index ^ (salt * 0x9e3779b9), 0x85ebca6b);
   x ^= x >>> 13;
@@ -37,19 +37,19 @@ export function hashed(index, salt) {
   return (x >>> 0) / 4294967296;
 }
 
-// The numbers k of the grooves whose middle k spacing lies within [from, to], as [first, last]; last < first: none.
+// Returns the numbers k of the grooves with their middle, k * spacing, in [from, to] as [first, last]; none: last < first.
 export function grooveNumbers(spacing, from, to) {
   return [Math.ceil(from / spacing - 1e-9), Math.floor(to / spacing + 1e-9)];
 }
 
-// How deep a groove is drawn, in pixels. One of geometry has a depth, and is drawn to scale.
+// Returns the drawn depth of a groove, in pixels. A groove displayed as geometry has a depth and is drawn to scale.
 export function grooveDepthPx(texture, pxPerM) {
   return texture.display === "geometry" ? texture.depth_m * pxPerM : SHOWN_DEPTH_PX;
 }
 
 function drawGrooves(ctx, texture, pxPerM, from, to, colours) {
   const spacingPx = texture.spacing_m * pxPerM;
-  if (spacingPx < LEAST_SPACING_PX) {
+  if (spacingPx < MIN_SPACING_PX) {
     ctx.fillStyle = colours.groove;
     ctx.globalAlpha = 0.35;
     ctx.fillRect(from * pxPerM, 0, (to - from) * pxPerM, 3);
@@ -68,7 +68,7 @@ function drawGrooves(ctx, texture, pxPerM, from, to, colours) {
   ctx.beginPath();
   for (let k = first; k <= last; k++) {
     const x = k * spacingPx;
-    // A raised cosine, as the daemon has it: two curves that leave the surface level and are level at the bottom.
+    // A raised cosine, as in the daemon: two curves that are level at the surface and at the bottom.
     ctx.moveTo(x - half, -0.5);
     ctx.bezierCurveTo(x - half * 0.64, -0.5, x - half * 0.36, depth, x, depth);
     ctx.bezierCurveTo(x + half * 0.36, depth, x + half * 0.64, -0.5, x + half, -0.5);
@@ -80,7 +80,7 @@ function drawGrooves(ctx, texture, pxPerM, from, to, colours) {
   }
 }
 
-// Grain: the coarser, the more it vibrates with speed; the denser, the higher its peak.
+// Draws grain: coarser for more vibration with speed, denser for a higher peak frequency.
 function drawGrain(ctx, texture, pxPerM, from, to, colours) {
   const gain = texture.velocity_gain_per_s ?? 40;
   const size = Math.min(2.6, 0.7 + 0.022 * Math.max(0, gain));
@@ -98,7 +98,7 @@ function drawGrain(ctx, texture, pxPerM, from, to, colours) {
   }
 }
 
-// Friction: short slanted hairs below the surface, the longer the more it rubs.
+// Draws friction as short slanted lines below the surface, longer for more friction.
 function drawFriction(ctx, friction, pxPerM, from, to, colours) {
   const length = Math.min(BAND_PX - 2, 3 + 8 * friction.coefficient);
   const apart = 7;
@@ -114,7 +114,7 @@ function drawFriction(ctx, friction, pxPerM, from, to, colours) {
   ctx.globalAlpha = 1;
 }
 
-// The surface of a material from `from` to `to`, m along the tangent.
+// Draws the surface of a material from `from` to `to`, in m along the tangent.
 export function drawSurface(ctx, material, pxPerM, from, to, colours) {
   if (material === undefined || !(from < to)) {
     return;

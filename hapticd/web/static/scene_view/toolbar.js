@@ -1,4 +1,4 @@
-// The buttons above the canvas: Feel or Arrange, what arranges the selected object, zoom; and the legend below it.
+// The buttons above the canvas: Feel or Arrange, actions on the selected object, zoom; and the legend below it.
 import { button, make } from "../dom.js";
 
 const TURN_RAD = Math.PI / 36;
@@ -10,7 +10,7 @@ const group = (classes, label, ...children) => make("div", { class: classes, rol
 export function toolbar(view) {
   const feel = named("Feel", "Feel: the pointer is the hand", () => view.setMode("feel"));
   const arrange = named("Arrange", "Arrange: the pointer moves objects", () => view.setMode("arrange"));
-  const modes = group("toolbar segmented", "What the pointer does", feel, arrange);
+  const modes = group("toolbar segmented", "Pointer mode", feel, arrange);
 
   const pick = () => view.arrange.select(picked.value === "" ? null : picked.value);
   const picked = make("select", { class: "select scene-picked", "aria-label": "Selected object", on: { change: pick } });
@@ -25,12 +25,12 @@ export function toolbar(view) {
     named("−", "Zoom out", () => view.zoom(0.8)),
     named("+", "Zoom in", () => view.zoom(1.25)),
     named("Objects", "Show all objects", () => view.fit("objects")),
-    named("Workspace", "Show the whole workspace", () => view.fit("workspace")),
+    named("Workspace", "Show the complete workspace", () => view.fit("workspace")),
   );
   const spacer = make("span", { class: "spacer" });
   const element = make("div", { class: "toolbar scene-toolbar" }, modes, arranging, heal, spacer, zooming);
 
-  // What there is to choose and to do now.
+  // Enables the buttons that can be used now.
   const show = ({ mode, canFeel, objects, selected, turnable, punctured }) => {
     feel.setAttribute("aria-pressed", String(mode === "feel"));
     arrange.setAttribute("aria-pressed", String(mode === "arrange"));
@@ -54,7 +54,7 @@ const LEGEND = [
   ["vibration", "Vibration"], ["force", "Sum"], ["limit", "Limit"],
 ];
 
-// What the signs on the canvas mean. Returns {element, limit}: the force limit is told there; null: it is not known.
+// Makes the legend of the canvas. Returns {element, limit}: `limit` shows the force limit; null: it is not known.
 export function legend() {
   const texts = Object.fromEntries(LEGEND.map(([sign, text]) => [sign, document.createTextNode(text)]));
   const items = LEGEND.map(([sign]) => {

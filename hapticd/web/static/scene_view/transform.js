@@ -1,17 +1,17 @@
 // From the plane of the simulation to the canvas: metres, x to the right and y up, to CSS pixels, x to the right and y
-// down. Pure: no element, no drawing.
+// down. Pure functions.
 
-const LEAST_PX_PER_M = 200; // 5 m across a page
-const MOST_PX_PER_M = 4e6; // a quarter of a micrometre is a pixel
+const MIN_PX_PER_M = 200; // 5 m on a page 1000 pixels wide
+const MAX_PX_PER_M = 4e6; // a pixel is a quarter of a micrometre
 
-// The largest of 1, 2, 5 times a power of ten that is at most `value`.
+// Returns the largest of 1, 2, 5 times a power of ten that is at most `value`.
 export function roundedDown(value) {
   const power = 10 ** Math.floor(Math.log10(value) + 1e-9);
   const lead = value / power;
   return (lead >= 5 - 1e-9 ? 5 : lead >= 2 - 1e-9 ? 2 : 1) * power;
 }
 
-// The least of 1, 2, 5 times a power of ten that is at least `value`.
+// Returns the least of 1, 2, 5 times a power of ten that is at least `value`.
 export function roundedUp(value) {
   const power = 10 ** Math.floor(Math.log10(value) + 1e-9);
   const lead = value / power;
@@ -19,10 +19,10 @@ export function roundedUp(value) {
 }
 
 export class Transform {
-  width = 1; // of the canvas, CSS pixels
+  width = 1; // size of the canvas, CSS pixels
   height = 1;
   pxPerM = 4000;
-  centre = [0, 0]; // what lies in the middle of the canvas, m
+  centre = [0, 0]; // point in the middle of the canvas, m
 
   resize(width, height) {
     this.width = Math.max(1, width);
@@ -43,32 +43,32 @@ export class Transform {
     ];
   }
 
-  // The plane's part that is seen: [left, bottom, right, top] in m.
+  // The visible part of the plane: [left, bottom, right, top] in m.
   get seen() {
     const [left, top] = this.toM([0, 0]);
     const [right, bottom] = this.toM([this.width, this.height]);
     return [left, bottom, right, top];
   }
 
-  // Larger by `factor`; what is under `px` stays there.
+  // Zooms by `factor` around the pixel `px`.
   zoom(factor, px) {
     const held = this.toM(px);
-    this.pxPerM = Math.min(MOST_PX_PER_M, Math.max(LEAST_PX_PER_M, this.pxPerM * factor));
+    this.pxPerM = Math.min(MAX_PX_PER_M, Math.max(MIN_PX_PER_M, this.pxPerM * factor));
     const moved = this.toM(px);
     this.centre = [this.centre[0] + held[0] - moved[0], this.centre[1] + held[1] - moved[1]];
   }
 
-  // The picture moves by so many pixels.
+  // Moves the picture by a number of pixels.
   pan(dx, dy) {
     this.centre = [this.centre[0] - dx / this.pxPerM, this.centre[1] + dy / this.pxPerM];
   }
 
-  // Shows [left, bottom, right, top] in m whole, as large as the canvas without its margins (pixels) has room for.
+  // Fits [left, bottom, right, top], in m, into the canvas without its margins (pixels).
   fit([left, bottom, right, top], margin = { left: 0, top: 0, right: 0, bottom: 0 }) {
     const width = Math.max(1, this.width - margin.left - margin.right);
     const height = Math.max(1, this.height - margin.top - margin.bottom);
     const fitting = Math.min(width / (right - left), height / (top - bottom));
-    this.pxPerM = Math.min(MOST_PX_PER_M, Math.max(LEAST_PX_PER_M, fitting));
+    this.pxPerM = Math.min(MAX_PX_PER_M, Math.max(MIN_PX_PER_M, fitting));
     const middle = [margin.left + width / 2, margin.top + height / 2];
     this.centre = [
       (left + right) / 2 - (middle[0] - this.width / 2) / this.pxPerM,
@@ -76,18 +76,18 @@ export class Transform {
     ];
   }
 
-  // Distance of grid lines in m, so that they are at least so many pixels apart.
+  // Returns the distance of grid lines in m for a least distance in pixels.
   gridStep(leastPx) {
     return roundedUp(leastPx / this.pxPerM);
   }
 
-  // Length of a scale bar in m that is at most so many pixels long.
+  // Returns the length of a scale bar in m for a largest length in pixels.
   barLength(mostPx) {
     return roundedDown(mostPx / this.pxPerM);
   }
 }
 
-// A length as a person reads it: "5 mm", "0.2 mm", "20 µm".
+// Returns a length as text: "5 mm", "0.2 mm", "20 µm".
 export function lengthText(metres) {
   const mm = metres * 1000;
   if (mm !== 0 && Math.abs(mm) < 0.0999) {

@@ -1,7 +1,7 @@
-// Changes of objects on their way to the daemon: at most one call is under way, what comes meanwhile is merged into the
-// next. The picture shows them at once; what the daemon refuses falls back to how it was.
+// Changes of objects that are sent to the daemon: at most one call is under way; later changes are merged into the next. The
+// picture shows them at once; a change that the daemon refuses is undone.
 
-// Events: `changed`, the picture is another one; `refused`, {message}.
+// Events: `changed`, when the picture changed; `refused`, {message}.
 export class Updates extends EventTarget {
   #call; // (objects) => a promise of {revision}
   #waiting = {};
@@ -13,7 +13,7 @@ export class Updates extends EventTarget {
     this.#call = call;
   }
 
-  // An object as a merge patch, null removes it. Resolves when the daemon took it, or refused it.
+  // Changes an object by a merge patch; null removes it. Resolves when the daemon has accepted or refused it.
   send(id, patch) {
     this.#waiting[id] = patch === null ? null : { ...this.#waiting[id], ...patch };
     const before = this.#shown.get(id)?.patch;
@@ -50,7 +50,7 @@ export class Updates extends EventTarget {
     }
   }
 
-  // The scene was read again, at this revision: what it has in it is no longer laid over it.
+  // Called when the scene of this revision was read: changes that it contains are no longer shown over it.
   arrived(revision) {
     for (const [id, { revision: known }] of this.#shown) {
       if (known !== null && known <= revision) {
@@ -59,7 +59,7 @@ export class Updates extends EventTarget {
     }
   }
 
-  // The objects as they will be.
+  // Returns the objects with the changes under way.
   over(objects) {
     if (this.#shown.size === 0) {
       return objects;

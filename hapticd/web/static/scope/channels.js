@@ -1,6 +1,6 @@
-// What the oscilloscope can draw: one channel for each quantity along x, along y, and its magnitude.
+// The channels of the oscilloscope: one for each quantity along x, along y, and its magnitude.
 
-// The quantities, each with the vertical scale that it is drawn on and the colour of style.css that it has.
+// The quantities, each with its vertical scale and its colour of style.css.
 export const QUANTITIES = [
   { id: "position", label: "Position", scale: "position", unit: "m", x: "x_m", y: "y_m" },
   { id: "velocity", label: "Velocity", scale: "velocity", unit: "m_per_s", x: "vx_m_per_s", y: "vy_m_per_s" },
@@ -9,7 +9,7 @@ export const QUANTITIES = [
   { id: "force", label: "Total force", scale: "force", unit: "n", x: "force_x_n", y: "force_y_n" },
 ];
 
-// The vertical scales: `factor` times the SI value is what an axis says, in `unit`.
+// The vertical scales: an axis shows `factor` times the SI value, in `unit`.
 export const SCALES = {
   force: { label: "Force", unit: "N", factor: 1, side: 3 },
   position: { label: "Position", unit: "mm", factor: 1e3, side: 1 },
@@ -24,7 +24,7 @@ const FILE_NAMES = {
   force: "force",
 };
 
-// Each channel: `columns`, one of the store, or two whose magnitude it is; `heading`, its column in a CSV file.
+// Each channel has `columns`: one of the store, or two of which it is the magnitude; `heading`: its column in a CSV file.
 export const CHANNELS = QUANTITIES.flatMap((quantity) =>
   ["x", "y", "magnitude"].map((part) => ({
     id: `${quantity.id}_${part}`,

@@ -1,18 +1,18 @@
-// The oscilloscope's controls: what triggers, how wide the window is, what is shown, and the files. They call
-// `actions`, which scope.js has; `show` puts them to what is so.
+// The oscilloscope's controls: trigger, width of the window, traces, views and files. They call `actions` of scope.js;
+// `show` sets them to the current state.
 import { make } from "../dom.js";
 import { CHANNELS, CHANNEL } from "./channels.js";
 import { check, duration, figure, options } from "./elements.js";
 import { SOURCES } from "./trigger.js";
 import { WIDTHS_S } from "./view_window.js";
 
-const MODES = [
+const TRIGGER_MODES = [
   ["auto", "Auto"],
   ["normal", "Normal"],
   ["single", "Single"],
 ];
-const BEFORE = [0.1, 0.2, 0.5, 0.8, 0.9];
-const VIEWS = [
+const PRETRIGGER_FRACTIONS = [0.1, 0.2, 0.5, 0.8, 0.9];
+const VIEW_NAMES = [
   ["traces", "Traces"],
   ["spectrum", "Spectrum"],
   ["lateness", "Lateness"],
@@ -50,11 +50,11 @@ export class Controls {
 
   #bar() {
     const act = this.#actions;
-    const views = VIEWS.map(([id, label]) =>
+    const views = VIEW_NAMES.map(([id, label]) =>
       this.#button(`view-${id}`, label, () => act.choose(id), { "aria-pressed": "false" }),
     );
     return [
-      make("div", { class: "segmented toolbar", role: "group", "aria-label": "What is shown" }, ...views),
+      make("div", { class: "segmented toolbar", role: "group", "aria-label": "View" }, ...views),
       this.#button("hold", "Hold", () => act.toggleHold(), {
         title: "Holds the picture, or runs again (H)",
         class: "scope-hold",
@@ -83,7 +83,7 @@ export class Controls {
     ];
   }
 
-  // What is used less often: beside the others where there is room, else in a box that the button More opens.
+  // Controls that are used less often: next to the others if there is space, else in a box that the button More opens.
   #more() {
     const act = this.#actions;
     this.more = make(
@@ -99,7 +99,7 @@ export class Controls {
       this.#select(
         "mode",
         "Mode",
-        MODES,
+        TRIGGER_MODES,
         "auto",
         (id) => act.setMode(id),
         "Auto: the newest samples while nothing triggers. Normal: waits for the next one. Single: takes one and holds.",
@@ -107,7 +107,7 @@ export class Controls {
       this.#select(
         "before",
         "Trigger at",
-        BEFORE.map((share) => [String(share), `${100 * share} %`]),
+        PRETRIGGER_FRACTIONS.map((share) => [String(share), `${100 * share} %`]),
         "0.2",
         (share) => act.setBefore(Number(share)),
         "How far from the left edge the trigger stands",
@@ -133,7 +133,7 @@ export class Controls {
     });
     this.more.addEventListener("focusout", ({ relatedTarget: to }) => {
       if (to !== null && to !== this.#parts.more && !this.more.contains(to)) {
-        this.#openMore(false); // something else is used now
+        this.#openMore(false); // another control is used
       }
     });
     return this.more;
@@ -206,7 +206,7 @@ export class Controls {
     return this.level;
   }
 
-  // SI, of what the fields say in the axis' unit.
+  // Returns the values of the fields, which are in the axis' unit, in SI units.
   #levelSet() {
     const channel = this.#parts.channel.value;
     const { factor } = CHANNEL[channel];
@@ -221,7 +221,7 @@ export class Controls {
   // `state`: {view, held, source, mode, before, widthS, cursors, large, tracesOpen, trigger}.
   show(state) {
     const parts = this.#parts;
-    for (const [id] of VIEWS) {
+    for (const [id] of VIEW_NAMES) {
       parts[`view-${id}`].setAttribute("aria-pressed", String(state.view === id));
     }
     parts.hold.textContent = state.held ? "Run" : "Hold";
@@ -264,7 +264,7 @@ export class Controls {
   }
 }
 
-// The panel in which traces are chosen, and the vertical scales set.
+// The panel for the choice of traces and of the vertical scales.
 export class TracesPanel {
   #scaleFields = {};
 
@@ -308,7 +308,7 @@ export class TracesPanel {
     );
     this.root.addEventListener("keydown", (event) => {
       if (event.key === "Escape") {
-        event.preventDefault(); // or it would stop the forces
+        event.preventDefault(); // otherwise the key would stop the forces
         actions.toggleTraces();
       }
     });
@@ -343,7 +343,7 @@ export class TracesPanel {
     }
   }
 
-  // Puts the fields to what is drawn.
+  // Sets the fields to the drawn traces and scales.
   show(ids, scales) {
     for (const box of this.root.querySelectorAll("[data-trace]")) {
       box.checked = ids.includes(box.dataset.trace);

@@ -1,14 +1,14 @@
-// Two cursors, dragged by mouse or finger and moved by keys, and the table of what they read: time, value, difference,
-// and the frequency whose period lies between them. The table's first row is the legend of the traces.
+// Two cursors, which are dragged or moved by keys, and the table of their readings: time, value, difference, and the
+// frequency whose period is the distance between them. The table's first row is the legend of the traces.
 import { make } from "../dom.js";
 import { CHANNEL } from "./channels.js";
 import { figure, timeUnit } from "./elements.js";
 
-const NAMES = ["A", "B"];
-const BEGIN = [0.25, 0.75]; // of the width
-const DIGITS = 5;
+const CURSOR_NAMES = ["A", "B"];
+const INITIAL_POSITIONS = [0.25, 0.75]; // initial positions, as fractions of the width
+const READING_DIGITS = 5;
 
-// The sample nearest to a time: its value, or NaN where none is within a period.
+// Returns the value of the sample nearest to a time, or NaN if none is within a period.
 export function valueAt(source, id, time) {
   const row = nearestRow(source, time);
   return row < 0 ? NaN : source.track(id).column[row % source.capacity] * CHANNEL[id].factor;
@@ -27,7 +27,7 @@ function nearestRow(source, time) {
   return best;
 }
 
-// Events: `move`, when a cursor was moved or they were shown or hidden.
+// Event: `move`, when a cursor was moved, or the cursors were shown or hidden.
 export class Cursors extends EventTarget {
   shown = false;
   times = [0, 0]; // from the axis' zero, s
@@ -40,7 +40,7 @@ export class Cursors extends EventTarget {
     super();
     this.#view = view;
     this.#plot = plot;
-    this.#handles = NAMES.map((name, k) => this.#handle(name, k));
+    this.#handles = CURSOR_NAMES.map((name, k) => this.#handle(name, k));
     this.area = make("div", { class: "scope-cursors", hidden: true }, ...this.#handles);
     host.append(this.area);
   }
@@ -72,7 +72,7 @@ export class Cursors extends EventTarget {
     this.area.hidden = !shown;
     if (shown) {
       const { left, widthS, zero } = this.#view;
-      this.times = BEGIN.map((share) => left - zero + share * widthS);
+      this.times = INITIAL_POSITIONS.map((share) => left - zero + share * widthS);
     }
     this.dispatchEvent(new Event("move"));
   }
@@ -105,7 +105,7 @@ export class Cursors extends EventTarget {
   #moveTo(k, share) {
     const { left, widthS, zero } = this.#view;
     let time = left + Math.min(1, Math.max(0, share)) * widthS;
-    // Where samples lie at least 4 pixels apart a cursor stands on one.
+    // If the distance of samples is at least 4 pixels, a cursor snaps to a sample.
     const source = this.#source;
     if (source !== null && (source.periodS / widthS) * this.area.clientWidth >= 4) {
       const row = nearestRow(source, time);
@@ -115,7 +115,7 @@ export class Cursors extends EventTarget {
     this.dispatchEvent(new Event("move"));
   }
 
-  // Puts the cursors where they belong in the window that is shown now.
+  // Moves the cursors to their positions in the current window.
   place(source) {
     this.#source = source;
     if (!this.shown) {
@@ -134,31 +134,31 @@ export class Cursors extends EventTarget {
       handle.setAttribute("aria-valuemin", String((left - zero) * factor));
       handle.setAttribute("aria-valuemax", String((left - zero + widthS) * factor));
       handle.setAttribute("aria-valuenow", String(this.times[k] * factor));
-      handle.setAttribute("aria-valuetext", `${figure(this.times[k] * factor, DIGITS)} ${unit}`);
+      handle.setAttribute("aria-valuetext", `${figure(this.times[k] * factor, READING_DIGITS)} ${unit}`);
     });
   }
 
-  // The stretch between the cursors, in the store's time.
+  // Returns the section between the cursors, in the store's time.
   get stretch() {
     const { zero } = this.#view;
     return [Math.min(...this.times) + zero, Math.max(...this.times) + zero];
   }
 
-  // What is read: rows of [name, time, frequency, value of each channel], as text.
+  // Returns the readings: rows of [name, time, frequency, value of each channel], as text.
   readings(source, ids) {
     const { unit, factor } = timeUnit(this.#view.widthS);
     const [a, b] = this.times;
     const of = (time) => ids.map((id) => valueAt(source, id, time + this.#view.zero));
     const [atA, atB] = [of(a), of(b)];
-    const text = (values) => values.map((value, k) => `${figure(value, DIGITS)} ${CHANNEL[ids[k]].unit}`);
-    const time = (value) => `${figure(value * factor, DIGITS)} ${unit}`;
+    const text = (values) => values.map((value, k) => `${figure(value, READING_DIGITS)} ${CHANNEL[ids[k]].unit}`);
+    const time = (value) => `${figure(value * factor, READING_DIGITS)} ${unit}`;
     return [
       ["A", time(a), "", ...text(atA)],
       ["B", time(b), "", ...text(atB)],
       [
         "B − A",
         time(b - a),
-        `${figure(1 / Math.abs(b - a), DIGITS)} Hz`,
+        `${figure(1 / Math.abs(b - a), READING_DIGITS)} Hz`,
         ...text(atB.map((value, k) => value - atA[k])),
       ],
     ];
@@ -193,7 +193,7 @@ export class Legend {
       rows.push(make("tr", {}, ...this.#cells[k]));
     }
     this.#text = this.#cells.map((cells) => cells.map(() => null));
-    const caption = make("caption", { class: "visually-hidden" }, withCursors ? "What the cursors read" : "Traces");
+    const caption = make("caption", { class: "visually-hidden" }, withCursors ? "Cursor readings" : "Traces");
     const head = make("thead", {}, make("tr", {}, ...first, ...times, ...heads));
     this.#table.replaceChildren(caption, head, make("tbody", {}, ...rows));
   }

@@ -1,4 +1,4 @@
-// Choices and check boxes, and figures as people read them.
+// Choices and check boxes, and numbers as text.
 import { make } from "../dom.js";
 
 export function options(select, entries, chosen) {
@@ -20,7 +20,7 @@ export function check(label, checked, onchange, attributes = {}) {
   return make("label", { class: "check" }, box, label);
 }
 
-// `digits` significant ones; a true minus sign.
+// A number with `digits` significant digits and a true minus sign.
 export function figure(value, digits = 4) {
   if (!Number.isFinite(value)) {
     return "–";
@@ -43,7 +43,7 @@ export function timeUnit(widthS) {
   return widthS < 1 ? { unit: "ms", factor: 1e3 } : { unit: "s", factor: 1 };
 }
 
-// A duration for people: 20 ms, 1.5 s.
+// A duration as text: 20 ms, 1.5 s.
 export function duration(seconds, digits = 3) {
   const size = Math.abs(seconds);
   if (size >= 1) {

@@ -1,10 +1,10 @@
-// What is shown, as files: a PNG of the picture with its legend, a CSV of every sample in the window.
+// Exports: a PNG of the picture with its legend, a CSV of all samples in the window.
 import { color } from "../theme.js";
 import { CHANNEL } from "./channels.js";
 
-const LINES_AT_ONCE = 5000; // the page goes on drawing between them
+const LINES_PER_CHUNK = 5000; // the page continues to draw between them
 
-// The rows from..to - 1 of some channels, copied, so that new samples do not overwrite them while they are written.
+// Returns copies of the rows from..to - 1 of some channels, which new samples cannot overwrite while they are written.
 export function snapshot(source, ids, from, to, zero) {
   const count = to - from;
   const ticks = new Float64Array(count);
@@ -18,13 +18,13 @@ export function snapshot(source, ids, from, to, zero) {
 
 const headings = (ids) => ["tick", "time_s", ...ids.map((id) => CHANNEL[id].heading)];
 
-// The lines of a CSV file, as parts of a Blob. A number has as many digits as give the same number back, 17 at most.
+// Returns the lines of a CSV file as parts of a Blob. Numbers have enough digits, at most 17, to be read back exactly.
 export async function csvParts({ count, columns, headings: names }, pause) {
   const found = [`${names.join(",")}\n`];
   const row = new Array(columns.length);
-  for (let begin = 0; begin < count; begin += LINES_AT_ONCE) {
+  for (let begin = 0; begin < count; begin += LINES_PER_CHUNK) {
     let text = "";
-    for (let i = begin; i < Math.min(count, begin + LINES_AT_ONCE); i++) {
+    for (let i = begin; i < Math.min(count, begin + LINES_PER_CHUNK); i++) {
       for (let c = 0; c < columns.length; c++) {
         row[c] = columns[c][i];
       }
@@ -38,7 +38,7 @@ export async function csvParts({ count, columns, headings: names }, pause) {
 
 export const pause = () => new Promise((resume) => setTimeout(resume, 0));
 
-// The picture on paper: a title, the canvas, the legend and lines of text below it.
+// Draws the PNG: a title, the canvas, the legend and lines of text below it.
 export function picture(canvas, ratio, title, legend, lines) {
   const paper = document.createElement("canvas");
   const ctx = paper.getContext("2d");
@@ -105,7 +105,7 @@ function arrange(ctx, legend, width, size) {
 
 export const pngOf = (canvas) => new Promise((done) => canvas.toBlob(done, "image/png"));
 
-// Gives a file to the browser, which saves it.
+// Lets the browser save a file.
 export function save(blob, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);

@@ -1,11 +1,11 @@
-// How late the servo's ticks were: the status' histogram, both axes logarithmic, with p50, p99 and the latest.
+// The lateness of the servo's ticks: the histogram of the status, with logarithmic axes, p50, p99 and the maximum.
 import uPlot from "../vendor/uplot/uPlot.esm.js";
 import { color } from "../theme.js";
 import { duration } from "./elements.js";
 import { axis, figureIn } from "./plot.js";
 
-// The value below which `share` of the counts lie, ns. Inside a class it is interpolated on the logarithmic axis,
-// and it is at most the latest. `edges` has one entry less than `counts`; see docs/protocol.md, get_status.
+// Returns the quantile `share`, in ns, interpolated within a bin on the logarithmic axis, and at most the maximum. `edges`
+// has one entry less than `counts`; see docs/protocol.md, get_status.
 export function quantile({ edges, counts, max }, share) {
   const total = counts.reduce((sum, count) => sum + count, 0);
   if (total === 0) {
@@ -38,14 +38,14 @@ export class HistogramView {
     return this.#uplot?.ctx.canvas ?? null;
   }
 
-  // In the host's size and the page's colours, with what the status says now.
+  // Draws the newest histogram in the host's size and the page's colours.
   configure(histogram) {
     this.#uplot?.destroy();
     this.#uplot = null;
     this.draw(histogram);
   }
 
-  // A histogram of the status; null: there is none yet.
+  // Sets the histogram of the status; null: none yet.
   draw(histogram) {
     this.#histogram = histogram;
     if (histogram === null || this.#host.clientWidth === 0) {

@@ -1,6 +1,6 @@
-// Linear least squares of a few unknowns, by Householder reflections: columns and right side are overwritten.
+// Linear least squares with a few unknowns, by Householder reflections, which overwrite the columns and the right side.
 
-// The x that makes |columns x - right| least, as an array; null where the columns depend on each other.
+// Returns the x that minimizes |columns x - right|, as an array; null if the columns are linearly dependent.
 export function leastSquares(columns, right) {
   const n = columns.length;
   const rows = right.length;
@@ -52,7 +52,7 @@ function reflect(v, target, from, rows, halfSquare) {
   }
 }
 
-// The roots of x^n + c[n-1] x^(n-1) + ... + c[0], as [re, im] (Durand and Kerner).
+// Returns the roots of x^n + c[n-1] x^(n-1) + ... + c[0] as [re, im] (Durand and Kerner).
 export function roots(coefficients) {
   const n = coefficients.length;
   let radius = 0;

@@ -1,6 +1,6 @@
 // Mouse, fingers and keys on the picture: drag pans, the wheel and two fingers zoom.
 
-const KEYS = {
+const KEY_ACTIONS = {
   ArrowLeft: (actions, shift) => actions.pan(shift ? -0.5 : -0.05),
   ArrowRight: (actions, shift) => actions.pan(shift ? 0.5 : 0.05),
   PageUp: (actions) => actions.pan(-0.9),
@@ -21,7 +21,7 @@ export function shortcuts(stage, actions) {
       event.preventDefault();
       actions.run();
     }
-    const act = KEYS[event.key];
+    const act = KEY_ACTIONS[event.key];
     if (act !== undefined) {
       event.preventDefault();
       act(actions, event.shiftKey);
@@ -30,7 +30,7 @@ export function shortcuts(stage, actions) {
 }
 
 export function pointerGestures(stage, plot, view, actions) {
-  const pointers = new Map(); // those that are down: id to clientX
+  const pointers = new Map(); // pressed pointers: clientX by id
   const share = (clientX) => {
     const { left, width } = plot.cssBox;
     return Math.min(1, Math.max(0, (clientX - stage.getBoundingClientRect().left - left) / width));

@@ -1,4 +1,4 @@
-// The picture: axes by uPlot, traces by trace_drawing.js. It is drawn as a whole whenever something in it moved.
+// The picture: axes by uPlot, traces by trace_drawing.js. It is drawn completely whenever something in it changed.
 import uPlot from "../vendor/uplot/uPlot.esm.js";
 import { color } from "../theme.js";
 import { CHANNEL, SCALES } from "./channels.js";
@@ -6,15 +6,15 @@ import { timeUnit } from "./elements.js";
 import { Columns, Raster, drawCurve, drawGaps, drawTrace, pixelOf } from "./trace_drawing.js";
 import { VerticalScale } from "./vertical_scale.js";
 
-const LEAST = { force: 0.02, position: 0.05, velocity: 0.002 }; // the smallest range of an automatic scale
-const FONT = "12px system-ui, sans-serif";
+const MIN_RANGES = { force: 0.02, position: 0.05, velocity: 0.002 }; // the smallest range of an automatic scale
+const AXIS_FONT = "12px system-ui, sans-serif";
 
-// What uPlot draws of an axis, in the page's colours.
+// Returns the options of a uPlot axis in the page's colours.
 export function axis(more) {
   return {
     stroke: () => color("muted"),
-    font: FONT,
-    labelFont: FONT,
+    font: AXIS_FONT,
+    labelFont: AXIS_FONT,
     labelSize: 18,
     labelGap: 0,
     gap: 4,
@@ -24,7 +24,7 @@ export function axis(more) {
   };
 }
 
-// A figure of uPlot in the host's size, without uPlot's own legend, cursor and selection.
+// Makes a uPlot figure in the host's size, without uPlot's legend, cursor and selection.
 export function figureIn(host, options, data) {
   return new uPlot(
     {
@@ -43,15 +43,15 @@ export function figureIn(host, options, data) {
 export const readable = (value) => String(Number(value.toPrecision(6))).replace("-", "−");
 
 export class Plot {
-  scales = Object.fromEntries(Object.keys(SCALES).map((id) => [id, new VerticalScale(LEAST[id])]));
-  box = { left: 0, top: 0, width: 0, height: 0 }; // of the traces, in pixels of the canvas
+  scales = Object.fromEntries(Object.keys(SCALES).map((id) => [id, new VerticalScale(MIN_RANGES[id])]));
+  box = { left: 0, top: 0, width: 0, height: 0 }; // area of the traces, in pixels of the canvas
   columns = new Columns();
   #raster = new Raster();
   #uplot = null;
   #host;
   #channels = [];
   #colors = [];
-  #frame = null; // what is being drawn: {source, view, curves, level}
+  #frame = null; // the frame that is being drawn: {source, view, curves, level}
   #time = { unit: "s", factor: 1 };
 
   constructor(host) {
@@ -62,7 +62,7 @@ export class Plot {
     return this.#uplot.ctx.canvas;
   }
 
-  // Draws these channels from now on, in the host's size. Also to be called when size or colours changed.
+  // Sets the channels to draw, in the host's size. Must also be called when the size or the colours changed.
   configure(ids) {
     this.#channels = ids.map((id) => CHANNEL[id]);
     this.#colors = this.#channels.map(({ quantity, part }) => color(`${quantity}-${part}`));
@@ -110,7 +110,7 @@ export class Plot {
   }
 
   // Draws `view` of `source`. `curves`: {channel, times, values}. `level`: {channel, value}, or null. `settled`: the
-  // picture stands still.
+  // picture does not move.
   draw(source, view, curves, level, settled) {
     this.#frame = { source, view, curves, level };
     const { left, widthS } = view;
@@ -190,7 +190,7 @@ export class Plot {
     ctx.restore();
   }
 
-  // Where the trigger is, and its level.
+  // Draws the time and the level of the trigger.
   #marks(ctx, view, level, ratio) {
     const { box } = this;
     ctx.fillStyle = color("muted");
@@ -215,7 +215,7 @@ export class Plot {
     }
   }
 
-  // The box of the traces in CSS pixels, from the host's corner.
+  // Returns the area of the traces in CSS pixels, from the host's corner.
   get cssBox() {
     const ratio = uPlot.pxRatio;
     const { left, top, width, height } = this.box;

@@ -1,16 +1,16 @@
-// Least and largest value of any stretch of a ring of samples, in a few reads: a pyramid of blocks of 8, 64, 512, ...
-// samples, each with its minimum and maximum, which grows with the ring. Nothing is left out: the extremes of a stretch
-// are those of its samples, so a single one that stands out is always seen. A value that is no number is passed over.
+// Minimum and maximum of any section of a ring of samples, in a few reads: a pyramid of blocks of 8, 64, 512, ... samples,
+// each with its minimum and maximum, which grows with the ring. The extremes of a section are exactly those of its samples,
+// so that a single outlier is always visible. NaN is skipped.
 const BLOCK = 8;
-const SPAN = BLOCK ** 8; // rows; a whole number of blocks of every level
+const SPAN = BLOCK ** 8; // rows; a multiple of the blocks of every level
 
 export class Pyramid {
   #column;
   #capacity;
-  #levels = []; // level k has blocks of 8^(k + 1) rows: {low, high, slots, done}; `done` blocks are made
-  #base = NaN; // none yet
-  #offsets = []; // where the base lies in the ring of samples, and in that of each level
-  low = 0; // of the last stretch that was asked for
+  #levels = []; // level k has blocks of 8^(k + 1) rows: {low, high, slots, done}; `done` blocks are complete
+  #base = NaN; // not set yet
+  #offsets = []; // index of the base in the ring of samples, and in that of each level
+  low = 0; // minimum of the last requested section
   high = 0;
 
   // `column`: a ring; row r is at r % column.length.
@@ -23,7 +23,7 @@ export class Pyramid {
     }
   }
 
-  // Rows from `first` on to `rows` are in the ring: makes the blocks that became whole.
+  // Computes the blocks that became complete. Rows from `first` to before `rows` are in the ring.
   extend(first, rows) {
     let size = BLOCK;
     for (let k = 0; k < this.#levels.length; k++, size *= BLOCK) {
@@ -58,7 +58,7 @@ export class Pyramid {
     level.high[block % level.slots] = high;
   }
 
-  // `low` and `high` of rows from..to - 1, which must be in the ring and extended to. None: Infinity and -Infinity.
+  // Sets `low` and `high` for rows from..to - 1, which must be in the ring and in its blocks. No rows: Infinity, -Infinity.
   range(from, to) {
     if (!(from >= this.#base && from - this.#base < SPAN)) {
       this.#rebase(from);
@@ -78,14 +78,14 @@ export class Pyramid {
     }
   }
 
-  // Rows are counted from a base, so that they stay small integers however long a page is open.
+  // Rows are counted from a base, so that they stay small integers even if a page is open for long.
   #rebase(row) {
     this.#base = Math.floor(row / SPAN) * SPAN;
     this.#offsets[0] = this.#base % this.#capacity;
     this.#levels.forEach((level, k) => (this.#offsets[k + 1] = (this.#base / BLOCK ** (k + 1)) % level.slots));
   }
 
-  // Widens low and high by the blocks begin..end - 1 of level k, counted from the base; level -1 are the samples.
+  // Extends low and high by the blocks begin..end - 1 of level k, counted from the base; level -1 are the samples.
   #include(k, begin, end) {
     if (begin >= end) {
       return;

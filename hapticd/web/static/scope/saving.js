@@ -1,10 +1,10 @@
-// What the buttons PNG and CSV do with the oscilloscope as it stands.
+// The actions of the buttons PNG and CSV.
 import uPlot from "../vendor/uplot/uPlot.esm.js";
 import { color } from "../theme.js";
 import { CHANNEL } from "./channels.js";
 import { csvParts, fileName, pause, picture, pngOf, save, snapshot } from "./export.js";
 
-const TITLES = { traces: "hapticd: traces", spectrum: "hapticd: spectrum", lateness: "hapticd: lateness of the servo" };
+const PICTURE_TITLES = { traces: "hapticd: traces", spectrum: "hapticd: spectrum", lateness: "hapticd: lateness of the servo" };
 
 const notice = (scope, text, kind) =>
   scope.app.view.dispatchEvent(new CustomEvent("notice", { detail: { text, kind } }));
@@ -37,7 +37,7 @@ export async function savePng(scope) {
   const paper = picture(
     from.canvas,
     uPlot.pxRatio,
-    `${TITLES[scope.shown]}, ${now.toLocaleString("en-GB")}`,
+    `${PICTURE_TITLES[scope.shown]}, ${now.toLocaleString("en-GB")}`,
     legend,
     lines,
   );

@@ -1,10 +1,10 @@
-// What the oscilloscope reads: a store of samples (samples.js, or a recording that is played back), with the rows found
-// by time and by tick, the gaps, and a pyramid for every channel that is drawn.
+// The data of the oscilloscope: a store of samples (samples.js, or a recording), with search of rows by time and by tick, the
+// gaps, and a pyramid for every drawn channel.
 import { CHANNEL } from "./channels.js";
 import { Pyramid } from "./pyramid.js";
 
-const GAP = 1.5; // a step of more than so many periods is a gap
-const SETTLED = 8; // so many equal steps one after the other are a new period
+const GAP_PERIODS = 1.5; // a longer step, in periods, is a gap
+const SETTLED_STEPS = 8; // number of successive equal steps that set a new period
 
 export class Source {
   #tracks = new Map(); // by channel id: {column, pyramid, derived}
@@ -13,20 +13,20 @@ export class Source {
   #equalSteps = 0;
   #lastStep = 0;
   periodS = NaN;
-  generation = 0; // raised when everything began anew: another store, or one that was emptied
-  segment = 0; // row from which on ticks rise: a daemon that is started again begins with tick 0
+  generation = 0; // incremented when all rows were replaced: another store, or one that was emptied
+  segment = 0; // row from which on ticks rise: a restarted daemon begins with tick 0
 
   constructor(store) {
     this.store = store;
     this.begin();
   }
 
-  // Forgets everything: the store's rows are others.
+  // Starts again after the store's rows were replaced.
   begin() {
     this.time = this.store.columns.time_s;
     this.#tracks.clear();
-    this.gaps = new Uint8Array(this.store.capacity); // 1: this row does not follow the one before it
-    this.#lost = new Uint8Array(this.store.capacity); // 1: and what lies between was missed or lost
+    this.gaps = new Uint8Array(this.store.capacity); // 1: there is a gap before this row
+    this.#lost = new Uint8Array(this.store.capacity); // 1: samples in that gap were missed or lost
     this.lostPyramid = new Pyramid(this.#lost);
     this.#gapsDone = this.#equalSteps = this.#lastStep = this.segment = 0;
     this.periodS = NaN;
@@ -54,7 +54,7 @@ export class Source {
     return this.rows === 0 ? NaN : this.time[this.first % this.capacity];
   }
 
-  // Takes in what came since. To be called once a frame, before anything is read.
+  // Adds the new rows. Must be called once a frame, before anything is read.
   update() {
     if (this.time !== this.store.columns.time_s || this.store.rows < this.#gapsDone) {
       this.begin();
@@ -87,13 +87,13 @@ export class Source {
     this.lostPyramid.extend(first, rows);
   }
 
-  // Whether samples were missed by the servo or lost between this row and the one before it. Nothing is known of the time
-  // before the first row, and what was left out on purpose is not lost.
+  // Returns whether samples were missed by the servo or lost before this row. Samples before the first row, and those left
+  // out on purpose, do not count.
   lostBefore(row) {
     return row > this.first && row < this.rows && this.#lost[row % this.capacity] === 1;
   }
 
-  // Whether that is so of any of the rows from..to - 1.
+  // Returns whether samples were missed or lost before any of the rows from..to - 1.
   lostWithin(from, to) {
     this.lostPyramid.range(Math.max(from, this.first + 1), to);
     return this.lostPyramid.high > 0;
@@ -105,13 +105,13 @@ export class Source {
     }
     this.#equalSteps = Math.abs(step - this.#lastStep) < 0.01 * step ? this.#equalSteps + 1 : 0;
     this.#lastStep = step;
-    if (!(step >= 0.75 * this.periodS) || this.#equalSteps >= SETTLED) {
+    if (!(step >= 0.75 * this.periodS) || this.#equalSteps >= SETTLED_STEPS) {
       this.periodS = step;
     }
-    return step > GAP * this.periodS;
+    return step > GAP_PERIODS * this.periodS;
   }
 
-  // Ring and pyramid of a channel; from the first call on they are kept up to date.
+  // Returns ring and pyramid of a channel, which are updated from the first call on.
   track(id) {
     let track = this.#tracks.get(id);
     if (track === undefined && this.capacity > 0) {
@@ -125,7 +125,7 @@ export class Source {
     return track;
   }
 
-  // Lets go of the pyramids of channels that nobody draws any more.
+  // Releases the pyramids of channels that are not drawn any more.
   keepOnly(ids) {
     for (const id of this.#tracks.keys()) {
       if (!ids.has(id)) {
@@ -148,12 +148,12 @@ export class Source {
     track.pyramid.extend(first, this.rows);
   }
 
-  // The first row at `time` or later; rows: none.
+  // Returns the first row at `time` or later, or `rows` if there is none.
   rowAt(time) {
     return this.#search(this.time, time, this.first);
   }
 
-  // The row of a tick, as long as it is kept; -1: it never came, or not yet.
+  // Returns the row of a tick; -1 if it is not stored or has not come yet.
   rowOfTick(tick) {
     const row = this.#search(this.store.ticks, tick, Math.max(this.first, this.segment));
     return row < this.rows && this.store.ticks[row % this.capacity] === tick ? row : -1;
@@ -176,7 +176,7 @@ export class Source {
     return low;
   }
 
-  // The part of the rows from..to - 1, without a gap in it, that has the row `around`: [its first row, the one after it].
+  // Returns the part of the rows from..to - 1 without a gap that contains the row `around`: [first row, row after it].
   stretchAround(around, from, to) {
     let [begin, end] = [around, around + 1];
     while (begin > from && this.gaps[begin % this.capacity] === 0) {
@@ -188,7 +188,7 @@ export class Source {
     return [begin, end];
   }
 
-  // The longest part of the rows from..to - 1 without a gap in it.
+  // Returns the longest part of the rows from..to - 1 without a gap.
   longestStretch(from, to) {
     let best = [from, from];
     let begin = from;
@@ -203,7 +203,7 @@ export class Source {
     return best;
   }
 
-  // A copy of a channel's rows from..to - 1.
+  // Returns a copy of a channel's rows from..to - 1.
   copy(id, from, to, into = new Float64Array(to - from)) {
     const { column } = this.track(id);
     for (let row = from; row < to; row++) {

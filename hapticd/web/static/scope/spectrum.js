@@ -1,4 +1,4 @@
-// Levels by frequency: Hann window, weighted mean taken off, dB re 1 (of N, m or m/s): a steady sine whose RMS is 1 has 0 dB.
+// Levels by frequency: Hann window, weighted mean removed, dB re 1 (of N, m or m/s): a steady sine whose RMS is 1 has 0 dB.
 
 // Transforms `re` and `im` in place; their length is a power of two.
 export function fft(re, im) {
@@ -48,9 +48,9 @@ function twiddles(n) {
   return found;
 }
 
-export const MOST_SAMPLES = 32768; // in one transform; a longer stretch is the mean of several, each half over the next
+export const MOST_SAMPLES = 32768; // in one transform; a longer section is the mean of several transforms that overlap by half
 
-// Where the parts of `count` samples begin, and how long they are.
+// Returns the beginnings of the parts of `count` samples, and their length.
 export function parts(count) {
   const length = Math.min(count, MOST_SAMPLES);
   const begins = [];
@@ -63,8 +63,8 @@ export function parts(count) {
   return { length, begins };
 }
 
-// Mean square at each frequency, of the samples `begin`..`begin + length` - 1, added to `power`, which is made if it is
-// null. Padded with zeros to at least twice the length, so that the peak can be read between the lines.
+// Adds the mean square at each frequency of the samples `begin`..`begin + length` - 1 to `power`, which is made if it is
+// null. The samples are padded with zeros to at least twice the length, to find the peak between the lines.
 export function addPower(samples, begin, length, power) {
   let size = 4;
   while (size < 2 * length) {
@@ -79,8 +79,8 @@ export function addPower(samples, begin, length, power) {
     sum += im[i];
     mean += im[i] * samples[begin + i];
   }
-  // The mean as the window weighs it: a plain mean would leave a hump as wide as the window, which is all that is seen
-  // where the window has made a short tap near its beginning small.
+  // The mean weighted by the window. A plain mean would leave a hump as wide as the window, which would hide a short tap
+  // near the window's beginning.
   mean /= sum > 0 ? sum : 1;
   for (let i = 0; i < length; i++) {
     re[i] = (samples[begin + i] - mean) * im[i];
@@ -98,7 +98,7 @@ export function addPower(samples, begin, length, power) {
 
 export const decibels = (power) => 10 * Math.log10(Math.max(power, 1e-30));
 
-// What is said of a spectrum: peak, centroid, resolution. Hz; dB. Peak and centroid are NaN where there is nothing.
+// Returns peak, centroid and resolution of a spectrum, in Hz and dB. Peak and centroid are NaN if the spectrum is empty.
 export function summarize(power, rateHz, length) {
   const lineHz = rateHz / (2 * (power.length - 1));
   let peak = 1;
@@ -111,7 +111,7 @@ export function summarize(power, rateHz, length) {
       peak = k;
     }
   }
-  // Half the energy of a line, at either side, is the Hann window's own: two lines that are nearer are seen as one.
+  // The width of a line in the Hann window: two lines with a smaller distance cannot be separated.
   const resolutionHz = (1.5 * rateHz) / length;
   if (!(total > 1e-24)) {
     return { peakHz: NaN, peakDb: NaN, centroidHz: NaN, lineHz, resolutionHz };
@@ -128,7 +128,7 @@ export function summarize(power, rateHz, length) {
   return { peakHz: (peak + offset) * lineHz, peakDb, centroidHz: moment / total, lineHz, resolutionHz };
 }
 
-// All of it at once: {power, lineHz, peakHz, peakDb, centroidHz, resolutionHz}.
+// Returns the complete result: {power, lineHz, peakHz, peakDb, centroidHz, resolutionHz}.
 export function spectrum(samples, rateHz) {
   const { length, begins } = parts(samples.length);
   let power = null;

@@ -1,17 +1,17 @@
-// The spectrum of one trace: of the window that is shown, or of what lies between the cursors.
+// The spectrum of one trace, in the window or between the cursors.
 import { color } from "../theme.js";
 import { CHANNEL } from "./channels.js";
 import { duration, figure } from "./elements.js";
 import { axis, figureIn, readable } from "./plot.js";
 import { addPower, decibels, parts, summarize } from "./spectrum.js";
 
-const LEAST_SAMPLES = 16;
+const MIN_SAMPLES = 16;
 const RANGE_DB = 100;
-const AGAIN_MS = 250; // a picture that runs gets a new spectrum so often at most
-const REFERENCE = { force: "N", position: "m", velocity: "m/s" }; // 0 dB: an RMS of 1 of it
+const MIN_INTERVAL_MS = 250; // least time between two spectra while the picture runs
+const REFERENCE_UNITS = { force: "N", position: "m", velocity: "m/s" }; // 0 dB: an RMS of 1 of it
 
-// Rows [from, to) of which the spectrum of the times left..right is made: the part without a gap that has the trigger, a
-// time or null; the longest one where the trigger is not between `left` and `right`.
+// Returns the rows [from, to) for the spectrum of the times left..right: the part without a gap that contains the trigger, a
+// time or null; the longest part if the trigger is not between `left` and `right`.
 export function unbroken(source, left, right, trigger = null) {
   const from = source.rowAt(left);
   const to = source.rowAt(right);
@@ -26,10 +26,10 @@ export class SpectrumView {
   #uplot = null;
   #host;
   #said;
-  #job = null; // what is being computed: one transform a frame
+  #job = null; // the computation under way: one transform a frame
   #begunAt = -Infinity;
-  #stale = true; // something is new since the last one began
-  result = null; // of the last one: {id, power, ...}
+  #stale = true; // the data changed since the last computation began
+  result = null; // result of the last computation: {id, power, ...}
 
   constructor(host, said) {
     this.#host = host;
@@ -46,17 +46,17 @@ export class SpectrumView {
     this.#show();
   }
 
-  // The stretch or the trace is another one: what is under way is given up.
+  // The section or the trace changed: cancels the computation under way.
   restart() {
     this.#job = null;
     this.#begunAt = -Infinity;
     this.#stale = true;
   }
 
-  // To be called once a frame while it is seen: `moved` says that there is something new. Whether it wants another one.
+  // Called once a frame while the view is visible. `moved`: the data changed. Returns whether it needs another frame.
   step(source, id, left, right, trigger, moved) {
     this.#stale ||= moved;
-    if (this.#job === null && this.#stale && performance.now() - this.#begunAt >= AGAIN_MS) {
+    if (this.#job === null && this.#stale && performance.now() - this.#begunAt >= MIN_INTERVAL_MS) {
       this.#begin(source, id, left, right, trigger);
     }
     const job = this.#job;
@@ -76,7 +76,7 @@ export class SpectrumView {
     this.#begunAt = performance.now();
     this.#stale = false;
     const [from, to] = unbroken(source, left, right, trigger);
-    if (to - from < LEAST_SAMPLES) {
+    if (to - from < MIN_SAMPLES) {
       this.result = null;
       this.#show();
       return;
@@ -95,7 +95,7 @@ export class SpectrumView {
     if (this.result === null) {
       this.#uplot?.destroy();
       this.#uplot = null;
-      this.#said(`A spectrum needs at least ${LEAST_SAMPLES} samples without a gap.`);
+      this.#said(`A spectrum needs at least ${MIN_SAMPLES} samples without a gap.`);
       return;
     }
     const { id, power, lineHz, rateHz, length } = this.result;
@@ -109,7 +109,7 @@ export class SpectrumView {
     }
     top = 10 * Math.ceil((top + 3) / 10);
     this.#uplot.batch((u) => {
-      u.axes[1].label = `Level, dB re 1 ${REFERENCE[scale]}`;
+      u.axes[1].label = `Level, dB re 1 ${REFERENCE_UNITS[scale]}`;
       u.setData([frequency, level], false);
       u.setScale("x", { min: Math.max(lineHz, rateHz / length), max: rateHz / 2 });
       u.setScale("level", { min: top - RANGE_DB, max: top });
@@ -119,7 +119,7 @@ export class SpectrumView {
 
   #sentence() {
     const { id, samples, rateHz, peakHz, peakDb, centroidHz, resolutionHz, begins, length } = this.result;
-    const unit = REFERENCE[CHANNEL[id].scale];
+    const unit = REFERENCE_UNITS[CHANNEL[id].scale];
     const mean = begins.length > 1 ? `, mean of ${begins.length} parts of ${duration(length / rateHz)}` : "";
     const made =
       `${samples.length.toLocaleString("en")} samples (${duration(samples.length / rateHz)}), Hann window, ` +
@@ -131,7 +131,7 @@ export class SpectrumView {
     return `${peak} Centroid ${figure(centroidHz, 4)} Hz. ${made}`;
   }
 
-  // Over how much of the window it was computed, where gaps cut it.
+  // Returns a text on the part of the window that the spectrum covers, if gaps limit it.
   #cutSentence() {
     const { samples, rateHz, cut, triggered } = this.result;
     if (cut === null) {

@@ -1,23 +1,23 @@
-// Decaying sines in samples: frequency and decay from the samples alone. Linear prediction (Prony) says where to begin,
-// and is exact where the samples are one to three decaying sines and nothing else; Levenberg and Marquardt's least
-// squares make of it the best fit where there is noise beside them.
+// Fit of decaying sines to samples: frequency and decay from the samples alone. Linear prediction (Prony) gives the start
+// values, and is exact if the samples are only one to three decaying sines; Levenberg and Marquardt's least squares then
+// give the best fit in noise.
 import { leastSquares, roots } from "./least_squares.js";
 
-const MOST_MODES = 3;
-const EXACT = 1e-7; // of the samples' RMS: nothing is left to explain but the rounding of single precision
-const ROUNDS = 40;
+const MAX_MODES = 3;
+const EXACT_RESIDUAL = 1e-7; // residual, relative to the samples' RMS, that is only the rounding of single precision
+const MAX_ITERATIONS = 40;
 
-// The decaying sines in `samples`, the strongest first: each {frequencyHz, decayPerS, cosine, sine, energy}, which is
-// exp(-decayPerS t) (cosine cos(w t) + sine sin(w t)), t from the first sample. `residual`: what is left, RMS over RMS.
-// null: no decaying sine explains the samples.
+// Returns the decaying sines in `samples`, the strongest first: each {frequencyHz, decayPerS, cosine, sine, energy}, which is
+// exp(-decayPerS t) (cosine cos(w t) + sine sin(w t)), t from the first sample. `residual`: RMS of the residual over RMS of
+// the samples. Returns null if no decaying sine fits the samples.
 export function fitModes(samples, periodS) {
   const scale = rms(samples);
   if (!(scale > 0)) {
     return null;
   }
   let best = null;
-  for (let count = 1; count <= MOST_MODES && 4 * count < samples.length; count++) {
-    const begin = beginning(samples, count, EXACT * scale * Math.sqrt(samples.length));
+  for (let count = 1; count <= MAX_MODES && 4 * count < samples.length; count++) {
+    const begin = beginning(samples, count, EXACT_RESIDUAL * scale * Math.sqrt(samples.length));
     if (begin === null) {
       continue;
     }
@@ -28,7 +28,7 @@ export function fitModes(samples, periodS) {
     if (best === null || cost < best.cost) {
       best = { ...fit, residual, cost };
     }
-    if (residual < EXACT) {
+    if (residual < EXACT_RESIDUAL) {
       break;
     }
   }
@@ -48,7 +48,7 @@ function rms(samples) {
   return Math.sqrt(sum / samples.length);
 }
 
-// Modes are {b, w, c, s} for each sample, not each second, until here.
+// Modes are {b, w, c, s} per sample, not per second, up to here.
 function describe({ b, w, c, s }, count, periodS) {
   let energy = 0;
   for (let i = 0; i < count; i++) {
@@ -58,8 +58,8 @@ function describe({ b, w, c, s }, count, periodS) {
   return { frequencyHz: w / (2 * Math.PI * periodS), decayPerS: b / periodS, cosine: c, sine: s, energy };
 }
 
-// Where to begin to look for `count` modes. Of sines that are slow beside the rate neighbouring samples differ by less
-// than the noise: prediction then looks at every 2nd, 4th, ... sample, and what leaves least is taken.
+// Returns start values for `count` modes. If sines are slow relative to the rate, neighbouring samples differ by less than
+// the noise: prediction then also uses every 2nd, 4th, ... sample, and the smallest residual wins.
 function beginning(samples, count, enough) {
   const left = new Float64Array(samples.length);
   let best = null;
@@ -76,8 +76,7 @@ function beginning(samples, count, enough) {
   return best;
 }
 
-// `count` modes such that each sample follows from those before it: with the stride m,
-// y[n] = a[1] y[n-m] + ... + a[2 count] y[n-2 count m].
+// Returns `count` modes by linear prediction with the stride m: y[n] = a[1] y[n-m] + ... + a[2 count] y[n-2 count m].
 function predict(samples, count, stride) {
   const order = 2 * count;
   const rows = samples.length - order * stride;
@@ -99,7 +98,7 @@ function predict(samples, count, stride) {
   return modes.length === 0 ? null : modes;
 }
 
-// Amplitudes of modes whose frequency and decay are known. Whether they could be found.
+// Sets the amplitudes of modes with known frequency and decay; returns whether this was possible.
 function amplitudes(samples, modes) {
   const n = samples.length;
   const columns = [];
@@ -137,7 +136,7 @@ function refine(samples, begin) {
   const trial = new Float64Array(samples.length);
   let sum = remainder(samples, modes, left);
   let damping = 1e-4;
-  for (let round = 0; round < ROUNDS && sum > 0; round++) {
+  for (let round = 0; round < MAX_ITERATIONS && sum > 0; round++) {
     const moved = step(modes, left, damping);
     const next = moved !== null && amplitudes(samples, moved) ? remainder(samples, moved, trial) : Infinity;
     if (next < sum) {
@@ -158,7 +157,7 @@ function refine(samples, begin) {
   return { modes, sum };
 }
 
-// Modes moved by one damped step; null where there is none.
+// Returns the modes after one damped step; null if there is no step.
 function step(modes, left, damping) {
   const n = left.length;
   const unknowns = 4 * modes.length;
@@ -195,7 +194,7 @@ function step(modes, left, damping) {
   }));
 }
 
-// The direction along which a plane vibration moves most, as a unit vector; its sign is of the first half wave.
+// Returns the main direction of a plane vibration as a unit vector, with the sign of the first half wave.
 export function mainDirection(x, y) {
   let [xx, xy, yy] = [0, 0, 0];
   for (let i = 0; i < x.length; i++) {

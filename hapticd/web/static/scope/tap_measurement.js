@@ -1,15 +1,15 @@
-// A tap that was caught: what its samples say of frequency and decay, beside what the library says.
+// The measurement of a triggered tap: frequency and decay from its samples, compared with those of the library.
 import { duration, figure, percent } from "./elements.js";
 import { fitModes, mainDirection } from "./tap_fit.js";
 import { closedForm, materialAt, tapModel } from "./tap_model.js";
 
-const LEAST_SAMPLES = 8;
-const MOST_SAMPLES = 4000;
+const MIN_SAMPLES = 8;
+const MAX_SAMPLES = 4000;
 const CURVE_POINTS = 400;
-const ENDS = new Set(["contact", "groove", "puncture"]); // events that strike something else
+const ENDING_EVENTS = new Set(["contact", "groove", "puncture"]); // events that strike something else
 
-// The tap of a trigger {time, event, row}: {fit, model, material, ..., sentence, curves}; null while its samples still
-// come. `world`: {scene, materials, device, undisplayable} it was rendered with. `later`: events that came after it.
+// Returns the tap of a trigger {time, event, row}: {fit, model, material, ..., sentence, curves}; null while its samples
+// still come. `world`: {scene, materials, device, undisplayable} with which it was rendered. `later`: events after it.
 export function measureTap(source, trigger, world, later) {
   const { event, row, time } = trigger;
   const object = world.scene.objects[event.object];
@@ -36,16 +36,16 @@ export function measureTap(source, trigger, world, later) {
     };
   }
   const wanted = Math.ceil(model.endS / source.periodS);
-  const rows = later.map((each) => (ENDS.has(each.event) ? (each.row ?? source.rowOfTick(each.tick)) : -1));
+  const rows = later.map((each) => (ENDING_EVENTS.has(each.event) ? (each.row ?? source.rowOfTick(each.tick)) : -1));
   const struck = rows.find((each) => each > row) ?? -1;
-  const end = Math.min(row + Math.min(wanted, MOST_SAMPLES), struck > row ? struck : Infinity);
+  const end = Math.min(row + Math.min(wanted, MAX_SAMPLES), struck > row ? struck : Infinity);
   if (source.rows < end) {
     return null;
   }
   return compare(source, trigger, model, name, usable(source, row, end), time);
 }
 
-// The rows until the vibration ends, or something is missing.
+// Returns the rows until the vibration ends or a sample is missing.
 function usable(source, from, end) {
   const { vibration_x_n: x, vibration_y_n: y } = source.store.columns;
   let to = from + 1;
@@ -64,12 +64,12 @@ function compare(source, { event, time }, model, material, [from, to], onset) {
   const y = source.copy("vibration_y", from, to);
   const direction = to > from ? mainDirection(x, y) : [0, 1];
   const along = x.map((value, i) => value * direction[0] + y[i] * direction[1]);
-  const fit = along.length < LEAST_SAMPLES ? null : fitModes(along, source.periodS);
+  const fit = along.length < MIN_SAMPLES ? null : fitModes(along, source.periodS);
   const speed = event.speed_m_per_s === undefined ? "" : `, ${figure(event.speed_m_per_s, 3)} m/s`;
   const head = `Tap on ${event.object} (${material}${speed})`;
   if (fit === null) {
     const why =
-      along.length < LEAST_SAMPLES ? `only ${along.length} samples of it` : "no decaying sine explains its samples";
+      along.length < MIN_SAMPLES ? `only ${along.length} samples of it` : "no decaying sine explains its samples";
     return { event, material, model, fit, sentence: `${head}: ${why}, so nothing could be fitted.`, curves: [] };
   }
   const [mode] = fit.modes;
@@ -95,7 +95,7 @@ function compare(source, { event, time }, model, material, [from, to], onset) {
   };
 }
 
-// With compensation the force is not m A: the closed form is drawn as large as the samples are.
+// With compensation the amplitude of the force is not m A: the closed form is scaled to the samples.
 function scaled(modes, along, lag, periodS) {
   let [dot, square] = [0, 0];
   along.forEach((value, i) => {

@@ -1,6 +1,6 @@
 // The library's closed form of a tap: F(t) = m A exp(-B t) sin(w t) from the onset to five decay times.
 
-const END = 5; // decay times
+const END_DECAY_TIMES = 5; // duration of a mode, in decay times
 
 function modeOf({ frequency_hz, decay_time_s, angular_frequency_rad_per_s, decay_rate_per_s }) {
   return {
@@ -9,7 +9,7 @@ function modeOf({ frequency_hz, decay_time_s, angular_frequency_rad_per_s, decay
   };
 }
 
-// On straight lines between the table's points; beyond the outermost they stay.
+// Interpolates linearly between the table's points, and returns the outermost values beyond them.
 function modeAt({ speeds_m_per_s: speeds, frequencies_hz, decay_times_s }, speed) {
   const after = speeds.findIndex((each) => each >= speed);
   const at = (values) => {
@@ -22,14 +22,14 @@ function modeAt({ speeds_m_per_s: speeds, frequencies_hz, decay_times_s }, speed
   return { frequencyHz: at(frequencies_hz), decayPerS: 1 / at(decay_times_s) };
 }
 
-// The first maximum of exp(-B t) sin(w t).
+// Returns the first maximum of exp(-B t) sin(w t).
 function peakOf({ frequencyHz, decayPerS }) {
   const w = 2 * Math.PI * frequencyHz;
   const time = Math.atan2(w, decayPerS) / w;
   return Math.exp(-decayPerS * time) * Math.sin(w * time);
 }
 
-// The name of the material at a point of an object: a wall's patch there, or else the object's.
+// Returns the name of the material at a point of an object: that of a wall's patch, or else that of the object.
 export function materialAt(object, position) {
   if (object?.kind === "wall" && object.patches) {
     const length = Math.hypot(...object.normal);
@@ -41,10 +41,10 @@ export function materialAt(object, position) {
   return object?.material ?? null;
 }
 
-// What a material's tap at an event should be: {modes: [{frequencyHz, decayPerS, amplitudeN}], endS, meantHz, known},
-// or {problem}. `known`: the amplitude is. With compensation it is what makes the handle move as the library says; of a
-// recording it may not be told.
-// `undisplayable` is of the status: what the rate cannot carry is lowered, with the same first peak, or silent.
+// Returns the expected tap of a material at an event: {modes: [{frequencyHz, decayPerS, amplitudeN}], endS, meantHz, known},
+// or {problem}. `known`: whether the amplitude is known. With compensation the amplitude depends on the handle; for a
+// recording it may be unknown. `undisplayable`, from the status: modes above the limit of the rate are lowered with the same
+// first peak, or silent.
 export function tapModel(name, material, event, device, undisplayable) {
   const tap = material?.tap;
   if (!tap) {
@@ -69,7 +69,7 @@ export function tapModel(name, material, event, device, undisplayable) {
       modes.push({ ...second, amplitudeN: (tap.second.ratio * coefficient * peakOf(own)) / peakOf(second) });
     }
   }
-  const endS = Math.max(...modes.map(({ decayPerS }) => END / decayPerS));
+  const endS = Math.max(...modes.map(({ decayPerS }) => END_DECAY_TIMES / decayPerS));
   return { modes, endS, meantHz: mode.frequencyHz, known };
 }
 
@@ -81,12 +81,12 @@ function displayed(name, use, mode, undisplayable) {
   return entry.shown_hz === null ? null : { ...mode, frequencyHz: entry.shown_hz };
 }
 
-// The closed form at t seconds from the onset, N.
+// Returns the closed form at t seconds from the onset, in N.
 export function closedForm(modes, t) {
   let sum = 0;
   if (t >= 0) {
     for (const { frequencyHz, decayPerS, amplitudeN } of modes) {
-      if (t * decayPerS <= END) {
+      if (t * decayPerS <= END_DECAY_TIMES) {
         sum += amplitudeN * Math.exp(-decayPerS * t) * Math.sin(2 * Math.PI * frequencyHz * t);
       }
     }

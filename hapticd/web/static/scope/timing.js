@@ -1,19 +1,19 @@
-// How long frames took: the last of them, for benchmarks.
-const KEPT = 1024;
+// Durations of the last frames, for benchmarks.
+const STORED_FRAMES = 1024;
 
 export class FrameTiming {
   frames = 0;
-  #ms = new Float64Array(KEPT);
+  #ms = new Float64Array(STORED_FRAMES);
 
   add(ms) {
-    this.#ms[this.frames++ % KEPT] = ms;
+    this.#ms[this.frames++ % STORED_FRAMES] = ms;
   }
 
-  // {frames, meanMs, p95Ms, maxMs} of the frames since frame `from`.
+  // Returns {frames, meanMs, p95Ms, maxMs} of the frames since frame `from`.
   since(from) {
     const ms = [];
-    for (let k = Math.max(from, this.frames - KEPT); k < this.frames; k++) {
-      ms.push(this.#ms[k % KEPT]);
+    for (let k = Math.max(from, this.frames - STORED_FRAMES); k < this.frames; k++) {
+      ms.push(this.#ms[k % STORED_FRAMES]);
     }
     ms.sort((a, b) => a - b);
     const mean = ms.reduce((sum, value) => sum + value, 0) / ms.length;

@@ -1,17 +1,17 @@
-// One trace on a canvas. Wide windows: in every column of pixels a bar from the least to the largest sample in it.
-// Zoomed in: the samples themselves, joined by lines, with dots where they lie far apart. Gaps stay open.
+// Drawing of one trace on a canvas. In wide windows, each column of pixels has a bar from its smallest to its largest sample.
+// In narrow windows, samples are connected by lines, with dots if their distance is large. Gaps stay open.
 
-const MOST_POINTS = 2; // in a column of pixels: from there on columns are drawn
-const DOTS = 6; // pixels from sample to sample: from there on each has a dot
+const MAX_POINTS_PER_COLUMN = 2; // samples in a column of pixels above which columns are drawn
+const MIN_DOT_DISTANCE_PX = 6; // pixels between samples from which on each has a dot
 
-// The window's rows and columns of pixels, made once a frame for all traces. While the width stays, nothing is
-// allocated.
+// The rows and columns of pixels of a window, computed once a frame for all traces. Nothing is allocated while the width
+// stays the same.
 export class Columns {
   #edges = new Float64Array(0); // the first row of each column, and the end
   gaps = new Uint8Array(0); // 1: samples of this column were missed or lost
   count = 0;
   raw = true;
-  from = 0; // rows that are drawn, one more on either side where there is one
+  from = 0; // drawn rows, with one more on either side if it exists
   to = 0;
 
   prepare(source, left, widthS, pixels) {
@@ -24,9 +24,9 @@ export class Columns {
     const end = source.rowAt(left + widthS);
     this.from = Math.max(source.first, begin - 1);
     this.to = Math.min(source.rows, end + 1);
-    this.raw = end - begin < MOST_POINTS * pixels;
+    this.raw = end - begin < MAX_POINTS_PER_COLUMN * pixels;
     const step = widthS / pixels;
-    // Columns keep to the same moments while the window moves on, so that a picture that rolls does not flicker.
+    // Columns keep their times while the window moves, so that a rolling picture does not flicker.
     const start = this.raw ? left : Math.round(left / step) * step;
     for (let c = 0; c <= pixels; c++) {
       this.#edges[c] = source.rowAt(start + c * step);
@@ -41,7 +41,7 @@ export class Columns {
     this.#widen(source);
   }
 
-  // A gap reaches from the last row before it to the first one after it: so do its columns.
+  // The columns of a gap are those from the last row before it to the first row after it.
   #widen(source) {
     let open = -1; // the first column without rows since the last one with rows
     for (let c = 0; c < this.count; c++) {
@@ -64,7 +64,7 @@ export class Columns {
   }
 }
 
-// A picture of the traces' size in which bars are drawn pixel by pixel: thousands of them cost a canvas far more.
+// An image of the traces' size in which bars are drawn by pixels: for thousands of bars this is far faster than a canvas.
 export class Raster {
   #canvas = document.createElement("canvas");
   #ctx = this.#canvas.getContext("2d", { willReadFrequently: true });
@@ -74,7 +74,7 @@ export class Raster {
   #height = 0;
   #empty = true;
 
-  // Begins a picture of this size.
+  // Begins an image of this size.
   begin(width, height) {
     if (width !== this.#width || height !== this.#height) {
       [this.#width, this.#height] = [width, height];
@@ -88,7 +88,7 @@ export class Raster {
     this.#empty = true;
   }
 
-  // A bar of one pixel's width; what lies outside is cut off. `color`: of `pixelOf`.
+  // Draws a bar one pixel wide, clipped to the image. `color`: from `pixelOf`.
   bar(x, top, height, color) {
     const width = this.#width;
     const end = Math.min(this.#height, top + height) * width;
@@ -106,14 +106,14 @@ export class Raster {
   }
 }
 
-// #rrggbb as a pixel of a Raster.
+// Returns the colour #rrggbb as a pixel of a Raster.
 export function pixelOf(hex) {
   const value = Number.parseInt(hex.slice(1), 16);
   const bytes = new Uint8Array([value >> 16, (value >> 8) & 255, value & 255, 255]);
   return new Uint32Array(bytes.buffer)[0];
 }
 
-// Fills the columns of which samples were missed or lost.
+// Fills the columns in which samples were missed or lost.
 export function drawGaps(ctx, columns, box, fill) {
   ctx.fillStyle = fill;
   for (let c = 0; c < columns.count; c++) {
@@ -142,7 +142,7 @@ function drawColumns(raster, source, track, columns, box, scale, factor, style) 
   const { pyramid } = track;
   const perUnit = box.height / (scale.high - scale.low);
   const thick = Math.max(1, Math.round(style.width));
-  let before = false; // the column before has samples, and nothing is missing between
+  let before = false; // the previous column has samples, and no sample is missing between
   let lastLow = 0;
   let lastHigh = 0;
   for (let c = 0; c < columns.count; c++) {
@@ -174,7 +174,7 @@ function drawSamples(ctx, source, track, columns, box, scale, factor, style) {
   const perUnit = box.height / (scale.high - scale.low);
   const perSecond = box.width / style.widthS;
   const bottom = box.top + box.height;
-  const dots = source.periodS * perSecond >= DOTS;
+  const dots = source.periodS * perSecond >= MIN_DOT_DISTANCE_PX;
   ctx.strokeStyle = ctx.fillStyle = style.color;
   ctx.lineWidth = style.width;
   ctx.lineJoin = "round";
@@ -186,7 +186,7 @@ function drawSamples(ctx, source, track, columns, box, scale, factor, style) {
     if (row === columns.from || gaps[at] === 1) {
       ctx.moveTo(x, y);
       if (row + 1 === columns.to || gaps[(row + 1) % capacity] === 1) {
-        ctx.lineTo(x + style.width, y); // a sample on its own
+        ctx.lineTo(x + style.width, y); // a single sample
       }
     } else {
       ctx.lineTo(x, y);
@@ -204,7 +204,7 @@ function drawSamples(ctx, source, track, columns, box, scale, factor, style) {
   }
 }
 
-// A curve {times, values} that is no channel, such as the library's closed form: dashed, above the traces.
+// Draws a curve {times, values} that is not a channel, such as the library's closed form: dashed, above the traces.
 export function drawCurve(ctx, times, values, box, scale, factor, style) {
   const perUnit = box.height / (scale.high - scale.low);
   const perSecond = box.width / style.widthS;

@@ -1,5 +1,5 @@
-// When the picture is taken: at an event (contact, rupture, groove, release), or where a channel passes a level. Events
-// and samples come separately and in any order; an event waits here until the row of its tick is there.
+// The trigger: an event (contact, rupture, groove, release), or a channel that crosses a level. Events and samples come
+// separately and in any order; an event waits here until the row of its tick has come.
 
 export const SOURCES = [
   { id: "off", label: "Off", event: null },
@@ -9,34 +9,34 @@ export const SOURCES = [
   { id: "release", label: "Release", event: "release" },
   { id: "level", label: "Level", event: null },
 ];
-const MOST_WAITING = 4096;
+const MAX_WAITING_EVENTS = 4096;
 
-// Finds the moments. `find` gives them in the order of time.
+// Finds the triggers. `find` returns them in the order of time.
 export class Trigger {
   source = "off";
   channel = "force_y";
   level = 0.5; // SI
   rising = true;
-  hysteresis = 0.05; // SI: so far the channel must have been on the other side
+  hysteresis = 0.05; // SI: distance from the level that the channel must have had on the other side
   #waiting = []; // events whose tick has no row yet
   #ready = []; // {time, event, row}, in the order of time
   #scanned = 0;
   #armed = false;
   #generation = -1;
 
-  // An event of telemetry.
+  // Adds an event of telemetry.
   add(event) {
     const wanted = SOURCES.find((source) => source.id === this.source).event;
-    // An object that appeared around the probe was not met: there is no onset.
+    // If an object appeared around the probe there is no onset.
     if (event.event === wanted && wanted !== null && !event.appeared) {
       this.#waiting.push(event);
-      if (this.#waiting.length > MOST_WAITING) {
+      if (this.#waiting.length > MAX_WAITING_EVENTS) {
         this.#waiting.shift();
       }
     }
   }
 
-  // Forgets what came so far; a level is armed anew at row `from`.
+  // Clears all triggers; the search for a level begins again at row `from`.
   restart(source, from = source.rows) {
     this.#waiting.length = this.#ready.length = 0;
     this.#scanned = from;
@@ -44,7 +44,7 @@ export class Trigger {
     this.#generation = source.generation;
   }
 
-  // The first moment at `after` or later that was not given yet: {time, event, row}; null: none.
+  // Returns the first trigger at `after` or later that was not returned yet: {time, event, row}; null: none.
   find(source, after) {
     if (this.#generation !== source.generation) {
       this.restart(source, source.first);
@@ -66,20 +66,20 @@ export class Trigger {
     const newest = source.newestTick;
     const late = [];
     for (const event of this.#waiting) {
-      const row = event.row ?? source.rowOfTick(event.tick); // of a recording the row is known
+      const row = event.row ?? source.rowOfTick(event.tick); // events of a recording have their row
       if (row >= source.first && row < source.rows) {
-        // The onset lies between two ticks: so long before that of the event.
+        // The onset is between two ticks, `before_tick_s` before that of the event.
         const time = source.time[row % source.capacity] - (event.before_tick_s ?? 0);
         this.#ready.push({ time, event, row });
       } else if (event.row === undefined ? event.tick > newest : event.row >= source.rows) {
-        late.push(event); // its sample is on the way; one that was lost is overtaken, and dropped
+        late.push(event); // its sample has not come yet; events with lost samples are dropped later
       }
     }
     this.#waiting = late;
     this.#ready.sort((a, b) => a.time - b.time);
   }
 
-  // Passes of the level in the rows that came since. The time is where the straight line between two samples meets it.
+  // Finds crossings of the level in the new rows. The time is interpolated linearly between two samples.
   #scan(source) {
     const { column } = source.track(this.channel);
     const { time, capacity, gaps } = source;
@@ -91,7 +91,7 @@ export class Trigger {
       if (this.#armed && value >= level) {
         const before = (row - 1) % capacity;
         const last = sign * column[before];
-        // In a gap nobody knows when: then it is the first sample after it.
+        // In a gap the time is not known: the first sample after it is used.
         const share = last < level && gaps[at] === 0 ? (value - level) / (value - last) : 0;
         this.#ready.push({ time: time[at] - share * (time[at] - time[before]), event: null, row });
         this.#armed = false;
@@ -103,8 +103,8 @@ export class Trigger {
   }
 }
 
-// What happens at a trigger: `auto` shows the newest samples where none came for `patience_s`, `normal` waits for the
-// next one, `single` takes one and holds.
+// The acquisition: `auto` shows the newest samples if there was no trigger for `patience_s`, `normal` waits for the next
+// trigger, `single` takes one and holds.
 export class Acquisition {
   mode = "auto";
   patienceS = 3;
@@ -118,7 +118,7 @@ export class Acquisition {
     this.view = view;
   }
 
-  // Begins anew: with Run, or when what triggers was changed.
+  // Starts again: with Run, or when the trigger's settings changed.
   restart(source, from = source.rows) {
     this.trigger.restart(source, from);
     this.shown = null;
@@ -133,7 +133,7 @@ export class Acquisition {
     this.state = "held";
   }
 
-  // Looks for triggers in what came. Whether another one is shown.
+  // Searches the new data for triggers; returns whether another one is shown.
   update(source) {
     const newest = source.newest;
     this.#startedAt ??= newest;

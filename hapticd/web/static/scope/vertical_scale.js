@@ -1,8 +1,8 @@
-// How much of a quantity an axis shows: automatic, so that all that is drawn fits, or as the person set it.
+// The range of a vertical axis: automatic, so that all drawn values fit, or set by the user.
 
-const PATIENCE_MS = 1000; // a range that is too large for so long becomes smaller
+const SHRINK_DELAY_MS = 1000; // time after which a range that is too large becomes smaller
 
-// The least multiple of 1, 2 or 5 times a power of ten that is at least `size`.
+// Returns the least of 1, 2 or 5 times a power of ten that is at least `size`.
 export function niceStep(size) {
   const power = 10 ** Math.floor(Math.log10(size));
   const share = size / power;
@@ -16,7 +16,7 @@ export class VerticalScale {
   #smallerSince = null;
 
   constructor(least) {
-    this.least = least; // a range smaller than this is not shown: below it is the rounding of the sensor
+    this.least = least; // the smallest range: smaller ones would show the rounding of the sensor
   }
 
   set(low, high) {
@@ -25,7 +25,7 @@ export class VerticalScale {
     this.high = high;
   }
 
-  // Everything between low and high is to be seen. `settled`: the picture stands, and the scale fits it at once.
+  // Fits the range to values between low and high. `settled`: the picture does not move, so the range changes at once.
   fit(low, high, nowMs, settled) {
     if (!this.automatic || !(low <= high)) {
       return;
@@ -42,7 +42,7 @@ export class VerticalScale {
     } else {
       this.#smallerSince ??= nowMs;
     }
-    if (outside || settled || (smaller && nowMs - this.#smallerSince > PATIENCE_MS)) {
+    if (outside || settled || (smaller && nowMs - this.#smallerSince > SHRINK_DELAY_MS)) {
       this.low = bottom;
       this.high = top;
       this.#smallerSince = null;

@@ -1,19 +1,19 @@
-// Which stretch of time is shown. While it runs, it follows the newest sample or stands around the last trigger; held,
-// it stays where it is, and may be panned and zoomed. `zero` is the time that the axis calls 0.
+// The time window. While it runs, it follows the newest sample or surrounds the last trigger; while it is held, it stays and
+// may be panned and zoomed. `zero` is the time at the axis' 0.
 export const WIDTHS_S = [0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60];
-const LEAST_S = 0.0005;
-const MOST_S = 60;
+const MIN_WIDTH_S = 0.0005;
+const MAX_WIDTH_S = 60;
 
 export class ViewWindow {
   widthS = 5;
-  before = 0.2; // the part of the width that lies before the trigger
+  before = 0.2; // fraction of the width before the trigger
   held = false;
-  trigger = null; // time of the trigger that is shown; null: the newest sample is
+  trigger = null; // time of the shown trigger; null: the newest sample is shown
   #newest = 0;
   #left = 0;
   #zero = 0;
 
-  // The newest sample is of this time.
+  // Sets the time of the newest sample.
   follow(newest) {
     this.#newest = newest;
   }
@@ -48,27 +48,27 @@ export class ViewWindow {
     this.held = false;
   }
 
-  // Shows what was recorded from `left` on, with its time zero.
+  // Shows a recorded window from `left` on, with its time zero.
   holdAt(left, zero) {
     this.#left = left;
     this.#zero = zero;
     this.held = true;
   }
 
-  // Makes the window `factor` times as wide. Held, the time at `share` of the width stays where it is.
+  // Makes the window `factor` times as wide. While held, the time at the fraction `share` of the width stays in place.
   zoom(factor, share = 0.5) {
     this.setWidth(this.widthS * factor, share);
   }
 
   setWidth(widthS, share = 0.5) {
-    const width = Math.min(MOST_S, Math.max(LEAST_S, widthS));
+    const width = Math.min(MAX_WIDTH_S, Math.max(MIN_WIDTH_S, widthS));
     if (this.held) {
       this.#left += (this.widthS - width) * share;
     }
     this.widthS = width;
   }
 
-  // The next wider or narrower of the usual widths.
+  // Sets the next wider or narrower of the usual widths.
   step(direction, share = 0.5) {
     const next =
       direction > 0
@@ -81,7 +81,7 @@ export class ViewWindow {
     }
   }
 
-  // Moves by a part of the width, which holds the picture. Some of it stays between `oldest` and `newest`.
+  // Moves by a fraction of the width and holds the picture. A part of the window stays between `oldest` and `newest`.
   pan(share, oldest, newest) {
     this.hold();
     const left = this.#left + share * this.widthS;
