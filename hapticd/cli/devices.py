@@ -92,7 +92,7 @@ def _verdict(item: Found) -> str:
 
     why_not = item.verdict.why_not
     if why_not is not None:
-        return f"cannot be driven{' without a description' if item.is_other else ''}: {why_not}"
+        return f"cannot be driven{' without a description' if item.lacks_forces else ''}: {why_not}"
     text = "can be driven"
     if item.out_interval_s:
         text += f", a report every {wording.si(item.out_interval_s, 's')}"

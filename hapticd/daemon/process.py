@@ -69,8 +69,9 @@ def run(
     SIGHUP reloads the configuration. It ends a daemon that was started on a terminal: the terminal has closed.
 
     `config_paths` are merged in order; without any, the configuration is searched (config/locations.py). A reload reads
-    the same files again, or searches again if none was found. `log_level`: one of journal.LOG_LEVELS. Raises HapticdError
-    if the daemon cannot start: invalid configuration, another daemon in the directory, real time required and refused.
+    the same files again, or searches again if none was found. `log_level`: one of journal.LOG_LEVELS. Raises
+    HapticdError if the daemon cannot start: invalid configuration, another daemon in the directory, real time required
+    and refused.
     """
     with ExitStack() as stack:
         memory.settle()

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
+from hapticd.base.core import MAX_WAVEFORM_SAMPLES
 from hapticd.base.yaml_source import Json
 from hapticd.config.waveform import MAX_WAVEFORM_LENGTH_S, Curve
 from hapticd.fit import speed_law
@@ -317,7 +318,7 @@ class Shape:
             and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > WAVEFORM_LIMITS.max_end
         )
         length_s = (end - begin) / rate_hz
-        finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MOST_SAMPLES - 1) / max(length_s, 1e-9))
+        finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MAX_WAVEFORM_SAMPLES - 1) / max(length_s, 1e-9))
         count = max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * finer_hz + 1e-9) + 1)
         moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in self.placed]
         # A pulse is fitted up to 1.3 times its length.
@@ -355,7 +356,7 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
     before_s = min(2.0 * max(rise_s, 0.0) + 3.0 / rate_hz, max(1.0 / rate_hz, float(np.median(crossings))))
     ends = [len(pulse.measured) / pulse.rate_hz for pulse in pulses]
     length_s = min(MAX_WAVEFORM_LENGTH_S, before_s + float(np.median(np.subtract(ends, crossings))))
-    rate_hz = min(rate_hz, (MOST_SAMPLES - 1) / length_s)
+    rate_hz = min(rate_hz, (MAX_WAVEFORM_SAMPLES - 1) / length_s)
     # At rest are times that are farther before the crossing than the peak is after it, and those until a sample before
     # the first loud sample of any pulse.
     loud_s = min(before_s + pulse.onset_s - crossing for pulse, crossing in zip(pulses, crossings, strict=True))

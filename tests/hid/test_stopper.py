@@ -386,7 +386,7 @@ def test_a_daemon_stops_first_what_the_one_before_it_left(
         assert not record.exists()
         record.write_text("{}")
         record.chmod(0o622)
-        _stop_what_was_left(record)
+        _stop_device_of_killed_daemon(record)
         assert "other users may change it" in caplog.text
         caplog.clear()
         _stop_device_of_killed_daemon(tmp_path / "none")

@@ -22,16 +22,6 @@ TABLE_HEADING: Final = "### Words to avoid"
 CHECKED_PATHS: Final = ("hapticd",)
 """Files and folders that are checked by default."""
 
-EXEMPT_PATHS: Final = (
-    "hapticd/cli",
-    "hapticd/client",
-    "hapticd/daemon",
-    "hapticd/fit",
-    "hapticd/protocol",
-    "hapticd/web",
-)
-"""Rooms that are still to be reworded. pyproject.toml exempts the same from ruff's D rules."""
-
 ONE_WORD_CONSTANT: Final = re.compile(r"_?[A-Z]{3,}(_(S|MS|US|NS|HZ|M|N|BYTES))?")
 
 
@@ -80,11 +70,9 @@ def findings(source: str, words: list[tuple[re.Pattern[str], str]]) -> list[Find
 
 
 def _checked_files(paths: list[str]) -> Iterator[Path]:
-    exempt = [] if paths else [ROOT / path for path in EXEMPT_PATHS]
     for path in paths or CHECKED_PATHS:
         for file in sorted((ROOT / path).rglob("*.py")) if (ROOT / path).is_dir() else [ROOT / path]:
-            if not any(file.is_relative_to(one) for one in exempt):
-                yield file
+            yield file
 
 
 def main(paths: list[str]) -> int:
