@@ -1,5 +1,5 @@
-/* Numbers of HID reports are read from and written to any bit of a report. A number of up to 32 bits touches five bytes
- * at most; they are gathered into one word, lowest byte first. */
+/* Reads and writes numbers at any bit of a HID report. A number of up to 32 bits spans at most five bytes; they are
+ * gathered into one word, lowest byte first. */
 #include "base/hd_bits.h"
 
 HD_RT int hd_bits_fit(const struct hd_hid_field *field, size_t length) {
@@ -56,7 +56,7 @@ HD_RT int hd_bits_try_put(const struct hd_hid_field *field, uint8_t *report, siz
 }
 
 static int refuse_field(const struct hd_hid_field *field, size_t length) {
-    return hd_invalid("field: %u bits at bit %u%s do not lie in a report of %zu bytes", field->bit_size,
+    return hd_invalid("field: %u bits at bit %u%s are not inside of a report of %zu bytes", field->bit_size,
                       field->bit_offset, field->big_endian ? ", big-endian," : "", length);
 }
 
