@@ -1,6 +1,6 @@
-/* Runs without clock, thread or I/O: hd_render (positions are given), hd_replay (samples of a servo are) and
- * hd_simulate (closed loop with the simulated joystick). The tick is the servo's own; results are bit-identical from
- * run to run. The caller's thread. */
+/* Runs without clock, thread or I/O: hd_render (from positions), hd_replay (from samples of a servo) and hd_simulate
+ * (closed loop with the simulated joystick). They use the same tick as the servo; results are bit-identical from run to
+ * run. The caller's thread. */
 #include <math.h>
 #include <string.h>
 
@@ -8,10 +8,10 @@
 #include "scene/hd_world.h"
 #include "tick/hd_tick.h"
 
-/* Times are nanoseconds in 63 bits. */
+/* Longest run, because times are nanoseconds in 63 bits. */
 #define HD_LONGEST_RUN_S 9e9
 
-/* Where events of a run are kept. */
+/* The events of a run: `count` is the number that occurred, of which up to `capacity` are kept. */
 struct event_sink {
     struct hd_event *events;
     size_t capacity;
@@ -32,10 +32,9 @@ static int64_t period_time_ns(const struct hd_table *table, uint64_t period) {
     return (int64_t)((double)period * table->period_s * 1e9 + 0.5);
 }
 
-/* The tick takes neither an empty world nor slots that are not there yet. */
+/* Ensures what the tick requires: a loaded world, and slots for all its objects. */
 static int prepare(const struct hd_world *world, struct hd_state *state) {
-    return world->loaded ? hd_state_reserve(state, world->table.object_count)
-                         : hd_invalid("world: no table was loaded");
+    return world->loaded ? hd_state_reserve(state, world->table.object_count) : hd_invalid("world: no table is loaded");
 }
 
 int hd_render(const struct hd_world *world, struct hd_state *state, const double *position, const double *velocity,
@@ -107,7 +106,7 @@ int hd_replay(const struct hd_world *world, struct hd_state *state, const struct
         if ((was->flags & HD_FLAG_GLITCH) != 0) {
             const double step_m =
                 hypot(was->position_m[0] - state->position_m[0], was->position_m[1] - state->position_m[1]);
-            /* It jumped, also where this recording does not say how fast. */
+            /* The position jumped, even if the recorded samples imply a lower speed. */
             const double speed = input.interval_s > 0.0 ? step_m / input.interval_s : 0.0;
             const double least = world->table.max_speed_m_per_s;
             input.glitch_m_per_s = speed > least ? speed : least;
