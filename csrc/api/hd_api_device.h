@@ -192,9 +192,9 @@ struct hd_hid_plan {
     struct hd_hid_script force; /* sent for each new force, in this order, except messages that did not change */
     struct hd_hid_script renew; /* sent every renew_ns while connected, to restart effects of finite duration and reset
                                    watchdogs; may contain force values */
-    struct hd_hid_script
-        restore; /* restores effect settings that another program may have changed: one message every restore_ns, in
-                    turn, after the forces; not sent to a device that reports that its effects play */
+    /* Restores effect settings that another program may have changed: one message every restore_ns, in turn, after the
+     * forces. Not sent to a device that reports that its effects play. */
+    struct hd_hid_script restore;
     struct hd_hid_script stop; /* sent after a force of zero when the connection is closed in an orderly way */
     struct hd_hid_effects effects;
     struct hd_hid_state states[HD_HID_STATES];
@@ -216,10 +216,10 @@ struct hd_device_effect {
     int64_t duration_ns; /* up to 0.2 s */
     double least_n;      /* a strike with a smaller coefficient is not sent */
     double most_n;       /* a larger coefficient is played as this one */
-    struct hd_hid_message
-        messages[HD_DEVICE_EFFECT_MESSAGES]; /* their force is the coefficient as a vector. The last one starts the
-                                                effect; the others are skipped if unchanged */
-    struct hd_hid_message stop;              /* stops the effect; contains no numbers */
+    /* The force of these messages is the coefficient as a vector. The last one starts the effect; the others are
+     * skipped if unchanged. */
+    struct hd_hid_message messages[HD_DEVICE_EFFECT_MESSAGES];
+    struct hd_hid_message stop; /* stops the effect; contains no numbers */
 };
 
 struct hd_device_effects {

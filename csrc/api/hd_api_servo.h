@@ -126,8 +126,7 @@ struct hd_histogram {
 };
 
 struct hd_histograms {
-    struct hd_histogram
-        lateness; /* wake-up after the deadline; if periods were missed, after the first missed deadline */
+    struct hd_histogram lateness; /* wake-up after the deadline, or after the first missed deadline */
     struct hd_histogram work;
 };
 

@@ -11,9 +11,9 @@
 
 #include "base/hd_rt.h"
 
-#define HD_GAUSSIAN_MOST 6.0
+#define HD_GAUSSIAN_MOST 6.0 /* largest magnitude of a number */
 #define HD_GAUSSIAN_OCTAVES 30
-#define HD_GAUSSIAN_PARTS 4
+#define HD_GAUSSIAN_PARTS 4 /* of each octave */
 
 extern const double hd_gaussian_cubics[HD_GAUSSIAN_OCTAVES * HD_GAUSSIAN_PARTS][4];
 

@@ -11,6 +11,7 @@
 #include "base/hd_atomic.h"
 #include "base/hd_rt.h"
 
+/* The first edge is 2^7 ns, the last one 2^27 ns. */
 #define HD_HISTOGRAM_LEAST_BIT 7
 #define HD_HISTOGRAM_MOST_BIT 27
 

@@ -7,7 +7,7 @@
 
 #include "base/hd_rt.h"
 
-#define HD_SPACINGS 8u
+#define HD_SPACINGS 8u /* spacings in the mean */
 
 /* All zero: no arrival yet. */
 struct hd_spacing {

@@ -14,7 +14,7 @@
 #include "api/hd_core.h"
 #include "base/hd_rt.h"
 
-#define HD_ACTUATOR_TERMS 16
+#define HD_ACTUATOR_TERMS 16 /* terms of the power series */
 
 struct hd_actuator {
     uint32_t order;

@@ -7,8 +7,8 @@
 
 #include "device/hd_report.h"
 
-#define HD_DURATION_MAX_NS 200000000
-#define HD_STOP_MARGIN_NS 100000000 /* an effect counts as playing for this time after its end */
+#define HD_DURATION_MAX_NS 200000000 /* longest duration of an effect */
+#define HD_STOP_MARGIN_NS 100000000  /* effects count as playing until this time after their end: writes may be slow */
 /* A smaller change of direction is not sent: the error is 0.06 % of the force, whereas a report costs a frame. */
 #define HD_SAME_DIRECTION_RAD 0.035
 #define HD_HALF_TURN_RAD 3.14159265358979323846
@@ -154,7 +154,7 @@ static int take_strike(struct hd_effect_sender *sender, struct hd_effect_queue *
 }
 
 /* Writes the next message of the current strike; the start message is its last. */
-static uint32_t compose(struct hd_effect_sender *sender, struct hd_effect_queue *queue, uint8_t *bytes) {
+static uint32_t compose_next(struct hd_effect_sender *sender, struct hd_effect_queue *queue, uint8_t *bytes) {
     const struct hd_device_effect *effect = sender->effect;
     struct hd_effect_state *state = &sender->states[effect->place];
     for (;;) {
@@ -215,7 +215,7 @@ uint32_t hd_effect_sender_next(struct hd_effect_sender *sender, struct hd_effect
         const struct hd_effect_strike *strike = &sender->strike;
         if (open && strike->silence == silence && strike->time_ns >= since_ns &&
             now_ns - strike->time_ns <= HD_EFFECT_AGE_NS) {
-            return compose(sender, queue, bytes);
+            return compose_next(sender, queue, bytes);
         }
         end_strike(sender, queue);
     }

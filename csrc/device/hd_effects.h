@@ -20,8 +20,8 @@
 #include "base/hd_triple.h"
 #include "tick/hd_tick.h"
 
-#define HD_EFFECT_QUEUE_CAPACITY 64u
-#define HD_EFFECT_AGE_NS 50000000 /* a later tap would feel detached from its contact */
+#define HD_EFFECT_QUEUE_CAPACITY 64u /* strikes */
+#define HD_EFFECT_AGE_NS 50000000    /* strikes older than this are dropped */
 
 static_assert(HD_EFFECT_AGE_NS < HD_OFFLOAD_LATE_S * 1e9,
               "the tick must count an effect for as long as it may play, including a late start");
@@ -37,9 +37,8 @@ struct hd_effect_strike {
 struct hd_effect_queue {
     struct hd_ring ring;
     struct hd_effect_strike slots[HD_EFFECT_QUEUE_CAPACITY];
-    alignas(
-        HD_CACHE_LINE) struct hd_atomic_u32 silence;    /* number of silences: the servo increments, the writer reads */
-    alignas(HD_CACHE_LINE) struct hd_atomic_u64 played; /* the writer's counters */
+    alignas(HD_CACHE_LINE) struct hd_atomic_u32 silence; /* number of silences, incremented by the servo */
+    alignas(HD_CACHE_LINE) struct hd_atomic_u64 played;  /* the writer's counters */
     struct hd_atomic_u64 lost;
 };
 

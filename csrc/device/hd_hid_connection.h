@@ -3,9 +3,9 @@
  *
  *   hd_hid_control.c     control: connects, disconnects, reports the state of the device
  *   hd_hid_mailboxes.c   the functions that the servo calls
- *   hd_hid_reader.c      polls, drains to the newest report, publishes its position with the time at which poll
- * returned hd_hid_writer.c      takes the newest force, composes reports, writes those that changed, renews effects in
- * time hd_hid_connection.c  shared by those threads and control: ends and frees a connection, notifies control
+ *   hd_hid_reader.c      polls, drains to the newest report, publishes its position with the time of arrival
+ *   hd_hid_writer.c      takes the newest force, writes the reports that changed, renews effects in time
+ *   hd_hid_connection.c  shared by these threads and control: ends and frees a connection, notifies control
  *
  *                +---------- servo ----------+
  *     positions  |                           |  forces

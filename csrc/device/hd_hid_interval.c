@@ -5,9 +5,9 @@
 #define HD_UNUSUAL_S 0.05 /* longer intervals between reports count as pauses */
 /* Reports from which the usual interval of a device that reports changes only is learned together. */
 #define HD_USUAL_REPORTS 4
-#define HD_FRAME_S 1e-3       /* the shortest time between two reports of a full-speed device */
-#define HD_USUAL_FIRST_S 0.01 /* usual interval assumed before the second report; that of low-speed devices */
-#define HD_LEAST_INTERVAL_S 1e-6
+#define HD_FRAME_S 1e-3          /* the shortest time between two reports of a full-speed device */
+#define HD_USUAL_FIRST_S 0.01    /* usual interval assumed before the second report; that of low-speed devices */
+#define HD_LEAST_INTERVAL_S 1e-6 /* smallest interval returned */
 
 /* Updates the usual interval between two reports after `count` reports within `elapsed_s`. A device that reports
  * changes only is silent at times, so its shorter intervals have more weight. They are means over several reports,
@@ -31,7 +31,7 @@ HD_RT static void learn_usual(struct hd_hid_interval *interval, double elapsed_s
     }
 }
 
-HD_RT static void learn(struct hd_hid_interval *interval, int64_t arrival_ns, uint64_t number) {
+HD_RT static void learn_interval(struct hd_hid_interval *interval, int64_t arrival_ns, uint64_t number) {
     if (!interval->on_change) {
         learn_usual(interval, (double)(arrival_ns - interval->arrival_ns) * 1e-9, number - interval->number);
         return;
@@ -54,7 +54,7 @@ HD_RT void hd_hid_interval_begin(struct hd_hid_interval *interval, int64_t arriv
 
 HD_RT double hd_hid_interval_next(struct hd_hid_interval *interval, int64_t arrival_ns, uint64_t number) {
     const uint64_t count = number - interval->number;
-    learn(interval, arrival_ns, number);
+    learn_interval(interval, arrival_ns, number);
     /* After a delayed report the next one arrives on time, and the step between them would seem much too fast. So each
      * interval is at least half of the usual one; the following intervals take back what that adds. */
     const int pauses =

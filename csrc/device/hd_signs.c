@@ -18,7 +18,7 @@
 
 static const double pulse_signs[4] = {1.0, -1.0, -1.0, 1.0};
 
-HD_RT static void rest(struct hd_signs *signs) {
+HD_RT static void begin_rest(struct hd_signs *signs) {
     signs->phase = HD_SIGNS_REST;
     signs->phase_s = 0.0;
     signs->waited_s = 0.0;
@@ -29,7 +29,7 @@ HD_RT static void rest(struct hd_signs *signs) {
 /* Restarts the round. */
 HD_RT static void restart_round(struct hd_signs *signs) {
     signs->pulse = 0;
-    rest(signs);
+    begin_rest(signs);
 }
 
 HD_RT static void begin_axis(struct hd_signs *signs, uint32_t axis) {
@@ -40,7 +40,7 @@ HD_RT static void begin_axis(struct hd_signs *signs, uint32_t axis) {
     restart_round(signs);
 }
 
-HD_RT static void begin(struct hd_signs *signs) {
+HD_RT static void begin_check(struct hd_signs *signs) {
     signs->state = HD_SIGNS_CHECKING;
     begin_axis(signs, (signs->of.axes & 1u) != 0 ? 0u : 1u);
 }
@@ -160,7 +160,7 @@ HD_RT static void step_rest(struct hd_signs *signs, const double position_m[2]) 
         return;
     }
     const double waited_s = signs->waited_s;
-    rest(signs);
+    begin_rest(signs);
     signs->phase_s = HD_SETTLE_S;
     signs->waited_s = waited_s;
     if (waited_s > HD_MAX_WAIT_S) {
@@ -214,13 +214,13 @@ HD_RT static void step_brake(struct hd_signs *signs, double elapsed_s, double mo
     if (hd_magnitude(signs->force_n) > 0.0) {
         return;
     }
-    rest(signs);
+    begin_rest(signs);
     if (++signs->pulse == 4) {
         evaluate_round(signs);
     }
 }
 
-HD_RT static void advance(struct hd_signs *signs, const struct hd_signs_input *input) {
+HD_RT static void advance_phase(struct hd_signs *signs, const struct hd_signs_input *input) {
     const double most_n = signs->of.force_n < input->max_force_n ? signs->of.force_n : input->max_force_n;
     const double step_n = input->max_force_n * input->elapsed_s / input->ramp_s;
     if (input->elapsed_s > HD_LONGEST_GAP_S && signs->phase != HD_SIGNS_REST) {
@@ -262,7 +262,7 @@ HD_RT int hd_signs_step(struct hd_signs *signs, const struct hd_hid_signs *of, c
         return 0;
     }
     if (signs->state == HD_SIGNS_UNCHECKED || signs->state == HD_SIGNS_UNCLEAR) {
-        begin(signs);
+        begin_check(signs);
     }
     if (signs->state == HD_SIGNS_WRONG || input->gain > 0.0) {
         return 1;
@@ -277,7 +277,7 @@ HD_RT int hd_signs_step(struct hd_signs *signs, const struct hd_hid_signs *of, c
         return 1;
     }
     const uint32_t axis = signs->axis;
-    advance(signs, input);
+    advance_phase(signs, input);
     force_n[axis] = signs->force_n;
     return 1;
 }

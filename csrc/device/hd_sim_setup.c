@@ -7,8 +7,8 @@
 
 /* Largest number of parts of a period; a device that needs more at its rate is refused. */
 #define HD_PARTS_MAX 2000
-#define HD_STRETCH_MAX 1048576u
-#define HD_SAMPLES_A_PERIOD_MAX 64.0
+#define HD_MAX_STEP_PERIODS 1048576u /* most periods in one step */
+#define HD_SAMPLES_A_PERIOD_MAX 64.0 /* most reports, or frames of the link, in a period */
 /* Largest number of steps of a resolution (2^50), up to which rounding is exact. */
 #define HD_STEPS_MAX 1125899906842624.0
 /* Highest speed at which a handle can be placed; above it products overflow. */
@@ -137,7 +137,7 @@ static void restart_samples(struct hd_sim *sim) {
 static void set_period(struct hd_sim *sim, const struct hd_sim_config *config, double period_s) {
     sim->period_s = period_s;
     sim->force_whole_periods = (uint64_t)(config->force_timeout_s / period_s + HD_SAME_TIME);
-    const double longest_s = HD_STRETCH_MAX * period_s;
+    const double longest_s = HD_MAX_STEP_PERIODS * period_s;
     sim->limit_s = HD_STEP_MAX / fmax(fastest_rate_per_s(config), HD_STEP_MAX / longest_s);
     sim->lag_limit_s = 0.0;
     if (sim->actuator.order > 0) {

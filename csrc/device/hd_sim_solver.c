@@ -39,7 +39,7 @@
 /* Most events of one axis in one step. More than a few need forces that balance to the last bit; the axis then rests
  * until the end of the step. */
 #define HD_AXIS_EVENTS_MAX 16
-#define HD_LOCATE_MAX 100
+#define HD_MAX_LOCATE_ITERATIONS 100
 /* Values below this, in m, m/s or N, become zero, so that they do not decay into subnormal numbers. */
 #define HD_NEGLIGIBLE 1e-30
 
@@ -283,11 +283,11 @@ HD_RT static void crossing_at(const struct hd_sim *sim, const struct hd_motion *
 
 /* Returns when the value crosses zero between low_s and high_s, by Newton's method, with bisection if it leaves the
  * bracket. */
-HD_RT static double locate(const struct hd_sim *sim, const struct hd_motion *motion, enum hd_crossing crossing,
-                           double low_s, double high_s) {
+HD_RT static double locate_crossing(const struct hd_sim *sim, const struct hd_motion *motion, enum hd_crossing crossing,
+                                    double low_s, double high_s) {
     const double tolerance_s = 2e-16 * high_s;
     double guess_s = 0.5 * (low_s + high_s);
-    for (int i = 0; i < HD_LOCATE_MAX && high_s - low_s > tolerance_s; i++) {
+    for (int i = 0; i < HD_MAX_LOCATE_ITERATIONS && high_s - low_s > tolerance_s; i++) {
         double value;
         double slope;
         crossing_at(sim, motion, crossing, guess_s, &value, &slope);
@@ -320,13 +320,13 @@ HD_RT static bool turns_within(const struct hd_sim *sim, const struct hd_motion 
         if (value <= 0.0) {
             return false;
         }
-        last_s = locate(sim, motion, HD_CROSSING_SLOWEST, 0.0, last_s);
+        last_s = locate_crossing(sim, motion, HD_CROSSING_SLOWEST, 0.0, last_s);
         crossing_at(sim, motion, HD_CROSSING_TURN, last_s, &value, &slope);
         if (value >= 0.0) {
             return false;
         }
     }
-    *span_s = locate(sim, motion, HD_CROSSING_TURN, 0.0, last_s);
+    *span_s = locate_crossing(sim, motion, HD_CROSSING_TURN, 0.0, last_s);
     return true;
 }
 
@@ -388,7 +388,7 @@ HD_RT static bool rest_ends(const struct hd_sim *sim, int which, double local_s,
         if (*direction != 0.0) {
             const struct hd_motion rest = {which,          *direction, local_s, sim->force_n[which], sim->axes[which],
                                            sim->off[which]};
-            *rest_s = locate(sim, &rest, HD_CROSSING_RELEASE, quiet_s, check_s[i_check]);
+            *rest_s = locate_crossing(sim, &rest, HD_CROSSING_RELEASE, quiet_s, check_s[i_check]);
             return true;
         }
         quiet_s = check_s[i_check];
@@ -426,7 +426,7 @@ HD_RT static void step_with_events(struct hd_sim *sim, int which, double local_s
         }
         /* Until end_s the motion has one direction. */
         if (end.x * motion.direction > sim->workspace_m) {
-            end_s = locate(sim, &motion, HD_CROSSING_STOP, 0.0, end_s);
+            end_s = locate_crossing(sim, &motion, HD_CROSSING_STOP, 0.0, end_s);
             end = (struct hd_axis){motion.direction * sim->workspace_m, 0.0};
         }
         *axis = end;

@@ -23,6 +23,7 @@
 #define HD_SAME_TIME 1e-9
 /* Most encoder samples under way, a power of two. */
 #define HD_SAMPLES 2048u
+/* Times in 2^-24 of a period: the shift, and the unit in periods. */
 #define HD_FRACTION_SHIFT 24
 #define HD_FRACTION_UNIT (1.0 / 16777216.0)
 

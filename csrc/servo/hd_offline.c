@@ -33,7 +33,7 @@ static int64_t period_time_ns(const struct hd_table *table, uint64_t period) {
 }
 
 /* Ensures what the tick requires: a loaded world, and slots for all its objects. */
-static int prepare(const struct hd_world *world, struct hd_state *state) {
+static int check_and_reserve(const struct hd_world *world, struct hd_state *state) {
     return world->loaded ? hd_state_reserve(state, world->table.object_count) : hd_invalid("world: no table is loaded");
 }
 
@@ -41,7 +41,7 @@ int hd_render(const struct hd_world *world, struct hd_state *state, const double
               const uint32_t *periods, size_t count, struct hd_sample *samples, struct hd_event *events,
               size_t event_capacity, size_t *event_count) {
     const struct hd_table *table = &world->table;
-    const int status = prepare(world, state);
+    const int status = check_and_reserve(world, state);
     if (status != HD_OK) {
         return status;
     }
@@ -76,7 +76,7 @@ int hd_render(const struct hd_world *world, struct hd_state *state, const double
 int hd_replay(const struct hd_world *world, struct hd_state *state, const struct hd_sample *recorded,
               const double *interval_s, const uint32_t *periods, size_t count, struct hd_sample *samples,
               struct hd_event *events, size_t event_capacity, size_t *event_count) {
-    const int status = prepare(world, state);
+    const int status = check_and_reserve(world, state);
     if (status != HD_OK) {
         return status;
     }
@@ -128,7 +128,7 @@ int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_
                 struct hd_sample *samples, double *truth, struct hd_event *events, size_t event_capacity,
                 size_t *event_count) {
     const struct hd_table *table = &world->table;
-    const int status = prepare(world, state);
+    const int status = check_and_reserve(world, state);
     if (status != HD_OK) {
         return status;
     }

@@ -39,12 +39,12 @@
 #include "scene/hd_world.h"
 #include "tick/hd_tick.h"
 
-#define HD_COMMAND_CAPACITY 1024u
-#define HD_EVENT_RING_CAPACITY 8192u
+#define HD_COMMAND_CAPACITY 1024u    /* commands that wait */
+#define HD_EVENT_RING_CAPACITY 8192u /* events that wait for the reader */
 /* Most paths held: those of waiting commands, of one being taken and of the newest one taken. */
 #define HD_PATH_CAPACITY (HD_COMMAND_CAPACITY + 2u)
-#define HD_ADOPTED_CAPACITY 256u /* revisions whose first tick is kept */
-#define HD_CHANGE_CAPACITY 4096u
+#define HD_ADOPTED_CAPACITY 256u  /* revisions whose first tick is kept */
+#define HD_CHANGE_CAPACITY 4096u  /* changed slots that are kept for a world; with more it is reloaded */
 #define HD_STREAM_REMEMBERED 256u /* values of a stream whose ticks are kept, a power of two */
 #define HD_SUSPEND_NS 50000000    /* shorter suspends of the machine are ignored */
 

@@ -9,12 +9,12 @@
 #include "device/hd_device.h"
 #include "tick/hd_tick.h"
 
-#define HD_COMMANDS_PER_TICK 64u
+#define HD_COMMANDS_PER_TICK 64u /* most commands in a tick, which bounds its duration */
 
 /* ---- The servo thread -------------------------------------------------------------------------------------------- */
 
 /* Applies a command. HD_ERR_FULL: try again in the next tick. */
-HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command, int64_t time_ns) {
+HD_RT static int apply_command(struct hd_servo *servo, const struct hd_command *command, int64_t time_ns) {
     struct hd_state *state = servo->state;
     switch (command->kind) {
     case HD_COMMAND_PLAY:
@@ -52,7 +52,7 @@ HD_RT void hd_servo_take_commands(struct hd_servo *servo, int64_t time_ns) {
         if (command == NULL || (int32_t)(command->revision - servo->world->table.revision) > 0) {
             return;
         }
-        if (apply(servo, command, time_ns) == HD_ERR_FULL) {
+        if (apply_command(servo, command, time_ns) == HD_ERR_FULL) {
             return;
         }
         hd_ring_release(&servo->commands);

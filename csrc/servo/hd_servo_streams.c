@@ -38,7 +38,7 @@ HD_RT static void record_used(struct hd_stream *stream, const struct hd_streamed
     stream->taken = value->number;
 }
 
-HD_RT static void take(struct hd_servo *servo, uint32_t kind, int64_t time_ns) {
+HD_RT static void take_value(struct hd_servo *servo, uint32_t kind, int64_t time_ns) {
     struct hd_stream *stream = &servo->streams[kind];
     if (!hd_triple_acquire(&stream->triple)) {
         return;
@@ -61,7 +61,7 @@ HD_RT void hd_servo_follow_streams(struct hd_servo *servo, int64_t time_ns) {
     servo->streaming = 0;
     for (uint32_t kind = 0; kind < HD_STREAMS; kind++) {
         struct hd_stream *stream = &servo->streams[kind];
-        take(servo, kind, time_ns);
+        take_value(servo, kind, time_ns);
         if (is_live(stream) && (double)(time_ns - stream->taken_ns) * 1e-9 > servo->config.stream_timeout_s) {
             /* Counted first, so that a reader that sees the end of the stream also sees its time-out. */
             hd_atomic_u64_add_relaxed(&stream->timeouts, 1);

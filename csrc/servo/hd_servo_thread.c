@@ -27,7 +27,7 @@
 
 /* ---- One tick ---------------------------------------------------------------------------------------------------- */
 
-HD_RT static int32_t saturate(int64_t value) {
+HD_RT static int32_t saturate_i32(int64_t value) {
     return value > INT32_MAX ? INT32_MAX : value < INT32_MIN ? INT32_MIN : (int32_t)value;
 }
 
@@ -80,8 +80,8 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     }
     hd_device_put(&servo->device, now_ns, sample.force_n);
     const int64_t work_ns = hd_clock_now_ns() - now_ns;
-    sample.lateness_ns = saturate(now_ns - deadline_ns);
-    sample.work_ns = saturate(work_ns);
+    sample.lateness_ns = saturate_i32(now_ns - deadline_ns);
+    sample.work_ns = saturate_i32(work_ns);
     servo->last_work_ns = work_ns;
     servo->last_force_n = hd_root(hd_dot(sample.force_n, sample.force_n));
     hd_servo_leave(servo, &sample);
@@ -204,7 +204,7 @@ HD_RT static void skip_missed(struct hd_servo *servo, struct hd_pace *pace, stru
 
 /* ---- The thread -------------------------------------------------------------------------------------------------- */
 
-HD_RT static void loop(struct hd_servo *servo) {
+HD_RT static void run_ticks(struct hd_servo *servo) {
     struct hd_state *state = servo->state;
     struct hd_pace pace = {.start_ns = hd_clock_now_ns() + (int64_t)servo->period_ns};
     /* The periods since an earlier thread ended, and more than the ramp. */
@@ -248,7 +248,7 @@ void *hd_servo_main(void *argument) {
     struct hd_servo *servo = argument;
     /* Without real-time priority the kernel may round sleeps by 50 us; with it this changes nothing. */
     prctl(PR_SET_TIMERSLACK, 1ul, 0ul, 0ul, 0ul);
-    loop(servo);
+    run_ticks(servo);
     hd_atomic_u32_store_release(&servo->running, 0);
     return NULL;
 }

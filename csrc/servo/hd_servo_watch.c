@@ -10,7 +10,7 @@
 #define HD_CONTROL_TIMEOUT_S 1.0
 #define HD_LOAD_S 1.0 /* time over which an overload is evaluated */
 /* A longer stall that a slow tick did not cause means that the process was stopped; it is not counted as load. */
-#define HD_PAUSE_NS 100000000.0
+#define HD_STALL_NS 100000000.0
 #define HD_SUSPEND_LOOK_S 0.001 /* interval of the checks whether the machine was suspended */
 
 HD_RT static void lose_device(struct hd_servo *servo, int64_t time_ns) {
@@ -68,7 +68,7 @@ HD_RT static void watch_device(struct hd_servo *servo, const struct hd_look *loo
     }
 }
 
-HD_RT static void overload(struct hd_servo *servo, double share, int64_t time_ns) {
+HD_RT static void report_overload(struct hd_servo *servo, double share, int64_t time_ns) {
     hd_atomic_u64_add_relaxed(&servo->overloads, 1);
     hd_event_add(servo->state, HD_EVENT_OVERLOAD, time_ns, 0, share);
     if (servo->config.overrun_action == HD_OVERRUN_FAULT) {
@@ -84,7 +84,7 @@ HD_RT static void overload(struct hd_servo *servo, double share, int64_t time_ns
 /* See hd_servo.h. */
 HD_RT void hd_servo_watch_load(struct hd_servo *servo, uint32_t periods, uint32_t missed, int64_t time_ns) {
     const double stall_ns = (double)missed * servo->period_ns;
-    if (stall_ns > HD_PAUSE_NS && stall_ns > 2.0 * (double)servo->last_work_ns) {
+    if (stall_ns > HD_STALL_NS && stall_ns > 2.0 * (double)servo->last_work_ns) {
         servo->load_periods = 0;
         servo->load_missed = 0;
         return;
@@ -99,7 +99,7 @@ HD_RT void hd_servo_watch_load(struct hd_servo *servo, uint32_t periods, uint32_
     servo->load_missed = 0;
     hd_atomic_f64_store_relaxed(&servo->missed_share, share);
     if (share > servo->config.overrun_threshold) {
-        overload(servo, share, time_ns);
+        report_overload(servo, share, time_ns);
     }
 }
 
