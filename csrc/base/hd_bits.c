@@ -56,7 +56,7 @@ HD_RT int hd_bits_try_put(const struct hd_hid_field *field, uint8_t *report, siz
 }
 
 static int refuse_field(const struct hd_hid_field *field, size_t length) {
-    return hd_invalid("field: %u bits at bit %u%s are not inside of a report of %zu bytes", field->bit_size,
+    return hd_invalid("field: %u bits at bit %u%s do not lie in a report of %zu bytes", field->bit_size,
                       field->bit_offset, field->big_endian ? ", big-endian," : "", length);
 }
 
