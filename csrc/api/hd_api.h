@@ -26,7 +26,7 @@ enum hd_status {
 
 /* ---- Tables ------------------------------------------------------------------------------------------------ */
 
-#define HD_KICKS 8
+#define HD_KICKS 8 /* first samples of a strike that can be corrected */
 
 /* A decaying sinusoid A exp(-B t) sin(w t), t >= 0, prepared for one tick period T. Its displayed force is the
  * coefficient (force per unit) times
@@ -81,12 +81,12 @@ enum hd_texture {
     HD_TEXTURE_NOISE = 4     /* coloured noise */
 };
 
-#define HD_TAP_POINTS 256
-#define HD_TUNE_POINTS 16 /* most points of a frequency over speed or over force */
-#define HD_TUNE_NODES 64  /* most nodes of a compensation */
-#define HD_TUNE_NODE 11   /* numbers of each node */
-#define HD_WAVE_SAMPLES 512
-#define HD_WAVE_PARTS 8
+#define HD_TAP_POINTS 256   /* most points of a tap's amplitude */
+#define HD_TUNE_POINTS 16   /* most points of a frequency over speed or over force */
+#define HD_TUNE_NODES 64    /* most nodes of a compensation */
+#define HD_TUNE_NODE 11     /* numbers of each node */
+#define HD_WAVE_SAMPLES 512 /* most samples of a waveform */
+#define HD_WAVE_PARTS 8     /* parts of a waveform, see hd_waveform.h */
 
 /* A material. The amplitude of a tap is piecewise linear over the approach speed: from 0 at rest to the first point,
  * then from point to point; beyond the last point the last segment is extended, but not below 0. */
@@ -225,7 +225,7 @@ struct hd_table {
     double period_s;
     double max_force_n;       /* largest magnitude of the command */
     double max_speed_m_per_s; /* a step between two samples that implies a higher speed is a glitch */
-    double rearm_m;           /* the probe must withdraw this far before a surface can be tapped again; 0: any */
+    double rearm_m;           /* a surface is tapped again only after the probe has withdrawn this far; 0: always */
     double ramp_s;
     double ramp_step;                /* period_s / ramp_s: progress of a ramp in a tick */
     double brake_n_s_per_m;          /* largest damping of the passivity controller's brake */

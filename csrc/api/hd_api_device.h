@@ -60,6 +60,7 @@ void hd_sim_settle(struct hd_sim *sim);
 void hd_sim_put(struct hd_sim *sim, const double force_n[2]);
 /* Advances time by `periods` servo periods. */
 void hd_sim_advance(struct hd_sim *sim, uint32_t periods);
+/* Reads the newest encoder sample that has arrived as a report. */
 void hd_sim_read(struct hd_sim *sim, struct hd_reading *reading);
 /* Returns the exact motion of the handle: position [2], velocity [2], force of the actuator [2]. */
 void hd_sim_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]);
@@ -280,6 +281,7 @@ void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status);
 /* Blocks until the connection fails, a reset is seen, hd_hid_wake is called or `timeout_ns` has passed. Returns 1 if
  * one of the first three happened since the last call that returned 1, else 0. */
 int hd_hid_wait(struct hd_hid *hid, int64_t timeout_ns);
+/* Makes hd_hid_wait return 1. Any thread. */
 void hd_hid_wake(struct hd_hid *hid);
 /* Marks the device as reset: it gets no force until it is set up again. */
 void hd_hid_suspect(struct hd_hid *hid);

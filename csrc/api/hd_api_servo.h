@@ -150,6 +150,7 @@ int hd_servo_retune(struct hd_servo *servo, uint64_t sequence, const struct hd_m
  * stall: contacts are synchronised again without an onset, and the force fades in over the ramp. `faults` are latched.
  * Otherwise as hd_servo_start; memory stays locked, and `grant` repeats that result. */
 int hd_servo_restart(struct hd_servo *servo, uint32_t faults, struct hd_grant *grant);
+/* Stops the servo if it runs, and frees it. */
 void hd_servo_free(struct hd_servo *servo);
 
 /* Checks and copies a table, which is in force from the next tick on. One caller at a time. */

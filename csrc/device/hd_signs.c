@@ -13,7 +13,7 @@
 #define HD_LINE_S 0.05        /* the handle rests if it moved by less than `least_m` in this time */
 #define HD_MAX_WAIT_S 1.0     /* time without rest after which the problem is reported */
 #define HD_LONGEST_GAP_S 0.02 /* longest time between two ticks; a longer gap restarts the round */
-#define HD_MAX_ROUNDS 5u      /* inconclusive rounds of an axis before the check gives up */
+#define HD_MAX_ROUNDS 5u      /* rounds of an axis without a decision, after which the check gives up */
 #define HD_MIN_AXIS_RATIO 2.0 /* smallest ratio of the larger displacement to that of the other axis */
 
 static const double pulse_signs[4] = {1.0, -1.0, -1.0, 1.0};

@@ -34,7 +34,7 @@ struct hd_signs {
     uint32_t problem;       /* enum hd_signs_problem */
     uint32_t axis;          /* axis that is pushed, 0 or 1 */
     uint32_t phase;         /* enum hd_signs_phase */
-    uint32_t round;         /* rounds of this axis that were inconclusive */
+    uint32_t round;         /* rounds of this axis without a decision */
     uint32_t pulse;         /* 0 to 3 */
     uint32_t wrong;         /* problem that the round before found for this axis; 0: no problem */
     double phase_s;         /* time since the phase began */
