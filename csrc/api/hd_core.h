@@ -1,5 +1,6 @@
-/* What every C file of the core includes: the boundary (hd_api.h and what follows it) with its guard, and the asserts
- * that hold the layout. The boundary itself must stay free of these, because cffi reads it verbatim. */
+/* Includes the boundary (the three headers hd_api*.h) with an include guard, and asserts the layout of its records. The
+ * boundary itself must not contain these, because cffi reads it verbatim. Every C file of the core includes this
+ * header. */
 #ifndef HD_CORE_H
 #define HD_CORE_H
 
@@ -7,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* In this order. */
+/* In this order: each needs the declarations of the one before. */
 #include "api/hd_api.h"
 
 #include "api/hd_api_device.h"
@@ -20,7 +21,8 @@ static_assert(sizeof(struct hd_object) == 80 && sizeof(struct hd_mode) == 360 &&
                   sizeof(struct hd_noise) == 32 + 8 + 4 * 8,
               "table records have no padding");
 
-/* One line on why the last check on this thread failed; printf-like. Control side only. */
+/* Stores why a check failed, as one printf-like line for hd_invalid_reason, and returns HD_ERR_INVALID. Control side
+ * only. */
 #if defined(__GNUC__)
 __attribute__((format(printf, 1, 2)))
 #endif

@@ -1,5 +1,5 @@
-/* Why the last check failed: one line, kept for each thread on its own, so that the control side can check from several
- * threads at once. Never called from the servo thread: it formats text. */
+/* The reason of the last failed check: one line per thread, so that several threads can check at the same time. Never
+ * called from the servo thread, because it formats text. */
 #include <stdarg.h>
 #include <stdio.h>
 

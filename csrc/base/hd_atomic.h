@@ -1,7 +1,7 @@
 /* Typed wrappers around C11 atomics. The value sits inside a struct, so that a plain `=` or `++` does not compile and
- * every access names its memory order. Whoever declares one says who writes it and who reads it.
+ * every access names its memory order. Each declaration says which thread writes it and which reads it.
  *
- * Any thread; all of them are lock-free and may be called from the servo. */
+ * Any thread. All operations are lock-free and may be called from the servo. */
 #ifndef HD_ATOMIC_H
 #define HD_ATOMIC_H
 
@@ -13,11 +13,12 @@
 
 static_assert(ATOMIC_INT_LOCK_FREE == 2 && ATOMIC_LLONG_LOCK_FREE == 2, "the servo must never meet a lock");
 
-/* What two threads write must lie this far apart, or each write stalls the other thread. */
+/* Bytes of a cache line. Values that two threads write must be at least this distance from each other, or each write
+ * stalls the other thread. */
 #define HD_CACHE_LINE 64
 
-/* replace: if the value is `from` it becomes `to`; 1: it was.
- * add_relaxed is a load and a store: exact, and cheaper than a locked add, where one thread alone writes. */
+/* replace sets the value to `to` if it is `from`, and returns 1 if it did. add_relaxed is a load and a store: exact
+ * only if a single thread writes, and then cheaper than a locked add. */
 #define HD_ATOMIC_DEFINE(NAME, TYPE)                                                                            \
     struct hd_atomic_##NAME {                                                                                   \
         _Atomic TYPE value;                                                                                     \

@@ -1,5 +1,5 @@
-/* Numbers of HID reports are read from and written to any bit of a report. A number of up to 32 bits touches five bytes
- * at most; they are gathered into one word, lowest byte first. */
+/* Reads and writes numbers at any bit of a HID report. A number of up to 32 bits spans at most five bytes; they are
+ * gathered into one word, lowest byte first. */
 #include "base/hd_bits.h"
 
 HD_RT int hd_bits_fit(const struct hd_hid_field *field, size_t length) {

@@ -1,5 +1,6 @@
-/* The processor's cache: what is about to be used is asked for at once, so that what was evicted while the servo slept
- * comes in side by side and not one miss after the other. A hint: nothing waits for it, and any address will do. */
+/* Prefetch into the processor's cache. A tick prefetches all memory that it is about to use, so that lines evicted
+ * while the servo slept load in parallel instead of one miss after the other. Prefetching is a hint: it does not wait,
+ * and any address is allowed. */
 #ifndef HD_CACHE_H
 #define HD_CACHE_H
 

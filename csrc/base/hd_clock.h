@@ -1,5 +1,5 @@
-/* The servo's clock, the only system calls of its loop: CLOCK_MONOTONIC, and sleeping until an absolute time. And how
- * long the machine was suspended, which that clock does not count: CLOCK_BOOTTIME does. */
+/* The servo's clock: CLOCK_MONOTONIC and sleeping until an absolute time, the only system calls of the servo's loop.
+ * CLOCK_BOOTTIME also counts time during which the machine is suspended, which CLOCK_MONOTONIC does not. */
 #ifndef HD_CLOCK_H
 #define HD_CLOCK_H
 
@@ -21,7 +21,7 @@ HD_RT static inline int64_t hd_clock_now_ns(void) {
     return hd_clock_read_ns(CLOCK_MONOTONIC);
 }
 
-/* Goes on while the machine is suspended. */
+/* Returns CLOCK_BOOTTIME, which continues while the machine is suspended. */
 HD_RT static inline int64_t hd_clock_boot_ns(void) {
     return hd_clock_read_ns(CLOCK_BOOTTIME);
 }

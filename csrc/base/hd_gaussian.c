@@ -1,5 +1,5 @@
-/* The table of cubics by which hd_gaussian.h makes Gaussian numbers, each from the constant on: quarter by quarter of
- * the octaves [1/2, 1), [1/4, 1/2) and so on. */
+/* The cubics from which hd_gaussian.h computes Gaussian numbers. Each row holds four coefficients, the constant first;
+ * there are four rows per octave, for the octaves [1/2, 1), [1/4, 1/2) and so on. */
 #include "base/hd_gaussian.h"
 
 const double hd_gaussian_cubics[HD_GAUSSIAN_OCTAVES * HD_GAUSSIAN_PARTS][4] = {

@@ -1,4 +1,4 @@
-/* Histograms, as the control side sees them. */
+/* Reads histograms of durations for the control side, and computes the edges of their bins. */
 #include "base/hd_histogram.h"
 
 int64_t hd_histogram_edge_ns(uint32_t index) {

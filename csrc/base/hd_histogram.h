@@ -1,9 +1,9 @@
-/* How often a time was how long: counts in bins that grow with the time, four to a factor of two.
+/* Histograms of durations, with four bins per factor of two.
  *
  *     below 128 ns | 128 .. 160 | 160 .. 192 | 192 .. 224 | 224 .. 256 | 256 .. 320 | ... | from 2^27 ns on
  *
- * A count costs no search: the bin is the place of the highest bit and the two bits below it. The servo writes, anyone
- * reads; each number is read on its own. Nanoseconds. */
+ * Counting needs no search: the bin follows from the position of the highest bit and the two bits below it. The servo
+ * writes, any thread reads; the numbers are read one by one, not atomically together. Nanoseconds. */
 #ifndef HD_HISTOGRAM_H
 #define HD_HISTOGRAM_H
 
@@ -11,6 +11,7 @@
 #include "base/hd_atomic.h"
 #include "base/hd_rt.h"
 
+/* The first edge is 2^7 ns, the last one 2^27 ns. */
 #define HD_HISTOGRAM_LEAST_BIT 7
 #define HD_HISTOGRAM_MOST_BIT 27
 
@@ -33,7 +34,7 @@ HD_RT static inline uint32_t hd_histogram_bin(int64_t time_ns) {
     return 1u + 4u * (bit - HD_HISTOGRAM_LEAST_BIT) + (((uint32_t)time_ns >> (bit - 2u)) & 3u);
 }
 
-/* The servo. What is early counts as 0. */
+/* Servo thread. A negative time counts as 0. */
 HD_RT static inline void hd_histogram_count(struct hd_histogram_counts *counts, int64_t time_ns) {
     hd_atomic_u64_add_relaxed(&counts->bins[hd_histogram_bin(time_ns)], 1);
     if (time_ns > 0) {
@@ -44,7 +45,7 @@ HD_RT static inline void hd_histogram_count(struct hd_histogram_counts *counts, 
     }
 }
 
-/* Anyone. */
+/* Any thread. */
 void hd_histogram_read(const struct hd_histogram_counts *counts, struct hd_histogram *histogram);
 
 #endif

@@ -1,4 +1,4 @@
-/* Memory is touched and locked, so that the servo never waits for a page. MCL_ONFAULT matters: without it a Python
+/* Touches and locks memory, so that the servo never waits for a page fault. MCL_ONFAULT matters: without it a Python
  * process locks three times the memory that it uses. */
 #include "base/hd_memory.h"
 
@@ -53,12 +53,12 @@ enum hd_memory_kind hd_memory_lock(const struct hd_region *regions, size_t count
 
 int hd_memory_large_from(size_t bytes) {
 #ifdef __GLIBC__
-    /* Unless told, glibc raises this limit to the largest such block that was ever freed, up to 32 MiB. */
+    /* Unless the limit is set, glibc raises it to the largest such block that was freed, up to 32 MiB. */
     if (bytes > INT_MAX || mallopt(M_MMAP_THRESHOLD, (int)bytes) == 0) {
-        return hd_invalid("memory: blocks of %zu bytes or more apart: too large", bytes);
+        return hd_invalid("memory: malloc cannot map blocks of %zu bytes or more separately: too large", bytes);
     }
 #else
-    (void)bytes; /* others have a limit that stays */
+    (void)bytes; /* other C libraries do not raise their limit */
 #endif
     return HD_OK;
 }

@@ -1,4 +1,4 @@
-/* The ring's memory, and the copies of records that are not worth inlining. hd_ring.h teaches the model. */
+/* Allocates the ring's memory and copies several records at once. hd_ring.h explains the model. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -12,7 +12,7 @@ int hd_ring_init(struct hd_ring *ring, size_t record_size, size_t capacity) {
                           record_size, capacity);
     if (capacity > SIZE_MAX / record_size || posix_memalign(&slots, HD_CACHE_LINE, record_size * capacity) != 0)
         return HD_ERR_MEMORY;
-    /* Also touches every page, so that the servo meets none for the first time. */
+    /* Also touches every page, so that the servo causes no page fault. */
     memset(slots, 0, record_size * capacity);
     memset(ring, 0, sizeof *ring);
     ring->slots = slots;
@@ -36,7 +36,7 @@ HD_RT int hd_ring_push(struct hd_ring *ring, const void *record) {
     return HD_OK;
 }
 
-/* How many of `count` records starting at `index` fit before the end of the memory. */
+/* Returns how many of `count` records starting at `index` fit before the end of the memory. */
 HD_RT static size_t before_end(const struct hd_ring *ring, uint64_t index, size_t count) {
     size_t room = (size_t)(ring->capacity - (index & (ring->capacity - 1)));
 

@@ -6,17 +6,16 @@
  *      |   | r | r | r | r | r | r |   |   |
  *      +---+---+---+---+---+---+---+---+---+
  *
- * Both indices only ever grow (64 bits last 58,000 years at 10 MHz) and are masked where a slot is addressed, so that
- * write - read is the number of records held, from 0 (empty) to capacity (full), and no slot is wasted to tell the two
- * apart.
+ * Both indices only grow (64 bits last 58,000 years at 10 MHz) and are masked when a slot is addressed, so that write -
+ * read is the number of records held, from 0 (empty) to capacity (full), and no slot is wasted to distinguish the two.
  *
- * Invariants: capacity is a power of two; the producer alone stores `write`, with release after the record is
- * complete; the consumer alone stores `read`, with release after it has finished with the record; each loads the
- * other's index with acquire, and only when its remembered copy says that the ring is full (or empty). What one
- * side writes lies on a cache line of its own.
+ * Invariants: capacity is a power of two; the producer alone stores `write`, with release after the record is complete;
+ * the consumer alone stores `read`, with release after it has finished with the record; each loads the other's index
+ * with acquire, and only if its copy of that index says that the ring is full (or empty). Each side writes to a
+ * separate cache line.
  *
- * Threads: `init` and `destroy` belong to the control side while nobody else uses the ring. Each other function says
- * whose it is. HD_RT functions are real-time safe. */
+ * Threads: `init` and `destroy` are called by the control side while no other thread uses the ring. The comment of each
+ * other function names its thread. HD_RT functions are real-time safe. */
 #ifndef HD_RING_H
 #define HD_RING_H
 
@@ -42,7 +41,8 @@ struct hd_ring {
     uint64_t write_seen;
 };
 
-/* Takes zeroed memory for `capacity` records, a power of two. HD_ERR_INVALID or HD_ERR_MEMORY leave nothing behind. */
+/* Allocates zeroed memory for `capacity` records, a power of two. After HD_ERR_INVALID or HD_ERR_MEMORY nothing is
+ * allocated. */
 int hd_ring_init(struct hd_ring *ring, size_t record_size, size_t capacity);
 void hd_ring_destroy(struct hd_ring *ring);
 
@@ -50,14 +50,14 @@ HD_RT static inline void *hd_ring_slot(const struct hd_ring *ring, uint64_t inde
     return ring->slots + (size_t)(index & (ring->capacity - 1)) * ring->record_size;
 }
 
-/* Producer: how many records can be pushed now at the least. */
+/* Producer: returns a lower bound of the number of records that can be pushed now. */
 HD_RT static inline size_t hd_ring_free_space(struct hd_ring *ring) {
     ring->read_seen = hd_atomic_u64_load_acquire(&ring->read);
     return (size_t)(ring->capacity - (hd_atomic_u64_load_relaxed(&ring->write) - ring->read_seen));
 }
 
-/* Producer: the next slot, to be filled in place and then committed; NULL if the ring is full. Until the commit the
- * consumer sees nothing of it, and reserving again gives the same slot. */
+/* Producer: returns the next slot, to be filled in place and then committed; NULL if the ring is full. Until the commit
+ * the consumer does not see it, and reserving again returns the same slot. */
 HD_RT static inline void *hd_ring_reserve(struct hd_ring *ring) {
     uint64_t write = hd_atomic_u64_load_relaxed(&ring->write);
 
@@ -66,7 +66,7 @@ HD_RT static inline void *hd_ring_reserve(struct hd_ring *ring) {
     return hd_ring_slot(ring, write);
 }
 
-/* Producer: hands over the slot that was reserved. */
+/* Producer: hands the reserved slot over to the consumer. */
 HD_RT static inline void hd_ring_commit(struct hd_ring *ring) {
     hd_atomic_u64_store_release(&ring->write, hd_atomic_u64_load_relaxed(&ring->write) + 1);
 }
@@ -76,17 +76,17 @@ HD_RT int hd_ring_push(struct hd_ring *ring, const void *record);
 /* Producer: copies `count` records in, all or none; the consumer sees them at once. HD_OK or HD_ERR_FULL. */
 HD_RT int hd_ring_push_many(struct hd_ring *ring, const void *records, size_t count);
 
-/* Producer: one more record that found no room. */
+/* Producer: counts a record that was lost because the ring was full. */
 HD_RT static inline void hd_ring_drop(struct hd_ring *ring) {
     hd_atomic_u64_add_relaxed(&ring->dropped, 1);
 }
 
-/* Any thread: the running total of records that found no room. */
+/* Any thread: returns the total number of lost records. */
 HD_RT static inline uint64_t hd_ring_dropped(const struct hd_ring *ring) {
     return hd_atomic_u64_load_relaxed(&ring->dropped);
 }
 
-/* Consumer: the oldest record, valid until it is released; NULL if there is none. */
+/* Consumer: returns the oldest record, valid until it is released; NULL if the ring is empty. */
 HD_RT static inline const void *hd_ring_peek(struct hd_ring *ring) {
     uint64_t read = hd_atomic_u64_load_relaxed(&ring->read);
 
@@ -98,7 +98,7 @@ HD_RT static inline const void *hd_ring_peek(struct hd_ring *ring) {
     return hd_ring_slot(ring, read);
 }
 
-/* Consumer: gives the slot of the record that was peeked at back to the producer. */
+/* Consumer: returns the slot of the peeked record to the producer. */
 HD_RT static inline void hd_ring_release(struct hd_ring *ring) {
     hd_atomic_u64_store_release(&ring->read, hd_atomic_u64_load_relaxed(&ring->read) + 1);
 }

@@ -1,24 +1,22 @@
-/* The mark of functions that the servo thread may call: no allocation, no lock, no log, no system call but clock and
- * sleep. Where clang knows the attribute, -Wfunction-effects proves it at compile time and RealtimeSanitizer at run
- * time.
+/* HD_RT marks functions that the servo thread may call: no allocation, no lock, no log, no system call but clock and
+ * sleep. If clang knows the attribute, -Wfunction-effects proves it at compile time and RealtimeSanitizer at run time.
  *
- * The files of this room, each a tool for every other room:
+ * The files of this room, tools for every other room:
  *
  *   hd_rt         the marks of functions that the servo may call
  *   hd_atomic     atomics whose every access names its memory order
- *   hd_ring       records from one thread to one other, none lost
- *   hd_triple     the newest value from one thread to one other
- *   hd_spacing    the usual time between things that arrive
+ *   hd_ring       queue of records from one thread to another, without loss
+ *   hd_triple     newest value from one thread to another
+ *   hd_spacing    usual time between arrivals
  *   hd_clock      the servo's clock and its sleep
  *   hd_memory     memory touched and locked before the servo starts
- *   hd_cache      memory fetched before a tick uses it
- *   hd_histogram  how often a time was how long
+ *   hd_cache      memory prefetched before a tick uses it
+ *   hd_histogram  histograms of durations
  *   hd_vector     vectors of the plane
- *   hd_gaussian   Gaussian numbers out of random bits
- *   hd_holders    who holds a thing that several use: the last one frees it
+ *   hd_gaussian   Gaussian numbers from random bits
+ *   hd_holders    reference counts: the last holder frees an object
  *   hd_bits       numbers at any bit of a HID report
- *   hd_send       one message to many sockets in one call
- */
+ *   hd_send       one message to many sockets in one call */
 #ifndef HD_RT_H
 #define HD_RT_H
 
@@ -31,8 +29,8 @@
 #define HD_RT
 #endif
 
-/* Around calls into libm, the clock and the sleep: their headers do not say that they are nonblocking, and these are
- * the only foreign functions that the servo may call. */
+/* Put around calls of libm, the clock and the sleep, the only foreign functions that the servo may call: their headers
+ * do not declare them nonblocking. */
 #if defined(__clang__) && defined(__has_warning)
 #if __has_warning("-Wfunction-effects")
 #define HD_RT_FOREIGN_BEGIN _Pragma("clang diagnostic push") _Pragma("clang diagnostic ignored \"-Wfunction-effects\"")
@@ -44,8 +42,8 @@
 #define HD_RT_FOREIGN_END
 #endif
 
-/* Around the one system call by which the servo sleeps on something other than the clock: RealtimeSanitizer cannot know
- * that it is meant. */
+/* Put around the one system call by which the servo sleeps on something other than the clock, so that RealtimeSanitizer
+ * accepts it. */
 #if defined(__has_feature)
 #if __has_feature(realtime_sanitizer)
 #include <sanitizer/rtsan_interface.h>

@@ -1,5 +1,5 @@
-/* One message to many stream sockets in one call: whoever calls from an interpreter lets its lock go once, and not for
- * each of them. Control side. */
+/* Sends one message to many stream sockets in one call, so that a caller in Python releases the interpreter lock once
+ * and not for each socket. Control side. */
 #include <errno.h>
 #include <sys/socket.h>
 #include <sys/uio.h>

@@ -1,4 +1,4 @@
-/* The mean of spacings without the shortest and the longest of them. */
+/* The usual time between arrivals: the mean of spacings without the shortest and the longest. */
 #include "base/hd_spacing.h"
 
 HD_RT void hd_spacing_add(struct hd_spacing *spacing, double spacing_s) {

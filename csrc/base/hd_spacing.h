@@ -1,5 +1,5 @@
-/* The usual time between things that arrive one after the other: a mean over the last few that one late or early
- * arrival does not move. Owned by one thread. Seconds. */
+/* The usual time between arrivals: a mean over the last few, which one late or early arrival does not change much. Used
+ * by one thread. Seconds. */
 #ifndef HD_SPACING_H
 #define HD_SPACING_H
 
@@ -7,11 +7,11 @@
 
 #include "base/hd_rt.h"
 
-#define HD_SPACINGS 8u
+#define HD_SPACINGS 8u /* spacings in the mean */
 
-/* All zero: nothing is known. */
+/* All zero: no arrival yet. */
 struct hd_spacing {
-    double spacing_s[HD_SPACINGS]; /* the newest, a ring */
+    double spacing_s[HD_SPACINGS]; /* ring of the newest spacings */
     uint32_t count;
     uint32_t next;
 };
@@ -21,7 +21,8 @@ HD_RT static inline void hd_spacing_forget(struct hd_spacing *spacing) {
 }
 
 HD_RT void hd_spacing_add(struct hd_spacing *spacing, double spacing_s);
-/* The mean without the shortest and the longest where there are more than two; `otherwise` where there is none. */
+/* Returns the mean, without the shortest and the longest if there are more than two; `otherwise` if there are no
+ * spacings. */
 HD_RT double hd_spacing_usual(const struct hd_spacing *spacing, double otherwise);
 
 #endif

@@ -1,4 +1,4 @@
-/* The writer's side of the triple buffer. hd_triple.h draws who owns what. */
+/* The writer's side of the triple buffer. hd_triple.h shows which thread owns which buffer. */
 #include "base/hd_triple.h"
 
 void hd_triple_init(struct hd_triple *triple) {

@@ -1,6 +1,6 @@
-/* Latest-wins triple buffer of indices: the newest of what one writer thread publishes, for one reader thread. Neither
- * waits for the other; what is overtaken is skipped. The three buffers belong to the caller; here are only their
- * indices 0, 1, 2, and each of them has exactly one owner at any time:
+/* Triple buffer: passes the newest value that one writer thread publishes to one reader thread. Neither waits for the
+ * other; older values are skipped. The three buffers belong to the caller; this file handles only their indices 0, 1,
+ * 2, each of which has exactly one owner at any time:
  *
  *        writer                     shared                      reader
  *      +--------+    publish     +-----------+    acquire     +---------+
@@ -9,7 +9,7 @@
  *       may write    sets new    +-----------+   clears new    may read
  *       buffer[back]              nobody's                    buffer[front]
  *
- * Both exchanges are acquire and release: the reader sees the whole buffer that it acquires, and the writer may
+ * Both exchanges are acquire and release: the reader sees the complete buffer that it acquires, and the writer may
  * overwrite the buffer that it gets back, because the reader has finished with it. */
 #ifndef HD_TRIPLE_H
 #define HD_TRIPLE_H
@@ -29,10 +29,10 @@ struct hd_triple {
     alignas(HD_CACHE_LINE) uint32_t front;              /* the reader's alone */
 };
 
-/* Control side, before either thread uses it: the reader starts with index 0, and nothing is new. */
+/* Control side, before either thread uses it: the reader starts with index 0, and no value is new. */
 void hd_triple_init(struct hd_triple *triple);
 
-/* Writer: the index of the buffer that it may fill now. */
+/* Writer: returns the index of the buffer that it may fill now. */
 HD_RT static inline uint32_t hd_triple_back(const struct hd_triple *triple) {
     return triple->back;
 }
@@ -40,7 +40,7 @@ HD_RT static inline uint32_t hd_triple_back(const struct hd_triple *triple) {
 /* Writer: hands the back buffer over as the newest; `back` is another buffer afterwards, with old contents. */
 HD_RT void hd_triple_publish(struct hd_triple *triple);
 
-/* Reader: takes the newest buffer, if one was published since the last time; 1 if `front` changed, 0 if not. */
+/* Reader: takes the newest buffer if one was published since the last call; returns 1 if `front` changed, else 0. */
 HD_RT static inline int hd_triple_acquire(struct hd_triple *triple) {
     if ((hd_atomic_u32_load_relaxed(&triple->middle) & HD_TRIPLE_NEW) == 0)
         return 0;
@@ -48,7 +48,7 @@ HD_RT static inline int hd_triple_acquire(struct hd_triple *triple) {
     return 1;
 }
 
-/* Reader: the index of the buffer that it may read now. */
+/* Reader: returns the index of the buffer that it may read now. */
 HD_RT static inline uint32_t hd_triple_front(const struct hd_triple *triple) {
     return triple->front;
 }

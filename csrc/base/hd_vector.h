@@ -21,7 +21,7 @@ HD_RT static inline void hd_between(const double a[2], const double b[2], double
     out[1] = a[1] + fraction * (b[1] - a[1]);
 }
 
-/* The tangent that belongs to a normal: (1, 0) for a floor with the normal (0, 1). */
+/* The tangent of a surface with this normal: (1, 0) for a floor with the normal (0, 1). */
 HD_RT static inline void hd_tangent(const double normal[2], double out[2]) {
     out[0] = normal[1];
     out[1] = -normal[0];

@@ -1,29 +1,29 @@
-/* An actuator that lags behind what it is told, of first or second order, on a handle that a hand holds.
+/* A lagging actuator of first or second order, on a handle that a hand holds.
  *
- * Its force is F = u + e, u what it was told last (held from put to put) and e what it is off by, which decays by
- * itself:
+ * Its force is F = u + e, where u is the commanded force (held from put to put) and the error e decays freely:
  *
  *     order 1:  e' = -a e                  order 2:  e'' = -2 zeta a e' - a^2 e
  *
- * F goes on without a step where u is put anew, so that e takes the step. What e does to M x'' + B x' + k x = F is
- * linear in (e, e') at the beginning of a step; the power series of it, exact to rounding while the fastest of all
- * rates times the step is at most 1/2, are made once. A device without such a lag has order 0 and pays a comparison. */
+ * F is continuous when a new u is put, so e takes the step. The effect of e on M x'' + B x' + k x = F is linear in (e,
+ * e') at the start of a step. The coefficients of its power series are computed once; the series is exact to rounding
+ * while the step times the fastest rate is at most 1/2. A device without a lag has order 0, which costs one
+ * comparison. */
 #ifndef HD_ACTUATOR_H
 #define HD_ACTUATOR_H
 
 #include "api/hd_core.h"
 #include "base/hd_rt.h"
 
-#define HD_ACTUATOR_TERMS 16
+#define HD_ACTUATOR_TERMS 16 /* terms of the power series */
 
 struct hd_actuator {
     uint32_t order;
-    double fastest_per_s;                   /* no part of it is faster */
-    double shown[2][HD_ACTUATOR_TERMS + 1]; /* series of e that began as (1, 0) and as (0, 1): e_n/n! */
-    double moved[2][HD_ACTUATOR_TERMS];     /* of the position that each causes, but for a factor h^2 */
+    double fastest_per_s;                   /* fastest rate of the lag */
+    double shown[2][HD_ACTUATOR_TERMS + 1]; /* series of e for the initial values (e, e') = (1, 0) and (0, 1): e_n/n! */
+    double moved[2][HD_ACTUATOR_TERMS];     /* series of the position that each causes, divided by h^2 */
 };
 
-/* What (e, e') become and do in one step, for those two beginnings. */
+/* (e, e') and the motion after one step, for the initial values (1, 0) and (0, 1). */
 struct hd_actuator_step {
     double off_n[2];
     double off_n_per_s[2];
@@ -34,7 +34,7 @@ struct hd_actuator_step {
 /* Control side. `elastic` and `damped` are k/M and B/M. */
 void hd_actuator_make(struct hd_actuator *actuator, const struct hd_sim_config *config, double mass_kg, double damped,
                       double elastic);
-/* The fastest rate of what a configuration asks for, 1/s; 0: it acts at once. */
+/* Returns the fastest rate of the configured lag, 1/s; 0: no lag. */
 double hd_actuator_fastest(const struct hd_sim_config *config);
 
 HD_RT void hd_actuator_step_at(const struct hd_actuator *actuator, double span_s, struct hd_actuator_step *step);

@@ -1,28 +1,27 @@
-/* The servo's device: the simulated joystick or a HID device. All of it is the servo thread's own.
+/* The servo's device: the simulated joystick or a HID device. Only the servo thread uses it.
  *
  * The files of this room:
  *
  *   hd_device          one of the two, behind the same functions
  *   hd_sim             the simulated joystick: what the servo calls
- *   hd_sim_setup       made, put at another rate or another place
+ *   hd_sim_setup       makes and frees a simulation, sets its period and position
  *   hd_sim_state       what the files of the simulation share
- *   hd_sim_time        time goes on, from event to event
+ *   hd_sim_time        advances time from event to event
  *   hd_sim_solver      the motion of the handle between two events
- *   hd_actuator        an actuator that lags
- *   hd_operator        the path of the hand: waypoints, cut into segments
+ *   hd_actuator        a lagging actuator
+ *   hd_operator        the path of the hand: waypoints, split into segments
  *   hd_gesture_end     the event at the end of such a path
  *   hd_hid             a HID device: what the servo calls
- *   hd_hid_connection  what the files of a HID device share: mailboxes and threads; how a connection ends
- *   hd_hid_control     made, connected, disconnected; its counters
- *   hd_hid_mailboxes   the servo's side: the newest position, the newest force
+ *   hd_hid_connection  what the files of a HID device share: mailboxes, threads, the end of a connection
+ *   hd_hid_control     connects and disconnects a HID device; its counters
+ *   hd_hid_mailboxes   the servo's side: newest position, newest force
  *   hd_hid_interval    the time between two positions
  *   hd_hid_reader      the thread that reads reports
  *   hd_hid_writer      the thread that writes reports
- *   hd_report          reports: positions read from them, forces put into them
- *   hd_effects         strikes that the device plays by itself, made reports
- *   hd_signs           the check that a device pushes the right way
- *   hd_last_report     zero force when the process ends by a fault
- */
+ *   hd_report          reports: reads positions from them, writes forces into them
+ *   hd_effects         turns strikes that the device plays into reports
+ *   hd_signs           the check of the direction in which a device pushes
+ *   hd_last_report     zero force when the process crashes */
 #ifndef HD_DEVICE_H
 #define HD_DEVICE_H
 
@@ -38,7 +37,7 @@ struct hd_device {
     struct hd_hid *hid;
 };
 
-/* Control: the servo holds it, until it frees it. */
+/* Control: takes a reference for the servo, which hd_device_free drops. */
 static inline void hd_device_hold(const struct hd_device *device) {
     if (device->sim != NULL) {
         hd_sim_hold(device->sim);
@@ -52,7 +51,7 @@ static inline void hd_device_free(const struct hd_device *device) {
     hd_hid_free(device->hid);
 }
 
-/* Time has gone on by `periods` servo periods. */
+/* Advances a simulated device by `periods` servo periods. */
 HD_RT static inline void hd_device_advance(const struct hd_device *device, uint32_t periods) {
     if (device->sim != NULL) {
         hd_sim_step_advance(device->sim, periods);
@@ -79,7 +78,7 @@ HD_RT static inline void hd_device_put(const struct hd_device *device, int64_t n
     }
 }
 
-/* Asks for the memory that the next tick touches of it. */
+/* Prefetches the memory of the device that the next tick uses. */
 HD_RT static inline void hd_device_fetch(const struct hd_device *device) {
     if (device->sim != NULL) {
         hd_sim_step_fetch(device->sim);
@@ -88,12 +87,12 @@ HD_RT static inline void hd_device_fetch(const struct hd_device *device) {
     }
 }
 
-/* Whether it plays effects by itself, when it is told to strike them. */
+/* Returns whether the device plays effects, so that strikes can be sent to it. */
 HD_RT static inline int hd_device_has_effects(const struct hd_device *device) {
     return device->hid != NULL && hd_hid_step_has_effects(device->hid);
 }
 
-/* What the servo touches of it. */
+/* Returns the memory of the device that the servo uses. */
 static inline struct hd_region hd_device_region(const struct hd_device *device) {
     return device->sim != NULL ? (struct hd_region){device->sim, hd_sim_size()}
                                : (struct hd_region){device->hid, hd_hid_size()};

@@ -1,5 +1,5 @@
-/* Device effects: the queue of strikes from the servo, and the sender that makes reports of them. The servo's side
- * makes no system call and waits for nothing; the writer's side may take its time. */
+/* Device effects: the queue of strikes from the servo, and the sender that turns them into reports. The servo's side
+ * makes no system call and never waits; the writer's side may block. */
 #include "device/hd_effects.h"
 
 #include <math.h>
@@ -7,9 +7,9 @@
 
 #include "device/hd_report.h"
 
-#define HD_DURATION_MAX_NS 200000000
-#define HD_STOPPED_FOR_NS 100000000 /* after its end an effect still counts as playing: writes may have been slow */
-/* A direction that differs by less is the same one: that costs 0.06 % of the force, a report costs a frame. */
+#define HD_DURATION_MAX_NS 200000000 /* longest duration of an effect */
+#define HD_STOP_MARGIN_NS 100000000  /* effects count as playing until this time after their end: writes may be slow */
+/* A smaller change of direction is not sent: the error is 0.06 % of the force, whereas a report costs a frame. */
 #define HD_SAME_DIRECTION_RAD 0.035
 #define HD_HALF_TURN_RAD 3.14159265358979323846
 
@@ -55,16 +55,20 @@ void hd_effect_sender_init(struct hd_effect_sender *sender, const struct hd_effe
 
 static int effect_check(const struct hd_device_effect *effect, uint32_t index) {
     if (effect->id == 0 || effect->place >= HD_DEVICE_EFFECTS) {
-        return hd_invalid("effect %u: id %u at place %u", index, effect->id, effect->place);
+        return hd_invalid("effect %u: id %u must not be 0, place %u must be below %d", index, effect->id, effect->place,
+                          HD_DEVICE_EFFECTS);
     }
     if (effect->duration_ns <= 0 || effect->duration_ns > HD_DURATION_MAX_NS) {
-        return hd_invalid("effect %u: plays for %lld ns", index, (long long)effect->duration_ns);
+        return hd_invalid("effect %u: duration of %lld ns is not between 1 and %d", index,
+                          (long long)effect->duration_ns, HD_DURATION_MAX_NS);
     }
     if (!(effect->least_n >= 0.0 && effect->least_n <= effect->most_n && effect->most_n <= 1e9)) {
-        return hd_invalid("effect %u: coefficients from %g to %g N", index, effect->least_n, effect->most_n);
+        return hd_invalid("effect %u: coefficients from %g to %g N do not rise within 0 and 1e+09", index,
+                          effect->least_n, effect->most_n);
     }
     if (effect->message_count < 1 || effect->message_count > HD_DEVICE_EFFECT_MESSAGES) {
-        return hd_invalid("effect %u: %u messages", index, effect->message_count);
+        return hd_invalid("effect %u: %u messages, must be 1 to %d", index, effect->message_count,
+                          HD_DEVICE_EFFECT_MESSAGES);
     }
     for (uint32_t i = 0; i < effect->message_count; i++) {
         if (hd_report_check_message(&effect->messages[i], "effect", i) != HD_OK) {
@@ -72,7 +76,7 @@ static int effect_check(const struct hd_device_effect *effect, uint32_t index) {
         }
     }
     if (effect->stop.value_count != 0) {
-        return hd_invalid("effect %u: its stop carries numbers", index);
+        return hd_invalid("effect %u: the stop message contains numbers", index);
     }
     return hd_report_check_message(&effect->stop, "effect stop", index);
 }
@@ -100,7 +104,7 @@ static void end_strike(struct hd_effect_sender *sender, struct hd_effect_queue *
     }
 }
 
-/* The effect of an id, among those of now; NULL: it is gone. */
+/* Returns the current effect with this id; NULL if it was removed. */
 static const struct hd_device_effect *effect_of(struct hd_effect_sender *sender, uint32_t id) {
     hd_triple_acquire(&sender->triple);
     const struct hd_device_effects *effects = &sender->effects[hd_triple_front(&sender->triple)];
@@ -112,7 +116,8 @@ static const struct hd_device_effect *effect_of(struct hd_effect_sender *sender,
     return NULL;
 }
 
-/* The oldest strike that the device would feel becomes the one under way. 0: there is none. */
+/* Takes the oldest strike that is large enough to send as the current one. Returns 0 if the queue has no such
+ * strike. */
 static int take_strike(struct hd_effect_sender *sender, struct hd_effect_queue *queue) {
     const struct hd_effect_strike *strike;
     while ((strike = hd_ring_peek(&queue->ring)) != NULL) {
@@ -148,8 +153,8 @@ static int take_strike(struct hd_effect_sender *sender, struct hd_effect_queue *
     return 0;
 }
 
-/* The next message of the strike under way, which its start ends. */
-static uint32_t compose(struct hd_effect_sender *sender, struct hd_effect_queue *queue, uint8_t *bytes) {
+/* Writes the next message of the current strike; the start message is its last. */
+static uint32_t compose_next(struct hd_effect_sender *sender, struct hd_effect_queue *queue, uint8_t *bytes) {
     const struct hd_device_effect *effect = sender->effect;
     struct hd_effect_state *state = &sender->states[effect->place];
     for (;;) {
@@ -177,8 +182,8 @@ static uint32_t compose(struct hd_effect_sender *sender, struct hd_effect_queue 
 uint32_t hd_effect_sender_next(struct hd_effect_sender *sender, struct hd_effect_queue *queue, int64_t now_ns,
                                int64_t since_ns, int open, uint8_t *bytes) {
     const uint32_t silence = hd_atomic_u32_load_acquire(&queue->silence);
-    const int anew = since_ns != sender->since_ns;
-    const int quiet = anew || !open || silence != sender->silence;
+    const int reconnected = since_ns != sender->since_ns;
+    const int quiet = reconnected || !open || silence != sender->silence;
     sender->since_ns = since_ns;
     sender->silence = silence;
     if (quiet) {
@@ -187,12 +192,12 @@ uint32_t hd_effect_sender_next(struct hd_effect_sender *sender, struct hd_effect
     for (uint32_t i = 0; i < HD_DEVICE_EFFECTS; i++) {
         struct hd_effect_state *state = &sender->states[i];
         if ((sender->started & 1u << i) != 0) {
-            state->until_ns = now_ns + state->duration_ns + HD_STOPPED_FOR_NS;
+            state->until_ns = now_ns + state->duration_ns + HD_STOP_MARGIN_NS;
         }
         if (quiet && state->until_ns > now_ns) {
             sender->stopping |= 1u << i;
         }
-        if (anew) {
+        if (reconnected) {
             state->known = 0;
             state->aimed = 0;
         }
@@ -210,7 +215,7 @@ uint32_t hd_effect_sender_next(struct hd_effect_sender *sender, struct hd_effect
         const struct hd_effect_strike *strike = &sender->strike;
         if (open && strike->silence == silence && strike->time_ns >= since_ns &&
             now_ns - strike->time_ns <= HD_EFFECT_AGE_NS) {
-            return compose(sender, queue, bytes);
+            return compose_next(sender, queue, bytes);
         }
         end_strike(sender, queue);
     }

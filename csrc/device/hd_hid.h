@@ -1,64 +1,66 @@
-/* A HID device, from the inside of the core: what the servo thread calls. None of that makes a system call but
- * hd_hid_step_await, which sleeps. One thread at a time is the servo of a device. */
+/* A HID device: the functions that the servo thread calls. Only hd_hid_step_await, which sleeps, makes a system call.
+ * One thread at a time is the servo of a device. */
 #ifndef HD_HID_H
 #define HD_HID_H
 
 #include "api/hd_core.h"
 #include "base/hd_rt.h"
 
-/* What the servo sees of a device in one look. */
+/* What the servo reads from a device in a tick. */
 struct hd_look {
     struct hd_reading reading;
-    uint32_t connection; /* number of the connection that the position is of; 0: none yet */
-    uint32_t fresh;      /* 1: the device has said where it is since the last look */
-    uint32_t gone;       /* 1: there is no connection, or it has not yet said where it is and an earlier one had */
-    const struct hd_hid_signs *signs; /* of that connection */
+    uint32_t connection;              /* number of the connection that the position belongs to; 0: no position yet */
+    uint32_t fresh;                   /* 1: the device reported a position since the last call */
+    uint32_t gone;                    /* 1: not connected, or no position yet although an earlier connection had one */
+    const struct hd_hid_signs *signs; /* signs of that connection */
 };
 
-/* The newest position. The first of a connection has interval 0: nothing is known of what was before it. A device that
- * reports only what changes is taken to have said the same again, while it is silent. */
+/* Reads the newest position. The first one of a connection has interval 0, because the time before it is unknown. The
+ * silence of a device that reports changes only counts as repeated reports of the same position. */
 HD_RT void hd_hid_step_look(struct hd_hid *hid, int64_t now_ns, struct hd_look *look);
-/* The writer sends this force as soon as it can, unless another one overtakes it. `now_ns`: a force older than 0.1 s is
- * none. */
+/* Puts a force, which the writer sends as soon as it can, unless a newer one replaces it. `now_ns`: time of the force;
+ * it expires after 0.1 s. */
 HD_RT void hd_hid_step_put(struct hd_hid *hid, int64_t now_ns, const double force_n[2]);
-/* 1: the device plays effects by itself (hd_hid_set_effects), so that strikes may be put. */
+/* Returns 1 if the device plays effects (hd_hid_set_effects), so that strikes can be sent to it. */
 HD_RT int hd_hid_step_has_effects(const struct hd_hid *hid);
-/* The device plays an effect with this coefficient, as soon as the writer comes to it; counted where there is no room.
- */
+/* Queues a strike of an effect with this coefficient for the writer; counted as lost if the queue is full. */
 HD_RT void hd_hid_step_strike(struct hd_hid *hid, int64_t now_ns, uint32_t effect, const double force_n[2]);
-/* The forces are no longer fully on: what plays is stopped, what was put and not sent is forgotten. */
+/* Stops playing effects and drops queued strikes, because the forces are no longer fully on. */
 HD_RT void hd_hid_step_silence(struct hd_hid *hid);
-/* Sleeps until there is a position that no earlier call has told of, or `until_ns`. 1: there is, and when it came. */
+/* Sleeps until there is a position that no earlier call has returned, or until `until_ns`. Returns 1 and the arrival
+ * time if there is. */
 HD_RT int hd_hid_step_await(struct hd_hid *hid, int64_t until_ns, int64_t *arrival_ns);
-/* Asks for the memory that a look and a put touch. */
+/* Prefetches the memory that hd_hid_step_look and hd_hid_step_put use. */
 HD_RT void hd_hid_step_fetch(const struct hd_hid *hid);
-/* Control, before the servo starts: somebody awaits positions, so the reader has to wake. */
+/* Control, before the servo starts: makes the reader wake the servo, which awaits positions. */
 void hd_hid_await_enable(struct hd_hid *hid);
-/* Control, before the servo starts: the writer need not look for a force sooner than that after another. 0 at first. */
+/* Control, before the servo starts: sets the time between two ticks, before which the writer need not poll for a new
+ * force. Initially 0. */
 void hd_hid_expect_ticks(struct hd_hid *hid, int64_t tick_ns);
-/* Control, before a connection: how long what is written at its end may take. 0.5 s at first. */
+/* Control, before a connection: sets the time limit for the writes at its end. Initially 0.5 s. */
 void hd_hid_set_parting(struct hd_hid *hid, int64_t parting_ns);
 
-#define HD_FORGET_RENEWALS 2 /* an effect that ended plays again after so many, or is forgotten */
+/* An effect that ended was lost by the device if it does not play again after this many renewals. */
+#define HD_FORGET_RENEWALS 2
 
-/* What the effects of a connection did over their renewals; zero at its beginning. The writer's. */
+/* Play state of a connection's effects over their renewals; initially zero. Used by the writer. */
 struct hd_renewals {
-    uint32_t played[HD_HID_EFFECTS]; /* it played at so many in a row, up to `proof` */
-    uint32_t waited[HD_HID_EFFECTS]; /* since it ended; one more than HD_FORGET_RENEWALS: that was told */
-    int proven;                      /* effects play on when they are renewed, by what the device says */
-    int guessed;                     /* it was told without that */
+    uint32_t played[HD_HID_EFFECTS]; /* consecutive renewals at which effect i played, up to `proof` */
+    uint32_t waited[HD_HID_EFFECTS]; /* renewals since effect i ended; HD_FORGET_RENEWALS + 1: its loss was returned */
+    int proven;                      /* 1: the device reports that renewed effects continue to play */
+    int guessed;                     /* 1: a loss was returned without such a proof */
 };
 
-/* Whether the device has forgotten an effect; asked once whenever effects are about to be renewed. Bit i of `playing`:
- * effect i plays; of `ended`: it did, and does not. `excused`: the device has said otherwise why it shows none.
- * Renewals are counted and not time: an effect that ran out because the writer was held up plays again after the next
- * one. */
+/* Returns whether the device has lost an effect; called once before each renewal. Bit i of `playing`: effect i plays;
+ * of `ended`: it played and has stopped. `excused`: the device reported another reason for not playing. Renewals are
+ * counted instead of time, because an effect that ran out while the writer was delayed plays again after the next
+ * renewal. */
 int hd_hid_forgotten(struct hd_renewals *renewals, const struct hd_hid_effects *effects, uint32_t playing,
                      uint32_t ended, int excused);
 
-/* Control: one more holds it, and calls hd_hid_free. */
+/* Control: takes a reference, which hd_hid_free drops. */
 void hd_hid_hold(struct hd_hid *hid);
-/* How much memory *hid is: the servo locks it. */
+/* Returns the size of *hid, which the servo locks. */
 size_t hd_hid_size(void);
 
 #endif

@@ -1,4 +1,4 @@
-/* What the threads of a HID connection and control do alike: end it, give its memory back, tell control. */
+/* The end of a HID connection, shared by its threads and control: ends it, frees it, notifies control. */
 #include "device/hd_hid_connection.h"
 
 #include <errno.h>
@@ -7,7 +7,7 @@
 
 void hd_hid_signal(int fd) {
     const uint64_t one = 1;
-    /* Refused only where the count is at its end: then it is readable anyway. */
+    /* The write fails only if the count is at its maximum, and then the descriptor is readable anyway. */
     while (write(fd, &one, sizeof one) < 0 && errno == EINTR) {
     }
 }

@@ -1,5 +1,5 @@
-/* A HID device, on the control side: made, connected over a hidraw node by two threads, and disconnected; and its
- * counters. hd_hid_connection.h draws the whole. */
+/* The control side of a HID device: makes it, connects it over a hidraw node with two threads, disconnects it, and
+ * reads its counters. hd_hid_connection.h gives the overview. */
 #include "device/hd_hid_connection.h"
 
 #include <errno.h>
@@ -16,7 +16,7 @@
 #include "base/hd_clock.h"
 #include "device/hd_last_report.h"
 
-#define HD_PARTING_NS 500000000 /* for what is written at the end, unless hd_hid_set_parting says otherwise */
+#define HD_PARTING_NS 500000000 /* default time limit for the writes at the end, see hd_hid_set_parting */
 
 struct hd_hid *hd_hid_new(void) {
     struct hd_hid *hid = NULL;
@@ -87,8 +87,8 @@ static struct hd_connection *connection_new(struct hd_hid *hid, const struct hd_
     return connection;
 }
 
-/* What a new connection knows nothing of. */
-static void forget(struct hd_hid *hid) {
+/* Resets the state and the counters for a new connection. */
+static void reset_counters(struct hd_hid *hid) {
     hd_atomic_u32_store_relaxed(&hid->error, 0);
     hd_atomic_u32_store_relaxed(&hid->reset, 0);
     hd_atomic_u32_store_relaxed(&hid->paused, 0);
@@ -126,8 +126,8 @@ static int create_thread(pthread_t *thread, void *(*run)(void *), struct hd_conn
     return error;
 }
 
-/* Signals are for the process's own threads, but those of their faults; SIGPIPE is what a device that left would send
- * to the writer. 0, or an errno and no thread. */
+/* Starts both threads with all signals blocked except those of crashes, so that signals go to the process's other
+ * threads and an unplugged device cannot send SIGPIPE to the writer. Returns 0, or an errno with no thread running. */
 static int create_threads(struct hd_connection *connection, int priority) {
     sigset_t all;
     sigset_t before;
@@ -150,7 +150,7 @@ static int create_threads(struct hd_connection *connection, int priority) {
 int hd_hid_connect(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd, int priority) {
     if (hid->connection != NULL) {
         if (hd_atomic_u32_load_acquire(&hid->connected)) {
-            return hd_invalid("hid: there is a connection already");
+            return hd_invalid("hid: already connected");
         }
         hd_hid_disconnect(hid, 0);
     }
@@ -165,12 +165,12 @@ int hd_hid_connect(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd, i
     if (connection == NULL) {
         return errno == ENOMEM || errno == 0 ? HD_ERR_MEMORY : HD_ERR_SYSTEM;
     }
-    forget(hid);
+    reset_counters(hid);
     const uint32_t number = hd_atomic_u32_load_relaxed(&hid->connection_number) + 1;
     hd_atomic_u32_store_relaxed(&hid->connection_number, number);
     connection->known.connection = number;
-    /* What waits to be read is from before: it tells where the handle is and how the device is, but nothing that has
-     * happened to it since it was set up. What ends the connection, the reader meets again. */
+    /* Waiting reports are older than the connection: they give position and state of the device, but do not show events
+     * after its set-up. An error is ignored here, because the reader meets it again. */
     struct pollfd waiting = {.fd = connection->fd, .events = POLLIN};
     if (poll(&waiting, 1, 0) > 0 && (waiting.revents & POLLIN) != 0) {
         hd_hid_drain(connection, connection->start_ns, 0);
@@ -187,8 +187,8 @@ int hd_hid_connect(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd, i
     return HD_OK;
 }
 
-/* Joins the writer, or gives it up if it is in write() when the time is over: a write to a device may block for
- * seconds, and nothing can interrupt it. 0 or an errno. */
+/* Joins the writer, or abandons it if it is in write() at the deadline: a write to a device may block for seconds and
+ * cannot be interrupted. Returns 0 or an errno. */
 static int join_writer(struct hd_connection *connection) {
     const pthread_t writer = connection->writer;
     struct pollfd has_left = {.fd = connection->left_fd, .events = POLLIN};
@@ -236,7 +236,7 @@ int hd_hid_set_effects(struct hd_hid *hid, const struct hd_device_effects *effec
 }
 
 void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status) {
-    /* These first: the rest is as new as they are. */
+    /* These are read first, so that the others are at least as new. */
     const uint64_t reports = hd_atomic_u64_load_acquire(&hid->reports);
     const uint32_t connected = hd_atomic_u32_load_acquire(&hid->connected);
     *status = (struct hd_hid_status){

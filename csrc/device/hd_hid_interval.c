@@ -1,15 +1,17 @@
-/* The time between two positions of a HID device, as the servo takes it: learns what is usual, corrects what is not. */
+/* The time between two positions of a HID device, as the servo uses it: learns the usual interval and corrects
+ * outliers. */
 #include "device/hd_hid_interval.h"
 
-#define HD_UNUSUAL_S 0.05     /* longer intervals between reports are pauses */
-#define HD_USUAL_REPORTS 4    /* of a device that reports what changes: as many together say what is usual */
-#define HD_FRAME_S 1e-3       /* the shortest time between two reports of a full-speed device */
-#define HD_USUAL_FIRST_S 0.01 /* before there were two reports; low-speed devices have it */
-#define HD_LEAST_INTERVAL_S 1e-6
+#define HD_UNUSUAL_S 0.05 /* longer intervals between reports count as pauses */
+/* Reports from which the usual interval of a device that reports changes only is learned together. */
+#define HD_USUAL_REPORTS 4
+#define HD_FRAME_S 1e-3          /* the shortest time between two reports of a full-speed device */
+#define HD_USUAL_FIRST_S 0.01    /* usual interval assumed before the second report; that of low-speed devices */
+#define HD_LEAST_INTERVAL_S 1e-6 /* smallest interval returned */
 
-/* What is usual between two reports, when `count` of them took `elapsed_s`. A device that reports only what changes is
- * silent now and then, so its shorter intervals say more; of several reports together, since the one after a report
- * that was held up comes too soon. */
+/* Updates the usual interval between two reports after `count` reports within `elapsed_s`. A device that reports
+ * changes only is silent at times, so its shorter intervals have more weight. They are means over several reports,
+ * because the report after a delayed one arrives too soon. */
 HD_RT static void learn_usual(struct hd_hid_interval *interval, double elapsed_s, uint64_t count) {
     const double mean_s = elapsed_s / (double)count;
     if (!(mean_s < HD_UNUSUAL_S)) {
@@ -22,13 +24,14 @@ HD_RT static void learn_usual(struct hd_hid_interval *interval, double elapsed_s
     } else if (mean_s < interval->usual_s) {
         interval->usual_s += (mean_s - interval->usual_s) / 4.0;
     } else {
-        /* A long one may be a pause and counts for little; not for nothing, or a burst would be usual for good. */
+        /* A long interval may be a pause and has little weight, but not zero, or the interval of a burst would stay for
+         * ever. */
         const double most_s = 3.0 * interval->usual_s;
         interval->usual_s += ((mean_s < most_s ? mean_s : most_s) - interval->usual_s) / 64.0;
     }
 }
 
-HD_RT static void learn(struct hd_hid_interval *interval, int64_t arrival_ns, uint64_t number) {
+HD_RT static void learn_interval(struct hd_hid_interval *interval, int64_t arrival_ns, uint64_t number) {
     if (!interval->on_change) {
         learn_usual(interval, (double)(arrival_ns - interval->arrival_ns) * 1e-9, number - interval->number);
         return;
@@ -51,11 +54,11 @@ HD_RT void hd_hid_interval_begin(struct hd_hid_interval *interval, int64_t arriv
 
 HD_RT double hd_hid_interval_next(struct hd_hid_interval *interval, int64_t arrival_ns, uint64_t number) {
     const uint64_t count = number - interval->number;
-    learn(interval, arrival_ns, number);
-    /* A report that was held up on its way is followed by one on time, which would make the step between them look
-     * too fast by far. So reports are half of what is usual apart at least; what that adds is taken back by those
-     * that follow. */
-    const int pauses = interval->on_change && interval->usual_s > HD_FRAME_S; /* may be in what is usual */
+    learn_interval(interval, arrival_ns, number);
+    /* After a delayed report the next one arrives on time, and the step between them would seem much too fast. So each
+     * interval is at least half of the usual one; the following intervals take back what that adds. */
+    const int pauses =
+        interval->on_change && interval->usual_s > HD_FRAME_S; /* the usual interval may include pauses */
     const double least_s = 0.5 * (pauses ? HD_FRAME_S : interval->usual_s) * (double)count;
     const double since_s = (double)(arrival_ns - interval->time_ns) * 1e-9;
     const double longer_s = since_s > least_s ? since_s : least_s;
@@ -72,7 +75,7 @@ HD_RT double hd_hid_interval_silent(struct hd_hid_interval *interval, int64_t no
     if (!interval->on_change || !(since_s > 1.5 * usual_s)) {
         return 0.0;
     }
-    /* Not as of now: a report may be on its way here, and must come later. */
+    /* Half an interval before now, because a report may be on its way and must get a later time. */
     const double interval_s = since_s - 0.5 * usual_s;
     interval->time_ns += (int64_t)(interval_s * 1e9);
     return interval_s;

@@ -1,5 +1,5 @@
-/* What the servo calls of a HID device: it takes the newest position and puts the newest force, and neither waits nor
- * makes a system call, but where it sleeps until a position arrives. Servo thread. */
+/* The servo's side of a HID device: takes the newest position and puts the newest force, without waiting and without
+ * system calls, except hd_hid_step_await, which sleeps until a position arrives. Servo thread. */
 #include "device/hd_hid_connection.h"
 
 #include <linux/futex.h>
@@ -9,7 +9,7 @@
 #include "base/hd_cache.h"
 #include "base/hd_clock.h"
 
-HD_RT static void see(struct hd_hid *hid, const struct hd_position *position) {
+HD_RT static void take_position(struct hd_hid *hid, const struct hd_position *position) {
     if (position->connection != hid->seen_connection) {
         hid->seen_connection = position->connection;
         hid->seen_signs = position->signs;
@@ -26,15 +26,15 @@ HD_RT void hd_hid_step_look(struct hd_hid *hid, int64_t now_ns, struct hd_look *
     look->gone = !hd_atomic_u32_load_acquire(&hid->connected);
     look->fresh = 0;
     hid->seen.interval_s = 0.0;
-    /* A position of a connection that has ended is none. */
+    /* Positions of a connection that has ended are ignored. */
     if (!look->gone && hd_triple_acquire(&hid->position_triple)) {
         const struct hd_position *position = &hid->positions[hd_triple_front(&hid->position_triple)];
         if (position->connection == hd_atomic_u32_load_relaxed(&hid->connection_number)) {
-            see(hid, position);
+            take_position(hid, position);
             look->fresh = 1;
         }
     }
-    /* No force that is of where another connection's handle was. */
+    /* The handle's position in another connection must not cause a force in this one. */
     const int known = hid->seen_connection == hd_atomic_u32_load_relaxed(&hid->connection_number);
     look->gone |= hid->seen_connection != 0 && !known;
     if (!look->gone && !look->fresh && known) {

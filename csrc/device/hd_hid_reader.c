@@ -1,5 +1,5 @@
-/* The reader of a HID connection: poll, drain to the newest report, publish its position with the time at which poll
- * returned; and what reports say of the device itself. A thread of its own while connected. */
+/* The reader of a HID connection: polls, drains to the newest report, publishes its position with the time at which
+ * poll returned, and notes the state of the device. A separate thread while connected. */
 #include "device/hd_hid_connection.h"
 
 #include <errno.h>
@@ -14,7 +14,8 @@
 
 #define HD_DRAIN_MAX 256 /* reports read before the newest is published; hidraw keeps 64 */
 
-/* What a report says of the device itself. `watching`: control has set the device up, so a change is not its doing. */
+/* Takes the states of the device from a report. `watching`: control has set the device up, so it did not cause the
+ * change. */
 static void take_states(struct hd_hid *hid, const struct hd_report_news *news, int watching) {
     const uint32_t before = hd_atomic_u32_load_relaxed(&hid->states);
     const uint32_t known = hd_atomic_u32_load_relaxed(&hid->states_known);
@@ -37,7 +38,8 @@ static void take_states(struct hd_hid *hid, const struct hd_report_news *news, i
     }
 }
 
-/* What a report says of an effect of ours. `watching` as above: of an effect that ended before, nothing follows. */
+/* Takes the play state of one of our effects from a report. `watching` as above: the end of an effect before the set-up
+ * is ignored. */
 static void take_effects(struct hd_connection *connection, const struct hd_report_news *news, int watching) {
     const uint32_t playing = hd_atomic_u32_load_relaxed(&connection->playing);
     const uint32_t ended = hd_atomic_u32_load_relaxed(&connection->ended);
@@ -52,11 +54,12 @@ static void take_effects(struct hd_connection *connection, const struct hd_repor
     }
 }
 
-/* One read(). 1: a report was read; 0: interrupted, or nothing there; else -errno. */
+/* Calls read() once. Returns 1 if a report was read, 0 if interrupted or nothing was waiting, else -errno. */
 static int read_report(struct hd_connection *connection, int64_t now_ns, int watching, int *moved) {
     struct hd_hid *hid = connection->hid;
     uint8_t report[HD_HID_REPORT_BYTES];
-    const size_t id = hd_report_numbered(&connection->plan) ? 0 : 1; /* one that the device does not send */
+    const size_t id =
+        hd_report_numbered(&connection->plan) ? 0 : 1; /* 1: reports have no id, and an id of 0 is put in front */
     report[0] = 0;
     const ssize_t length = read(connection->fd, &report[id], sizeof report - id);
     if (length < 0) {
@@ -145,7 +148,7 @@ void *hd_hid_reader_main(void *argument) {
         if ((polled[0].revents & POLLIN) != 0) {
             error = hd_hid_drain(connection, now_ns, 1);
         } else if (polled[0].revents != 0) {
-            error = ENODEV; /* unplugged, and nothing left to read */
+            error = ENODEV; /* unplugged, and no report is waiting */
         }
         if (error != 0) {
             hd_connection_fail(connection, error);

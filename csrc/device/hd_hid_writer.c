@@ -1,5 +1,5 @@
-/* The writer of a HID connection: take the newest force, compose, write what has changed; renew in time. A thread of
- * its own while connected. */
+/* The writer of a HID connection: takes the newest force, composes reports, writes those that changed, renews effects
+ * in time. A separate thread while connected. */
 #include "device/hd_hid_connection.h"
 
 #include <errno.h>
@@ -13,14 +13,14 @@
 #include "device/hd_last_report.h"
 #include "device/hd_report.h"
 
-#define HD_FRESH_NS 4000000       /* so long at most a newer force is waited for */
-#define HD_RETURN_NS 20000000     /* over which the force comes back after a reset */
-#define HD_LOOK_NS 50000          /* how often the writer looks for a force that is due */
-#define HD_LOOK_MOST_NS 1000000   /* and for one that is not: it renews and ends, too */
-#define HD_FORCE_AGE_NS 100000000 /* an older force is none */
-#define HD_IDLE_NS 1000000        /* passes further apart say nothing about how fast the device takes them */
-#define HD_MEAN_SHIFT 5           /* running means are over 32 */
-#define HD_UNTOLD_NS 100000000    /* so long a device has to say that its effects play */
+#define HD_FRESH_WAIT_NS 4000000       /* longest wait for a newer force */
+#define HD_RETURN_NS 20000000          /* time over which the force returns after a reset */
+#define HD_POLL_NS 50000               /* polling interval while a force is due */
+#define HD_POLL_MAX_NS 1000000         /* longest sleep, because the writer also renews effects and ends */
+#define HD_FORCE_AGE_NS 100000000      /* an older force counts as zero */
+#define HD_IDLE_NS 1000000             /* intervals with more idle time are not part of the running mean */
+#define HD_MEAN_SHIFT 5                /* running means are over 2^5 = 32 values */
+#define HD_EFFECTS_REPORT_NS 100000000 /* time within which a device must report that its effects play */
 
 /* ---- One report -------------------------------------------------------------------------------------------------- */
 
@@ -29,7 +29,7 @@ static void running_mean(struct hd_atomic_i64 *mean, int64_t value) {
     hd_atomic_i64_store_relaxed(mean, before == 0 ? value : before + (value - before) / (1 << HD_MEAN_SHIFT));
 }
 
-/* Waits until a descriptor that does not block takes more. 0, ECANCELED where the connection ends meanwhile, or an
+/* Waits until a non-blocking descriptor accepts more. Returns 0, ECANCELED if the connection ends meanwhile, or an
  * errno. */
 static int wait_writable(struct hd_connection *connection) {
     struct pollfd polled[2] = {{.fd = connection->fd, .events = POLLOUT}, {.fd = connection->end_fd, .events = POLLIN}};
@@ -46,8 +46,8 @@ static int wait_writable(struct hd_connection *connection) {
     return ready == 0 ? ETIMEDOUT : !connection->leaving && polled[1].revents != 0 ? ECANCELED : 0;
 }
 
-/* Writes one report. 0, the errno of what ends the connection, ECANCELED where it has ended, or -1: given up by
- * control, which leaves nothing but `connection` itself to touch. */
+/* Writes one report. Returns 0, the errno of an error that ends the connection, ECANCELED if it has ended, or -1 if
+ * control abandoned the writer, which then may use only `connection` itself. */
 static int write_report(struct hd_connection *connection, const uint8_t *bytes, uint32_t length) {
     struct hd_hid *hid = connection->hid;
     for (;;) {
@@ -70,7 +70,7 @@ static int write_report(struct hd_connection *connection, const uint8_t *bytes, 
             const int64_t half_ns = (end_ns - start_ns) / 2;
             connection->next_write_ns = start_ns + connection->plan.write_interval_ns;
             connection->written_ns = end_ns;
-            connection->fresh_until_ns = end_ns + (half_ns < HD_FRESH_NS ? half_ns : HD_FRESH_NS);
+            connection->fresh_until_ns = end_ns + (half_ns < HD_FRESH_WAIT_NS ? half_ns : HD_FRESH_WAIT_NS);
             hd_atomic_u64_add_relaxed(&hid->writes, 1);
             running_mean(&hid->write_ns, end_ns - start_ns);
             return 0;
@@ -88,11 +88,11 @@ static int write_report(struct hd_connection *connection, const uint8_t *bytes, 
     }
 }
 
-/* ---- The force as of now ----------------------------------------------------------------------------------------- */
+/* ---- The current force ------------------------------------------------------------------------------------------- */
 
-/* How much of the force a device that was reset or paused gets: nothing until it is set up again or goes on, then more
- * and more. */
-static double returned(struct hd_hid *hid, int64_t now_ns) {
+/* Returns the gain of the force, 0 to 1, for a device that was reset or paused: 0 until it is set up again or the pause
+ * ends, then rising over HD_RETURN_NS. */
+static double return_gain(struct hd_hid *hid, int64_t now_ns) {
     if (hd_atomic_u32_load_acquire(&hid->reset) || hd_atomic_u32_load_acquire(&hid->paused)) {
         return 0.0;
     }
@@ -100,14 +100,14 @@ static double returned(struct hd_hid *hid, int64_t now_ns) {
     return since < 1.0 ? since > 0.0 ? since : 0.0 : 1.0;
 }
 
-/* The force as of now: the newest, unless it is too old, of an earlier connection, or not finite. */
+/* Takes the newest force, or zero if it is too old, from an earlier connection, or not finite. */
 static void take_force(struct hd_connection *connection, int64_t now_ns, double force_n[2]) {
     struct hd_hid *hid = connection->hid;
     hd_triple_acquire(&hid->force_triple);
     const struct hd_force *force = &hid->forces[hd_triple_front(&hid->force_triple)];
     const int good = force->time_ns >= connection->start_ns && now_ns - force->time_ns <= HD_FORCE_AGE_NS &&
                      isfinite(force->force_n[0]) && isfinite(force->force_n[1]);
-    const double share = good ? returned(hid, now_ns) : 0.0;
+    const double share = good ? return_gain(hid, now_ns) : 0.0;
     force_n[0] = good ? share * force->force_n[0] : 0.0;
     force_n[1] = good ? share * force->force_n[1] : 0.0;
     if (force_n[0] != 0.0 || force_n[1] != 0.0) {
@@ -115,25 +115,26 @@ static void take_force(struct hd_connection *connection, int64_t now_ns, double 
     }
 }
 
-/* Whether the force at hand is from before the last write was done. */
+/* Returns whether the newest force is older than the end of the last write. */
 static int is_stale(const struct hd_connection *connection) {
     const struct hd_hid *hid = connection->hid;
     return hid->forces[hd_triple_front(&hid->force_triple)].time_ns <= connection->written_ns;
 }
 
-/* When to look for a newer force than the one at hand: a look before it may be there, then every 50 us. */
-static int64_t next_look_ns(const struct hd_connection *connection) {
+/* Returns when to poll for a newer force: 50 us before the next one may be there, then every 50 us. */
+static int64_t next_poll_ns(const struct hd_connection *connection) {
     const struct hd_hid *hid = connection->hid;
     const int64_t now_ns = hd_clock_now_ns();
     const int64_t due_ns = hid->forces[hd_triple_front(&hid->force_triple)].time_ns +
-                           hd_atomic_i64_load_relaxed(&hid->tick_ns) - HD_LOOK_NS;
-    const int64_t soonest_ns = now_ns + HD_LOOK_NS;
-    const int64_t latest_ns = now_ns + HD_LOOK_MOST_NS;
+                           hd_atomic_i64_load_relaxed(&hid->tick_ns) - HD_POLL_NS;
+    const int64_t soonest_ns = now_ns + HD_POLL_NS;
+    const int64_t latest_ns = now_ns + HD_POLL_MAX_NS;
     return due_ns < soonest_ns ? soonest_ns : due_ns > latest_ns ? latest_ns : due_ns;
 }
 
-/* A message as of now. A write that blocked ends with a frame, and the next one brings a position: what is in the
- * mailbox then is a frame old, so that half as long as the write took a newer force is waited for (docs/adr/0014). */
+/* Composes a message with the current force. A write that blocked ends with a frame of the link, and the next frame
+ * brings a position; the force in the mailbox is then a frame old. So a newer one is awaited for up to half the
+ * duration of the write (docs/adr/0014). */
 static void compose_now(struct hd_connection *connection, const struct hd_hid_message *message, uint8_t *bytes) {
     double force_n[2] = {0.0, 0.0};
     if (hd_clock_now_ns() < connection->next_write_ns) {
@@ -142,8 +143,8 @@ static void compose_now(struct hd_connection *connection, const struct hd_hid_me
     if (connection->begun && !connection->leaving) {
         take_force(connection, hd_clock_now_ns(), force_n);
         while (is_stale(connection) && hd_clock_now_ns() < connection->fresh_until_ns) {
-            const int64_t look_ns = next_look_ns(connection);
-            hd_clock_sleep_until(look_ns < connection->fresh_until_ns ? look_ns : connection->fresh_until_ns);
+            const int64_t poll_ns = next_poll_ns(connection);
+            hd_clock_sleep_until(poll_ns < connection->fresh_until_ns ? poll_ns : connection->fresh_until_ns);
             take_force(connection, hd_clock_now_ns(), force_n);
         }
     }
@@ -152,8 +153,8 @@ static void compose_now(struct hd_connection *connection, const struct hd_hid_me
 
 /* ---- Scripts ----------------------------------------------------------------------------------------------------- */
 
-/* Goes once through the force messages, each with the force as it is when its turn comes: the second may be newer than
- * the first. `all`: also those that did not change. *changed: how many did. */
+/* Sends the force messages once, each with the force that is newest at its turn. `all`: also those that did not change.
+ * *changed: number of messages that changed. */
 static int write_forces(struct hd_connection *connection, int all, uint32_t *changed) {
     const struct hd_hid_script *script = &connection->plan.force;
     *changed = 0;
@@ -193,17 +194,18 @@ static int write_script(struct hd_connection *connection, const struct hd_hid_sc
     return 0;
 }
 
-/* Whether a reset, or an effect of another program's in the place of ours, would not be seen. */
-static int is_untold(const struct hd_connection *connection, int64_t now_ns) {
+/* Returns whether a reset, or another program's effect in place of ours, would go unnoticed. */
+static int is_unreported(const struct hd_connection *connection, int64_t now_ns) {
     const int watched = connection->plan.effects.count > 0;
-    return !hd_atomic_u32_load_relaxed(&connection->told) && (!watched || now_ns - connection->start_ns > HD_UNTOLD_NS);
+    return !hd_atomic_u32_load_relaxed(&connection->told) &&
+           (!watched || now_ns - connection->start_ns > HD_EFFECTS_REPORT_NS);
 }
 
-/* One message at most: forces come in between. */
+/* Sends at most one message of the restore script, so that forces are sent in between. */
 static int write_restore(struct hd_connection *connection) {
     const struct hd_hid_plan *plan = &connection->plan;
     const int64_t now_ns = hd_clock_now_ns();
-    if (plan->restore.count == 0 || now_ns < connection->restore_ns || !is_untold(connection, now_ns)) {
+    if (plan->restore.count == 0 || now_ns < connection->restore_ns || !is_unreported(connection, now_ns)) {
         return 0;
     }
     const int64_t next_ns = connection->restore_ns + plan->restore_ns;
@@ -213,7 +215,7 @@ static int write_restore(struct hd_connection *connection) {
     return write_message(connection, &plan->restore.messages[which]);
 }
 
-/* What the device is to play by itself: all of one strike at most, so that the next force comes in between. */
+/* Sends the messages of at most one strike of a device effect, so that the next force is sent in between. */
 static int write_effects(struct hd_connection *connection) {
     struct hd_hid *hid = connection->hid;
     for (uint32_t i = 0; i < HD_DEVICE_EFFECT_MESSAGES; i++) {
@@ -224,9 +226,9 @@ static int write_effects(struct hd_connection *connection) {
         const int64_t now_ns = hd_clock_now_ns();
         const int64_t returns_ns = hd_atomic_i64_load_relaxed(&hid->returns_ns);
         const int64_t since_ns = returns_ns > connection->start_ns ? returns_ns : connection->start_ns;
-        connection->effect_sender.unsure = connection->plan.restore.count > 0 && is_untold(connection, now_ns);
+        connection->effect_sender.unsure = connection->plan.restore.count > 0 && is_unreported(connection, now_ns);
         const uint32_t length = hd_effect_sender_next(&connection->effect_sender, &hid->effect_queue, now_ns, since_ns,
-                                                      returned(hid, now_ns) == 1.0, bytes);
+                                                      return_gain(hid, now_ns) == 1.0, bytes);
         const int error = length > 0 ? write_report(connection, bytes, length) : 0;
         if (length == 0 || error != 0) {
             return error;
@@ -257,11 +259,11 @@ int hd_hid_forgotten(struct hd_renewals *renewals, const struct hd_hid_effects *
     return found;
 }
 
-/* Asked when effects are about to be renewed. */
-static int has_forgotten(struct hd_connection *connection) {
+/* Returns whether the device has lost an effect; called before each renewal. */
+static int has_lost_effect(struct hd_connection *connection) {
     const struct hd_hid *hid = connection->hid;
     const uint32_t safety = 1u << (HD_HID_SAFETY - 1);
-    /* On a device that has no such switch it was never closed. */
+    /* Without a safety switch this bit was never set. */
     const uint32_t off = hd_atomic_u32_load_relaxed(&hid->states_seen) & ~hd_atomic_u32_load_relaxed(&hid->states);
     const int excused =
         hd_atomic_u32_load_acquire(&hid->reset) || hd_atomic_u32_load_acquire(&hid->paused) || (off & safety) != 0;
@@ -283,10 +285,11 @@ static void count_pass(struct hd_connection *connection) {
     connection->idle_ns = 0;
 }
 
-/* Until the connection ends. As write_report. */
-static int write_on(struct hd_connection *connection) {
+/* Writes until the connection ends. Returns as write_report. */
+static int write_until_end(struct hd_connection *connection) {
     const struct hd_hid_plan *plan = &connection->plan;
-    int64_t renew_ns = connection->start_ns; /* when it is due: at once, the set-up was a while ago */
+    int64_t renew_ns =
+        connection->start_ns; /* time of the next renewal: immediately, because the set-up was some time ago */
     int error = write_script(connection, &plan->begin);
     if (error != 0) {
         return error;
@@ -294,7 +297,7 @@ static int write_on(struct hd_connection *connection) {
     for (;;) {
         const int renews = plan->renew_ns > 0 && hd_clock_now_ns() >= renew_ns;
         uint32_t changed = 0;
-        if (renews && has_forgotten(connection)) {
+        if (renews && has_lost_effect(connection)) {
             hd_hid_suspect(connection->hid);
         }
         error = write_forces(connection, renews, &changed);
@@ -315,14 +318,15 @@ static int write_on(struct hd_connection *connection) {
             count_pass(connection);
         } else {
             const int64_t begin_ns = hd_clock_now_ns();
-            hd_clock_sleep_until(next_look_ns(connection));
+            hd_clock_sleep_until(next_poll_ns(connection));
             connection->idle_ns += hd_clock_now_ns() - begin_ns;
         }
     }
 }
 
-/* The pauses between the last writes take half of the time for them at most, however slow the device wants them. */
-static void hurry(struct hd_connection *connection) {
+/* Shortens the pauses between the last writes to at most half of their time limit, whatever interval the plan asks
+ * for. */
+static void shorten_pauses(struct hd_connection *connection) {
     struct hd_hid_plan *plan = &connection->plan;
     const int64_t pause_ns = connection->parting_ns / 2 / (1 + plan->force.count + plan->stop.count);
     const int64_t latest_ns = hd_clock_now_ns() + pause_ns;
@@ -330,7 +334,7 @@ static void hurry(struct hd_connection *connection) {
     connection->next_write_ns = connection->next_write_ns < latest_ns ? connection->next_write_ns : latest_ns;
 }
 
-/* Given up, and back: what the device has taken in the end was perhaps a force. */
+/* Sends a force of zero after an abandoned write() has returned, because that write may have been a force. */
 static void write_zero(const struct hd_connection *connection) {
     const struct hd_hid_script *script = &connection->plan.force;
     const double none[2] = {0.0, 0.0};
@@ -348,7 +352,7 @@ void *hd_hid_writer_main(void *argument) {
     prctl(PR_SET_NAME, "hid writer", 0ul, 0ul, 0ul);
     /* Without real-time priority the kernel may round sleeps by 50 us. */
     prctl(PR_SET_TIMERSLACK, 1ul, 0ul, 0ul, 0ul);
-    int error = write_on(connection);
+    int error = write_until_end(connection);
     if (error > 0 && error != ECANCELED) {
         hd_connection_fail(connection, error);
     }
@@ -358,9 +362,9 @@ void *hd_hid_writer_main(void *argument) {
         connection->leaving = 1;
         connection->leaving_until_ns =
             end == HD_END_ORDERLY ? connection->parting_until_ns : hd_clock_now_ns() + connection->parting_ns;
-        hurry(connection);
+        shorten_pauses(connection);
         error = write_forces(connection, 1, &changed);
-        if (error >= 0) { /* also where the force is refused */
+        if (error >= 0) { /* also if the force of zero was refused */
             const int stopped = write_script(connection, &connection->plan.stop);
             error = error == 0 || stopped < 0 ? stopped : error;
         }

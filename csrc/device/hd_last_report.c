@@ -1,6 +1,6 @@
-/* The signal handler that takes the device's force to zero when the process ends by a fault. It uses nothing but static
- * memory and calls that are safe in a signal handler. What it sends lies ready in one of two places; control fills the
- * other one and then points to it. */
+/* The signal handler that sets the device's force to zero when the process crashes. It uses only static memory and
+ * async-signal-safe calls. The reports to send are in one of two buffers; control fills the other one, then switches to
+ * it. */
 #include "device/hd_last_report.h"
 
 #include "api/hd_core.h"
@@ -15,33 +15,33 @@
 #include <string.h>
 #include <unistd.h>
 
-#define HD_LAST_REPORT_PAUSE_MS 100 /* the longest between two reports, and for a device that is busy */
-#define HD_LAST_REPORT_SETTLE_MS 5  /* a write of the writer's that is under way is done by then */
-#define HD_LAST_REPORT_LIMIT_S 2u   /* a device that takes nothing keeps nobody from ending */
+#define HD_LAST_REPORT_PAUSE_MS 100 /* longest pause between two reports, and longest wait for a busy device */
+#define HD_LAST_REPORT_SETTLE_MS 5  /* wait before the second pass, by which time the writer's last write has ended */
+#define HD_LAST_REPORT_LIMIT_S 2u   /* time limit, because a device may accept nothing */
 
 struct hd_last_reports {
     uint8_t bytes[2 * HD_HID_MESSAGES][HD_HID_REPORT_BYTES];
     uint32_t lengths[2 * HD_HID_MESSAGES];
     uint32_t count;
     int pause_ms;
-    int fd; /* of our own; used only while `count` is not 0 */
+    int fd; /* duplicated descriptor; used only while `count` is not 0 */
 };
 
-static const int signals[] = {SIGABRT, SIGSEGV, SIGBUS, SIGILL, SIGFPE};
-#define HD_LAST_REPORT_SIGNALS (sizeof signals / sizeof signals[0])
+static const int fault_signals[] = {SIGABRT, SIGSEGV, SIGBUS, SIGILL, SIGFPE};
+#define HD_LAST_REPORT_SIGNALS (sizeof fault_signals / sizeof fault_signals[0])
 
-static struct sigaction before[HD_LAST_REPORT_SIGNALS];
-static struct hd_last_reports places[2];
-static struct hd_atomic_u32 current; /* control writes, the handler reads: which place */
-static struct hd_atomic_u32 over;    /* the handler writes, everybody reads */
+static struct sigaction previous_actions[HD_LAST_REPORT_SIGNALS];
+static struct hd_last_reports buffers[2];
+static struct hd_atomic_u32 current_buffer; /* index of the buffer in use; control writes, the handler reads */
+static struct hd_atomic_u32 is_crashing;    /* 1: the process is crashing; the handler writes, any thread reads */
 
 int hd_last_report_is_over(void) {
-    return hd_atomic_u32_load_relaxed(&over) != 0;
+    return hd_atomic_u32_load_relaxed(&is_crashing) != 0;
 }
 
 void hd_last_report_let_through(sigset_t *blocked) {
     for (size_t i = 0; i < HD_LAST_REPORT_SIGNALS; i++) {
-        sigdelset(blocked, signals[i]);
+        sigdelset(blocked, fault_signals[i]);
     }
 }
 
@@ -61,14 +61,14 @@ static void send_all(const struct hd_last_reports *last) {
 
 static void on_fault(int number) {
     const int saved = errno;
-    if (hd_atomic_u32_exchange_acq_rel(&over, 1) == 0) {
+    if (hd_atomic_u32_exchange_acq_rel(&is_crashing, 1) == 0) {
         sigset_t alarms;
         sigemptyset(&alarms);
         sigaddset(&alarms, SIGALRM);
         signal(SIGALRM, SIG_DFL);
         pthread_sigmask(SIG_UNBLOCK, &alarms, NULL);
         alarm(HD_LAST_REPORT_LIMIT_S);
-        const struct hd_last_reports *last = &places[hd_atomic_u32_load_acquire(&current)];
+        const struct hd_last_reports *last = &buffers[hd_atomic_u32_load_acquire(&current_buffer)];
         if (last->count > 0) {
             send_all(last);
             poll(NULL, 0, HD_LAST_REPORT_SETTLE_MS);
@@ -76,14 +76,14 @@ static void on_fault(int number) {
         }
         alarm(0);
     } else {
-        poll(NULL, 0, HD_LAST_REPORT_PAUSE_MS); /* another thread is at it */
+        poll(NULL, 0, HD_LAST_REPORT_PAUSE_MS); /* another thread is sending the reports */
     }
     for (size_t i = 0; i < HD_LAST_REPORT_SIGNALS; i++) {
-        if (signals[i] == number) {
-            sigaction(number, &before[i], NULL);
+        if (fault_signals[i] == number) {
+            sigaction(number, &previous_actions[i], NULL);
         }
     }
-    raise(number); /* comes when this handler returns, to whoever had the signal before */
+    raise(number); /* delivered to the previous handler when this one returns */
     errno = saved;
 }
 
@@ -95,25 +95,25 @@ void hd_last_report_arm(void) {
     action.sa_flags = SA_ONSTACK;
     for (size_t i = 0; i < HD_LAST_REPORT_SIGNALS; i++) {
         struct sigaction now;
-        if (sigaction(signals[i], NULL, &now) == 0 && now.sa_handler != on_fault) {
-            before[i] = now;
-            sigaction(signals[i], &action, NULL);
+        if (sigaction(fault_signals[i], NULL, &now) == 0 && now.sa_handler != on_fault) {
+            previous_actions[i] = now;
+            sigaction(fault_signals[i], &action, NULL);
         }
     }
 }
 
-static void point_to(uint32_t place) {
-    const uint32_t other = 1u - place;
-    hd_atomic_u32_store_release(&current, place);
-    if (places[other].count > 0) {
-        places[other].count = 0;
-        close(places[other].fd);
+static void switch_to(uint32_t buffer) {
+    const uint32_t other = 1u - buffer;
+    hd_atomic_u32_store_release(&current_buffer, buffer);
+    if (buffers[other].count > 0) {
+        buffers[other].count = 0;
+        close(buffers[other].fd);
     }
 }
 
 int hd_last_report_keep(int fd, const uint8_t *reports, const uint32_t *lengths, uint32_t count, double pause_s) {
-    const uint32_t place = 1u - hd_atomic_u32_load_relaxed(&current);
-    struct hd_last_reports *last = &places[place];
+    const uint32_t buffer = 1u - hd_atomic_u32_load_relaxed(&current_buffer);
+    struct hd_last_reports *last = &buffers[buffer];
     if (count > 2 * HD_HID_MESSAGES) {
         return HD_ERR_INVALID;
     }
@@ -136,11 +136,11 @@ int hd_last_report_keep(int fd, const uint8_t *reports, const uint32_t *lengths,
         }
     }
     last->count = count;
-    point_to(place);
+    switch_to(buffer);
     return HD_OK;
 }
 
 void hd_last_report_drop(void) {
-    places[1u - hd_atomic_u32_load_relaxed(&current)].count = 0;
-    point_to(1u - hd_atomic_u32_load_relaxed(&current));
+    buffers[1u - hd_atomic_u32_load_relaxed(&current_buffer)].count = 0;
+    switch_to(1u - hd_atomic_u32_load_relaxed(&current_buffer));
 }

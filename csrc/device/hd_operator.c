@@ -1,4 +1,4 @@
-/* Waypoints of the simulated hand: checked and copied on the control side, cut into segments on the thread that runs
+/* Waypoints of the simulated hand: checked and copied on the control side, split into segments on the thread that runs
  * the simulation. SI units. */
 #include "device/hd_operator.h"
 
@@ -8,8 +8,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Bounds that keep every product of the simulation finite and the segments of one period few; no operator comes near
- * them. */
+/* Bounds that keep all products of the simulation finite and limit the number of segments in a period; far beyond any
+ * real motion. */
 #define HD_WAYPOINT_MAX_M 1000.0
 #define HD_WAYPOINT_MAX_S 1e7
 #define HD_WAYPOINT_MIN_STEP_S 1e-5
@@ -83,9 +83,9 @@ HD_RT void hd_operator_rest(const double at_m[2], double start_s, struct hd_segm
     };
 }
 
-/* From `start_s` on. */
-HD_RT static void go(enum hd_profile profile, const double from_m[2], const double to_m[2], double start_s,
-                     double end_s, struct hd_segment *segment) {
+/* Makes a segment of a motion from `from_m` to `to_m` between `start_s` and `end_s`. */
+HD_RT static void make_motion(enum hd_profile profile, const double from_m[2], const double to_m[2], double start_s,
+                              double end_s, struct hd_segment *segment) {
     const double rate_per_s = 1.0 / (end_s - start_s);
     const double travel_m[2] = {to_m[0] - from_m[0], to_m[1] - from_m[1]};
     *segment = (struct hd_segment){
@@ -102,7 +102,7 @@ HD_RT static void go(enum hd_profile profile, const double from_m[2], const doub
 
 HD_RT void hd_operator_line(const double from_m[2], const double to_m[2], double duration_s,
                             struct hd_segment *segment) {
-    go(HD_PROFILE_LINEAR, from_m, to_m, 0.0, duration_s, segment);
+    make_motion(HD_PROFILE_LINEAR, from_m, to_m, 0.0, duration_s, segment);
 }
 
 HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, const double reference_m[2],
@@ -115,5 +115,5 @@ HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, con
     const double *to = path->waypoints[index];
     const double start_s = index > 0 ? path->waypoints[index - 1][0] : 0.0;
     const double *from_m = index > 0 ? &path->waypoints[index - 1][1] : reference_m;
-    go(path->profile, from_m, &to[1], start_s, to[0], segment);
+    make_motion(path->profile, from_m, &to[1], start_s, to[0], segment);
 }

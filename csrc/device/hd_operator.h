@@ -1,5 +1,5 @@
-/* Where the hand wants to be over time, one segment between two waypoints at a time. SI units; times in seconds since
- * the path began. A path is immutable: control makes it, the thread that runs the simulation reads it. */
+/* The reference of the simulated hand over time, one segment between two waypoints at a time. SI units; times in
+ * seconds since the path began. A path is immutable: control makes it, the thread that runs the simulation reads it. */
 #ifndef HD_OPERATOR_H
 #define HD_OPERATOR_H
 
@@ -7,20 +7,20 @@
 #include "base/hd_holders.h"
 #include "base/hd_rt.h"
 
-/* The reference and its time derivatives, 0 to 5, and a 0 behind them: no profile is of a higher degree than 5. */
+/* The reference and its time derivatives of order 0 to 5, followed by a 0: no profile has a degree above 5. */
 #define HD_REFERENCE_ORDERS 7
 
 enum hd_profile { HD_PROFILE_HOLD = 0, HD_PROFILE_LINEAR = 1, HD_PROFILE_MINIMUM_JERK = 2 };
 
 struct hd_segment {
     enum hd_profile profile;
-    double start_s; /* since the path began */
+    double start_s; /* time since the path began */
     double end_s;   /* infinite for HOLD */
     double duration_s;
     double rate_per_s; /* 1/duration_s */
     double from_m[2];
     double travel_m[2];
-    double speed_m_per_s[2]; /* on average */
+    double speed_m_per_s[2]; /* mean velocity */
 };
 
 struct hd_operator {
@@ -30,19 +30,19 @@ struct hd_operator {
     double waypoints[][3]; /* t_s, x_m, y_m */
 };
 
-/* The waypoint that a path leads to first: the second, if the first is there at once. */
+/* Returns the waypoint that a path leads to first: the second one if the first is at time 0. */
 HD_RT size_t hd_operator_first(const struct hd_operator *path);
-/* The segment that leads to waypoint `index` from the one before it, or from `reference_m` at time 0 to the first. With
- * `index` beyond the last: rest at the last. */
+/* Computes the segment that leads to waypoint `index` from the one before it, or from `reference_m` at time 0 to the
+ * first. If `index` is beyond the last waypoint, the segment rests there. */
 HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, const double reference_m[2],
                                struct hd_segment *segment);
 
-/* A line of its own, from time 0 on, and rest from `start_s` on. */
+/* Make a straight line that starts at time 0, and a rest that starts at `start_s`, both without waypoints. */
 HD_RT void hd_operator_line(const double from_m[2], const double to_m[2], double duration_s,
                             struct hd_segment *segment);
 HD_RT void hd_operator_rest(const double at_m[2], double start_s, struct hd_segment *segment);
 
-/* The reference of one axis and its derivatives, `local_s` after the segment's start. */
+/* Computes the reference of one axis and its derivatives at `local_s` after the segment's start. */
 HD_RT static inline void hd_segment_reference(const struct hd_segment *segment, int axis, double local_s,
                                               double reference[HD_REFERENCE_ORDERS]) {
     const double from = segment->from_m[axis];
@@ -55,7 +55,7 @@ HD_RT static inline void hd_segment_reference(const struct hd_segment *segment, 
         reference[1] = segment->speed_m_per_s[axis];
         reference[0] = from + reference[1] * local_s;
     } else {
-        /* 10 s^3 - 15 s^4 + 6 s^5 (Flash and Hogan 1985), s from 0 to 1, and what follows from it. */
+        /* 10 s^3 - 15 s^4 + 6 s^5 (Flash and Hogan 1985), s from 0 to 1, and its derivatives. */
         const double rate = segment->rate_per_s;
         const double s = local_s * rate;
         const double rest = 1.0 - s;

@@ -1,5 +1,5 @@
-/* HID reports. Whatever a report holds, nothing outside of it is read; whatever a force is, the counts that are written
- * lie within the plan's limits, and a force that is not finite is none. Any thread. */
+/* Reads and composes HID reports. No byte outside of a report is read; the numbers written are always inside the plan's
+ * limits; a force that is not finite counts as zero. Any thread. */
 #include "device/hd_report.h"
 
 #include <math.h>
@@ -7,7 +7,7 @@
 
 #include "base/hd_bits.h"
 
-#define HD_WRITE_INTERVAL_MAX_NS 100000000 /* a connection ends within a few of them */
+#define HD_WRITE_INTERVAL_MAX_NS 100000000 /* the end of a connection takes a few intervals */
 #define HD_FULL_TURN_RAD 6.283185307179586476925
 
 /* ---- Plans ----------------------------------------------------------------------------------------------------- */
@@ -29,7 +29,7 @@ static int check_value(const struct hd_hid_value *value, uint32_t length, const 
         return hd_invalid("plan: %s[%u]: %g counts per unit, zero at %g", script, index, value->counts_per_unit,
                           value->zero_counts);
     }
-    /* Rounded, every limited number is one that the field can hold. */
+    /* Checked so that every number between the limits, rounded, fits into the field. */
     if (!(value->least <= value->most && value->least >= (double)hd_bits_least(&value->field) &&
           value->most <= (double)hd_bits_most(&value->field))) {
         return hd_invalid("plan: %s[%u]: limits %g to %g do not lie in a field of %u bits, %s", script, index,
@@ -91,7 +91,7 @@ int hd_hid_check(const struct hd_hid_plan *plan) {
         if (check_input(&from->field, from->report_id, numbered, name) != HD_OK) {
             return HD_ERR_INVALID;
         }
-        /* So that no position overflows, whatever is reported. */
+        /* Bounds that keep every reported position finite. */
         if (!(fabs(from->zero_counts) <= 1e12) || !(fabs(from->m_per_count) <= 1e12) || from->m_per_count == 0.0) {
             return hd_invalid("plan: %s: zero at %g counts, %g m per count", name, from->zero_counts,
                               from->m_per_count);
@@ -146,7 +146,7 @@ HD_RT int hd_report_numbered(const struct hd_hid_plan *plan) {
     return plan->axes[0].report_id != 0;
 }
 
-/* ---- In -------------------------------------------------------------------------------------------------------- */
+/* ---- Input reports --------------------------------------------------------------------------------------------- */
 
 HD_RT void hd_report_take(const struct hd_hid_plan *plan, const uint8_t *report, size_t length,
                           struct hd_report_news *news) {
@@ -188,7 +188,7 @@ HD_RT void hd_report_take(const struct hd_hid_plan *plan, const uint8_t *report,
     }
 }
 
-/* ---- Out ------------------------------------------------------------------------------------------------------- */
+/* ---- Output reports -------------------------------------------------------------------------------------------- */
 
 double hd_report_direction(const double force_n[2]) {
     if (!(isfinite(force_n[0]) && isfinite(force_n[1])) || (force_n[0] == 0.0 && force_n[1] == 0.0)) {
@@ -219,12 +219,12 @@ static double counts_of(const struct hd_hid_value *value, const double force_n[2
     }
     double counts = quantity * value->counts_per_unit + value->zero_counts;
     if (value->counts_per_other_n != 0.0) {
-        /* The other effect shows no more than the full force, either. */
+        /* The other effect also exerts at most the full force. */
         const double full_n = (value->most - value->zero_counts) / fabs(value->counts_per_unit);
         counts += fmin(fmax(other_n, -full_n), full_n) * value->counts_per_other_n;
     }
     if (value->quantity == HD_HID_DIRECTION) {
-        /* Just short of a full turn is nearest to none. */
+        /* An angle that rounds to a full turn becomes 0. */
         const double turn = fabs(value->counts_per_unit) * HD_FULL_TURN_RAD;
         if (rint(counts) > value->most && rint(counts - turn) >= value->least) {
             counts -= turn;
@@ -232,7 +232,7 @@ static double counts_of(const struct hd_hid_value *value, const double force_n[2
             counts += turn;
         }
     }
-    if (isnan(counts)) { /* an infinite magnitude, and no counts for it */
+    if (isnan(counts)) { /* an infinite magnitude times 0 counts per newton */
         counts = value->zero_counts;
     }
     return rint(fmin(fmax(counts, value->least), value->most));

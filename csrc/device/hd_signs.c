@@ -1,4 +1,5 @@
-/* The check of a device's signs, step by step in the servo: it pushes, watches, and decides. hd_signs.h says how. */
+/* The check of a device's signs, one step per tick of the servo: pushes the handle, observes it, and decides.
+ * hd_signs.h describes the method. */
 #include "device/hd_signs.h"
 
 #include <stdlib.h>
@@ -6,18 +7,18 @@
 
 #include "base/hd_vector.h"
 
-#define HD_PULSE_S 0.05       /* the longest pulse */
-#define HD_AFTER_S 0.02       /* the handle is watched for so long after a pulse */
-#define HD_SETTLE_S 0.03      /* nothing is looked at for so long after a pulse and its opposite */
+#define HD_PULSE_S 0.05       /* longest pulse */
+#define HD_AFTER_S 0.02       /* time for which the handle is observed after a pulse */
+#define HD_SETTLE_S 0.03      /* time after a pulse and its opposite during which positions are ignored */
 #define HD_LINE_S 0.05        /* the handle rests if it moved by less than `least_m` in this time */
-#define HD_RESTLESS_S 1.0     /* one that does not rest for so long is told */
-#define HD_LONGEST_GAP_S 0.02 /* between two ticks: more, and the pulse was another one */
-#define HD_ROUNDS 5u          /* that tell nothing, of an axis */
-#define HD_CLEARLY 2.0        /* the axis that is pushed moves so many times as far as the other */
+#define HD_MAX_WAIT_S 1.0     /* time without rest after which the problem is reported */
+#define HD_LONGEST_GAP_S 0.02 /* longest time between two ticks; a longer gap restarts the round */
+#define HD_MAX_ROUNDS 5u      /* rounds of an axis without a decision, after which the check gives up */
+#define HD_MIN_AXIS_RATIO 2.0 /* smallest ratio of the larger displacement to that of the other axis */
 
-static const double ways[4] = {1.0, -1.0, -1.0, 1.0};
+static const double pulse_signs[4] = {1.0, -1.0, -1.0, 1.0};
 
-HD_RT static void rest(struct hd_signs *signs) {
+HD_RT static void begin_rest(struct hd_signs *signs) {
     signs->phase = HD_SIGNS_REST;
     signs->phase_s = 0.0;
     signs->waited_s = 0.0;
@@ -25,10 +26,10 @@ HD_RT static void rest(struct hd_signs *signs) {
     memset(&signs->line, 0, sizeof signs->line);
 }
 
-/* A round begins anew. */
-HD_RT static void again(struct hd_signs *signs) {
+/* Restarts the round. */
+HD_RT static void restart_round(struct hd_signs *signs) {
     signs->pulse = 0;
-    rest(signs);
+    begin_rest(signs);
 }
 
 HD_RT static void begin_axis(struct hd_signs *signs, uint32_t axis) {
@@ -36,10 +37,10 @@ HD_RT static void begin_axis(struct hd_signs *signs, uint32_t axis) {
     signs->round = 0;
     signs->wrong = HD_SIGNS_FINE;
     signs->problem = HD_SIGNS_FINE;
-    again(signs);
+    restart_round(signs);
 }
 
-HD_RT static void begin(struct hd_signs *signs) {
+HD_RT static void begin_check(struct hd_signs *signs) {
     signs->state = HD_SIGNS_CHECKING;
     begin_axis(signs, (signs->of.axes & 1u) != 0 ? 0u : 1u);
 }
@@ -49,16 +50,16 @@ HD_RT static void wait_for(struct hd_signs *signs, uint32_t problem) {
     signs->problem = problem;
 }
 
-/* What a round found: how far the handle went along both axes for a push along `axis`, and whether the four pulses
- * agree about it. */
-HD_RT static uint32_t found(const struct hd_signs *signs) {
+/* Evaluates a round: compares the displacements along both axes for a push along `axis`, and checks that the four
+ * pulses agree. Returns an enum hd_signs_problem. */
+HD_RT static uint32_t round_problem(const struct hd_signs *signs) {
     const uint32_t own = signs->axis;
     const uint32_t other = 1u - own;
     double mean[2];
     for (uint32_t i = 0; i < 2; i++) {
         mean[i] = 0.0;
         for (uint32_t k = 0; k < 4; k++) {
-            mean[i] += 0.25 * ways[k] * signs->moved_m[k][i];
+            mean[i] += 0.25 * pulse_signs[k] * signs->moved_m[k][i];
         }
     }
     const uint32_t main = hd_magnitude(mean[own]) >= hd_magnitude(mean[other]) ? own : other;
@@ -66,14 +67,14 @@ HD_RT static uint32_t found(const struct hd_signs *signs) {
     if (most < signs->of.least_m) {
         return HD_SIGNS_STILL;
     }
-    if (most < HD_CLEARLY * hd_magnitude(mean[1u - main])) {
+    if (most < HD_MIN_AXIS_RATIO * hd_magnitude(mean[1u - main])) {
         return HD_SIGNS_UNCERTAIN;
     }
     const double way = mean[main] > 0.0 ? 1.0 : -1.0;
     double pair[2] = {0.0, 0.0};
     for (uint32_t k = 0; k < 4; k++) {
-        const double went = way * ways[k] * signs->moved_m[k][main];
-        if (went < -0.5 * most) { /* a hand that moved it */
+        const double went = way * pulse_signs[k] * signs->moved_m[k][main];
+        if (went < -0.5 * most) { /* the hand moved the handle */
             return HD_SIGNS_UNCERTAIN;
         }
         pair[k / 2] += 0.5 * went;
@@ -84,8 +85,8 @@ HD_RT static uint32_t found(const struct hd_signs *signs) {
     return main == other ? HD_SIGNS_SWAPPED : way > 0.0 ? HD_SIGNS_FINE : HD_SIGNS_REVERSED;
 }
 
-HD_RT static void judge(struct hd_signs *signs) {
-    const uint32_t problem = found(signs);
+HD_RT static void evaluate_round(struct hd_signs *signs) {
+    const uint32_t problem = round_problem(signs);
     if (problem == HD_SIGNS_FINE) {
         if (signs->axis == 0 && (signs->of.axes & 2u) != 0) {
             begin_axis(signs, 1);
@@ -97,7 +98,7 @@ HD_RT static void judge(struct hd_signs *signs) {
     }
     signs->problem = problem;
     if (problem == HD_SIGNS_REVERSED || problem == HD_SIGNS_SWAPPED) {
-        /* Twice, since nobody is asked again then. */
+        /* Requires the same result twice, because the check is not repeated afterwards. */
         if (signs->wrong == problem) {
             signs->state = HD_SIGNS_WRONG;
             return;
@@ -106,15 +107,15 @@ HD_RT static void judge(struct hd_signs *signs) {
     } else {
         signs->wrong = HD_SIGNS_FINE;
     }
-    if (++signs->round >= HD_ROUNDS) {
+    if (++signs->round >= HD_MAX_ROUNDS) {
         signs->state = HD_SIGNS_UNCLEAR;
         return;
     }
-    again(signs);
+    restart_round(signs);
 }
 
-/* The line through what was reported, into base and slope; whether the handle rested. */
-HD_RT static int rested(struct hd_signs *signs, double now_s) {
+/* Fits a line to the positions, into base and slope, and returns whether the handle rested. */
+HD_RT static int handle_rested(struct hd_signs *signs, double now_s) {
     const struct hd_signs_line *line = &signs->line;
     const double spread = line->square - line->time * line->time / line->count;
     const double least_m = signs->of.least_m;
@@ -122,7 +123,7 @@ HD_RT static int rested(struct hd_signs *signs, double now_s) {
     for (int i = 0; i < 2; i++) {
         const double mean = line->position[i] / line->count;
         const double slope = (line->product[i] - line->time * mean) / spread;
-        /* Off the line, as a handle that swings is. */
+        /* Squared distances from the line: large if the handle swings. */
         const double off = line->power[i] - line->position[i] * mean - slope * slope * spread;
         still &= hd_magnitude(slope) * HD_LINE_S < least_m && off < line->count * least_m * least_m;
         signs->slope_m_per_s[i] = slope;
@@ -148,7 +149,7 @@ HD_RT static void step_rest(struct hd_signs *signs, const double position_m[2]) 
     if (at_s < HD_LINE_S || line->count < 3.0) {
         return;
     }
-    if (rested(signs, at_s)) {
+    if (handle_rested(signs, at_s)) {
         if (signs->state == HD_SIGNS_WAITING) {
             signs->state = HD_SIGNS_CHECKING;
             signs->problem = HD_SIGNS_FINE;
@@ -159,17 +160,17 @@ HD_RT static void step_rest(struct hd_signs *signs, const double position_m[2]) 
         return;
     }
     const double waited_s = signs->waited_s;
-    rest(signs);
+    begin_rest(signs);
     signs->phase_s = HD_SETTLE_S;
     signs->waited_s = waited_s;
-    if (waited_s > HD_RESTLESS_S) {
+    if (waited_s > HD_MAX_WAIT_S) {
         wait_for(signs, HD_SIGNS_MOVING);
-        signs->pulse = 0; /* what was before belongs to another place */
+        signs->pulse = 0; /* earlier pulses belong to another position */
     }
 }
 
-/* Goes to `target` at the pace of commands. */
-HD_RT static void go(struct hd_signs *signs, double target_n, double step_n) {
+/* Moves the force towards `target_n` by at most `step_n`, the slope limit of commands. */
+HD_RT static void approach_force(struct hd_signs *signs, double target_n, double step_n) {
     const double remaining_n = target_n - signs->force_n;
     signs->force_n = remaining_n > step_n    ? signs->force_n + step_n
                      : remaining_n < -step_n ? signs->force_n - step_n
@@ -187,13 +188,13 @@ HD_RT static void step_pulse(struct hd_signs *signs, const double position_m[2],
     signs->count += 1.0;
     if (signs->end_s <= 0.0) {
         if (signs->phase_s < HD_PULSE_S && went < signs->of.enough_m) {
-            go(signs, ways[signs->pulse] * most_n, step_n);
+            approach_force(signs, pulse_signs[signs->pulse] * most_n, step_n);
             signs->driven_s += elapsed_s;
             return;
         }
         signs->end_s = signs->phase_s + HD_AFTER_S;
     }
-    go(signs, 0.0, step_n);
+    approach_force(signs, 0.0, step_n);
     if (signs->phase_s >= signs->end_s && hd_magnitude(signs->force_n) <= 0.0) {
         for (int i = 0; i < 2; i++) {
             signs->moved_m[signs->pulse][i] = signs->sum_m[i] / signs->count;
@@ -206,27 +207,27 @@ HD_RT static void step_pulse(struct hd_signs *signs, const double position_m[2],
 HD_RT static void step_brake(struct hd_signs *signs, double elapsed_s, double most_n, double step_n) {
     if (signs->driven_s > 0.5 * elapsed_s) {
         signs->driven_s -= elapsed_s;
-        go(signs, -ways[signs->pulse] * most_n, step_n);
+        approach_force(signs, -pulse_signs[signs->pulse] * most_n, step_n);
         return;
     }
-    go(signs, 0.0, step_n);
+    approach_force(signs, 0.0, step_n);
     if (hd_magnitude(signs->force_n) > 0.0) {
         return;
     }
-    rest(signs);
+    begin_rest(signs);
     if (++signs->pulse == 4) {
-        judge(signs);
+        evaluate_round(signs);
     }
 }
 
-HD_RT static void advance(struct hd_signs *signs, const struct hd_signs_input *input) {
+HD_RT static void advance_phase(struct hd_signs *signs, const struct hd_signs_input *input) {
     const double most_n = signs->of.force_n < input->max_force_n ? signs->of.force_n : input->max_force_n;
     const double step_n = input->max_force_n * input->elapsed_s / input->ramp_s;
     if (input->elapsed_s > HD_LONGEST_GAP_S && signs->phase != HD_SIGNS_REST) {
-        again(signs);
+        restart_round(signs);
         return;
     }
-    /* What is no axis of the force, as a pedal, goes its own ways. */
+    /* An axis without a force, such as a pedal, moves independently and is ignored. */
     const double position_m[2] = {(signs->of.axes & 1u) != 0 ? input->position_m[0] : 0.0,
                                   (signs->of.axes & 2u) != 0 ? input->position_m[1] : 0.0};
     signs->phase_s += input->elapsed_s;
@@ -261,33 +262,33 @@ HD_RT int hd_signs_step(struct hd_signs *signs, const struct hd_hid_signs *of, c
         return 0;
     }
     if (signs->state == HD_SIGNS_UNCHECKED || signs->state == HD_SIGNS_UNCLEAR) {
-        begin(signs);
+        begin_check(signs);
     }
     if (signs->state == HD_SIGNS_WRONG || input->gain > 0.0) {
         return 1;
     }
     if (input->contact) {
-        again(signs);
+        restart_round(signs);
         wait_for(signs, HD_SIGNS_CONTACT);
         return 1;
     }
     if (input->jumped) {
-        again(signs);
+        restart_round(signs);
         return 1;
     }
     const uint32_t axis = signs->axis;
-    advance(signs, input);
+    advance_phase(signs, input);
     force_n[axis] = signs->force_n;
     return 1;
 }
 
 HD_RT void hd_signs_watch(struct hd_signs *signs, const struct hd_look *look, struct hd_state *state,
                           const struct hd_table *table, struct hd_input *input) {
-    if (look->connection == 0) { /* nobody knows yet which device it is */
+    if (look->connection == 0) { /* the device is not known yet */
         input->checking = state->enabled;
         return;
     }
-    const struct hd_signs_input told = {
+    const struct hd_signs_input signs_input = {
         .position_m = {input->position_m[0], input->position_m[1]},
         .elapsed_s = (double)input->periods * table->period_s,
         .gain = state->gain,
@@ -297,7 +298,7 @@ HD_RT void hd_signs_watch(struct hd_signs *signs, const struct hd_look *look, st
         .contact = state->active_count > 0,
         .jumped = !state->located || input->glitch_m_per_s > 0.0,
     };
-    input->checking = (uint32_t)hd_signs_step(signs, look->signs, &told, input->check_n);
+    input->checking = (uint32_t)hd_signs_step(signs, look->signs, &signs_input, input->check_n);
     if (state->enabled && (signs->state == HD_SIGNS_WRONG || signs->state == HD_SIGNS_UNCLEAR)) {
         hd_state_latch(state, HD_FAULT_SIGNS, 1, input->time_ns);
     }

@@ -1,17 +1,17 @@
-/* The simulated joystick, on the control side: checked, made, put at another rate or another place. */
+/* The control side of the simulated joystick: checks its configuration, makes it, sets its period and its position. */
 #include "device/hd_sim_state.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* A step is cut into this many parts at most; a device that needs more at its rate is refused. */
+/* Largest number of parts of a period; a device that needs more at its rate is refused. */
 #define HD_PARTS_MAX 2000
-#define HD_STRETCH_MAX 1048576u
-#define HD_SAMPLES_A_PERIOD_MAX 64.0
-/* The steps of a resolution are counted up to here: what is rounded stays exact. */
+#define HD_MAX_STEP_PERIODS 1048576u /* most periods in one step */
+#define HD_SAMPLES_A_PERIOD_MAX 64.0 /* most reports, or frames of the link, in a period */
+/* Largest number of steps of a resolution (2^50), up to which rounding is exact. */
 #define HD_STEPS_MAX 1125899906842624.0
-/* The fastest that a handle is placed; beyond, products overflow. */
+/* Highest speed at which a handle can be placed; above it products overflow. */
 #define HD_PLACED_MAX_M_PER_S 1e6
 
 static int check_between(const char *name, double value, double low, double high) {
@@ -21,7 +21,7 @@ static int check_between(const char *name, double value, double low, double high
     return HD_OK;
 }
 
-/* A resolution: exact, or coarse enough to be counted. */
+/* Checks a resolution: 0 for exact, or coarse enough for HD_STEPS_MAX. */
 static int check_step(const char *name, double step, double range) {
     if (step != 0.0 && !(step >= range / HD_STEPS_MAX && step <= 1e6)) {
         return hd_invalid("%s: %g is neither 0 nor between %g and 1e+06", name, step, range / HD_STEPS_MAX);
@@ -35,7 +35,7 @@ static double fastest_rate_per_s(const struct hd_sim_config *config) {
     return fmax(damped, sqrt(config->hand_stiffness_n_per_m / mass_kg));
 }
 
-/* The bounds keep every product of the simulation finite and every loop short; no device comes near them. */
+/* Checks bounds that keep all products of the simulation finite and all loops short; far beyond any real device. */
 static int check_config(const struct hd_sim_config *config, double period_s) {
     const struct {
         const char *name;
@@ -89,7 +89,7 @@ static int check_config(const struct hd_sim_config *config, double period_s) {
         }
     }
     if (config->actuator_order > 2 || (config->actuator_order > 0 && config->actuator_rate_per_s == 0.0)) {
-        return hd_invalid("actuator_order: %u with a rate of %g 1/s is none of 0, 1 and 2 with a rate",
+        return hd_invalid("actuator_order: %u with a rate of %g 1/s must be 0, or 1 or 2 with a rate above 0",
                           config->actuator_order, config->actuator_rate_per_s);
     }
     if (hd_actuator_fastest(config) * period_s > HD_STEP_MAX * HD_PARTS_MAX) {
@@ -103,7 +103,7 @@ static int check_config(const struct hd_sim_config *config, double period_s) {
     return HD_OK;
 }
 
-/* The power series of J_4 and J_5, but for the factor h^(j+2)/5!. */
+/* Computes the power series of J_4 and J_5 without the factor h^(j+2)/5!. */
 static void make_series(struct hd_sim *sim) {
     const double damped = (sim->damping + sim->hand_damping) / sim->mass_kg;
     const double elastic = sim->stiffness / sim->mass_kg;
@@ -120,7 +120,7 @@ static void make_series(struct hd_sim *sim) {
     }
 }
 
-/* Encoder samples begin again with the present position as number 0; forces under way are gone. */
+/* Restarts the encoder samples with the present position as number 0, and drops the forces under way. */
 static void restart_samples(struct hd_sim *sim) {
     sim->origin_tick = sim->tick;
     sim->sample_count = 0;
@@ -133,11 +133,11 @@ static void restart_samples(struct hd_sim *sim) {
     hd_sim_sample(sim);
 }
 
-/* Everything that is counted in periods. */
-static void count_in(struct hd_sim *sim, const struct hd_sim_config *config, double period_s) {
+/* Computes all members that depend on the period. */
+static void set_period(struct hd_sim *sim, const struct hd_sim_config *config, double period_s) {
     sim->period_s = period_s;
     sim->force_whole_periods = (uint64_t)(config->force_timeout_s / period_s + HD_SAME_TIME);
-    const double longest_s = HD_STRETCH_MAX * period_s;
+    const double longest_s = HD_MAX_STEP_PERIODS * period_s;
     sim->limit_s = HD_STEP_MAX / fmax(fastest_rate_per_s(config), HD_STEP_MAX / longest_s);
     sim->lag_limit_s = 0.0;
     if (sim->actuator.order > 0) {
@@ -147,13 +147,14 @@ static void count_in(struct hd_sim *sim, const struct hd_sim_config *config, dou
     hd_sim_kernel_at(sim, period_s / fmax(1.0, ceil(period_s / sim->limit_s)), &sim->period);
     sim->stretch_periods = (uint32_t)fmax(1.0, floor(sim->limit_s / period_s));
     hd_sim_kernel_at(sim, sim->stretch_periods * period_s, &sim->stretch);
-    /* Rounded down, so that a sample that falls on a period's end is not one period late. */
+    /* Rounded down, so that a sample at the end of a period is not one period late. */
     const double interval_s = config->report_interval_s == 0.0 ? period_s : config->report_interval_s;
     const double unit_s = period_s * HD_FRACTION_UNIT;
     sim->sample_interval_s = interval_s;
     sim->sample_interval = (uint64_t)(interval_s / unit_s * (1.0 + 1e-15) + 1e-3);
     sim->sample_delay = (uint64_t)(config->report_delay_s / unit_s * (1.0 + 1e-15) + 1e-3);
-    /* One that can be read, those that cannot yet, and one that is being taken; check_config leaves room for all. */
+    /* Room for one sample that can be read, those under way, and one that is being taken; check_config ensures that
+     * they fit. */
     sim->sample_mask = 3u;
     while (sim->sample_mask < sim->sample_delay / sim->sample_interval + 3u) {
         sim->sample_mask = 2u * sim->sample_mask + 1u;
@@ -187,7 +188,7 @@ struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s) {
     make_series(sim);
     hd_actuator_make(&sim->actuator, config, sim->mass_kg, (sim->damping + sim->hand_damping) / sim->mass_kg,
                      sim->stiffness / sim->mass_kg);
-    count_in(sim, config, period_s);
+    set_period(sim, config, period_s);
 
     sim->axes[0].x = config->start_m[0];
     sim->axes[1].x = config->start_m[1];
@@ -211,13 +212,14 @@ int hd_sim_set_period(struct hd_sim *sim, const struct hd_sim_config *config, do
     }
     const double path_s = hd_sim_path_time_s(sim);
     hd_sim_set_force(sim, 0.0, 0.0);
-    count_in(sim, config, period_s);
+    set_period(sim, config, period_s);
     sim->put_tick = sim->tick;
     sim->put_late_s = 0.0;
-    /* The hand's time goes on to within half a period. A path that began before the first tick has a time below 0. */
+    /* The hand's time is continuous to within half a period. path_tick wraps if the path began before the first
+     * tick. */
     sim->path_tick = sim->tick - (uint64_t)(int64_t)(path_s / period_s + 0.5);
     sim->segment_limit_s = fmin(sim->segment_limit_s, sim->limit_s);
-    /* What lies ahead in this segment is looked at period by period; the next one knows better. */
+    /* The rest of this segment is checked period by period; the next segment sets calm_tick again. */
     sim->calm_tick = sim->segment.profile == HD_PROFILE_HOLD && period_s <= sim->segment_limit_s ? UINT64_MAX : 0;
     restart_samples(sim);
     return HD_OK;
@@ -267,7 +269,7 @@ void hd_sim_truth(const struct hd_sim *sim, double position[2], double velocity[
 int hd_sim_place(struct hd_sim *sim, const double position[2], const double velocity[2]) {
     for (int which = 0; which < 2; which++) {
         if (!(fabs(position[which]) <= sim->workspace_m) || !(fabs(velocity[which]) <= HD_PLACED_MAX_M_PER_S)) {
-            return hd_invalid("position[%d]: %g with a velocity of %g is not within %g m and %g m/s either way", which,
+            return hd_invalid("position[%d]: %g m with a velocity of %g m/s exceeds +-%g m or +-%g m/s", which,
                               position[which], velocity[which], sim->workspace_m, HD_PLACED_MAX_M_PER_S);
         }
     }

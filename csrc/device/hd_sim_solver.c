@@ -1,11 +1,11 @@
-/* The motion of the simulated handle: a handle on an actuator, held by a hand that follows a reference. */
+/* The exact motion of the simulated handle: a handle on an actuator, held by a hand that follows a reference. */
 // clang-format off
 /* The two axes are alike and independent. Handle and hand move as one mass M = m + m_h:
  *
  *     M x'' = F - b x' - b_h (x' - w') - k (x - w) - c sign(x')
  *
- * where w(t) is the reference, a polynomial in each segment. Nothing is approximated in time. Let J_j(h) be the position
- * that the force s^j/j! has caused after h seconds from rest (J_-1: an impulse). Then, with B = b + b_h,
+ * where w(t) is the reference, a polynomial in each segment. The solution is exact in time. Let J_j(h) be the position
+ * that the force s^j/j! has caused h seconds after rest (J_-1: an impulse). Then, with B = b + b_h,
  *
  *     J_j' = J_{j-1},    M J_{j-2} + B J_{j-1} + k J_j = h^j/j!
  *
@@ -16,31 +16,32 @@
  *     r_1 =          k (w' - v) + b_h w''
  *     g_j =          k w^(j)    + b_h w^(j+1)
  *
- * is the solution, whatever the damping, k = 0 or B = 0 among it: there are no cases. Written as increments it keeps an
- * equilibrium to the last bit, where exp(A T) itself would lose eps/(w T)^2 of it. J_5 and J_4 are summed as power
- * series and the others follow downwards; both are exact to rounding while max(B/M, sqrt(k/M)) h <= 1/2, so longer
- * steps are taken in parts. The J of one servo period are made once; a part of a period gets its own.
+ * is the solution for any damping, including k = 0 or B = 0, without a distinction of cases. Written as increments it
+ * keeps an equilibrium to the last bit, whereas exp(A T) loses eps/(w T)^2 of it. J_5 and J_4 are summed as power
+ * series, and the others follow by downward recursion. Both are exact to rounding while max(B/M, sqrt(k/M)) h <= 1/2,
+ * so longer steps are split. The J of one servo period are computed once; those of a part of a period are computed for
+ * it.
  *
- * Such a step holds while nothing happens. What can happen within one is found on the solution itself and splits the
- * step there: the velocity passes zero (then friction holds, or the motion turns), the handle meets a stop (and rests
- * there: inelastic), the force on a resting handle exceeds the friction. Within one step the net force changes its sign
- * at most once (curved segments are cut further for that), so that an event cannot hide between two looks. A jump of
- * the reference moves the spring only; its damper is not struck.
+ * Such a step is valid if it contains no event. Events within a step are located on the solution itself and split the
+ * step there: the velocity crosses zero (then friction holds the handle, or the motion turns), the handle meets a stop
+ * (and rests there: inelastic), or the force on a resting handle exceeds the friction. Within one step the net force
+ * changes its sign at most once (curved segments are split further to ensure this), so no event can be missed between
+ * two checks. A jump of the reference acts through the spring only, not through the damper.
  *
- * Where the actuator lags (hd_actuator.h) its force is not constant within a step, but goes to a constant; steps are at
- * most half a time constant of it, and what it does in one is exact. Two turns of the handle within one such step may
- * then go unseen, which takes a force that passes zero twice in half a time constant. */
+ * The force of a lagging actuator (hd_actuator.h) is not constant within a step, but approaches a constant. Steps are
+ * then at most half of its time constant, and its effect in a step is exact. Two turns of the handle within one such
+ * step may be missed; they need a force that crosses zero twice within half a time constant. */
 // clang-format on
 #include "device/hd_sim_state.h"
 
 #include <math.h>
 
-/* Events of one axis in one step. More than a few need forces that balance to the last bit; it then rests to the step's
- * end. */
+/* Most events of one axis in one step. More than a few need forces that balance to the last bit; the axis then rests
+ * until the end of the step. */
 #define HD_AXIS_EVENTS_MAX 16
-#define HD_LOCATE_MAX 100
-/* Below this a motion is over: nothing may decay into subnormal numbers. */
-#define HD_NOTHING 1e-30
+#define HD_MAX_LOCATE_ITERATIONS 100
+/* Values below this, in m, m/s or N, become zero, so that they do not decay into subnormal numbers. */
+#define HD_NEGLIGIBLE 1e-30
 
 /* ---- One step -------------------------------------------------------------------------------------------------- */
 
@@ -72,13 +73,13 @@ HD_RT void hd_sim_kernel_at(const struct hd_sim *sim, double span_s, struct hd_k
     }
 }
 
-/* The force on the handle where it stands still, friction aside. */
+/* Returns the force on the handle at rest, without friction. */
 HD_RT static inline double still_force(const struct hd_sim *sim, double force_n,
                                        const double reference[HD_REFERENCE_ORDERS], double x) {
     return force_n + sim->stiffness * (reference[0] - x) + sim->hand_damping * reference[1];
 }
 
-/* The actuator is told another force: its own goes on without a step, where it lags. */
+/* Sets the commanded force; if the actuator lags, its actual force stays continuous. */
 HD_RT void hd_sim_set_force(struct hd_sim *sim, double x_n, double y_n) {
     const double wanted_n[2] = {x_n, y_n};
     for (int which = 0; which < 2; which++) {
@@ -89,17 +90,17 @@ HD_RT void hd_sim_set_force(struct hd_sim *sim, double x_n, double y_n) {
     }
 }
 
-/* What the actuator is off by, a step later. */
+/* Returns the actuator's error after a step. */
 HD_RT static struct hd_off off_after(const struct hd_actuator_step *step, const struct hd_off *off) {
     const struct hd_off after = {
         step->off_n[0] * off->off_n + step->off_n[1] * off->off_n_per_s,
         step->off_n_per_s[0] * off->off_n + step->off_n_per_s[1] * off->off_n_per_s,
     };
-    const bool over = fabs(after.off_n) + fabs(after.off_n_per_s) < HD_NOTHING;
+    const bool over = fabs(after.off_n) + fabs(after.off_n_per_s) < HD_NEGLIGIBLE;
     return over ? (struct hd_off){0.0, 0.0} : after;
 }
 
-/* The same of a handle that rests or is on its way, `after_s` later. */
+/* Returns the actuator's error `after_s` later. */
 HD_RT static struct hd_off off_at(const struct hd_sim *sim, const struct hd_off *off, double after_s) {
     if (!hd_sim_is_under_way(off)) {
         return *off;
@@ -115,7 +116,7 @@ HD_RT static inline double net_force(const struct hd_sim *sim, double push_n,
            sim->damping * axis->v;
 }
 
-/* The solution after kernel->span_s; push_n is the actuator's force and the friction's, both constant. */
+/* Returns the solution after kernel->span_s; push_n is the sum of the actuator's force and friction, both constant. */
 HD_RT static inline struct hd_axis propagated(const struct hd_sim *sim, const struct hd_kernel *kernel, double push_n,
                                               const double reference[HD_REFERENCE_ORDERS], struct hd_axis axis) {
     const double *const j = &kernel->j[1];
@@ -133,14 +134,15 @@ HD_RT static inline struct hd_axis propagated(const struct hd_sim *sim, const st
     return (struct hd_axis){axis.x + dx, axis.v + dv};
 }
 
-/* What the actuator's lag adds to that. */
+/* Adds the contribution of the actuator's lag. */
 HD_RT static void add_off(const struct hd_kernel *kernel, const struct hd_off *off, struct hd_axis *axis) {
     const struct hd_actuator_step *lag = &kernel->lag;
     axis->x += lag->x_m[0] * off->off_n + lag->x_m[1] * off->off_n_per_s;
     axis->v += lag->v_m_per_s[0] * off->off_n + lag->v_m_per_s[1] * off->off_n_per_s;
 }
 
-/* Whether an axis that began a step in one direction, with the force `net_before_n`, has surely gone on in it. */
+/* Returns whether an axis that began a step in one direction, with the force `net_before_n`, certainly kept this
+ * direction. */
 HD_RT static inline bool keeps_going(const struct hd_sim *sim, int which, double local_s, double direction,
                                      double push_n, double net_before_n, const struct hd_axis *after) {
     if (!(after->v * direction > 0.0 && fabs(after->x) <= sim->workspace_m)) {
@@ -149,13 +151,13 @@ HD_RT static inline bool keeps_going(const struct hd_sim *sim, int which, double
     if (net_before_n * direction >= 0.0) {
         return true;
     }
-    /* It slowed down at first: it may have turned twice if it speeds up in the end. */
+    /* The motion slowed down first: if it speeds up at the end, it may have turned twice. */
     double reference[HD_REFERENCE_ORDERS];
     hd_segment_reference(&sim->segment, which, local_s, reference);
     return net_force(sim, push_n, reference, after) * direction <= 0.0;
 }
 
-/* step_without_events of an actuator that lags: only what moves. */
+/* step_without_events for a lagging actuator, for moving handles only. */
 HD_RT static bool lagging_step_without_events(struct hd_sim *sim, int which, double local_s,
                                               const struct hd_kernel *kernel) {
     struct hd_axis *const axis = &sim->axes[which];
@@ -171,14 +173,14 @@ HD_RT static bool lagging_step_without_events(struct hd_sim *sim, int which, dou
                                        net_force(sim, push_n + off->off_n, reference, axis), &after)) {
         return false;
     }
-    after.v = fabs(after.v) < HD_NOTHING ? 0.0 : after.v;
-    after.x = fabs(after.x) < HD_NOTHING ? 0.0 : after.x;
+    after.v = fabs(after.v) < HD_NEGLIGIBLE ? 0.0 : after.v;
+    after.x = fabs(after.x) < HD_NEGLIGIBLE ? 0.0 : after.x;
     *axis = after;
     sim->off[which] = off_end;
     return true;
 }
 
-/* One step in which nothing happens. False, and nothing changed: something may. */
+/* Makes a step without events. Returns false, without a change, if an event is possible. */
 HD_RT static inline bool step_without_events(struct hd_sim *sim, int which, double local_s,
                                              const struct hd_kernel *kernel) {
     if (hd_sim_is_under_way(&sim->off[which])) {
@@ -206,37 +208,37 @@ HD_RT static inline bool step_without_events(struct hd_sim *sim, int which, doub
     const double direction = axis->v > 0.0 ? 1.0 : -1.0;
     const double push_n = force_n - direction * friction_n;
     struct hd_axis after = propagated(sim, kernel, push_n, reference, *axis);
-    /* Far from the stops and without friction a turn is no event. */
+    /* Far from the stops and without friction a turn is not an event. */
     const double reach_m = 2.0 * kernel->span_s * (fabs(axis->v) + fabs(after.v));
     if (!(friction_n == 0.0 && fabs(after.x) + reach_m < sim->workspace_m) &&
         !keeps_going(sim, which, local_s + kernel->span_s, direction, push_n, net_force(sim, push_n, reference, axis),
                      &after)) {
         return false;
     }
-    after.v = fabs(after.v) < HD_NOTHING ? 0.0 : after.v;
-    after.x = fabs(after.x) < HD_NOTHING ? 0.0 : after.x;
+    after.v = fabs(after.v) < HD_NEGLIGIBLE ? 0.0 : after.v;
+    after.x = fabs(after.x) < HD_NEGLIGIBLE ? 0.0 : after.x;
     *axis = after;
     return true;
 }
 
 /* ---- Events within a step -------------------------------------------------------------------------------------- */
 
-/* A motion in one direction, or rest, from one event on. */
+/* A motion in one direction, or a rest, that begins at an event. */
 struct hd_motion {
     int which;
     double direction; /* 1 or -1 */
-    double local_s;   /* when it began, since the segment's start */
+    double local_s;   /* time of its beginning after the segment's start */
     double push_n;
     struct hd_axis axis;
     struct hd_off off;
 };
 
-/* What is located: a value that is positive at first, then negative. */
+/* The zero crossing that is located: of a value that is positive first, then negative. */
 enum hd_crossing {
-    HD_CROSSING_TURN,    /* the speed */
-    HD_CROSSING_SLOWEST, /* the deceleration */
-    HD_CROSSING_STOP,    /* the way to the stop */
-    HD_CROSSING_RELEASE  /* what friction can still hold of a rest */
+    HD_CROSSING_TURN,    /* speed */
+    HD_CROSSING_SLOWEST, /* deceleration */
+    HD_CROSSING_STOP,    /* distance to the stop */
+    HD_CROSSING_RELEASE  /* friction that remains to hold the handle at rest */
 };
 
 HD_RT static struct hd_axis motion_at(const struct hd_sim *sim, const struct hd_motion *motion, double after_s) {
@@ -279,12 +281,13 @@ HD_RT static void crossing_at(const struct hd_sim *sim, const struct hd_motion *
     }
 }
 
-/* When the value passes zero between low_s and high_s: Newton's method, bisection where it would leave the bracket. */
-HD_RT static double locate(const struct hd_sim *sim, const struct hd_motion *motion, enum hd_crossing crossing,
-                           double low_s, double high_s) {
+/* Returns when the value crosses zero between low_s and high_s, by Newton's method, with bisection if it leaves the
+ * bracket. */
+HD_RT static double locate_crossing(const struct hd_sim *sim, const struct hd_motion *motion, enum hd_crossing crossing,
+                                    double low_s, double high_s) {
     const double tolerance_s = 2e-16 * high_s;
     double guess_s = 0.5 * (low_s + high_s);
-    for (int i = 0; i < HD_LOCATE_MAX && high_s - low_s > tolerance_s; i++) {
+    for (int i = 0; i < HD_MAX_LOCATE_ITERATIONS && high_s - low_s > tolerance_s; i++) {
         double value;
         double slope;
         crossing_at(sim, motion, crossing, guess_s, &value, &slope);
@@ -302,14 +305,14 @@ HD_RT static double locate(const struct hd_sim *sim, const struct hd_motion *mot
     return guess_s;
 }
 
-/* Whether a motion ends by a turn before *span_s has passed; *span_s is then when. */
+/* Returns whether a motion ends by a turn within *span_s; if so, sets *span_s to the time of the turn. */
 HD_RT static bool turns_within(const struct hd_sim *sim, const struct hd_motion *motion, double *span_s) {
     double last_s = *span_s;
     double value;
     double slope;
     crossing_at(sim, motion, HD_CROSSING_TURN, last_s, &value, &slope);
     if (value >= 0.0) {
-        /* It may have turned twice: if it slowed down at first and speeds up in the end. */
+        /* The motion may have turned twice, if it slowed down first and speeds up at the end. */
         if (motion->axis.v == 0.0 || slope <= 0.0) {
             return false;
         }
@@ -317,18 +320,19 @@ HD_RT static bool turns_within(const struct hd_sim *sim, const struct hd_motion 
         if (value <= 0.0) {
             return false;
         }
-        last_s = locate(sim, motion, HD_CROSSING_SLOWEST, 0.0, last_s);
+        last_s = locate_crossing(sim, motion, HD_CROSSING_SLOWEST, 0.0, last_s);
         crossing_at(sim, motion, HD_CROSSING_TURN, last_s, &value, &slope);
         if (value >= 0.0) {
             return false;
         }
     }
-    *span_s = locate(sim, motion, HD_CROSSING_TURN, 0.0, last_s);
+    *span_s = locate_crossing(sim, motion, HD_CROSSING_TURN, 0.0, last_s);
     return true;
 }
 
-/* When along a curved segment the force on a resting handle is extreme: k w' + b_h w'' = 0, which has one root inside
- * (s (1 - s) is positive there and 1 - 2 s falls). Without a hand there is none; the end is returned. */
+/* Returns when the force on a resting handle is extreme along a curved segment: k w' + b_h w'' = 0, which has one root
+ * inside of the segment (s (1 - s) is positive there and 1 - 2 s falls). Without a hand there is no root, and the end
+ * is returned. */
 HD_RT static double extreme_force_s(const struct hd_sim *sim) {
     const double elastic = 0.5 * sim->stiffness * sim->segment.duration_s;
     const double viscous = sim->hand_damping;
@@ -338,12 +342,12 @@ HD_RT static double extreme_force_s(const struct hd_sim *sim) {
     HD_RT_FOREIGN_BEGIN
     const double root = sqrt(elastic * elastic + 4.0 * viscous * viscous);
     HD_RT_FOREIGN_END
-    /* elastic s (1 - s) + viscous (1 - 2 s) = 0, its root between 0 and 1 in the form that does not cancel. */
+    /* elastic s (1 - s) + viscous (1 - 2 s) = 0: its root between 0 and 1, in the form without cancellation. */
     const double more = elastic - 2.0 * viscous;
     return sim->segment.duration_s * (more > 0.0 ? 0.5 * (more + root) / elastic : 2.0 * viscous / (root - more));
 }
 
-/* Which way a resting handle is pushed beyond what friction and stops hold: 1, -1, or 0 for not at all. */
+/* Returns the direction, 1 or -1, in which a resting handle is pushed more than friction and stops can hold, or 0. */
 HD_RT static double release_direction(const struct hd_sim *sim, int which, double local_s, double after_s) {
     const struct hd_axis *axis = &sim->axes[which];
     const double off_n = off_at(sim, &sim->off[which], after_s).off_n;
@@ -359,7 +363,8 @@ HD_RT static double release_direction(const struct hd_sim *sim, int which, doubl
     return 0.0;
 }
 
-/* The rest that begins at local_s: true if it ends within left_s, *rest_s later, with a motion in *direction. */
+/* Returns whether the rest that begins at local_s ends within left_s; if so, after *rest_s, with a motion in
+ * *direction. */
 HD_RT static bool rest_ends(const struct hd_sim *sim, int which, double local_s, double left_s, double *rest_s,
                             double *direction) {
     *rest_s = 0.0;
@@ -370,28 +375,28 @@ HD_RT static bool rest_ends(const struct hd_sim *sim, int which, double local_s,
     if (sim->segment.profile == HD_PROFILE_HOLD && !hd_sim_is_under_way(&sim->off[which])) {
         return false;
     }
-    double looks_s[2] = {left_s, left_s};
+    double check_s[2] = {left_s, left_s};
     if (sim->segment.profile == HD_PROFILE_MINIMUM_JERK) {
         const double extreme_s = extreme_force_s(sim) - local_s;
         if (extreme_s > 0.0 && extreme_s < left_s) {
-            looks_s[0] = extreme_s;
+            check_s[0] = extreme_s;
         }
     }
     double quiet_s = 0.0;
-    for (int look = 0; look < 2; look++) {
-        *direction = release_direction(sim, which, local_s, looks_s[look]);
+    for (int i_check = 0; i_check < 2; i_check++) {
+        *direction = release_direction(sim, which, local_s, check_s[i_check]);
         if (*direction != 0.0) {
             const struct hd_motion rest = {which,          *direction, local_s, sim->force_n[which], sim->axes[which],
                                            sim->off[which]};
-            *rest_s = locate(sim, &rest, HD_CROSSING_RELEASE, quiet_s, looks_s[look]);
+            *rest_s = locate_crossing(sim, &rest, HD_CROSSING_RELEASE, quiet_s, check_s[i_check]);
             return true;
         }
-        quiet_s = looks_s[look];
+        quiet_s = check_s[i_check];
     }
     return false;
 }
 
-/* One step in which something may happen. */
+/* Makes a step with all its events. */
 HD_RT static void step_with_events(struct hd_sim *sim, int which, double local_s, double span_s) {
     struct hd_axis *const axis = &sim->axes[which];
     struct hd_off *const off = &sim->off[which];
@@ -419,9 +424,9 @@ HD_RT static void step_with_events(struct hd_sim *sim, int which, double local_s
         if (turns) {
             end.v = 0.0;
         }
-        /* Up to here the motion was in one direction. */
+        /* Until end_s the motion has one direction. */
         if (end.x * motion.direction > sim->workspace_m) {
-            end_s = locate(sim, &motion, HD_CROSSING_STOP, 0.0, end_s);
+            end_s = locate_crossing(sim, &motion, HD_CROSSING_STOP, 0.0, end_s);
             end = (struct hd_axis){motion.direction * sim->workspace_m, 0.0};
         }
         *axis = end;

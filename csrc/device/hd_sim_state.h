@@ -1,11 +1,11 @@
-/* The simulated joystick, from the inside: what its files share.
+/* The state of the simulated joystick, shared by its files:
  *
  *   hd_sim_time.c    time: which events fall into a period; force, reference and encoder samples
- *   hd_sim_solver.c  the motion of handle and hand in one step, exact, and what can happen within it
- *   hd_sim_setup.c   control: made from a configuration, placed, freed
+ *   hd_sim_solver.c  the exact motion of handle and hand in one step, and the events within it
+ *   hd_sim_setup.c   control: makes a simulation from a configuration, places the handle, frees
  *
- * Times are counted in servo periods, and for encoder samples and frames of the link in 2^-24 of a period, so nothing
- * accumulates. SI units. Control makes and frees a simulation; one thread at a time runs it. */
+ * Times are counted in servo periods; those of encoder samples and frames of the link in 2^-24 of a period, so that no
+ * rounding errors accumulate. SI units. Control makes and frees a simulation; one thread at a time runs it. */
 #ifndef HD_SIM_STATE_H
 #define HD_SIM_STATE_H
 
@@ -16,13 +16,14 @@
 #include "device/hd_operator.h"
 #include "device/hd_sim.h"
 
-/* The longest step, as max(B/M, sqrt(k/M)) h, and the terms of the series that give 1e-17 there. */
+/* The longest step h, as max(B/M, sqrt(k/M)) h, and the number of terms of the series for an error of 1e-17 at it. */
 #define HD_STEP_MAX 0.5
 #define HD_SERIES_TERMS 14
-/* Times closer than this part of a period are the same. */
+/* Times that differ by less than this fraction of a period are equal. */
 #define HD_SAME_TIME 1e-9
-/* Encoder samples under way at most, a power of two. */
+/* Most encoder samples under way, a power of two. */
 #define HD_SAMPLES 2048u
+/* Times in 2^-24 of a period: the shift, and the unit in periods. */
 #define HD_FRACTION_SHIFT 24
 #define HD_FRACTION_UNIT (1.0 / 16777216.0)
 
@@ -37,7 +38,7 @@ struct hd_axis {
     double v;
 };
 
-/* What a lagging actuator exerts more than it was told, and its derivative: see hd_actuator.h. */
+/* The error e of a lagging actuator's force and its derivative, see hd_actuator.h. */
 struct hd_off {
     double off_n;
     double off_n_per_s;
@@ -51,15 +52,15 @@ struct hd_encoder_sample {
 /* A force on its way to the actuator. */
 struct hd_sent {
     double force_n[2];
-    uint64_t at; /* when it acts, in 2^-24 of a period since origin_tick */
+    uint64_t at; /* time at which it takes effect, in 2^-24 of a period since origin_tick */
 };
 
-/* What a period of free motion touches comes first and stands together. */
+/* The members that a period of free motion uses come first, so that they share cache lines. */
 struct hd_sim {
     /* The device and the hand: constant. */
     double period_s;
     double mass_kg;
-    double damping; /* of the handle, b */
+    double damping; /* b, of the handle */
     double hand_damping;
     double stiffness; /* k */
     double coulomb_n;
@@ -68,24 +69,24 @@ struct hd_sim {
     double encoder_per_m;
     double force_step_n;
     double force_per_n;
-    double force_top;             /* in N, or in steps where the force has a resolution */
-    uint64_t force_whole_periods; /* after a put, before it expires */
-    uint64_t force_interval;      /* of the link; 0: there is none */
-    struct hd_kernel period;      /* one period, or its equal parts */
+    double force_top;             /* largest force, in N, or in steps if the force has a resolution */
+    uint64_t force_whole_periods; /* complete periods from a put to the expiry of the force */
+    uint64_t force_interval;      /* frame interval of the link; 0: no link */
+    struct hd_kernel period;      /* of one period, or of the equal parts of a period */
 
     /* The motion. */
     struct hd_axis axes[2];
     struct hd_off off[2];
     double force_n[2];
     uint64_t tick;     /* periods since the start */
-    uint64_t put_tick; /* the force has acted since then, and as much later in that period: */
+    uint64_t put_tick; /* the present force took effect at put_late_s after this tick */
     double put_late_s;
 
     /* The reference. */
     uint64_t path_tick;
-    uint64_t calm_tick; /* periods that begin before it lie in this segment and need one step */
+    uint64_t calm_tick; /* periods that begin before this tick are inside of the segment and need a single step */
     struct hd_segment segment;
-    bool path_announced; /* nobody waits to be told of the path's end */
+    bool path_announced; /* true: the end of the path needs no event any more */
 
     /* Encoder samples, which the servo reads as reports; times in 2^-24 of a period since origin_tick. */
     bool read_before;
@@ -93,46 +94,48 @@ struct hd_sim {
     uint64_t sample_interval;
     uint64_t sample_delay;
     uint64_t origin_tick;
-    uint64_t sample_count; /* samples taken: the number of the next */
-    uint64_t sample_at;    /* when the next is made */
-    uint64_t sample_mask;  /* of the places in samples[] that are used: as many as can be under way, a power of two */
-    uint64_t read_number;  /* the newest that could be read */
-    uint64_t read_next_at; /* when the one after it can be read */
-    uint64_t arrive_at;    /* when the next force of the link arrives; UINT64_MAX: none is under way */
+    uint64_t sample_count; /* number of samples taken, and index of the next */
+    uint64_t sample_at;    /* time of the next sample */
+    uint64_t sample_mask;  /* index mask of the used part of samples[], which holds all samples under way; its size is a
+                              power of two */
+    uint64_t read_number;  /* newest sample that could be read */
+    uint64_t read_next_at; /* time at which the sample after it can be read */
+    uint64_t arrive_at;    /* time at which the next force takes effect; UINT64_MAX: no force is under way */
 
-    /* What a period with events touches, too. */
-    const struct hd_operator *path; /* NULL: it rests, or is on its way to target_m */
+    /* The members that are used only by a period with events. */
+    const struct hd_operator *path; /* NULL: the hand rests, or moves to target_m */
     double target_m[2];
     size_t path_index;
-    double path_end_s;      /* of the last waypoint */
-    double segment_limit_s; /* limit_s, or less where the reference is curved */
+    double path_end_s;      /* time of the last waypoint */
+    double segment_limit_s; /* longest step in this segment: limit_s, or less if the reference is curved */
     double limit_s;         /* the longest step of this device */
-    double lag_limit_s;     /* the same while the actuator is under way; 0: it never is */
+    double lag_limit_s;     /* longest step while the actuator lags; 0: it has no lag */
     double force_timeout_s;
-    uint32_t stretch_periods; /* several periods in one step */
+    uint32_t stretch_periods; /* largest number of periods in one step */
     struct hd_kernel stretch;
-    struct hd_kernel lagging;          /* of a period while the actuator is under way */
-    double series[2][HD_SERIES_TERMS]; /* of J_4 and J_5 */
+    struct hd_kernel lagging;          /* of the equal parts of a period while the actuator lags */
+    double series[2][HD_SERIES_TERMS]; /* power series of J_4 and J_5 */
     struct hd_actuator actuator;
 
-    /* The link of forces; times as those of encoder samples. */
+    /* The link that forces pass; times as of encoder samples. */
     uint64_t force_intervals;
     uint32_t sent_first;
     uint32_t sent_count;
-    struct hd_sent sent[HD_SIM_FORCES]; /* a ring, in order of time */
+    struct hd_sent sent[HD_SIM_FORCES]; /* ring, in order of time */
 
     struct hd_encoder_sample samples[HD_SAMPLES];
 
-    struct hd_holders holders; /* control's */
+    struct hd_holders holders; /* used by control */
 };
 
 /* ---- hd_sim_solver.c --------------------------------------------------------------------------------------------- */
 
-/* What makes the solution after `span_s`. */
+/* Computes the coefficients of the solution after `span_s`. */
 HD_RT void hd_sim_kernel_at(const struct hd_sim *sim, double span_s, struct hd_kernel *kernel);
-/* Both axes go on by one step, with whatever happens within it. It begins `local_s` after the segment's start. */
+/* Advances both axes by one step, including the events within it. The step begins `local_s` after the segment's
+ * start. */
 HD_RT void hd_sim_solve(struct hd_sim *sim, double local_s, const struct hd_kernel *kernel);
-/* The actuator is told another force: its own goes on without a step, where it lags. */
+/* Sets the force that the actuator is commanded; if it lags, its actual force stays continuous. */
 HD_RT void hd_sim_set_force(struct hd_sim *sim, double x_n, double y_n);
 
 HD_RT static inline bool hd_sim_is_under_way(const struct hd_off *off) {
@@ -146,9 +149,9 @@ HD_RT static inline bool hd_sim_lags(const struct hd_sim *sim) {
 /* ---- hd_sim_time.c ---------------------------------------------------------------------------------------------- */
 
 HD_RT double hd_sim_path_time_s(const struct hd_sim *sim);
-/* Where the hand wants to be now. */
+/* Computes the present reference of the hand. */
 HD_RT void hd_sim_reference(struct hd_sim *sim, double reference_m[2]);
-/* The encoder takes a sample. */
+/* Takes an encoder sample. */
 HD_RT void hd_sim_sample(struct hd_sim *sim);
 
 #endif

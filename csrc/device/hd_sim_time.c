@@ -1,10 +1,10 @@
-/* The simulated joystick: time goes on from event to event, and what falls into a period splits it: the hand's
- * reference enters another segment, the force expires, another arrives, an encoder sample is due. What lies between two
- * events is the solver's (hd_sim_solver.c).
+/* Time of the simulated joystick: advances from event to event. An event splits a period: the hand's reference enters
+ * another segment, the force expires, another force takes effect, or an encoder sample is due. The motion between two
+ * events is computed by hd_sim_solver.c.
  *
- * Behind a link a force acts at a later frame. That frame is known when the force is put, so that what is under way is
- * a short row of forces and their times, each another event; a put that comes before the frame of the last one leaves
- * takes its place. */
+ * Through a link a force takes effect at a later frame. That frame is known when the force is put, so the forces under
+ * way are a short queue of forces and times, each of them an event. A put before the frame of the last one has left
+ * replaces that one. */
 #include "device/hd_sim_state.h"
 
 #include <math.h>
@@ -13,7 +13,7 @@
 #include "base/hd_cache.h"
 #include "base/hd_vector.h"
 
-/* Adding and subtracting it rounds to the nearest integer, up to 2^51. */
+/* Adding and subtracting this number rounds to the nearest integer, up to 2^51. */
 #define HD_ROUND_MAGIC 6755399441055744.0
 
 /* ---- Time ------------------------------------------------------------------------------------------------------ */
@@ -22,8 +22,8 @@ HD_RT double hd_sim_path_time_s(const struct hd_sim *sim) {
     return (double)(int64_t)(sim->tick - sim->path_tick) * sim->period_s;
 }
 
-/* Both axes go on within the segment, under a constant force. */
-HD_RT static void span(struct hd_sim *sim, double local_s, double span_s) {
+/* Advances both axes by `span_s` within the segment, under a constant force. */
+HD_RT static void advance_span(struct hd_sim *sim, double local_s, double span_s) {
     double limit_s = sim->segment_limit_s;
     if (hd_sim_lags(sim) && sim->lag_limit_s < limit_s) {
         limit_s = sim->lag_limit_s;
@@ -49,7 +49,7 @@ HD_RT static void span(struct hd_sim *sim, double local_s, double span_s) {
     }
 }
 
-/* Into the segment that sim->segment is now. */
+/* Prepares the steps of the new sim->segment. */
 HD_RT static void begin_segment(struct hd_sim *sim) {
     sim->segment_limit_s = sim->limit_s;
     if (sim->segment.profile == HD_PROFILE_MINIMUM_JERK && sim->segment.duration_s < 8.0 * sim->limit_s) {
@@ -71,13 +71,13 @@ HD_RT static void enter_segment(struct hd_sim *sim, const double reference_m[2])
     begin_segment(sim);
 }
 
-/* After a line to a streamed target: it stays there. */
+/* Rests at a streamed target after the line that leads to it. */
 HD_RT static void arrive_at_target(struct hd_sim *sim) {
     hd_operator_rest(sim->target_m, sim->segment.end_s, &sim->segment);
     begin_segment(sim);
 }
 
-/* The segment that holds the time `path_s`, or begins there. */
+/* Finds the segment that contains the time `path_s`, or begins there. */
 HD_RT static void find_segment(struct hd_sim *sim, double path_s) {
     while (path_s >= sim->segment.end_s - HD_SAME_TIME * sim->period_s) {
         if (sim->path == NULL) {
@@ -89,7 +89,7 @@ HD_RT static void find_segment(struct hd_sim *sim, double path_s) {
     }
 }
 
-/* How long after the present tick the force will expire; infinite where there is none. */
+/* Returns the time from the present tick to the expiry of the force; infinite for a force of zero. */
 HD_RT static double force_left_s(const struct hd_sim *sim) {
     if (sim->force_n[0] == 0.0 && sim->force_n[1] == 0.0) {
         return (double)INFINITY;
@@ -103,7 +103,7 @@ HD_RT static bool force_lasts(const struct hd_sim *sim) {
     return sim->tick - sim->put_tick < sim->force_whole_periods || (sim->force_n[0] == 0.0 && sim->force_n[1] == 0.0);
 }
 
-HD_RT static double encoded(const struct hd_sim *sim, double x) {
+HD_RT static double quantised(const struct hd_sim *sim, double x) {
     if (sim->encoder_step_m == 0.0) {
         return x;
     }
@@ -113,15 +113,15 @@ HD_RT static double encoded(const struct hd_sim *sim, double x) {
 HD_RT void hd_sim_sample(struct hd_sim *sim) {
     struct hd_encoder_sample *to = &sim->samples[sim->sample_count & sim->sample_mask];
     for (int which = 0; which < 2; which++) {
-        to->position_m[which] = encoded(sim, sim->axes[which].x);
+        to->position_m[which] = quantised(sim, sim->axes[which].x);
         to->velocity_m_per_s[which] = sim->axes[which].v;
     }
     sim->sample_count++;
     sim->sample_at += sim->sample_interval;
 }
 
-/* The first of the forces under way begins to act, `late_s` after the present tick. */
-HD_RT static void arrive(struct hd_sim *sim, double late_s) {
+/* Makes the first of the forces under way take effect, `late_s` after the present tick. */
+HD_RT static void take_force_effect(struct hd_sim *sim, double late_s) {
     const struct hd_sent *const first = &sim->sent[sim->sent_first];
     hd_sim_set_force(sim, first->force_n[0], first->force_n[1]);
     sim->put_tick = sim->tick;
@@ -131,22 +131,22 @@ HD_RT static void arrive(struct hd_sim *sim, double late_s) {
     sim->arrive_at = sim->sent_count > 0 ? sim->sent[sim->sent_first].at : UINT64_MAX;
 }
 
-/* What is due at a tick. */
-HD_RT static inline void due_at(struct hd_sim *sim, uint64_t now) {
+/* Takes the sample and the force that are due at a tick. */
+HD_RT static inline void take_due(struct hd_sim *sim, uint64_t now) {
     if (sim->sample_at == now) {
         hd_sim_sample(sim);
     }
     if (sim->arrive_at == now) {
-        arrive(sim, 0.0);
+        take_force_effect(sim, 0.0);
     }
 }
 
-/* A time within the present period, which began at `begin`. */
+/* Returns the time from `begin`, the start of the present period, to `at`, in s. */
 HD_RT static inline double within_s(const struct hd_sim *sim, uint64_t at, uint64_t begin) {
     return (double)(int64_t)(at - begin) * HD_FRACTION_UNIT * sim->period_s;
 }
 
-/* One period with whatever falls into it. */
+/* Advances by one period with all events in it. */
 HD_RT static void busy_period(struct hd_sim *sim) {
     const uint64_t begin = (sim->tick - sim->origin_tick) << HD_FRACTION_SHIFT;
     const uint64_t end = begin + ((uint64_t)1 << HD_FRACTION_SHIFT);
@@ -182,18 +182,18 @@ HD_RT static void busy_period(struct hd_sim *sim) {
             }
         }
         if (next_s > done_s) {
-            span(sim, path_s + done_s - sim->segment.start_s, next_s - done_s);
+            advance_span(sim, path_s + done_s - sim->segment.start_s, next_s - done_s);
             done_s = next_s;
         }
         if (samples) {
             hd_sim_sample(sim);
         }
         if (arrives) {
-            arrive(sim, next_s);
+            take_force_effect(sim, next_s);
         }
     }
     sim->tick++;
-    due_at(sim, end);
+    take_due(sim, end);
 }
 
 HD_RT static inline void one_period(struct hd_sim *sim) {
@@ -206,10 +206,10 @@ HD_RT static inline void one_period(struct hd_sim *sim) {
     const double local_s = hd_sim_path_time_s(sim) - sim->segment.start_s;
     hd_sim_solve(sim, local_s, &sim->period);
     sim->tick++;
-    due_at(sim, end);
+    take_due(sim, end);
 }
 
-/* How many periods from now on can be one step: nothing falls into them, and at most an encoder sample and a force at
+/* Returns how many periods can be one step: no event is inside of them, and at most an encoder sample and a force at
  * their end. */
 HD_RT static uint64_t free_periods(const struct hd_sim *sim, uint64_t end_tick) {
     if (sim->tick >= sim->calm_tick || !force_lasts(sim) || hd_sim_lags(sim)) {
@@ -228,12 +228,12 @@ HD_RT static uint64_t free_periods(const struct hd_sim *sim, uint64_t end_tick) 
     return silent < count ? silent : count;
 }
 
-/* Many periods in as few steps as the device allows, and in none once it rests. */
+/* Advances by many periods in as few steps as the device allows, and without a step once the handle rests. */
 HD_RT static void many_periods(struct hd_sim *sim, uint32_t periods) {
     const uint64_t end_tick = sim->tick + periods;
     const uint64_t end = (end_tick - sim->origin_tick) << HD_FRACTION_SHIFT;
     if (end >= sim->sample_delay) {
-        /* Samples that are older than the newest readable one at the end will never be seen. */
+        /* Samples older than the newest one that can be read at the end are never read. */
         const uint64_t newest = (end - sim->sample_delay) / sim->sample_interval;
         if (newest > sim->sample_count) {
             sim->sample_count = newest;
@@ -249,12 +249,12 @@ HD_RT static void many_periods(struct hd_sim *sim, uint32_t periods) {
         }
         const struct hd_axis before[2] = {sim->axes[0], sim->axes[1]};
         const uint64_t step = count < sim->stretch_periods ? count : sim->stretch_periods;
-        span(sim, hd_sim_path_time_s(sim) - sim->segment.start_s, (double)(int64_t)step * sim->period_s);
+        advance_span(sim, hd_sim_path_time_s(sim) - sim->segment.start_s, (double)(int64_t)step * sim->period_s);
         const bool rests = sim->segment.profile == HD_PROFILE_HOLD && before[0].x == sim->axes[0].x &&
                            before[0].v == sim->axes[0].v && before[1].x == sim->axes[1].x &&
                            before[1].v == sim->axes[1].v;
         sim->tick += rests ? count : step;
-        due_at(sim, (sim->tick - sim->origin_tick) << HD_FRACTION_SHIFT);
+        take_due(sim, (sim->tick - sim->origin_tick) << HD_FRACTION_SHIFT);
     }
 }
 
@@ -268,7 +268,7 @@ HD_RT void hd_sim_step_advance(struct hd_sim *sim, uint32_t periods) {
 
 /* ---- Force, reference and encoder samples ------------------------------------------------------------------------ */
 
-/* Sends a force with the next frame; one that waited for it is overtaken. */
+/* Sends a force with the next frame; a force that waited for the same frame is replaced. */
 HD_RT static void send_force(struct hd_sim *sim, const double force_n[2]) {
     const uint64_t now = (sim->tick - sim->origin_tick) << HD_FRACTION_SHIFT;
     const uint64_t at = (now / sim->force_interval + sim->force_intervals) * sim->force_interval;
@@ -287,7 +287,7 @@ HD_RT void hd_sim_step_put(struct hd_sim *sim, const double force_n[2]) {
     for (int which = 0; which < 2; which++) {
         double level = finite ? force_n[which] : 0.0;
         if (sim->force_step_n > 0.0) {
-            /* Bounded before it is rounded: the rounding needs less than 2^51 steps. */
+            /* Limited before it is rounded, because the rounding needs less than 2^51 steps. */
             level *= sim->force_per_n;
             level = level > sim->force_top ? sim->force_top : level;
             level = level < -sim->force_top ? -sim->force_top : level;
@@ -380,7 +380,7 @@ HD_RT void hd_sim_step_fetch(const struct hd_sim *sim) {
 }
 
 HD_RT void hd_sim_step_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]) {
-    /* A lagging one begins to fall then. */
+    /* The force of a lagging actuator begins to fall then. */
     const bool expired = force_left_s(sim) == 0.0 && sim->actuator.order == 0;
     for (int which = 0; which < 2; which++) {
         position[which] = sim->axes[which].x;

@@ -1,6 +1,6 @@
-/* Runs without clock, thread or I/O: hd_render (positions are given), hd_replay (samples of a servo are) and
- * hd_simulate (closed loop with the simulated joystick). The tick is the servo's own; results are bit-identical from
- * run to run. The caller's thread. */
+/* Runs without clock, thread or I/O: hd_render (from positions), hd_replay (from samples of a servo) and hd_simulate
+ * (closed loop with the simulated joystick). They use the same tick as the servo; results are bit-identical from run to
+ * run. The caller's thread. */
 #include <math.h>
 #include <string.h>
 
@@ -8,10 +8,10 @@
 #include "scene/hd_world.h"
 #include "tick/hd_tick.h"
 
-/* Times are nanoseconds in 63 bits. */
+/* Longest run, because times are nanoseconds in 63 bits. */
 #define HD_LONGEST_RUN_S 9e9
 
-/* Where events of a run are kept. */
+/* The events of a run: `count` is the number that occurred, of which up to `capacity` are kept. */
 struct event_sink {
     struct hd_event *events;
     size_t capacity;
@@ -32,17 +32,16 @@ static int64_t period_time_ns(const struct hd_table *table, uint64_t period) {
     return (int64_t)((double)period * table->period_s * 1e9 + 0.5);
 }
 
-/* The tick takes neither an empty world nor slots that are not there yet. */
-static int prepare(const struct hd_world *world, struct hd_state *state) {
-    return world->loaded ? hd_state_reserve(state, world->table.object_count)
-                         : hd_invalid("world: no table was loaded");
+/* Ensures what the tick requires: a loaded world, and slots for all its objects. */
+static int check_and_reserve(const struct hd_world *world, struct hd_state *state) {
+    return world->loaded ? hd_state_reserve(state, world->table.object_count) : hd_invalid("world: no table is loaded");
 }
 
 int hd_render(const struct hd_world *world, struct hd_state *state, const double *position, const double *velocity,
               const uint32_t *periods, size_t count, struct hd_sample *samples, struct hd_event *events,
               size_t event_capacity, size_t *event_count) {
     const struct hd_table *table = &world->table;
-    const int status = prepare(world, state);
+    const int status = check_and_reserve(world, state);
     if (status != HD_OK) {
         return status;
     }
@@ -77,7 +76,7 @@ int hd_render(const struct hd_world *world, struct hd_state *state, const double
 int hd_replay(const struct hd_world *world, struct hd_state *state, const struct hd_sample *recorded,
               const double *interval_s, const uint32_t *periods, size_t count, struct hd_sample *samples,
               struct hd_event *events, size_t event_capacity, size_t *event_count) {
-    const int status = prepare(world, state);
+    const int status = check_and_reserve(world, state);
     if (status != HD_OK) {
         return status;
     }
@@ -107,7 +106,7 @@ int hd_replay(const struct hd_world *world, struct hd_state *state, const struct
         if ((was->flags & HD_FLAG_GLITCH) != 0) {
             const double step_m =
                 hypot(was->position_m[0] - state->position_m[0], was->position_m[1] - state->position_m[1]);
-            /* It jumped, also where this recording does not say how fast. */
+            /* The position jumped, even if the recorded samples imply a lower speed. */
             const double speed = input.interval_s > 0.0 ? step_m / input.interval_s : 0.0;
             const double least = world->table.max_speed_m_per_s;
             input.glitch_m_per_s = speed > least ? speed : least;
@@ -129,7 +128,7 @@ int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_
                 struct hd_sample *samples, double *truth, struct hd_event *events, size_t event_capacity,
                 size_t *event_count) {
     const struct hd_table *table = &world->table;
-    const int status = prepare(world, state);
+    const int status = check_and_reserve(world, state);
     if (status != HD_OK) {
         return status;
     }

@@ -1,5 +1,5 @@
-/* The life of a servo, on the control side: made with everything that it will ever use, started, stopped, and after an
- * overload restarted at another rate. hd_servo.h says what its other files do. */
+/* The life of a servo, on the control side: hd_servo_new allocates all memory that it ever uses; it is started,
+ * stopped, and after an overload restarted at another rate. hd_servo.h lists its other files. */
 #include "servo/hd_servo.h"
 
 #include <errno.h>
@@ -14,39 +14,41 @@ static int config_check(const struct hd_servo_config *config) {
         return hd_invalid("servo: rate %g Hz is not between 1 and 100000", config->rate_hz);
     }
     if (config->spin_ns < 0 || (double)config->spin_ns > 1e9 / config->rate_hz) {
-        return hd_invalid("servo: spinning for %lld ns does not fit into a period", (long long)config->spin_ns);
+        return hd_invalid("servo: a busy-wait of %lld ns is longer than a period", (long long)config->spin_ns);
     }
     if (config->sample_capacity == 0 || (config->sample_capacity & (config->sample_capacity - 1)) != 0) {
-        return hd_invalid("servo: %u samples is no power of two", config->sample_capacity);
+        return hd_invalid("servo: %u samples are not a power of two", config->sample_capacity);
     }
     if (!(config->device_timeout_s > 0.0)) {
-        return hd_invalid("servo: a device time-out of %g s", config->device_timeout_s);
+        return hd_invalid("servo: a device time-out of %g s is not above 0", config->device_timeout_s);
     }
     if (!(config->resolution_m >= 0.0 && config->resolution_m < 1.0)) {
-        return hd_invalid("servo: an encoder step of %g m", config->resolution_m);
+        return hd_invalid("servo: an encoder step of %g m is not between 0 and 1", config->resolution_m);
     }
     if (!(config->overrun_threshold >= 0.0 && config->overrun_threshold <= 1.0) ||
         config->overrun_action > HD_OVERRUN_STEP_DOWN) {
-        return hd_invalid("servo: overruns above %g, action %u", config->overrun_threshold, config->overrun_action);
+        return hd_invalid("servo: an overrun threshold of %g is not between 0 and 1, or action %u is unknown",
+                          config->overrun_threshold, config->overrun_action);
     }
     if (!(config->frozen_s >= 0.0 && config->frozen_force_n >= 0.0)) {
-        return hd_invalid("servo: frozen after %g s under %g N", config->frozen_s, config->frozen_force_n);
+        return hd_invalid("servo: frozen after %g s under %g N: both must be at least 0", config->frozen_s,
+                          config->frozen_force_n);
     }
     if (!(config->stream_timeout_s >= 0.002 && config->stream_timeout_s <= 1.0)) {
         return hd_invalid("servo: a time-out of streams of %g s is not between 0.002 and 1", config->stream_timeout_s);
     }
     if (config->clock != HD_CLOCK_TIMER && config->clock != HD_CLOCK_DEVICE) {
-        return hd_invalid("servo: clock %u", config->clock);
+        return hd_invalid("servo: unknown clock %u", config->clock);
     }
     return HD_OK;
 }
 
-static void take_rate(struct hd_servo *servo, double rate_hz) {
+static void set_rate(struct hd_servo *servo, double rate_hz) {
     servo->config.rate_hz = rate_hz;
     servo->period_ns = 1e9 / rate_hz;
     servo->period_s = 1.0 / rate_hz;
     if (servo->device.hid != NULL) {
-        /* A tick that a report leads may be half a period early. */
+        /* A tick that a report triggers may be half a period early. */
         const double early = servo->config.clock == HD_CLOCK_DEVICE ? 0.5 : 1.0;
         hd_hid_expect_ticks(servo->device.hid, (int64_t)(early * servo->period_ns));
     }
@@ -57,11 +59,11 @@ struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_si
         return NULL;
     }
     if ((sim == NULL) == (hid == NULL)) {
-        hd_invalid("servo: one device, a simulated one or a real one");
+        hd_invalid("servo: needs exactly one device, simulated or real");
         return NULL;
     }
     if (config->clock == HD_CLOCK_DEVICE && hid == NULL) {
-        hd_invalid("servo: the simulated joystick has no clock of its own");
+        hd_invalid("servo: a simulated joystick cannot be the clock");
         return NULL;
     }
     struct hd_servo *servo = NULL;
@@ -76,7 +78,7 @@ struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_si
     if (config->clock == HD_CLOCK_DEVICE) {
         hd_hid_await_enable(hid);
     }
-    take_rate(servo, config->rate_hz);
+    set_rate(servo, config->rate_hz);
     servo->suspended_ns = INT64_MAX - HD_SUSPEND_NS;
     hd_triple_init(&servo->table_triple);
     hd_triple_init(&servo->touching_triple);
@@ -117,7 +119,8 @@ void hd_servo_free(struct hd_servo *servo) {
     free(servo);
 }
 
-/* Tries the thread with real-time priority, the highest that the limit allows, then without. 0 or an errno. */
+/* Creates the thread with real-time priority or, if that is refused and not required, without. Returns 0 or an
+ * errno. */
 static int create_thread(struct hd_servo *servo, struct hd_grant *grant) {
     pthread_attr_t attributes;
     int error = pthread_attr_init(&attributes);
@@ -168,7 +171,7 @@ static int launch(struct hd_servo *servo, struct hd_grant *grant) {
 int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant) {
     *grant = (struct hd_grant){.memory_kind = HD_MEMORY_NONE};
     if (servo->started || !hd_triple_acquire(&servo->table_triple)) {
-        return hd_invalid("servo: start it once, with a table published");
+        return hd_invalid("servo: already started, or no table was published");
     }
     servo->world = &servo->worlds[hd_triple_front(&servo->table_triple)];
     hd_atomic_u32_store_relaxed(&servo->adopted_revision[0], servo->world->table.revision);
@@ -194,7 +197,7 @@ int hd_servo_stop(struct hd_servo *servo) {
 
 int hd_servo_set_rate(struct hd_servo *servo, double rate_hz, enum hd_overrun_action action) {
     if (!hd_atomic_u32_load_relaxed(&servo->overloaded)) {
-        return hd_invalid("servo: another rate without an overload");
+        return hd_invalid("servo: the rate can change only after an overload");
     }
     struct hd_servo_config config = servo->config;
     config.rate_hz = rate_hz;
@@ -203,14 +206,14 @@ int hd_servo_set_rate(struct hd_servo *servo, double rate_hz, enum hd_overrun_ac
     if (config_check(&config) != HD_OK) {
         return HD_ERR_INVALID;
     }
-    const int status = hd_servo_stop(servo); /* it fades already, or has ended */
+    const int status = hd_servo_stop(servo); /* its force is fading already, or it has ended */
     if (status != HD_OK) {
         return status;
     }
     servo->config.overrun_action = config.overrun_action;
     servo->config.spin_ns = config.spin_ns;
     if (rate_hz != servo->config.rate_hz) {
-        take_rate(servo, rate_hz);
+        set_rate(servo, rate_hz);
         servo->new_rate_hz = rate_hz;
     }
     return HD_OK;
@@ -219,10 +222,10 @@ int hd_servo_set_rate(struct hd_servo *servo, double rate_hz, enum hd_overrun_ac
 int hd_servo_restart(struct hd_servo *servo, uint32_t faults, struct hd_grant *grant) {
     *grant = (struct hd_grant){.memory = servo->memory_error, .memory_kind = servo->memory_kind};
     if (servo->started || !hd_atomic_u32_load_relaxed(&servo->overloaded)) {
-        return hd_invalid("servo: restart it after an overload");
+        return hd_invalid("servo: can restart only after an overload");
     }
     struct hd_state *state = servo->state;
-    hd_tick_silence(state); /* they turn by the old period */
+    hd_tick_silence(state); /* ringing modes are prepared for the old period */
     hd_state_want_forces(state, servo->wanted);
     if (faults != 0) {
         hd_state_latch(state, faults, 0, hd_clock_now_ns());

@@ -1,5 +1,5 @@
 /* Commands: control checks and sends them, the servo applies them at the beginning of a tick, and control can wait for
- * the tick that took one. Each is taken once its revision of the table or a later one is in force. */
+ * the tick that took one. A command is taken once its revision of the table or a later one is in force. */
 #include "servo/hd_servo.h"
 
 #include <stdlib.h>
@@ -9,12 +9,12 @@
 #include "device/hd_device.h"
 #include "tick/hd_tick.h"
 
-#define HD_COMMANDS_PER_TICK 64u
+#define HD_COMMANDS_PER_TICK 64u /* most commands in a tick, which bounds its duration */
 
 /* ---- The servo thread -------------------------------------------------------------------------------------------- */
 
-/* HD_ERR_FULL: not in this tick. */
-HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command, int64_t time_ns) {
+/* Applies a command. HD_ERR_FULL: try again in the next tick. */
+HD_RT static int apply_command(struct hd_servo *servo, const struct hd_command *command, int64_t time_ns) {
     struct hd_state *state = servo->state;
     switch (command->kind) {
     case HD_COMMAND_PLAY:
@@ -45,14 +45,14 @@ HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command,
     }
 }
 
-/* Commands of the table's revision or older, in order; a later one waits for its table. */
+/* See hd_servo.h. */
 HD_RT void hd_servo_take_commands(struct hd_servo *servo, int64_t time_ns) {
     for (uint32_t i = 0; i < HD_COMMANDS_PER_TICK; i++) {
         const struct hd_command *command = hd_ring_peek(&servo->commands);
         if (command == NULL || (int32_t)(command->revision - servo->world->table.revision) > 0) {
             return;
         }
-        if (apply(servo, command, time_ns) == HD_ERR_FULL) {
+        if (apply_command(servo, command, time_ns) == HD_ERR_FULL) {
             return;
         }
         hd_ring_release(&servo->commands);
@@ -69,14 +69,15 @@ static int command_check(const struct hd_servo *servo, const struct hd_command *
     case HD_COMMAND_PLAY:
         return hd_play_check(&command->mode, command->direction, command->amplitude);
     case HD_COMMAND_OPERATOR:
-        return command->path != NULL && servo->device.sim != NULL ? HD_OK
-                                                                  : hd_invalid("operator: no path or no simulation");
+        return command->path != NULL && servo->device.sim != NULL
+                   ? HD_OK
+                   : hd_invalid("operator: no path, or not a simulated joystick");
     case HD_COMMAND_RESET:
     case HD_COMMAND_FORCES:
     case HD_COMMAND_MARK:
         return HD_OK;
     default:
-        return hd_invalid("command: kind %u", command->kind);
+        return hd_invalid("command: unknown kind %u", command->kind);
     }
 }
 
@@ -88,7 +89,8 @@ void hd_servo_free_paths(struct hd_servo *servo, uint32_t count) {
     memmove(servo->paths, servo->paths + count, servo->path_count * sizeof servo->paths[0]);
 }
 
-/* Of commands that are in the ring since. Of paths that were taken, the servo uses the newest only. */
+/* Holds the paths of `count` commands that were just put into the ring, and frees taken paths except the newest, which
+ * the servo uses. */
 static void hold_paths(struct hd_servo *servo, const struct hd_command *commands, size_t count) {
     const uint64_t taken = hd_atomic_u64_load_acquire(&servo->taken);
     uint32_t old = 0;
@@ -122,7 +124,7 @@ int hd_servo_send(struct hd_servo *servo, const struct hd_command *commands, siz
 
 int hd_servo_retune(struct hd_servo *servo, uint64_t sequence, const struct hd_mode *mode) {
     if (servo->started) {
-        return hd_invalid("servo: a play keeps its mode while the thread runs");
+        return hd_invalid("servo: the mode of a play cannot change while the thread runs");
     }
     if (sequence > servo->sent) {
         return hd_invalid("servo: no command has the number %llu yet", (unsigned long long)sequence);
@@ -130,10 +132,10 @@ int hd_servo_retune(struct hd_servo *servo, uint64_t sequence, const struct hd_m
     if (hd_atomic_u64_load_acquire(&servo->taken) >= sequence) {
         return HD_OK;
     }
-    /* Nobody takes commands now, and the ring gives numbers from 0. */
+    /* No thread takes commands now. The ring counts from 0, sequence numbers from 1. */
     struct hd_command *command = hd_ring_slot(&servo->commands, sequence - 1);
     if (command->kind != HD_COMMAND_PLAY) {
-        return hd_invalid("servo: command %llu is no play", (unsigned long long)sequence);
+        return hd_invalid("servo: command %llu is not a play", (unsigned long long)sequence);
     }
     const int status = hd_play_check(mode, command->direction, command->amplitude);
     if (status == HD_OK) {
@@ -142,7 +144,7 @@ int hd_servo_retune(struct hd_servo *servo, uint64_t sequence, const struct hd_m
     return status;
 }
 
-/* The servo makes no system call that could wake a waiter, so waiters look again, a fraction of a period later. */
+/* The servo makes no system call that could wake a waiter, so waiters poll at a fraction of a period. */
 void hd_servo_pause(const struct hd_servo *servo) {
     const int64_t moment = (int64_t)(servo->period_ns / 4.0);
     hd_clock_sleep_until(hd_clock_now_ns() + (moment > 20000 ? moment : 20000));

@@ -1,6 +1,6 @@
-/* Streams: control leaves the newest target of the hand, the newest force, and the servo takes them at the beginning of
- * a tick and goes there in the time that usually lies between two of them. What is overtaken is counted, as is each end
- * of a stream by time. Nobody waits for anybody, and there is always room. */
+/* Streams: control publishes the newest target of the hand and the newest force. The servo takes them at the beginning
+ * of a tick and interpolates to them over the usual time between two values. Replaced values and time-outs are counted.
+ * Neither side waits, and there is always room. */
 #include "servo/hd_servo.h"
 
 #include <math.h>
@@ -8,7 +8,7 @@
 #include "device/hd_device.h"
 #include "tick/hd_tick.h"
 
-#define HD_STREAM_MOST_M 1000.0 /* of a target, either way, as of a waypoint */
+#define HD_STREAM_MOST_M 1000.0 /* largest coordinate of a target, as of a waypoint */
 
 /* ---- The servo thread -------------------------------------------------------------------------------------------- */
 
@@ -16,7 +16,7 @@ HD_RT static int is_live(const struct hd_stream *stream) {
     return hd_atomic_u32_load_relaxed(&stream->active) != 0;
 }
 
-/* How long a value is on its way to be reached: as long as the next one lets us wait for it, as a rule. */
+/* Returns the time over which to interpolate to a value: the usual time until the next one. */
 HD_RT static double interval_s(const struct hd_servo *servo, struct hd_stream *stream, int64_t time_ns) {
     const double longest_s = servo->config.stream_timeout_s;
     if (is_live(stream)) {
@@ -28,7 +28,7 @@ HD_RT static double interval_s(const struct hd_servo *servo, struct hd_stream *s
     return usual_s < servo->period_s ? servo->period_s : usual_s > longest_s ? longest_s : usual_s;
 }
 
-HD_RT static void remember(struct hd_stream *stream, const struct hd_streamed_value *value, uint64_t tick) {
+HD_RT static void record_used(struct hd_stream *stream, const struct hd_streamed_value *value, uint64_t tick) {
     const uint64_t used = hd_atomic_u64_load_relaxed(&stream->used);
     const size_t at = (size_t)(used % HD_STREAM_REMEMBERED);
     hd_atomic_u64_store_relaxed(&stream->used_seq[at], value->seq);
@@ -38,7 +38,7 @@ HD_RT static void remember(struct hd_stream *stream, const struct hd_streamed_va
     stream->taken = value->number;
 }
 
-HD_RT static void take(struct hd_servo *servo, uint32_t kind, int64_t time_ns) {
+HD_RT static void take_value(struct hd_servo *servo, uint32_t kind, int64_t time_ns) {
     struct hd_stream *stream = &servo->streams[kind];
     if (!hd_triple_acquire(&stream->triple)) {
         return;
@@ -52,18 +52,18 @@ HD_RT static void take(struct hd_servo *servo, uint32_t kind, int64_t time_ns) {
     }
     stream->taken_ns = time_ns;
     hd_atomic_u32_store_relaxed(&stream->active, 1);
-    remember(stream, value, servo->state->tick);
+    record_used(stream, value, servo->state->tick);
 }
 
 HD_RT void hd_servo_follow_streams(struct hd_servo *servo, int64_t time_ns) {
-    /* Read first: what comes after this is looked at in the next tick, or taken already. */
+    /* Read first: values sent after this are taken in the next tick, or were taken already. */
     servo->streams_taken = hd_atomic_u64_load_acquire(&servo->streamed);
     servo->streaming = 0;
     for (uint32_t kind = 0; kind < HD_STREAMS; kind++) {
         struct hd_stream *stream = &servo->streams[kind];
-        take(servo, kind, time_ns);
+        take_value(servo, kind, time_ns);
         if (is_live(stream) && (double)(time_ns - stream->taken_ns) * 1e-9 > servo->config.stream_timeout_s) {
-            /* Counted first: whoever sees that the stream is over sees its time-out as well. */
+            /* Counted first, so that a reader that sees the end of the stream also sees its time-out. */
             hd_atomic_u64_add_relaxed(&stream->timeouts, 1);
             hd_atomic_u32_store_release(&stream->active, 0);
             if (kind == HD_STREAM_FORCE) {
@@ -72,7 +72,7 @@ HD_RT void hd_servo_follow_streams(struct hd_servo *servo, int64_t time_ns) {
         }
         servo->streaming |= (uint8_t)is_live(stream);
     }
-    /* As far as the tick before knew: a value that is on its way may still be found too fast. */
+    /* As of the tick before: a value that is being approached may still turn out to be too fast. */
     servo->streaming |= servo->state->streams;
     hd_atomic_u64_store_relaxed(&servo->streams[HD_STREAM_FORCE].limited, servo->state->streamed.limited);
 }
@@ -81,10 +81,10 @@ HD_RT void hd_servo_follow_streams(struct hd_servo *servo, int64_t time_ns) {
 
 static int value_check(const struct hd_servo *servo, uint32_t kind, const double value[2]) {
     if (kind >= HD_STREAMS) {
-        return hd_invalid("stream: kind %u", kind);
+        return hd_invalid("stream: unknown kind %u", kind);
     }
     if (kind == HD_STREAM_TARGET && servo->device.sim == NULL) {
-        return hd_invalid("stream: the handle has a hand of its own");
+        return hd_invalid("stream: a target needs a simulated joystick");
     }
     for (int axis = 0; axis < 2; axis++) {
         const double most = kind == HD_STREAM_TARGET ? HD_STREAM_MOST_M : (double)INFINITY;
@@ -106,7 +106,7 @@ int hd_servo_stream(struct hd_servo *servo, uint32_t kind, uint64_t seq, const d
     stream->values[hd_triple_back(&stream->triple)] =
         (struct hd_streamed_value){.number = ++stream->sent, .seq = seq, .value = {value[0], value[1]}};
     hd_triple_publish(&stream->triple);
-    /* Control alone writes it. */
+    /* Only control writes it. */
     hd_atomic_u64_store_release(&servo->streamed, hd_atomic_u64_load_relaxed(&servo->streamed) + 1u);
     return HD_OK;
 }
@@ -120,7 +120,7 @@ void hd_servo_stream_counters(const struct hd_servo *servo, uint32_t kind, struc
     };
     uint64_t used = hd_atomic_u64_load_acquire(&stream->used);
     uint64_t before;
-    do { /* once, but for a reader that was held up while as many came as are remembered */
+    do { /* repeats only if the reader was delayed while more values arrived than are kept */
         before = used;
         const size_t at = (size_t)((used - 1u) % HD_STREAM_REMEMBERED);
         counters->seq = hd_atomic_u64_load_acquire(&stream->used_seq[at]);

@@ -1,6 +1,6 @@
 /* Tables: control checks and copies them into the back one of three worlds, the servo takes the newest at the beginning
- * of a tick. A world is brought up to date by what has changed since it was filled last. Where only regions of memory
- * are locked, what a table adds is locked before the servo sees it. */
+ * of a tick. A world is updated with the changes since it was last filled. If only regions of memory are locked, the
+ * memory that a table adds is locked before the servo uses it. */
 #include "servo/hd_servo.h"
 
 #include <math.h>
@@ -35,8 +35,8 @@ HD_RT void hd_servo_take_table(struct hd_servo *servo, int64_t time_ns) {
 
 /* ---- Memory ------------------------------------------------------------------------------------------------------ */
 
-/* Everything that the servo touches: of what has room for more, no more than is in use. The last HD_WRITTEN_REGIONS
- * were written, all of them, by hd_servo_new, and before them comes the device. */
+/* Lists all memory that the servo uses, without unused capacity. hd_servo_new has written the last HD_WRITTEN_REGIONS
+ * entirely; before them comes the device. */
 static size_t regions_of(struct hd_servo *servo, struct hd_region regions[HD_SERVO_REGIONS]) {
     size_t count = hd_state_regions(servo->state, 0, hd_state_slot_count(servo->state), regions);
     for (int i = 0; i < 3; i++) {
@@ -54,8 +54,8 @@ static size_t regions_of(struct hd_servo *servo, struct hd_region regions[HD_SER
 int hd_servo_lock_memory(struct hd_servo *servo, struct hd_grant *grant) {
     struct hd_region regions[HD_SERVO_REGIONS];
     const size_t count = regions_of(servo, regions);
-    /* Not what others use already: telemetry reads the servo's counters and rings, and the threads of a connected
-     * device write to it, of which hd_hid_new has written all. */
+    /* Without memory that other threads use already: telemetry reads the servo's counters and rings, and the threads of
+     * a connected device write to the device, all of which hd_hid_new has written. */
     hd_memory_touch(regions, count - HD_WRITTEN_REGIONS - (servo->device.hid != NULL ? 1u : 0u));
     if (servo->config.realtime != HD_REALTIME_OFF) {
         grant->memory_kind = (int32_t)hd_memory_lock(regions, count, &grant->memory);
@@ -75,8 +75,8 @@ int hd_servo_lock_memory(struct hd_servo *servo, struct hd_grant *grant) {
     return HD_OK;
 }
 
-/* Where real time is required, the table is refused; else it is rendered from memory that is not locked, and that is
- * told. */
+/* Handles a refused lock: refuses the table if real time is required; otherwise it is rendered from unlocked memory,
+ * which is reported. */
 static int lock_refused(struct hd_servo *servo, uint32_t object_count, int error) {
     if (servo->config.realtime != HD_REALTIME_REQUIRED) {
         servo->locking = 0;
@@ -88,7 +88,7 @@ static int lock_refused(struct hd_servo *servo, uint32_t object_count, int error
                       object_count, strerror(error));
 }
 
-/* Locks the slots of a table that were not locked yet. */
+/* Locks those slots of a table that are not locked yet. */
 static int lock_slots(struct hd_servo *servo, uint32_t slot_count) {
     if (!servo->locking || slot_count <= servo->locked_slots) {
         return HD_OK;
@@ -103,7 +103,7 @@ static int lock_slots(struct hd_servo *servo, uint32_t slot_count) {
     return HD_OK;
 }
 
-/* Locks what a world has that it had not when it was locked last. */
+/* Locks the regions of a world that have changed since it was last locked. */
 static int lock_world(struct hd_servo *servo, uint32_t index) {
     if (!servo->locking) {
         return HD_OK;
@@ -126,9 +126,10 @@ static int lock_world(struct hd_servo *servo, uint32_t index) {
 
 /* ---- Control side ------------------------------------------------------------------------------------------------ */
 
-/* What the table changes is missing in all three worlds, whether or not it will be accepted. */
+/* Adds the changes of a table to those that the three worlds have not received, even if the table is refused later. */
 static void note_changes(struct hd_servo *servo, const struct hd_table *table) {
-    /* A slot that was given up and comes back is another one, but a world that misses both times could not tell. */
+    /* A slot that was removed and added again is a different one, but a world that misses both changes would not
+     * notice. */
     const int all = table->all_changed || table->object_count < servo->object_count;
     for (int i = 0; i < 3; i++) {
         struct hd_changes *changes = &servo->changes[i];
@@ -145,16 +146,16 @@ static void note_changes(struct hd_servo *servo, const struct hd_table *table) {
 
 int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
     if (fabs(table->period_s - servo->period_s) > 1e-12) {
-        return hd_invalid("table: compiled for a period of %.17g s, the servo has %.17g s", table->period_s,
+        return hd_invalid("table: compiled for a period of %.17g s, but the servo has %.17g s", table->period_s,
                           servo->period_s);
     }
     if (servo->max_force_n > 0.0 &&
         (table->max_force_n < servo->max_force_n || table->max_force_n > servo->max_force_n)) {
-        return hd_invalid("table: a force limit of %g N, the servo began with %g N", table->max_force_n,
+        return hd_invalid("table: a force limit of %g N, but the servo started with %g N", table->max_force_n,
                           servo->max_force_n);
     }
     if (table->changed_count > 0 && table->changed == NULL) {
-        return hd_invalid("table: %u changes without slots", table->changed_count);
+        return hd_invalid("table: %u changed slots, but no list of them", table->changed_count);
     }
     const uint32_t back = hd_triple_back(&servo->table_triple);
     struct hd_world *world = &servo->worlds[back];
@@ -173,7 +174,7 @@ int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
     }
     status = lock_world(servo, back);
     if (status != HD_OK) {
-        /* Its arrays would stay too large for whatever comes next. */
+        /* Otherwise its arrays would stay too large for later tables. */
         hd_world_release(world);
         memset(servo->locked[back], 0, sizeof servo->locked[back]);
         return status;
@@ -185,7 +186,7 @@ int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
     return HD_OK;
 }
 
-/* The first adoption of `revision` or a later one that is still remembered; 0 if there is none. */
+/* Finds the first tick with `revision` or a later one among those that are kept. Returns 0 if it finds no such tick. */
 static int find_adopted(const struct hd_servo *servo, uint32_t revision, uint64_t *tick) {
     const uint64_t count = hd_atomic_u64_load_acquire(&servo->adopted);
     const uint64_t oldest = count > HD_ADOPTED_CAPACITY / 2 ? count - HD_ADOPTED_CAPACITY / 2 : 0;

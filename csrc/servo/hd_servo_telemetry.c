@@ -1,25 +1,27 @@
-/* What a tick leaves for control: its sample and its events in rings that count what they had to drop, what is touched
- * in a triple buffer, and counters. The servo writes, one reader takes samples, events and what is touched; anybody
- * reads the counters. */
+/* Results of a tick for control: its sample and its events in rings that count lost records, touched objects in a
+ * triple buffer, and counters. The servo writes; one reader takes samples, events and touched objects; any thread reads
+ * the counters. */
 #include "servo/hd_servo.h"
 
 #include <string.h>
 
-#define HD_GESTURE_ENDS 64u /* room in the ring of events for these, beside that for marks */
+/* Room in the event ring that is reserved for ends of gestures, in addition to HD_MARKS for marks. */
+#define HD_GESTURE_ENDS 64u
 
 /* ---- The servo thread -------------------------------------------------------------------------------------------- */
 
-/* Room in the ring that an event of this kind leaves to others: somebody waits for marks and for gestures to end. */
-HD_RT static size_t kept_free(uint32_t kind) {
+/* Returns the room that an event of this kind must leave free: marks and ends of gestures have reserved room, because
+ * clients wait for them. */
+HD_RT static size_t reserved_room(uint32_t kind) {
     return kind == HD_EVENT_MARK ? 0u : kind == HD_EVENT_GESTURE_END ? HD_MARKS : HD_MARKS + HD_GESTURE_ENDS;
 }
 
-HD_RT static void leave_events(struct hd_servo *servo) {
+HD_RT static void write_events(struct hd_servo *servo) {
     struct hd_state *state = servo->state;
     size_t room = hd_ring_free_space(&servo->events);
     for (uint32_t i = 0; i < state->event_count; i++) {
         const struct hd_event *event = &state->events[i];
-        if (room > kept_free(event->kind) && hd_ring_push(&servo->events, event) == HD_OK) {
+        if (room > reserved_room(event->kind) && hd_ring_push(&servo->events, event) == HD_OK) {
             room--;
         } else {
             hd_ring_drop(&servo->events);
@@ -44,7 +46,7 @@ HD_RT static void publish_touched(struct hd_servo *servo) {
     servo->touches_published = state->touches;
 }
 
-HD_RT static void leave_sample(struct hd_servo *servo, const struct hd_sample *sample) {
+HD_RT static void write_sample(struct hd_servo *servo, const struct hd_sample *sample) {
     struct hd_sample *slot = hd_ring_reserve(&servo->samples);
     if (slot == NULL) {
         hd_ring_drop(&servo->samples);
@@ -75,22 +77,23 @@ HD_RT void hd_servo_leave(struct hd_servo *servo, const struct hd_sample *sample
     }
     hd_atomic_u32_store_relaxed(&servo->faults, state->faults);
     hd_atomic_u32_store_relaxed(&servo->forces_on, state->enabled);
-    /* In this order: who has read a tick's sample finds its events, and who has read an event finds what it tells of in
-     * the counters and in what is touched; the rings release what was stored before. */
+    /* The order matters: a reader that has a tick's sample also gets its events, and a reader that has an event sees
+     * its effect in the counters and the touched objects. The rings store with release order. */
     if (servo->touches_published != state->touches) {
         publish_touched(servo);
     }
     if (state->event_count > 0) {
-        leave_events(servo);
+        write_events(servo);
     }
-    leave_sample(servo, sample);
+    write_sample(servo, sample);
     hd_atomic_u64_store_release(&servo->ticks, state->tick);
 }
 
 /* ---- Control side ------------------------------------------------------------------------------------------------ */
 
 void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counters) {
-    /* In this order: of a servo that has ended, these are the last ticks; and the rest is as new as the ticks are. */
+    /* The order matters: after `running` is 0, `ticks` is final, and the other counters are at least as new as
+     * `ticks`. */
     const uint32_t running = hd_atomic_u32_load_acquire(&servo->running);
     const uint64_t ticks = hd_atomic_u64_load_acquire(&servo->ticks);
     *counters = (struct hd_counters){

@@ -1,15 +1,16 @@
-/* The servo's thread: it calls the tick on time.
+/* The servo's thread, which calls the tick on time.
  *
- * One period, top to bottom: sleep until the deadline (the last part of it spinning, if asked for) or until the device
- * reports; count and skip the periods that were missed; take the newest table, then the commands of its revision or
- * older; read the device, check its signs, tick, put the force; leave the sample and the events in their rings. The
- * thread never allocates, locks, logs or blocks, and its only system calls are the clock and the sleep.
+ * One period, top to bottom: sleep until the deadline (with a busy-wait at the end, if configured) or until the device
+ * reports; count and skip missed periods; take the newest table, then the commands of its revision or older; read the
+ * device, check its signs, tick, put the force; write the sample and the events to their rings. The thread never
+ * allocates, locks, logs or blocks, and its only system calls are the clock and the sleep.
  *
- * A thread that was overloaded and is to step down fades the force out and ends by itself: only so does the rest of the
- * machine surely get a processor. hd_servo_set_rate and hd_servo_restart, on the control side, go on from there.
+ * After an overload with HD_OVERRUN_STEP_DOWN the thread fades the force out and ends, which is the only way to give
+ * the rest of the machine a processor for certain. hd_servo_set_rate and hd_servo_restart, on the control side,
+ * continue from there.
  *
- * Times are CLOCK_MONOTONIC nanoseconds. Deadlines are start + k/rate, never accumulated. Where the device leads, a
- * tick has the time of its report, and the period whose deadline is nearest to it. */
+ * Times are CLOCK_MONOTONIC nanoseconds. Deadlines are start + k/rate, without accumulated rounding errors. With
+ * HD_CLOCK_DEVICE a tick has the time of its report, and the period whose deadline is nearest to it. */
 #include "servo/hd_servo.h"
 
 #include <sys/prctl.h>
@@ -19,19 +20,19 @@
 #include "base/hd_vector.h"
 #include "tick/hd_tick.h"
 
-/* How far a tick moves the deadlines towards the reports, in periods: reports drift against our clock, and a tick on
- * the border between two periods would now fall into one, now into the other. */
+/* Share of the error, and largest part of a period, by which a tick moves the deadlines towards the reports. Reports
+ * drift against our clock, and a tick on the border between two periods would alternate between them. */
 #define HD_LOCK_SHARE 0.0625
 #define HD_LOCK_MAX 0.001
 
 /* ---- One tick ---------------------------------------------------------------------------------------------------- */
 
-HD_RT static int32_t saturate(int64_t value) {
+HD_RT static int32_t saturate_i32(int64_t value) {
     return value > INT32_MAX ? INT32_MAX : value < INT32_MIN ? INT32_MIN : (int32_t)value;
 }
 
-/* What the device plays by itself; none of it once the forces or the vibration are no longer fully on. */
-HD_RT static void offload(struct hd_servo *servo, int64_t now_ns) {
+/* Sends strikes of device effects, or a silence once the forces or the vibration are no longer fully on. */
+HD_RT static void send_strikes(struct hd_servo *servo, int64_t now_ns) {
     struct hd_state *state = servo->state;
     const int fully = state->enabled && state->gain == 1.0 && state->show_vibration == 1.0;
     if (!fully && servo->offloading) {
@@ -53,7 +54,7 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     if (servo->stepping) {
         hd_state_want_forces(state, servo->wanted);
     }
-    hd_servo_take_streams(servo, deadline_ns); /* before commands: a path takes the place of what was streamed */
+    hd_servo_take_streams(servo, deadline_ns); /* before commands, so that a path replaces a streamed target */
     hd_servo_take_commands(servo, deadline_ns);
     hd_servo_watch_load(servo, periods, servo->missed, deadline_ns);
     hd_servo_watch_suspends(servo, deadline_ns);
@@ -75,12 +76,12 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     state->offload_open = (uint8_t)hd_device_has_effects(&servo->device);
     hd_tick(servo->world, state, &input, &sample);
     if (state->offload_open || servo->offloading) {
-        offload(servo, now_ns);
+        send_strikes(servo, now_ns);
     }
     hd_device_put(&servo->device, now_ns, sample.force_n);
     const int64_t work_ns = hd_clock_now_ns() - now_ns;
-    sample.lateness_ns = saturate(now_ns - deadline_ns);
-    sample.work_ns = saturate(work_ns);
+    sample.lateness_ns = saturate_i32(now_ns - deadline_ns);
+    sample.work_ns = saturate_i32(work_ns);
     servo->last_work_ns = work_ns;
     servo->last_force_n = hd_root(hd_dot(sample.force_n, sample.force_n));
     hd_servo_leave(servo, &sample);
@@ -88,40 +89,40 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
 
 /* ---- Deadlines --------------------------------------------------------------------------------------------------- */
 
-/* Where the servo is in time. */
+/* The servo's position in time. */
 struct hd_pace {
     int64_t start_ns; /* deadline of period 0 */
-    uint64_t period;  /* the next one */
+    uint64_t period;  /* the next period */
     int64_t last_ns;  /* time of the last tick */
-    int led;          /* the last tick was a report's */
+    int led;          /* 1: a report triggered the last tick */
 };
 
 struct hd_due {
-    int64_t time_ns; /* of the tick */
+    int64_t time_ns; /* time of the tick */
     int64_t now_ns;
-    uint32_t periods; /* since the last one */
+    uint32_t periods; /* periods since the last tick */
 };
 
 HD_RT static int64_t deadline_of(const struct hd_servo *servo, int64_t start_ns, uint64_t period) {
     return start_ns + (int64_t)((double)period * servo->period_ns + 0.5);
 }
 
-/* What every tick touches of the servo, its device, the state and the table. */
-HD_RT static void fetch(const struct hd_servo *servo) {
+/* Prefetches the memory of servo, device, state and table that every tick uses. */
+HD_RT static void prefetch(const struct hd_servo *servo) {
     hd_cache_fetch(servo, offsetof(struct hd_servo, samples));
     hd_device_fetch(&servo->device);
     hd_cache_fetch(servo->state, offsetof(struct hd_state, velocity) + sizeof(struct hd_velocity) / 64);
     hd_cache_fetch(&servo->world->table, sizeof servo->world->table);
 }
 
-/* Waits for the deadline; returns the time that it is then. */
+/* Waits for the deadline and returns the time after the wait. */
 HD_RT static int64_t wait_until(const struct hd_servo *servo, int64_t deadline_ns) {
     const int64_t spin_ns = servo->config.spin_ns;
     if (spin_ns > 0) {
         if (hd_clock_now_ns() < deadline_ns - spin_ns) {
             hd_clock_sleep_until(deadline_ns - spin_ns);
         }
-        fetch(servo);
+        prefetch(servo);
         int64_t now = hd_clock_now_ns();
         while (now < deadline_ns) {
             now = hd_clock_now_ns();
@@ -129,7 +130,7 @@ HD_RT static int64_t wait_until(const struct hd_servo *servo, int64_t deadline_n
         return now;
     }
     hd_clock_sleep_until(deadline_ns);
-    fetch(servo);
+    prefetch(servo);
     return hd_clock_now_ns();
 }
 
@@ -140,7 +141,7 @@ HD_RT static void wait_timer(struct hd_servo *servo, struct hd_pace *pace, struc
 }
 
 /* Moves the deadlines towards a report of this period. */
-HD_RT static void lock_pace(struct hd_servo *servo, struct hd_pace *pace, int64_t arrival_ns, uint64_t period) {
+HD_RT static void lock_to_report(struct hd_servo *servo, struct hd_pace *pace, int64_t arrival_ns, uint64_t period) {
     double error_ns = (double)(arrival_ns - deadline_of(servo, pace->start_ns, period));
     if (pace->led) {
         const double most_ns = HD_LOCK_MAX * servo->period_ns;
@@ -151,8 +152,8 @@ HD_RT static void lock_pace(struct hd_servo *servo, struct hd_pace *pace, int64_
     pace->led = 1;
 }
 
-/* The next report that is not sooner than a period after the one before; without one for two and a half periods (a
- * device of half the rate is in time then), the timer, until there is one. */
+/* Waits for the next report that is at least a period after the one before. Without a report for two and a half periods
+ * (enough for a device of half the rate) the timer takes over until the next report. */
 HD_RT static void wait_device(struct hd_servo *servo, struct hd_pace *pace, struct hd_due *due) {
     const int64_t half_ns = (int64_t)(0.5 * servo->period_ns);
     int64_t limit_ns = pace->led ? deadline_of(servo, pace->start_ns, pace->period + 1) + half_ns
@@ -166,11 +167,12 @@ HD_RT static void wait_device(struct hd_servo *servo, struct hd_pace *pace, stru
             due->now_ns = hd_clock_now_ns();
             due->periods = (uint32_t)(period - pace->period) + 1;
             pace->period = period;
-            lock_pace(servo, pace, arrival_ns, period);
+            lock_to_report(servo, pace, arrival_ns, period);
             return;
         }
         if (!pace->led && arrival_ns > pace->last_ns) {
-            /* Too soon after a tick of the timer, as all that follow would be: the next one is waited for. */
+            /* Too soon after a tick of the timer, as would be all following reports: moves the deadlines and waits for
+             * the next report. */
             pace->start_ns += arrival_ns + 2 * half_ns - deadline_of(servo, pace->start_ns, pace->period);
             pace->led = 1;
             limit_ns = deadline_of(servo, pace->start_ns, pace->period + 1) + half_ns;
@@ -183,7 +185,7 @@ HD_RT static void wait_device(struct hd_servo *servo, struct hd_pace *pace, stru
     pace->led = 0;
 }
 
-/* Counts and skips the periods that were missed: the tick that was due at `due->time_ns` is due now. */
+/* Counts and skips missed periods, and moves the tick from `due->time_ns` to the present period. */
 HD_RT static void skip_missed(struct hd_servo *servo, struct hd_pace *pace, struct hd_due *due) {
     const double late = (double)(due->now_ns - due->time_ns);
     if (late >= servo->period_ns) {
@@ -202,10 +204,10 @@ HD_RT static void skip_missed(struct hd_servo *servo, struct hd_pace *pace, stru
 
 /* ---- The thread -------------------------------------------------------------------------------------------------- */
 
-HD_RT static void loop(struct hd_servo *servo) {
+HD_RT static void run_ticks(struct hd_servo *servo) {
     struct hd_state *state = servo->state;
     struct hd_pace pace = {.start_ns = hd_clock_now_ns() + (int64_t)servo->period_ns};
-    /* By as much as a thread before this one ended earlier, and by more than the ramp. */
+    /* The periods since an earlier thread ended, and more than the ramp. */
     uint64_t pause = servo->pause_periods;
     if (pause > 0) {
         const double gone = (double)(pace.start_ns - servo->ended_ns) / servo->period_ns;
@@ -231,7 +233,7 @@ HD_RT static void loop(struct hd_servo *servo) {
         one_tick(servo, due.time_ns, due.now_ns, due.periods + (uint32_t)pause);
         if (pause > 0) {
             pause = 0;
-            servo->load_periods = 0; /* nobody was to render them */
+            servo->load_periods = 0; /* these periods were not missed */
             servo->load_missed = 0;
         }
         pace.last_ns = due.time_ns;
@@ -246,7 +248,7 @@ void *hd_servo_main(void *argument) {
     struct hd_servo *servo = argument;
     /* Without real-time priority the kernel may round sleeps by 50 us; with it this changes nothing. */
     prctl(PR_SET_TIMERSLACK, 1ul, 0ul, 0ul, 0ul);
-    loop(servo);
+    run_ticks(servo);
     hd_atomic_u32_store_release(&servo->running, 0);
     return NULL;
 }

@@ -1,16 +1,17 @@
-/* What may call for zero force, beside the tick itself: a device that is lost or frozen, control that has stopped, a
- * lease that lapsed, periods that are missed, a machine that was suspended. Servo thread. */
+/* Causes of zero force outside of the tick: a device that is lost or frozen, control that has stopped, an expired
+ * lease, missed periods, a suspended machine. Servo thread. */
 #include "servo/hd_servo.h"
 
 #include <string.h>
 
 #include "base/hd_clock.h"
 
-#define HD_CONTROL_TIMEOUT_S 1.0 /* of ticks rendered, so that a stopped process does not count against control */
-#define HD_LOAD_S 1.0            /* overloads are judged by so much at a time */
-/* A stall longer than this, by no tick of ours, says that the process was stopped, and nothing about its load. */
-#define HD_PAUSE_NS 100000000.0
-#define HD_SUSPEND_LOOK_S 0.001 /* so often it is asked whether the machine was suspended */
+/* Time without a heartbeat of control, counted in rendered ticks, so that a stopped process causes no fault. */
+#define HD_CONTROL_TIMEOUT_S 1.0
+#define HD_LOAD_S 1.0 /* time over which an overload is evaluated */
+/* A longer stall that a slow tick did not cause means that the process was stopped; it is not counted as load. */
+#define HD_STALL_NS 100000000.0
+#define HD_SUSPEND_LOOK_S 0.001 /* interval of the checks whether the machine was suspended */
 
 HD_RT static void lose_device(struct hd_servo *servo, int64_t time_ns) {
     if (!servo->device_lost) {
@@ -20,11 +21,11 @@ HD_RT static void lose_device(struct hd_servo *servo, int64_t time_ns) {
     }
 }
 
-/* A handle that is pushed and does not move by a single count: whoever asked for it is sure that it then cannot be one.
- */
+/* Latches a fault if the handle is pushed and does not move by a single count. The configuration enables this only for
+ * devices on which it cannot happen in normal use. */
 HD_RT static void watch_frozen(struct hd_servo *servo, const struct hd_look *look, int64_t time_ns) {
     const double *position = look->reading.position_m;
-    /* Bit for bit: the very same counts. */
+    /* Compared bit for bit: identical counts. */
     if (memcmp(position, servo->still_m, sizeof servo->still_m) != 0 ||
         servo->last_force_n < servo->config.frozen_force_n) {
         servo->still_s = 0.0;
@@ -41,10 +42,10 @@ HD_RT static void watch_frozen(struct hd_servo *servo, const struct hd_look *loo
 HD_RT static void watch_device(struct hd_servo *servo, const struct hd_look *look, int64_t time_ns) {
     if (look->connection != servo->connection) {
         if (servo->connection != 0) {
-            lose_device(servo, time_ns); /* it may have been away between two ticks */
+            lose_device(servo, time_ns); /* it may have been disconnected between two ticks */
         }
         servo->connection = look->connection;
-        /* How it came to be where it is, nobody knows. */
+        /* The motion to the present position is unknown. */
         hd_velocity_reset(&servo->state->velocity);
         servo->state->located = 0;
     }
@@ -59,7 +60,7 @@ HD_RT static void watch_device(struct hd_servo *servo, const struct hd_look *loo
         }
         return;
     }
-    /* A period for each tick: those that the servo itself missed say nothing about the device. */
+    /* One period per tick: periods that the servo itself missed are not the device's fault. */
     servo->since_report_s += servo->period_s;
     const int nowhere = look->connection == 0 && servo->state->enabled; /* a force without a position */
     if (look->gone || nowhere || servo->since_report_s > servo->config.device_timeout_s) {
@@ -67,7 +68,7 @@ HD_RT static void watch_device(struct hd_servo *servo, const struct hd_look *loo
     }
 }
 
-HD_RT static void overload(struct hd_servo *servo, double share, int64_t time_ns) {
+HD_RT static void report_overload(struct hd_servo *servo, double share, int64_t time_ns) {
     hd_atomic_u64_add_relaxed(&servo->overloads, 1);
     hd_event_add(servo->state, HD_EVENT_OVERLOAD, time_ns, 0, share);
     if (servo->config.overrun_action == HD_OVERRUN_FAULT) {
@@ -80,11 +81,10 @@ HD_RT static void overload(struct hd_servo *servo, double share, int64_t time_ns
     }
 }
 
-/* Which part of the periods is missed, second after second. `missed`: of the `periods` since the tick before, those
- * that the clock went past; a device that leads and is slow makes periods, too. */
+/* See hd_servo.h. */
 HD_RT void hd_servo_watch_load(struct hd_servo *servo, uint32_t periods, uint32_t missed, int64_t time_ns) {
     const double stall_ns = (double)missed * servo->period_ns;
-    if (stall_ns > HD_PAUSE_NS && stall_ns > 2.0 * (double)servo->last_work_ns) {
+    if (stall_ns > HD_STALL_NS && stall_ns > 2.0 * (double)servo->last_work_ns) {
         servo->load_periods = 0;
         servo->load_missed = 0;
         return;
@@ -99,19 +99,20 @@ HD_RT void hd_servo_watch_load(struct hd_servo *servo, uint32_t periods, uint32_
     servo->load_missed = 0;
     hd_atomic_f64_store_relaxed(&servo->missed_share, share);
     if (share > servo->config.overrun_threshold) {
-        overload(servo, share, time_ns);
+        report_overload(servo, share, time_ns);
     }
 }
 
-/* A machine that was suspended: CLOCK_MONOTONIC stood still meanwhile, so that nothing was missed, and yet nobody knows
- * what became of handle and device. The force comes in over the ramp. */
+/* Detects a suspend of the machine. CLOCK_MONOTONIC stops during a suspend, so no periods are missed, but handle and
+ * device may have moved: the force fades in over the ramp. */
 HD_RT void hd_servo_watch_suspends(struct hd_servo *servo, int64_t time_ns) {
     if (servo->until_look > 0) {
         servo->until_look--;
         return;
     }
     servo->until_look = (uint32_t)(HD_SUSPEND_LOOK_S / servo->period_s);
-    /* The truth lies between the two: this thread may be held up between any two of these lines. */
+    /* The difference of the clocks is between least_ns and most_ns, because this thread may be delayed between two of
+     * these lines. */
     const int64_t before_ns = hd_clock_now_ns();
     const int64_t boot_ns = hd_clock_boot_ns();
     const int64_t least_ns = boot_ns - hd_clock_now_ns();
@@ -129,7 +130,7 @@ HD_RT void hd_servo_watch_suspends(struct hd_servo *servo, int64_t time_ns) {
     }
 }
 
-/* Everything but the tick itself that can call for zero force. */
+/* See hd_servo.h. */
 HD_RT void hd_servo_watch(struct hd_servo *servo, const struct hd_look *look, int64_t now_ns, int64_t time_ns) {
     const uint64_t beat = hd_atomic_u64_load_relaxed(&servo->beat);
     if (beat != servo->last_beat) {
