@@ -71,8 +71,7 @@ def findings(source: str, words: list[tuple[re.Pattern[str], str]]) -> list[Find
 
 def _checked_files(paths: list[str]) -> Iterator[Path]:
     for path in paths or CHECKED_PATHS:
-        for file in sorted((ROOT / path).rglob("*.py")) if (ROOT / path).is_dir() else [ROOT / path]:
-            yield file
+        yield from sorted((ROOT / path).rglob("*.py")) if (ROOT / path).is_dir() else [ROOT / path]
 
 
 def main(paths: list[str]) -> int:
