@@ -4,7 +4,7 @@
 #include "base/hd_vector.h"
 
 /* Largest stiffness ratio: beyond it the linear interpolation of gains is not valid. */
-#define HD_TOUCHED_MAX 2.0
+#define HD_STIFFNESS_RATIO_MAX 2.0
 
 /* The probe sticks while the friction spring is below this part of the friction limit; at the limit it slides, and the
  * stiffness along the surface is 0. */
@@ -43,7 +43,7 @@ HD_RT double hd_strike_peak(const struct hd_state *state, const struct hd_table 
         return 1.0;
     }
     const double share = stiffness_along(state, table, strike->direction) / mode->touched_n_per_m;
-    strike->touched = share < HD_TOUCHED_MAX ? share : HD_TOUCHED_MAX;
+    strike->touched = share < HD_STIFFNESS_RATIO_MAX ? share : HD_TOUCHED_MAX;
     /* Upper bound of |s p + (1 - s) f|, for s within and beyond 0 to 1. */
     const double rest = 1.0 - strike->touched;
     return strike->touched * mode->peak + (rest < 0.0 ? -rest : rest) * mode->free_peak;
