@@ -84,7 +84,7 @@ void hd_state_free(struct hd_state *state) {
 
 int hd_state_reserve(struct hd_state *state, uint32_t slot_count) {
     if (slot_count > state->slot_capacity) {
-        return hd_invalid("table: %u objects, room for %u", slot_count, state->slot_capacity);
+        return hd_invalid("table: %u objects, but the state has room for %u", slot_count, state->slot_capacity);
     }
     if (slot_count > state->slot_count) {
         struct hd_region regions[SLOT_ARRAY_COUNT];
