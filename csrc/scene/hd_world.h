@@ -27,8 +27,7 @@ struct hd_world {
 
 /* As hd_world_load (hd_api.h), but checks and copies only the objects of `slots`: the others must be unchanged since
  * this world was last loaded or updated. Slots that are new to this world are always included; entries of `slots`
- * beyond the table's objects are ignored. Materials, pieces, noises and numbers are taken if parts_version
- * changed. */
+ * beyond the table's objects are ignored. Materials, pieces, noises and numbers are taken if parts_version changed. */
 int hd_world_update(struct hd_world *world, const struct hd_table *table, const uint32_t *slots, size_t count);
 /* Frees what the world owns, not the world itself. */
 void hd_world_release(struct hd_world *world);

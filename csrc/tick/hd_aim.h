@@ -5,7 +5,8 @@
 #include "base/hd_vector.h"
 #include "tick/hd_state.h"
 
-/* Finds the tangent of a surface. A membrane that was entered from the back keeps the tangent of the object's normal. */
+/* Finds the tangent of a surface. A membrane that was entered from the back keeps the tangent of the object's normal.
+ */
 HD_RT static inline void hd_tangent_of(const struct hd_slot *slot, const double normal[2], double tangent[2]) {
     hd_tangent(normal, tangent);
     if (slot->feature.side < 0) {

@@ -129,9 +129,9 @@ HD_RT static int apply_controller(const struct hd_passivity *passivity, const st
 }
 
 HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *table, const struct hd_input *input,
-                             int anew, const struct hd_pushed *is, const struct hd_pushed *still, uint32_t *flags) {
+                             int restart, const struct hd_pushed *is, const struct hd_pushed *still, uint32_t *flags) {
     struct hd_passivity *passivity = &state->passivity;
-    if (anew || passivity->next != state->tick) {
+    if (restart || passivity->next != state->tick) {
         passivity->running = 0;
         passivity->energy_j = 0.0;
     }
@@ -158,7 +158,7 @@ HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *tabl
         passivity->contacts++;
         passivity->energy_j = 0.0;
         passivity->taken_j = 0.0;
-        if (state->located && !anew && input->interval_s > 0.0) {
+        if (state->located && !restart && input->interval_s > 0.0) {
             /* The path into the surface was covered before the first force, so the spring holds energy that no motion
              * did work for. The dissipation of the handle on that path counts against it. */
             double displacement_m[2];

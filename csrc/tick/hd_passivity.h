@@ -32,9 +32,9 @@ struct hd_pushed {
 
 /* Adds the work that is known by now, then applies the controller: to `is`, the force of this tick, if its weight is
  * above 0, and counts that and sets HD_FLAG_RESTRAINED; in the same way to `still`, the force with every ramp stopped,
- * without counting. `anew`: the sum starts again. */
+ * without counting. `restart`: the sum starts again. */
 HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *table, const struct hd_input *input,
-                             int anew, const struct hd_pushed *is, const struct hd_pushed *still, uint32_t *flags);
+                             int restart, const struct hd_pushed *is, const struct hd_pushed *still, uint32_t *flags);
 /* Records, at the end of the tick, the force that is commanded until the next one. `gain`: gain of the command. */
 HD_RT void hd_passivity_hold(struct hd_passivity *passivity, const struct hd_table *table, uint64_t tick, double gain,
                              const double object_n[2], const double contact_n[2]);
