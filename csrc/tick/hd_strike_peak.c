@@ -8,13 +8,13 @@
 
 /* The probe sticks while the friction spring is below this part of the friction limit; at the limit it slides, and the
  * stiffness along the surface is 0. */
-#define HD_STICK_TOLERANCE (1.0 - 1e-9)
+#define HD_STICK_FACTOR (1.0 - 1e-9)
 
 /* Returns the stiffness of friction along the surface, N/m. */
 HD_RT static double stick_stiffness(const struct hd_slot *slot) {
     const struct hd_surface *surface = &slot->surface;
     const double spring_n = surface->friction_stiffness_n_per_m * hd_magnitude(slot->last.arc_m - slot->anchor_m);
-    const int stuck = spring_n < HD_STICK_TOLERANCE * surface->friction_coefficient * slot->normal_n;
+    const int stuck = spring_n < HD_STICK_FACTOR * surface->friction_coefficient * slot->normal_n;
     return stuck ? surface->friction_stiffness_n_per_m : 0.0;
 }
 
@@ -43,7 +43,7 @@ HD_RT double hd_strike_peak(const struct hd_state *state, const struct hd_table 
         return 1.0;
     }
     const double share = stiffness_along(state, table, strike->direction) / mode->touched_n_per_m;
-    strike->touched = share < HD_STIFFNESS_RATIO_MAX ? share : HD_TOUCHED_MAX;
+    strike->touched = share < HD_STIFFNESS_RATIO_MAX ? share : HD_STIFFNESS_RATIO_MAX;
     /* Upper bound of |s p + (1 - s) f|, for s within and beyond 0 to 1. */
     const double rest = 1.0 - strike->touched;
     return strike->touched * mode->peak + (rest < 0.0 ? -rest : rest) * mode->free_peak;
