@@ -1,30 +1,31 @@
-/* Whether what a table holds can make no tick read out of bounds, divide by zero or run for ever. Control side.
+/* Checks of a table: with a table that passes, no tick reads out of bounds, divides by zero or loops endlessly. Control
+ * side.
  *
- * Each returns HD_OK or HD_ERR_INVALID with its reason (hd_invalid_reason). */
+ * Each check returns HD_OK, or HD_ERR_INVALID with a reason (hd_invalid_reason). */
 #ifndef HD_CHECK_H
 #define HD_CHECK_H
 
 #include "api/hd_core.h"
 
-/* Far beyond anything felt; what keeps products and quotients of a few of them finite. */
+/* Upper limit of values: far beyond anything that can be felt, and low enough that products of several stay finite. */
 #define HD_LARGEST 1e9
-/* Metres, metres a second and others that are divided by. */
+/* Lower limit of values that are divisors, such as lengths and speeds. */
 #define HD_SMALLEST 1e-9
 
-/* One mode, as a table's or a command's. */
+/* Checks a mode of a table or a command; `what` names it in the reason. */
 int hd_mode_check(const struct hd_mode *mode, const char *what);
-/* What is played by hand: a mode, a unit vector, an amplitude in units of the mode. */
+/* Checks the arguments of `play`: a mode, a unit vector, an amplitude in units of the mode. */
 int hd_play_check(const struct hd_mode *mode, const double direction[2], double amplitude);
-/* One noise against the numbers it refers to. */
+/* Checks a noise and the numbers that it refers to; `what` names it in the reason. */
 int hd_noise_check(const struct hd_noise *noise, const double *numbers, uint32_t number_count, const char *what);
 int hd_material_check(const struct hd_material *material, const struct hd_table *table, uint32_t index);
-/* What there is one of. */
+/* Checks the scalars and the field of a table, and that its arrays exist. */
 int hd_scalars_check(const struct hd_table *table);
-/* Materials, noises and numbers; pieces are checked with the walls that refer to them. */
+/* Checks materials, noises and numbers. Pieces are checked with the walls that refer to them. */
 int hd_parts_check(const struct hd_table *table);
-/* `parts`: the table whose materials and pieces it will be rendered with. */
+/* Checks an object. `parts`: the table with the materials and pieces that it will be rendered with. */
 int hd_object_check(const struct hd_object *object, const struct hd_table *parts, uint32_t slot);
-/* Of that only what it refers to. */
+/* Checks only the material and the pieces that an object refers to. */
 int hd_references_check(const struct hd_table *parts, const struct hd_object *object, uint32_t slot);
 
 static inline int hd_check_between(double value, double low, double high) {

@@ -1,10 +1,10 @@
-/* The checks of materials and of their modes. */
+/* Checks of materials and of their modes. */
 #include <stdio.h>
 
 #include "scene/hd_check.h"
 #include "scene/hd_table_numbers.h"
 
-/* What turns and decays, of a mode or of its tail. */
+/* Checks rotor, decay rate and frequency of a mode or of its tail. */
 static int ringing_check(double rotor_re, double rotor_im, double decay_rate_per_s, double angular_frequency_rad_per_s,
                          const char *what, const char *tail) {
     if (!hd_check_between(rotor_re, -1.0, 1.0) || !hd_check_between(rotor_im, -1.0, 1.0) ||
@@ -21,7 +21,7 @@ static int ringing_check(double rotor_re, double rotor_im, double decay_rate_per
 
 int hd_mode_check(const struct hd_mode *mode, const char *what) {
     if (mode->force_per_unit == 0.0 && mode->end_s == 0.0 && mode->effect == 0) {
-        return HD_OK; /* none */
+        return HD_OK; /* there is no mode */
     }
     if (ringing_check(mode->rotor_re, mode->rotor_im, mode->decay_rate_per_s, mode->angular_frequency_rad_per_s, what,
                       "") < 0 ||
@@ -31,12 +31,12 @@ int hd_mode_check(const struct hd_mode *mode, const char *what) {
     }
     if (!hd_check_bounded(mode->gain_re) || !hd_check_bounded(mode->gain_im) || !hd_check_bounded(mode->tail_re) ||
         !hd_check_bounded(mode->tail_im) || !hd_check_between(mode->tail_end_s, 0.0, HD_LARGEST)) {
-        return hd_invalid("%s: gain (%g, %g) or tail (%g, %g), which ends at %g s, is out of range", what,
-                          mode->gain_re, mode->gain_im, mode->tail_re, mode->tail_im, mode->tail_end_s);
+        return hd_invalid("%s: gain (%g, %g), tail (%g, %g) or its end at %g s is out of range", what, mode->gain_re,
+                          mode->gain_im, mode->tail_re, mode->tail_im, mode->tail_end_s);
     }
     if (!hd_check_between(mode->end_s, 0.0, HD_LARGEST) || !hd_check_between(mode->peak_time_s, 0.0, HD_LARGEST) ||
         !hd_check_between(mode->peak, 0.0, HD_LARGEST)) {
-        return hd_invalid("%s: end %g s, peak %g at %g s are out of range", what, mode->end_s, mode->peak,
+        return hd_invalid("%s: end %g s, peak %g or its time %g s is out of range", what, mode->end_s, mode->peak,
                           mode->peak_time_s);
     }
     if (!hd_check_between(mode->force_per_unit, 0.0, HD_LARGEST) ||
@@ -46,7 +46,7 @@ int hd_mode_check(const struct hd_mode *mode, const char *what) {
     }
     if (!hd_check_between(mode->effect_force_per_unit, 0.0, HD_LARGEST) ||
         !hd_check_between(mode->effect_peak, 0.0, HD_LARGEST) || !hd_check_between(mode->effect_s, 0.0, 1.0)) {
-        return hd_invalid("%s: effect with %g N per unit, peak %g, %g s is out of range", what,
+        return hd_invalid("%s: effect force per unit %g, peak %g or duration %g s is out of range", what,
                           mode->effect_force_per_unit, mode->effect_peak, mode->effect_s);
     }
     return HD_OK;
@@ -55,12 +55,13 @@ int hd_mode_check(const struct hd_mode *mode, const char *what) {
 int hd_play_check(const struct hd_mode *mode, const double direction[2], double amplitude) {
     const double square = direction[0] * direction[0] + direction[1] * direction[1];
     if (!(square > 1.0 - 1e-9 && square < 1.0 + 1e-9) || !(amplitude >= 0.0 && amplitude <= 1e9)) {
-        return hd_invalid("play: direction (%g, %g) or amplitude %g", direction[0], direction[1], amplitude);
+        return hd_invalid("play: direction (%g, %g) must be a unit vector, amplitude %g between 0 and 1e9",
+                          direction[0], direction[1], amplitude);
     }
     return hd_mode_check(mode, "play");
 }
 
-/* The name is put together only for a mode that is wrong. */
+/* Checks a mode of a material. The name for the reason is composed only if the check fails. */
 static int material_mode_check(const struct hd_mode *mode, const char *use, uint32_t index) {
     if (hd_mode_check(mode, use) == HD_OK) {
         return HD_OK;
@@ -78,16 +79,16 @@ static int texture_check(const struct hd_material *material, uint32_t noise_coun
     case HD_TEXTURE_GEOMETRY:
     case HD_TEXTURE_DRAG:
         if (!hd_check_between(material->width_m, HD_SMALLEST, material->spacing_m)) {
-            return hd_invalid("material %u: grooves %g m wide, %g m apart; at least %g, and not wider than apart",
-                              index, material->width_m, material->spacing_m, HD_SMALLEST);
+            return hd_invalid("material %u: width of grooves %g m must be between %g m and their spacing, %g m", index,
+                              material->width_m, HD_SMALLEST, material->spacing_m);
         }
         return HD_OK;
     case HD_TEXTURE_NOISE:
-        return material->noise < noise_count
-                   ? HD_OK
-                   : hd_invalid("material %u: noise %u of %u", index, material->noise, noise_count);
+        return material->noise < noise_count ? HD_OK
+                                             : hd_invalid("material %u: noise %u does not exist; there are %u", index,
+                                                          material->noise, noise_count);
     default:
-        return hd_invalid("material %u: texture %u", index, material->texture);
+        return hd_invalid("material %u: unknown texture %u", index, material->texture);
     }
 }
 
@@ -97,10 +98,10 @@ static int tap_check(const struct hd_material *material, const struct hd_table *
         return HD_OK;
     }
     if (count > HD_TAP_POINTS) {
-        return hd_invalid("material %u: a tap of %u points, at most %u", index, count, HD_TAP_POINTS);
+        return hd_invalid("material %u: the tap has %u points; there must be at most %u", index, count, HD_TAP_POINTS);
     }
     if (material->tap_first > table->number_count || 2u * count > table->number_count - material->tap_first) {
-        return hd_invalid("material %u: %u points of a tap, from number %u on, do not fit into %u", index, count,
+        return hd_invalid("material %u: %u points of its tap, from number %u on, do not fit into %u", index, count,
                           material->tap_first, table->number_count);
     }
     const double *speeds = table->numbers + material->tap_first;
@@ -109,19 +110,20 @@ static int tap_check(const struct hd_material *material, const struct hd_table *
         if (!hd_check_between(speeds[i], before + HD_SMALLEST, HD_LARGEST) ||
             !hd_check_between(speeds[count + i], 0.0, HD_LARGEST)) {
             return hd_invalid(
-                "material %u: point %u of its tap, %g m/s^2 at %g m/s, is out of range or not above %g m/s", index, i,
-                speeds[count + i], speeds[i], before);
+                "material %u: point %u of its tap, %g m/s^2 at %g m/s, is out of range or not faster than the "
+                "point before, %g m/s",
+                index, i, speeds[count + i], speeds[i], before);
         }
     }
     return HD_OK;
 }
 
-static int aim_is_sound(const double aim[2]) {
+static int is_valid_aim(const double aim[2]) {
     const double square = aim[0] * aim[0] + aim[1] * aim[1];
     return (aim[0] == 0.0 && aim[1] == 0.0) || hd_check_between(square, 1.0 - 1e-6, 1.0 + 1e-6);
 }
 
-static int amounts_check(const struct hd_material *material, uint32_t noise_count, uint32_t index) {
+static int values_check(const struct hd_material *material, uint32_t noise_count, uint32_t index) {
     const struct {
         const char *name;
         double value;
@@ -145,13 +147,13 @@ static int amounts_check(const struct hd_material *material, uint32_t noise_coun
         }
     }
     if (material->heals > 1) {
-        return hd_invalid("material %u: heals is 0 or 1", index);
+        return hd_invalid("material %u: heals must be 0 or 1", index);
     }
-    if (!aim_is_sound(material->tap_aim) || !aim_is_sound(material->rupture_aim)) {
-        return hd_invalid("material %u: the aim of a tap or a rupture has length 1, or is 0, 0", index);
+    if (!is_valid_aim(material->tap_aim) || !is_valid_aim(material->rupture_aim)) {
+        return hd_invalid("material %u: the aim of a tap or a rupture must be a unit vector or (0, 0)", index);
     }
     if (material->friction_coefficient > 0.0 && !(material->friction_stiffness_n_per_m > 0.0)) {
-        return hd_invalid("material %u: friction needs a stiffness of more than 0", index);
+        return hd_invalid("material %u: friction needs a stiffness above 0", index);
     }
     if (texture_check(material, noise_count, index) < 0 || material_mode_check(&material->tap, "tap", index) < 0 ||
         material_mode_check(&material->second, "second mode", index) < 0 ||
@@ -162,7 +164,7 @@ static int amounts_check(const struct hd_material *material, uint32_t noise_coun
     return HD_OK;
 }
 
-static int rises(const double *points, uint32_t count, uint32_t stride, double least) {
+static int is_rising(const double *points, uint32_t count, uint32_t stride, double least) {
     for (uint32_t i = 0; i < count; i++) {
         const double before = i > 0 ? points[(i - 1u) * stride] + HD_SMALLEST : least;
         if (!(points[i * stride] >= before && points[i * stride] <= HD_LARGEST)) {
@@ -172,7 +174,7 @@ static int rises(const double *points, uint32_t count, uint32_t stride, double l
     return 1;
 }
 
-static int lies(const double *numbers, size_t count, double least) {
+static int is_within(const double *numbers, size_t count, double least) {
     for (size_t i = 0; i < count; i++) {
         if (!(numbers[i] >= least && numbers[i] <= HD_LARGEST)) {
             return 0;
@@ -181,7 +183,7 @@ static int lies(const double *numbers, size_t count, double least) {
     return 1;
 }
 
-static int highest_is_sound(const struct hd_material *material) {
+static int is_valid_highest(const struct hd_material *material) {
     return material->tune_highest_rad_per_s >= HD_SMALLEST && material->tune_highest_rad_per_s <= HD_LARGEST &&
            material->tune_mutes <= 1;
 }
@@ -193,28 +195,30 @@ static int tap_mode_check(const struct hd_material *material, const struct hd_ta
         return HD_OK;
     }
     if (points > HD_TUNE_POINTS || nodes > HD_TUNE_NODES || material->wave_count > 0 || material->mode_by_peak > 1) {
-        return hd_invalid("material %u: a tap's mode at %u speeds with %u nodes; 1 to %u, at most %u, and no waveform",
-                          index, points, nodes, HD_TUNE_POINTS, HD_TUNE_NODES);
+        return hd_invalid(
+            "material %u: the mode of a tap has %u speeds and %u nodes; it must have 1 to %u, at most %u, "
+            "no waveform, and mode_by_peak 0 or 1",
+            index, points, nodes, HD_TUNE_POINTS, HD_TUNE_NODES);
     }
     const uint32_t count = 3 * points + nodes * HD_TUNE_NODE;
     if (material->mode_first > table->number_count || count > table->number_count - material->mode_first) {
-        return hd_invalid("material %u: %u numbers of its tap's modes, from number %u on, do not fit into %u", index,
-                          count, material->mode_first, table->number_count);
+        return hd_invalid("material %u: %u numbers of the modes of its tap, from number %u on, do not fit into %u",
+                          index, count, material->mode_first, table->number_count);
     }
     const double *numbers = table->numbers + material->mode_first;
     const double *node = numbers + 3 * points;
-    int sound = rises(numbers, points, 1, 0.0) && lies(numbers + points, 2 * (size_t)points, HD_SMALLEST) &&
-                rises(node, nodes, HD_TUNE_NODE, 0.0) && lies(node, (size_t)nodes * HD_TUNE_NODE, -HD_LARGEST);
+    int sound = is_rising(numbers, points, 1, 0.0) && is_within(numbers + points, 2 * (size_t)points, HD_SMALLEST) &&
+                is_rising(node, nodes, HD_TUNE_NODE, 0.0) && is_within(node, (size_t)nodes * HD_TUNE_NODE, -HD_LARGEST);
     for (uint32_t i = 0; i < nodes; i++) {
-        sound = sound && lies(node + (size_t)i * HD_TUNE_NODE + HD_TUNE_PEAK, 2, 0.0);
+        sound = sound && is_within(node + (size_t)i * HD_TUNE_NODE + HD_TUNE_PEAK, 2, 0.0);
     }
-    if (!sound || !highest_is_sound(material)) {
-        return hd_invalid("material %u: speeds, modes or nodes of its tap do not rise, or are out of range", index);
+    if (!sound || !is_valid_highest(material)) {
+        return hd_invalid("material %u: speeds, modes or nodes of its tap do not rise or are out of range", index);
     }
     return HD_OK;
 }
 
-static int grooves_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
+static int groove_frequencies_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
     const uint32_t speeds = material->tune_speeds;
     const uint32_t forces = material->tune_forces;
     const uint32_t nodes = material->tune_nodes;
@@ -222,9 +226,9 @@ static int grooves_check(const struct hd_material *material, const struct hd_tab
         return HD_OK;
     }
     if (speeds > HD_TUNE_POINTS || forces == 0 || forces > HD_TUNE_POINTS || nodes > HD_TUNE_NODES) {
-        return hd_invalid(
-            "material %u: groove frequencies at %u speeds and %u forces with %u nodes; 1 to %u, at most %u", index,
-            speeds, forces, nodes, HD_TUNE_POINTS, HD_TUNE_NODES);
+        return hd_invalid("material %u: groove frequencies have %u speeds, %u forces and %u nodes; they must have "
+                          "1 to %u speeds and forces and at most %u nodes",
+                          index, speeds, forces, nodes, HD_TUNE_POINTS, HD_TUNE_NODES);
     }
     const uint32_t grid = speeds * forces;
     const uint32_t count = speeds + forces + grid + nodes * HD_TUNE_NODE;
@@ -234,26 +238,29 @@ static int grooves_check(const struct hd_material *material, const struct hd_tab
     }
     const double *numbers = table->numbers + material->tune_first;
     const double *node = numbers + speeds + forces + grid;
-    if (!rises(numbers, speeds, 1, 0.0) || !rises(numbers + speeds, forces, 1, 0.0) ||
-        !lies(numbers + speeds + forces, grid, HD_SMALLEST) || !rises(node, nodes, HD_TUNE_NODE, HD_SMALLEST) ||
-        !lies(node, (size_t)nodes * HD_TUNE_NODE, -HD_LARGEST)) {
+    if (!is_rising(numbers, speeds, 1, 0.0) || !is_rising(numbers + speeds, forces, 1, 0.0) ||
+        !is_within(numbers + speeds + forces, grid, HD_SMALLEST) ||
+        !is_rising(node, nodes, HD_TUNE_NODE, HD_SMALLEST) ||
+        !is_within(node, (size_t)nodes * HD_TUNE_NODE, -HD_LARGEST)) {
         return hd_invalid(
-            "material %u: speeds, forces or nodes of its groove frequencies do not rise, or are out of range", index);
+            "material %u: speeds, forces or nodes of its groove frequencies do not rise or are out of range", index);
     }
     for (uint32_t i = 0; i < nodes; i++) {
-        if (!lies(node + (size_t)i * HD_TUNE_NODE + HD_TUNE_PEAK, 2, 0.0)) {
+        if (!is_within(node + (size_t)i * HD_TUNE_NODE + HD_TUNE_PEAK, 2, 0.0)) {
             return hd_invalid("material %u: node %u of its groove frequencies has a peak below 0", index, i);
         }
     }
-    if (!highest_is_sound(material) || !(material->groove.decay_rate_per_s > 0.0)) {
-        return hd_invalid("material %u: groove frequencies up to %g rad/s, muted above (%u), decay rate %g 1/s", index,
-                          material->tune_highest_rad_per_s, material->tune_mutes, material->groove.decay_rate_per_s);
+    if (!is_valid_highest(material) || !(material->groove.decay_rate_per_s > 0.0)) {
+        return hd_invalid(
+            "material %u: highest groove frequency %g rad/s, tune_mutes %u or decay rate %g 1/s is out of "
+            "range",
+            index, material->tune_highest_rad_per_s, material->tune_mutes, material->groove.decay_rate_per_s);
     }
     return HD_OK;
 }
 
 static int tune_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
-    const int status = grooves_check(material, table, index);
+    const int status = groove_frequencies_check(material, table, index);
     return status < 0 ? status : tap_mode_check(material, table, index);
 }
 
@@ -263,15 +270,16 @@ static int wave_check(const struct hd_material *material, const struct hd_table 
         return HD_OK;
     }
     if (count < 3 || count > HD_WAVE_SAMPLES) {
-        return hd_invalid("material %u: a waveform of %u samples; 3 to %u", index, count, HD_WAVE_SAMPLES);
+        return hd_invalid("material %u: its waveform has %u samples; it must have 3 to %u", index, count,
+                          HD_WAVE_SAMPLES);
     }
     const uint32_t needed = count + HD_WAVE_PARTS;
     if (material->wave_first > table->number_count || needed > table->number_count - material->wave_first) {
-        return hd_invalid("material %u: %u numbers of a waveform, from number %u on, do not fit into %u", index, needed,
-                          material->wave_first, table->number_count);
+        return hd_invalid("material %u: %u numbers of its waveform, from number %u on, do not fit into %u", index,
+                          needed, material->wave_first, table->number_count);
     }
     if (!(material->wave_rate_hz >= 1e-3 && material->wave_rate_hz <= HD_LARGEST)) {
-        return hd_invalid("material %u: a waveform of %g samples a second", index, material->wave_rate_hz);
+        return hd_invalid("material %u: rate %g Hz of its waveform is out of range", index, material->wave_rate_hz);
     }
     const double *numbers = table->numbers + material->wave_first;
     for (uint32_t i = 0; i < needed; i++) {
@@ -281,14 +289,14 @@ static int wave_check(const struct hd_material *material, const struct hd_table 
         }
     }
     if (numbers[0] != 0.0 || numbers[count - 1u] != 0.0) {
-        return hd_invalid("material %u: a waveform begins and ends with 0, this one with %g and %g", index, numbers[0],
+        return hd_invalid("material %u: its waveform must begin and end with 0, but has %g and %g", index, numbers[0],
                           numbers[count - 1u]);
     }
     return HD_OK;
 }
 
 int hd_material_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
-    if (amounts_check(material, table->noise_count, index) < 0 || tap_check(material, table, index) < 0 ||
+    if (values_check(material, table->noise_count, index) < 0 || tap_check(material, table, index) < 0 ||
         tune_check(material, table, index) < 0) {
         return HD_ERR_INVALID;
     }

@@ -1,18 +1,18 @@
-/* The check of a noise. */
+/* The check of a noise and of its numbers. */
 #include <math.h>
 
 #include "scene/hd_check.h"
 #include "scene/hd_table_numbers.h"
 
-#define HD_LARGEST_RMS 1e9
-#define HD_TAPS_TOLERANCE 1e-9
+#define HD_LARGEST_RMS 1e9     /* m/s^2 */
+#define HD_TAPS_TOLERANCE 1e-9 /* of the sum of squares */
 
 static int at_least_zero(double value) {
     return isfinite(value) && value >= 0.0;
 }
 
-/* Finite, at least 0 and strictly rising. */
-static int rises(const double *axis, uint32_t count) {
+/* Whether the values are finite, at least 0 and strictly rising. */
+static int is_rising(const double *axis, uint32_t count) {
     int ok = at_least_zero(axis[0]) && at_least_zero(axis[count - 1]);
     for (uint32_t i = 1; i < count; i++) {
         ok = ok && axis[i] > axis[i - 1];
@@ -23,13 +23,13 @@ static int rises(const double *axis, uint32_t count) {
 static int check_node(const struct hd_noise *noise, const double *node, const char *what, uint64_t index) {
     const unsigned long long which = (unsigned long long)index;
     if (!(node[0] >= 0.0 && node[0] <= HD_LARGEST_RMS)) {
-        return hd_invalid("%s: RMS %g m/s^2 of node %llu is not between 0 and %g", what, node[0], which,
+        return hd_invalid("%s: RMS %g m/s^2 of node %llu must be between 0 and %g", what, node[0], which,
                           HD_LARGEST_RMS);
     }
     const double *sine = node + 1;
     for (uint32_t m = 0; m < noise->order; m++) {
         if (!(sine[m] > -1.0 && sine[m] < 1.0)) {
-            return hd_invalid("%s: reflection coefficient %u of node %llu is %.17g, not between -1 and 1: unstable",
+            return hd_invalid("%s: unstable: reflection coefficient %u of node %llu must be between -1 and 1, is %.17g",
                               what, m + 1, which, sine[m]);
         }
     }
@@ -40,7 +40,7 @@ static int check_node(const struct hd_noise *noise, const double *node, const ch
             squares += tap[m] * tap[m];
         }
         if (!(squares >= 1.0 - HD_TAPS_TOLERANCE && squares <= 1.0 + HD_TAPS_TOLERANCE)) {
-            return hd_invalid("%s: the squares of the taps of node %llu add up to %.12g, not to 1", what, which,
+            return hd_invalid("%s: the squares of the taps of node %llu must add up to 1, are %.12g", what, which,
                               squares);
         }
     }
@@ -49,10 +49,10 @@ static int check_node(const struct hd_noise *noise, const double *node, const ch
 
 int hd_noise_check(const struct hd_noise *noise, const double *numbers, uint32_t number_count, const char *what) {
     if (noise->order > HD_NOISE_ORDER) {
-        return hd_invalid("%s: order %u is above %d", what, noise->order, HD_NOISE_ORDER);
+        return hd_invalid("%s: order %u must be at most %d", what, noise->order, HD_NOISE_ORDER);
     }
     if (noise->taps > 1 || noise->along_normal > 1) {
-        return hd_invalid("%s: taps %u and along_normal %u are 0 or 1", what, noise->taps, noise->along_normal);
+        return hd_invalid("%s: taps %u and along_normal %u must be 0 or 1", what, noise->taps, noise->along_normal);
     }
     if (!at_least_zero(noise->threshold_m_per_s) || !at_least_zero(noise->force_per_unit)) {
         return hd_invalid("%s: threshold %g m/s and force per unit %g must be finite and at least 0", what,
@@ -63,8 +63,8 @@ int hd_noise_check(const struct hd_noise *noise, const double *numbers, uint32_t
                           noise->force_gain_m_per_s2_per_n);
     }
     if (noise->speed_count == 0 || noise->force_count == 0) {
-        return hd_invalid("%s: a grid of %u speeds and %u forces; one of each is the least", what, noise->speed_count,
-                          noise->force_count);
+        return hd_invalid("%s: the grid has %u speeds and %u forces; it needs at least one of each", what,
+                          noise->speed_count, noise->force_count);
     }
     /* In this order nothing overflows: the product of two 32-bit counts fits, and so does a node's size times
      * number_count. */
@@ -78,10 +78,10 @@ int hd_noise_check(const struct hd_noise *noise, const double *numbers, uint32_t
     }
     const double *speeds = numbers + noise->first;
     const double *forces = speeds + noise->speed_count;
-    if (!rises(speeds, noise->speed_count)) {
+    if (!is_rising(speeds, noise->speed_count)) {
         return hd_invalid("%s: the speeds must be finite, at least 0 and rising", what);
     }
-    if (!rises(forces, noise->force_count)) {
+    if (!is_rising(forces, noise->force_count)) {
         return hd_invalid("%s: the forces must be finite, at least 0 and rising", what);
     }
     const double *node = forces + noise->force_count;

@@ -1,27 +1,28 @@
-/* The spatial index: objects are put into its grid and its heaps of walls, and those within a radius of a point are
- * found. hd_index.h describes the two structures. */
+/* The spatial index: puts objects into its grid and its heaps of walls, and finds those within a radius of a point.
+ * hd_index.h describes the two structures. */
 #include "scene/hd_index.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-enum { CELL_BITS = 28, CELL_MASK = (1 << CELL_BITS) - 1, FEWEST_CHAINS = 16, FEWEST_WALLS = 4 };
+enum { CELL_BITS = 28, CELL_MASK = (1 << CELL_BITS) - 1, MIN_CHAINS = 16, MIN_WALL_CAPACITY = 4 };
 
 #define FINEST_CELL_M 0.002
 #define CELL_RATIO 4.0
 
-/* What lies farther out than this many cells belongs to the outermost. */
-#define CELL_LIMIT 134217727.0
+/* Largest cell coordinate: points farther out belong to the outermost cell. */
+#define MAX_CELL 134217727.0
 
-/* A distance is the result of fewer than 20 roundings, each of at most 1.1e-16 of the coordinates it came from. */
-#define ROUNDING 4e-15
+/* Rounding error of a distance per metre of its coordinates: a distance is the result of fewer than 20 roundings of at
+ * most 1.1e-16 each. */
+#define ROUNDING_PER_M 4e-15
 
-/* A normal is a unit vector to within so much; the direction of a sector's middle is, too. */
+/* Tolerance of the length of unit vectors: normals and the middle directions of sectors. */
 #define UNIT_TOLERANCE 1e-8
 
-/* A larger one would gather much that the next ticks do not come near. */
-#define LARGEST_RADIUS_M 0.01
+/* Larger circles would contain many objects that the next ticks do not reach. */
+#define MAX_QUERY_RADIUS_M 0.01
 
 #define HALF_SECTOR_RAD (3.14159265358979323846 / HD_INDEX_SECTORS)
 
@@ -33,11 +34,11 @@ HD_RT static double level_cell_m(uint32_t level) {
     return cell_m;
 }
 
-/* Rises with the coordinate and is defined for all of them. */
+/* Returns the cell that contains a coordinate: a nondecreasing function, defined for every finite coordinate. */
 HD_RT static int32_t cell_coordinate(double coordinate_m, double per_m) {
     double cells = coordinate_m * per_m;
-    cells = cells < CELL_LIMIT ? cells : CELL_LIMIT;
-    cells = cells > -CELL_LIMIT ? cells : -CELL_LIMIT;
+    cells = cells < MAX_CELL ? cells : MAX_CELL;
+    cells = cells > -MAX_CELL ? cells : -MAX_CELL;
     const int32_t whole = (int32_t)cells;
     return whole - (cells < (double)whole);
 }
@@ -50,7 +51,7 @@ HD_RT static uint64_t cell_key(uint64_t row, int32_t x) {
     return row | ((uint64_t)(uint32_t)x & CELL_MASK);
 }
 
-/* Cells of one row lie side by side in `chains`, so that a query touches one cache line a row; rows are scattered. */
+/* Cells of one row are adjacent in `chains`, so that a query loads about one cache line per row; rows are scattered. */
 HD_RT static uint32_t row_chain(uint64_t row) {
     return (uint32_t)(((row >> CELL_BITS) * 0x9e3779b97f4a7c15u) >> 32);
 }
@@ -98,8 +99,8 @@ static void member_move(struct hd_index *index, uint32_t from, uint32_t to) {
     index->places[slot].at = to;
 }
 
-/* The levels lie in `members` one after another. To make room in one, every later one moves its first slot to its end;
- * to close a gap, its last slot to its beginning. */
+/* Adds a slot to a level. The levels are consecutive in `members`: to make room, every later level moves its first slot
+ * to its end. Removing a slot moves the last slot of every later level to its beginning. */
 static void member_add(struct hd_index *index, uint32_t level, uint32_t slot) {
     uint32_t *first = index->level_first;
     for (uint32_t later = HD_INDEX_LEVELS - 1; later > level; later--) {
@@ -124,7 +125,7 @@ static void member_remove(struct hd_index *index, uint32_t level, uint32_t slot)
     }
 }
 
-/* How far a bounded shape reaches from its centre; below 0: the shape is none of them. */
+/* Returns the largest distance of a bounded shape's edge from its centre; a value below 0: the shape is not bounded. */
 static double bounded_reach_m(const struct hd_object *object) {
     switch ((enum hd_shape)object->shape) {
     case HD_SHAPE_MEMBRANE:
@@ -181,7 +182,7 @@ static void heap_set(struct hd_index *index, struct hd_index_heap *heap, uint32_
     index->places[wall.slot].at = at;
 }
 
-/* Puts a wall at a free place and lets it rise or sink to where it belongs. The heap has room. */
+/* Puts a wall at a free place of the heap and moves it up or down to restore the order. The heap has room. */
 static void heap_settle(struct hd_index *index, struct hd_index_heap *heap, uint32_t at, struct hd_index_wall wall) {
     while (at > 0 && heap->walls[(at - 1) / 2].offset_m < wall.offset_m) {
         heap_set(index, heap, at, heap->walls[(at - 1) / 2]);
@@ -204,7 +205,7 @@ static int heap_grow(struct hd_index_heap *heap) {
     if (heap->count < heap->capacity) {
         return HD_OK;
     }
-    const uint32_t capacity = heap->capacity > 0 ? 2 * heap->capacity : FEWEST_WALLS;
+    const uint32_t capacity = heap->capacity > 0 ? 2 * heap->capacity : MIN_WALL_CAPACITY;
     struct hd_index_wall *walls = realloc(heap->walls, capacity * sizeof *walls);
     if (walls == NULL) {
         return HD_ERR_MEMORY;
@@ -258,7 +259,7 @@ int hd_index_reserve(struct hd_index *index, uint32_t slot_count) {
     if (slot_count <= count) {
         return HD_OK;
     }
-    size_t chain_count = FEWEST_CHAINS;
+    size_t chain_count = MIN_CHAINS;
     while (chain_count < 2 * (size_t)slot_count) {
         chain_count *= 2;
     }
@@ -345,7 +346,7 @@ struct query {
     const struct hd_object *objects;
     double point_m[2];
     double radius_m;
-    double slack_m; /* what rounding can add to a distance */
+    double slack_m; /* rounding error of a distance */
     struct hd_candidate *candidates;
     uint32_t count;
 };
@@ -361,7 +362,7 @@ HD_RT static void add(struct query *query, uint32_t slot, double distance_m) {
         (struct hd_candidate){.distance_m = distance_m > 0.0 ? distance_m : 0.0, .slot = slot};
 }
 
-/* Whether a bounded shape is a disc; the others are boxes, a membrane one without thickness. */
+/* Whether a bounded shape is a disc. Other bounded shapes are boxes; a membrane is a box of thickness 0. */
 HD_RT static inline int is_round(const struct hd_object *object) {
     switch ((enum hd_shape)object->shape) {
     case HD_SHAPE_DISC:
@@ -386,7 +387,7 @@ HD_RT static void visit(struct query *query, uint32_t slot) {
     } else {
         const double along = fabs(from[0] * object->normal[1] - from[1] * object->normal[0]) - object->half_m[0];
         const double above = fabs(from[0] * object->normal[0] + from[1] * object->normal[1]) - object->half_m[1];
-        /* Twice the positive parts. Compilers make a branch of a comparison here, one that cannot be predicted. */
+        /* Twice the positive parts. Written without a comparison, which compilers turn into an unpredictable branch. */
         const double out[2] = {along + fabs(along), above + fabs(above)};
         square = 0.25 * (out[0] * out[0] + out[1] * out[1]);
         nearer_m = query->slack_m;
@@ -402,7 +403,7 @@ HD_RT static void visit_level(struct query *query, uint32_t level) {
     const uint32_t first = index->level_first[level];
     const uint32_t end = index->level_first[level + 1];
     const double per_m = 1.0 / level_cell_m(level);
-    /* Rounded up, as the coordinates of a cell are of rounded numbers. */
+    /* Rounded up, since cells are computed from rounded coordinates. */
     const double reach_m = (query->radius_m + index->level_reach_m[level]) * (1.0 + UNIT_TOLERANCE) + query->slack_m;
     const int32_t left = cell_coordinate(query->point_m[0] - reach_m, per_m);
     const int32_t right = cell_coordinate(query->point_m[0] + reach_m, per_m);
@@ -430,8 +431,8 @@ HD_RT static void visit_level(struct query *query, uint32_t level) {
     }
 }
 
-/* The walls from the top of the heap down to `least_m`: into what is below a wall only while the wall is in reach
- * itself. */
+/* Visits the walls of a heap with an offset of at least `least_m`, from the top down. Walls below a wall with a smaller
+ * offset are skipped. */
 HD_RT static void visit_heap(struct query *query, const struct hd_index_heap *heap, double least_m) {
     uint32_t at = 0;
     for (;;) {
@@ -456,8 +457,8 @@ HD_RT static void visit_heap(struct query *query, const struct hd_index_heap *he
 }
 
 HD_RT static void visit_walls(struct query *query) {
-    const double cos_half = 1.0 - HALF_SECTOR_RAD * HALF_SECTOR_RAD / 2.0; /* a little less */
-    const double sin_half = HALF_SECTOR_RAD;                               /* a little more */
+    const double cos_half = 1.0 - HALF_SECTOR_RAD * HALF_SECTOR_RAD / 2.0; /* slightly below the cosine */
+    const double sin_half = HALF_SECTOR_RAD;                               /* slightly above the sine */
     const double *point_m = query->point_m;
     const double slack_m =
         query->radius_m + query->slack_m + UNIT_TOLERANCE * fabs(point_m[0]) + UNIT_TOLERANCE * fabs(point_m[1]);
@@ -465,7 +466,8 @@ HD_RT static void visit_walls(struct query *query) {
         const struct hd_index_sector *sector = &query->index->sectors[i];
         const double along = sector->middle[0] * point_m[0] + sector->middle[1] * point_m[1];
         const double across = fabs(sector->middle[1] * point_m[0] - sector->middle[0] * point_m[1]);
-        /* n.p of no normal n in the sector is less, so no wall with a smaller offset than this is in reach. */
+        /* Lower bound of n.p over the normals n of the sector, minus the radius: a wall with a smaller offset is out of
+         * reach. */
         const double least_m = (along > 0.0 ? along * cos_half : along) - across * sin_half - slack_m;
         if (!(sector->top_m < least_m)) {
             visit_heap(query, &query->index->heaps[sector->sector], least_m);
@@ -474,12 +476,12 @@ HD_RT static void visit_walls(struct query *query) {
 }
 
 HD_RT double hd_index_radius(const struct hd_index *index) {
-    for (uint32_t level = 0; level < HD_INDEX_LEVELS && level_cell_m(level) < 2.0 * LARGEST_RADIUS_M; level++) {
+    for (uint32_t level = 0; level < HD_INDEX_LEVELS && level_cell_m(level) < 2.0 * MAX_QUERY_RADIUS_M; level++) {
         if (index->level_first[level] != index->level_first[level + 1]) {
             return level_cell_m(level) / 2.0;
         }
     }
-    return LARGEST_RADIUS_M;
+    return MAX_QUERY_RADIUS_M;
 }
 
 HD_RT uint32_t hd_index_query(const struct hd_index *index, const struct hd_object *objects, const double point_m[2],
@@ -489,7 +491,8 @@ HD_RT uint32_t hd_index_query(const struct hd_index *index, const struct hd_obje
         .objects = objects,
         .point_m = {point_m[0], point_m[1]},
         .radius_m = radius_m,
-        .slack_m = ROUNDING * index->span_m + ROUNDING * fabs(point_m[0]) + ROUNDING * fabs(point_m[1]),
+        .slack_m =
+            ROUNDING_PER_M * index->span_m + ROUNDING_PER_M * fabs(point_m[0]) + ROUNDING_PER_M * fabs(point_m[1]),
         .candidates = candidates,
     };
     for (uint32_t level = 0; level < HD_INDEX_LEVELS; level++) {

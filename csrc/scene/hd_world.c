@@ -1,8 +1,8 @@
-/* Taking a table: it is checked (hd_check.h), copied and indexed.
+/* Worlds: a table is checked (hd_check.h), copied and indexed.
  *
- * Everything is checked, then everything grows, and only then is anything written, so that what is refused or finds no
- * memory leaves the world as it was. Records that are not looked at again were checked when they were taken, and are
- * the world's own copies: nobody else can have changed them. Control side. */
+ * All checks come first, then all allocations, then all writes, so that a table that is refused or does not fit into
+ * memory leaves the world unchanged. Records that are not checked again were checked when they were taken, and are
+ * copies that belong to the world. Control side. */
 #include "scene/hd_world.h"
 
 #include <stdlib.h>
@@ -10,16 +10,16 @@
 
 /* ---- Taking a table ----------------------------------------------------------------------------------------- */
 
-/* What of a table is taken: the objects of `slots` below `from`, all objects from `from` on, and, where `parts` is not
- * 0, materials, pieces, noises and numbers. */
-struct part {
+/* The extent of an update: the objects of `slots` below `from`, all objects from `from` on, and if `parts` is not 0,
+ * materials, pieces, noises and numbers. */
+struct extent {
     const uint32_t *slots;
     size_t count;
     uint32_t from;
     int parts;
 };
 
-static int is_listed(const struct part *part, uint32_t slot) {
+static int is_listed(const struct extent *part, uint32_t slot) {
     for (size_t i = 0; i < part->count; i++) {
         if (part->slots[i] == slot) {
             return 1;
@@ -28,7 +28,7 @@ static int is_listed(const struct part *part, uint32_t slot) {
     return 0;
 }
 
-static int check(const struct hd_world *world, const struct hd_table *table, const struct part *part) {
+static int check_extent(const struct hd_world *world, const struct hd_table *table, const struct extent *part) {
     const struct hd_table *parts = part->parts ? table : &world->table;
     if (part->parts && hd_parts_check(table) < 0) {
         return HD_ERR_INVALID;
@@ -44,7 +44,7 @@ static int check(const struct hd_world *world, const struct hd_table *table, con
             return HD_ERR_INVALID;
         }
     }
-    /* Objects that stay may refer to parts that do not. */
+    /* Objects that stay can refer to parts that do not exist any more. */
     for (uint32_t slot = 0; part->parts && slot < part->from; slot++) {
         if (hd_references_check(parts, &world->table.objects[slot], slot) < 0 && !is_listed(part, slot)) {
             return HD_ERR_INVALID;
@@ -53,12 +53,12 @@ static int check(const struct hd_world *world, const struct hd_table *table, con
     return HD_OK;
 }
 
-/* `array` is the address of a pointer to records of any type. What it held stays. */
-static int grow(void *array, uint32_t *capacity, uint32_t count, size_t size) {
+/* Enlarges an array and keeps its records. `array`: address of a pointer to records of any type. */
+static int grow_array(void *array, uint32_t *capacity, uint32_t count, size_t size) {
     if (count <= *capacity) {
         return HD_OK;
     }
-    /* A scene that is loaded once takes what it needs; one that grows object by object gets room ahead. */
+    /* The first allocation is exact; later ones add a quarter, for scenes that grow object by object. */
     const uint64_t ahead = (uint64_t)count + (*capacity > 0 ? count / 4u : 0u);
     const uint32_t larger = ahead < UINT32_MAX ? (uint32_t)ahead : UINT32_MAX;
     void *records;
@@ -72,38 +72,38 @@ static int grow(void *array, uint32_t *capacity, uint32_t count, size_t size) {
     return HD_OK;
 }
 
-static int make_room(struct hd_world *world, const struct hd_table *table, int parts) {
+static int reserve_table(struct hd_world *world, const struct hd_table *table, int parts) {
     struct hd_table *own = &world->table;
-    int status = grow(&own->objects, &world->object_capacity, table->object_count, sizeof *own->objects);
+    int status = grow_array(&own->objects, &world->object_capacity, table->object_count, sizeof *own->objects);
     if (status == HD_OK && parts) {
-        status = grow(&own->materials, &world->material_capacity, table->material_count, sizeof *own->materials);
+        status = grow_array(&own->materials, &world->material_capacity, table->material_count, sizeof *own->materials);
         if (status == HD_OK) {
-            status = grow(&own->pieces, &world->piece_capacity, table->piece_count, sizeof *own->pieces);
+            status = grow_array(&own->pieces, &world->piece_capacity, table->piece_count, sizeof *own->pieces);
         }
         if (status == HD_OK) {
-            status = grow(&own->noises, &world->noise_capacity, table->noise_count, sizeof *own->noises);
+            status = grow_array(&own->noises, &world->noise_capacity, table->noise_count, sizeof *own->noises);
         }
         if (status == HD_OK) {
-            status = grow(&own->numbers, &world->number_capacity, table->number_count, sizeof *own->numbers);
+            status = grow_array(&own->numbers, &world->number_capacity, table->number_count, sizeof *own->numbers);
         }
     }
     return status == HD_OK ? hd_index_reserve(&world->index, world->object_capacity) : status;
 }
 
-static void copy(void *to, const void *from, uint32_t count, size_t size) {
+static void copy_records(void *to, const void *from, uint32_t count, size_t size) {
     if (count > 0) {
         memcpy(to, from, count * size);
     }
 }
 
-/* Everything but the objects. */
+/* Copies everything except the objects. */
 static void write_rest(struct hd_table *own, const struct hd_table *table, int parts) {
     const struct hd_table before = *own;
     if (parts) {
-        copy(own->materials, table->materials, table->material_count, sizeof *own->materials);
-        copy(own->pieces, table->pieces, table->piece_count, sizeof *own->pieces);
-        copy(own->noises, table->noises, table->noise_count, sizeof *own->noises);
-        copy(own->numbers, table->numbers, table->number_count, sizeof *own->numbers);
+        copy_records(own->materials, table->materials, table->material_count, sizeof *own->materials);
+        copy_records(own->pieces, table->pieces, table->piece_count, sizeof *own->pieces);
+        copy_records(own->noises, table->noises, table->noise_count, sizeof *own->noises);
+        copy_records(own->numbers, table->numbers, table->number_count, sizeof *own->numbers);
     }
     *own = *table;
     own->objects = before.objects;
@@ -115,9 +115,9 @@ static void write_rest(struct hd_table *own, const struct hd_table *table, int p
     own->changed_count = 0;
 }
 
-/* Puts into the index what `objects` hold at the slots of the part; slots from `count` to `end` hold nothing. */
-static int put_part(struct hd_index *index, const struct hd_object *objects, uint32_t count, const struct part *part,
-                    uint32_t end) {
+/* Puts the objects of the extent into the index; slots from `count` to `end` are cleared. */
+static int put_in_index(struct hd_index *index, const struct hd_object *objects, uint32_t count,
+                        const struct extent *part, uint32_t end) {
     static const struct hd_object nothing = {.shape = HD_SHAPE_NONE};
     for (size_t i = 0; i < part->count; i++) {
         const uint32_t slot = part->slots[i];
@@ -133,26 +133,26 @@ static int put_part(struct hd_index *index, const struct hd_object *objects, uin
     return HD_OK;
 }
 
-static int put_all_or_nothing(struct hd_world *world, const struct hd_table *table, const struct part *part) {
+static int update_index(struct hd_world *world, const struct hd_table *table, const struct extent *part) {
     const struct hd_table *own = &world->table;
     const uint32_t end = own->object_count > table->object_count ? own->object_count : table->object_count;
-    if (put_part(&world->index, table->objects, table->object_count, part, end) < 0) {
-        /* Once all of them are out, what was there before has the room that it had; no put fails for want of more. */
-        put_part(&world->index, NULL, 0, part, end);
-        put_part(&world->index, own->objects, own->object_count, part, end);
+    if (put_in_index(&world->index, table->objects, table->object_count, part, end) < 0) {
+        /* After all slots are cleared, the earlier objects have the room that they had before, so no put can fail. */
+        put_in_index(&world->index, NULL, 0, part, end);
+        put_in_index(&world->index, own->objects, own->object_count, part, end);
         return HD_ERR_MEMORY;
     }
     return HD_OK;
 }
 
-static int take(struct hd_world *world, const struct hd_table *table, const struct part *part) {
+static int take_table(struct hd_world *world, const struct hd_table *table, const struct extent *part) {
     struct hd_table *own = &world->table;
-    int status = check(world, table, part);
+    int status = check_extent(world, table, part);
     if (status == HD_OK) {
-        status = make_room(world, table, part->parts);
+        status = reserve_table(world, table, part->parts);
     }
     if (status == HD_OK) {
-        status = put_all_or_nothing(world, table, part);
+        status = update_index(world, table, part);
     }
     if (status != HD_OK) {
         return status;
@@ -163,8 +163,8 @@ static int take(struct hd_world *world, const struct hd_table *table, const stru
         }
     }
     if (table->object_count > part->from) {
-        copy(own->objects + part->from, table->objects + part->from, table->object_count - part->from,
-             sizeof *own->objects);
+        copy_records(own->objects + part->from, table->objects + part->from, table->object_count - part->from,
+                     sizeof *own->objects);
     }
     write_rest(own, table, part->parts);
     world->loaded = 1;
@@ -172,9 +172,9 @@ static int take(struct hd_world *world, const struct hd_table *table, const stru
 }
 
 int hd_world_load(struct hd_world *world, const struct hd_table *table) {
-    const struct part all = {.parts = 1};
+    const struct extent all = {.parts = 1};
     const int status = hd_scalars_check(table);
-    return status == HD_OK ? take(world, table, &all) : status;
+    return status == HD_OK ? take_table(world, table, &all) : status;
 }
 
 void hd_world_still(struct hd_world *world) {
@@ -186,7 +186,7 @@ int hd_world_update(struct hd_world *world, const struct hd_table *table, const 
         return hd_world_load(world, table);
     }
     const struct hd_table *own = &world->table;
-    const struct part part = {
+    const struct extent part = {
         .slots = slots,
         .count = count,
         .from = own->object_count < table->object_count ? own->object_count : table->object_count,
@@ -195,7 +195,7 @@ int hd_world_update(struct hd_world *world, const struct hd_table *table, const 
                  table->number_count != own->number_count,
     };
     const int status = hd_scalars_check(table);
-    return status == HD_OK ? take(world, table, &part) : status;
+    return status == HD_OK ? take_table(world, table, &part) : status;
 }
 
 /* ---- Making, reading and freeing ---------------------------------------------------------------------------- */
@@ -226,7 +226,7 @@ size_t hd_world_candidates(const struct hd_world *world, const double point_m[2]
     const uint32_t room = world->index.slot_count;
     struct hd_candidate *candidates = malloc((room > 0 ? room : 1u) * sizeof *candidates);
     if (candidates == NULL) {
-        return SIZE_MAX; /* more than there can be */
+        return SIZE_MAX; /* out of memory */
     }
     const uint32_t count = hd_index_query(&world->index, world->table.objects, point_m, radius_m, candidates);
     for (uint32_t i = 0; i < count && i < capacity; i++) {

@@ -1,7 +1,8 @@
-/* A table as C owns it: checked, copied, indexed. The servo has three of them (hd_triple.h), an offline run has one.
+/* A world: a table that C has checked, copied and indexed. The servo has three worlds (hd_triple.h), an offline run
+ * one.
  *
- * Invariant: no world that was loaded can make a tick read out of bounds, divide by zero or run for ever. What finite
- * numbers can still overflow to in a tick, the tick itself catches. Memory grows on the control side only. */
+ * Invariant: with a loaded world no tick reads out of bounds, divides by zero or loops endlessly. If finite numbers
+ * overflow in a tick, hd_tick detects that. Memory grows on the control side only. */
 #ifndef HD_WORLD_H
 #define HD_WORLD_H
 
@@ -21,16 +22,16 @@ struct hd_world {
     uint32_t piece_capacity;
     uint32_t noise_capacity;
     uint32_t number_capacity;
-    uint32_t loaded; /* 0: holds nothing yet */
+    uint32_t loaded; /* 0: no table was loaded yet */
 };
 
-/* As hd_world_load (hd_api.h), but looks at the objects of `slots` alone: the others must be as they were when this
- * world was last loaded or updated. Slots that this world has not had yet are looked at in any case; of `slots`, those
- * beyond the table's objects are passed over. Materials, pieces, noises and numbers are compared by parts_version. */
+/* As hd_world_load (hd_api.h), but checks and copies only the objects of `slots`: the others must be unchanged since
+ * this world was last loaded or updated. Slots that are new to this world are always included; entries of `slots`
+ * beyond the table's objects are ignored. Materials, pieces, noises and numbers are taken if parts_version changed. */
 int hd_world_update(struct hd_world *world, const struct hd_table *table, const uint32_t *slots, size_t count);
 /* Frees what the world owns, not the world itself. */
 void hd_world_release(struct hd_world *world);
-/* The memory that a tick reads, each array at its own place in the list, empty or not; HD_WORLD_REGIONS is returned. */
+/* Lists the memory that a tick reads, each array at a fixed index, even if it is empty. Returns HD_WORLD_REGIONS. */
 size_t hd_world_regions(const struct hd_world *world, struct hd_region regions[HD_WORLD_REGIONS]);
 
 #endif

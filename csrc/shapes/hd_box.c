@@ -1,13 +1,13 @@
 /* Boxes: solids with four faces, entered through one of them.
  *
- * The face through which the path enters is the one that pushes, until the probe has come out through it or has left it
- * sideways: a probe that is pressed through a thin box is held on the side that it came from. Faces: 0 along the box's
- * normal n, 1 along its tangent t, 2 along -n, 3 along -t; on each, s is 0 in the middle and grows along the face's own
- * tangent. */
+ * The face through which the path enters exerts the force until the probe has come out through it or has left it
+ * sideways. So a probe that is pressed through a thin box is held on the side from which it came. Faces: 0 along the
+ * box's normal n, 1 along its tangent t, 2 along -n, 3 along -t. On each, s is 0 in the middle and grows along the
+ * tangent of the face. */
 #include "shapes/hd_shape.h"
 
-/* Position in the axes of the box: along t, along n. */
-HD_RT static void in_box(const struct hd_object *object, const double position_m[2], double local[2]) {
+/* Converts a position to the axes of the box: along t, along n. */
+HD_RT static void to_box_axes(const struct hd_object *object, const double position_m[2], double local[2]) {
     double offset[2];
     double tangent[2];
     hd_difference(position_m, object->point_m, offset);
@@ -60,8 +60,8 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
     return hd_magnitude(along) > half_length(object, feature) + HD_RIM_M;
 }
 
-/* Where the segment from a to b enters, and through which face; 0: it does not. Two faces can do only within the rim of
- * a corner; of them it is the one that the segment goes to more directly. */
+/* Whether the segment from a to b enters the box; finds the fraction of the segment and the face. Two faces are
+ * possible only within the rim of a corner; then the one along whose normal the segment is longer is selected. */
 HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
                         uint8_t *face) {
     double most = 0.0;
@@ -73,7 +73,7 @@ HD_RT static int enters(const struct hd_object *object, const double a[2], const
         const double length = hd_magnitude(step);
         const double gap = (step < 0.0 ? a[axis] : -a[axis]) - object->half_m[axis];
         if (!(gap < length) || gap < -HD_RIM_M || length <= most) {
-            continue; /* it ends before the face, begins behind it, or goes to the other one */
+            continue; /* the segment ends before the face, begins behind it, or is longer along the other axis */
         }
         const double cut = gap > 0.0 ? gap / length : 0.0;
         const double other = a[1 - axis] + cut * (b[1 - axis] - a[1 - axis]);
@@ -86,25 +86,28 @@ HD_RT static int enters(const struct hd_object *object, const double a[2], const
     return most > 0.0;
 }
 
-/* The face nearest to a point inside. */
+/* Returns the face nearest to a point inside. */
 HD_RT static uint8_t nearest_face(const struct hd_object *object, const double local[2]) {
     const double to_side = object->half_m[0] - hd_magnitude(local[0]);
     const double to_top = object->half_m[1] - hd_magnitude(local[1]);
     return to_top <= to_side ? face_of(1, local[1] >= 0.0) : face_of(0, local[0] >= 0.0);
 }
 
-/* Whether the segment from the proxy to where the probe was, in the box's axes, enters through that face, too. */
-HD_RT static int stood(const struct hd_object *object, const double proxy_m[2], const double was[2], uint8_t face) {
+/* Whether the segment from the proxy to the last position `was` of the probe, in the axes of the box, enters through
+ * the same face: the box already lay between them. */
+HD_RT static int stood_between(const struct hd_object *object, const double proxy_m[2], const double was[2],
+                               uint8_t face) {
     double local[2];
     double cut;
     uint8_t entered;
-    in_box(object, proxy_m, local);
+    to_box_axes(object, proxy_m, local);
     return enters(object, local, was, &cut, &entered) && entered == face;
 }
 
-/* The onset where the face was hit. 0: it slid there, and lies behind, where the proxy is not on it. */
-HD_RT static int begins(const struct hd_proxy *proxy, const struct hd_object *object, const double hit[2],
-                        struct hd_onset *onset) {
+/* Fills in the onset at the point `hit` of the face. Returns 0 if the face was reached along another surface and the
+ * proxy is not on it, so that it lies below that surface. */
+HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *object, const double hit[2],
+                          struct hd_onset *onset) {
     if (onset->slid) {
         point_on_face(object, onset->feature.face, proxy->to_m, &onset->point);
         if (has_left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
@@ -116,10 +119,10 @@ HD_RT static int begins(const struct hd_proxy *proxy, const struct hd_object *ob
     return 1;
 }
 
-/* Where solids overlap, the proxy may be in the box before the probe is. The probe that comes after it is held at once;
- * what pushes it out does so from where it came in. */
-HD_RT static int follows(const struct hd_proxy *proxy, const struct hd_object *object, const double from[2],
-                         const double to[2], struct hd_onset *onset) {
+/* Whether the probe follows a proxy that was already in the box, which is possible where solids overlap. The force then
+ * acts at once, from the face through which the probe enters. */
+HD_RT static int follows_proxy(const struct hd_proxy *proxy, const struct hd_object *object, const double from[2],
+                               const double to[2], struct hd_onset *onset) {
     if (!enters(object, from, to, &onset->fraction, &onset->feature.face)) {
         return 0;
     }
@@ -127,32 +130,32 @@ HD_RT static int follows(const struct hd_proxy *proxy, const struct hd_object *o
     onset->silent = 0;
     onset->slid = 1;
     hd_between(proxy->from_m, proxy->to_m, onset->fraction, hit);
-    return begins(proxy, object, hit, onset);
+    return begin_at(proxy, object, hit, onset);
 }
 
-/* A box that appeared around the probe: it is held by the nearest face. */
-HD_RT static int appears(const struct hd_proxy *proxy, const struct hd_object *object, const double to[2],
-                         struct hd_onset *onset) {
+/* Whether a box that appeared contains the probe; the nearest face is then in contact. */
+HD_RT static int contains_probe(const struct hd_proxy *proxy, const struct hd_object *object, const double to[2],
+                                struct hd_onset *onset) {
     if (!inside(object, to)) {
         return 0;
     }
     onset->silent = 1;
     onset->feature.face = nearest_face(object, to);
     point_on_face(object, onset->feature.face, proxy->to_m, &onset->point);
-    /* What lies behind a surface that is pressed is not touched. */
+    /* A face below a pressed surface is not touched. */
     return !has_left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point);
 }
 
 HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     double from[2];
     double to[2];
-    in_box(object, proxy->from_m, from);
-    in_box(object, proxy->to_m, to);
+    to_box_axes(object, proxy->from_m, from);
+    to_box_axes(object, proxy->to_m, to);
     onset->feature = (struct hd_feature){.side = 1};
     onset->slid = 0;
     onset->stood = 0;
     if (fresh || inside(object, from)) {
-        return appears(proxy, object, to, onset);
+        return contains_probe(proxy, object, to, onset);
     }
     hd_proxy_sweep(proxy);
     for (uint32_t segment = 0; segment < proxy->segments; segment++) {
@@ -161,38 +164,38 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
         double a[2];
         double b[2];
         double cut;
-        in_box(object, begin, a);
-        in_box(object, end, b);
+        to_box_axes(object, begin, a);
+        to_box_axes(object, end, b);
         if (enters(object, a, b, &cut, &onset->feature.face)) {
             uint8_t face;
             double straight;
             onset->silent = 0;
             if (segment > 0 && enters(object, from, to, &straight, &face) && face == onset->feature.face) {
-                cut = straight; /* it lies behind what is pressed */
+                cut = straight; /* the face lies below the pressed surface */
                 begin = proxy->from_m;
             } else {
                 onset->slid = segment > 0;
-                onset->stood = segment > 0 && stood(object, proxy->point[0], from, onset->feature.face);
+                onset->stood = segment > 0 && stood_between(object, proxy->point[0], from, onset->feature.face);
             }
             double hit[2];
             hd_between(begin, end, cut, hit);
             onset->fraction = onset->slid ? 1.0 : cut;
-            return begins(proxy, object, hit, onset);
+            return begin_at(proxy, object, hit, onset);
         }
     }
-    return proxy->segments > 1 && follows(proxy, object, from, to, onset);
+    return proxy->segments > 1 && follows_proxy(proxy, object, from, to, onset);
 }
 
 HD_RT static int holds(const struct hd_object *object, const double point_m[2]) {
     double local[2];
-    in_box(object, point_m, local);
+    to_box_axes(object, point_m, local);
     return hd_magnitude(local[0]) <= object->half_m[0] + HD_RIM_M &&
            hd_magnitude(local[1]) <= object->half_m[1] + HD_RIM_M;
 }
 
 HD_RT static double distance(const struct hd_object *object, const double point_m[2]) {
     double local[2];
-    in_box(object, point_m, local);
+    to_box_axes(object, point_m, local);
     const double beside = hd_magnitude(local[0]) - object->half_m[0];
     const double above = hd_magnitude(local[1]) - object->half_m[1];
     return above > beside ? above : beside;

@@ -1,16 +1,17 @@
-/* Membranes: a spring along the normal on the side entered, until it ruptures (hd_rupture.c).
+/* Membranes: a spring along the normal, on the side from which the probe came, until it ruptures (hd_rupture.c).
  *
- * A membrane is a segment of half width w about its centre. It is entered when the path crosses it, so nothing tunnels
- * through at any speed. h = (p - c).n is the height over it; a point exactly on it counts as above. Entered from side s
- * (+1 or -1), the deflection is d = -s h, and the contact lasts while d >= 0 and the probe is not past an edge. */
+ * A membrane is a segment of half width w about its centre c. A contact begins when the path crosses it, so no probe
+ * tunnels through at any speed. h = (p - c).n is the height above it; a point exactly on it counts as above. If the
+ * probe comes from side s (+1 or -1), the deflection is d = -s h. The contact lasts while d >= 0 and the probe is not
+ * past an edge. */
 #include "shapes/hd_shape.h"
 
 HD_RT static int8_t side_of(double height) {
     return height >= 0.0 ? 1 : -1;
 }
 
-/* Along the membrane, and height over it. */
-HD_RT static void on_membrane(const struct hd_object *object, const double position_m[2], double local[2]) {
+/* Converts a position to the axes of the membrane: position along it, height above it. */
+HD_RT static void to_membrane_axes(const struct hd_object *object, const double position_m[2], double local[2]) {
     double offset[2];
     double tangent[2];
     hd_difference(position_m, object->point_m, offset);
@@ -22,7 +23,7 @@ HD_RT static void on_membrane(const struct hd_object *object, const double posit
 HD_RT static void point_on_side(const struct hd_object *object, int8_t side, const double position_m[2],
                                 struct hd_contact_point *point) {
     double local[2];
-    on_membrane(object, position_m, local);
+    to_membrane_axes(object, position_m, local);
     const double sign = (double)side;
     point->depth_m = -sign * local[1];
     point->arc_m = local[0];
@@ -37,13 +38,14 @@ HD_RT static void contact_point(const struct hd_object *object, struct hd_featur
     point_on_side(object, feature.side, position_m, point);
 }
 
-/* Where the segment from a to b crosses, and from which side; 0: it does not. */
+/* Whether the segment from a to b crosses the membrane; finds the fraction of the segment and the side it comes from.
+ */
 HD_RT static int crosses(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
                          int8_t *side) {
     double begin[2];
     double end[2];
-    on_membrane(object, a, begin);
-    on_membrane(object, b, end);
+    to_membrane_axes(object, a, begin);
+    to_membrane_axes(object, b, end);
     *side = side_of(begin[1]);
     if (*side == side_of(end[1])) {
         return 0;
@@ -69,7 +71,7 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
 
 HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     if (fresh) {
-        return 0; /* it has no inside */
+        return 0; /* a membrane has no inside that could contain the probe */
     }
     hd_proxy_sweep(proxy);
     for (uint32_t segment = 0; segment < proxy->segments; segment++) {
@@ -87,7 +89,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
         onset->stood = 0;
         if (segment > 0 && crosses(object, proxy->from_m, proxy->to_m, &straight, &side) &&
             side == onset->feature.side) {
-            cut = straight; /* it lies behind what is pressed */
+            cut = straight; /* the membrane lies below the pressed surface */
             begin = proxy->from_m;
         } else {
             onset->slid = segment > 0;
@@ -95,7 +97,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
                            side == onset->feature.side;
             point_on_side(object, onset->feature.side, proxy->to_m, &onset->point);
             if (onset->slid && has_left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
-                return 0; /* it lies behind, and the proxy is not on it */
+                return 0; /* the membrane lies below the pressed surface, and the proxy is past its edge */
             }
         }
         double hit[2];
@@ -116,7 +118,7 @@ HD_RT static int holds(const struct hd_object *object, const double point_m[2]) 
 
 HD_RT static double distance(const struct hd_object *object, const double point_m[2]) {
     double local[2];
-    on_membrane(object, point_m, local);
+    to_membrane_axes(object, point_m, local);
     const double beside = hd_magnitude(local[0]) - object->half_m[0];
     return hd_magnitude(local[1]) > beside ? hd_magnitude(local[1]) : beside;
 }

@@ -1,9 +1,9 @@
-/* The path of the proxy in a tick: lifted out of what is pressed, and cut into swept segments. */
+/* The path of the proxy in a tick: projected out of the pressed surfaces, and split into swept segments. */
 #include "shapes/hd_proxy.h"
 
 #include "base/hd_vector.h"
 
-/* How far above a surface its proxy lies: enough to be told from on it, too little to be felt. */
+/* Height of the proxy above its surface: large enough to differ from a point on it, too small to be felt. */
 #define HD_PROXY_LIFT_M 1e-9
 #define HD_PROXY_ITERATIONS 3
 
@@ -12,7 +12,7 @@ HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m
     int moved = 0;
     projected_m[0] = position_m[0];
     projected_m[1] = position_m[1];
-    /* One iteration does it for surfaces at right angles; the others approach it. */
+    /* One iteration is exact for surfaces at right angles; for others the iterations converge. */
     for (int iteration = 0; iteration < HD_PROXY_ITERATIONS; iteration++) {
         int any = 0;
         for (uint32_t i = 0; i < proxy->plane_count; i++) {

@@ -1,25 +1,24 @@
-/* The path of the proxy in a tick: the point of the surface that stands for the probe (Zilles and Salisbury 1995:
- * god-object; Ruspini, Kolarov and Khatib 1997: virtual proxy).
+/* The path of the proxy in a tick. The proxy is the point on the surface that represents the probe (Zilles and
+ * Salisbury 1995: god-object; Ruspini, Kolarov and Khatib 1997: virtual proxy).
  *
- * A probe that presses lies inside what it presses; what it touches next is met where the surface is, not where the
- * probe is. So, for what is not touched yet, a probe that presses goes along two swept segments: along the surfaces
- * that it presses, and from there straight to where it is. Then a floor of two boxes side by side has no seam, and a
- * step on a floor is met, however deep the probe is in the floor. A probe that presses nothing goes along one segment,
- * from sample to sample. */
+ * A pressing probe lies inside the objects that it presses, but must meet the next object at the surface. So objects
+ * that are not touched yet are tested against two swept segments: one along the pressed surfaces, and one from its end
+ * straight to the probe. Then a floor of two adjacent boxes has no seam, and the probe meets a step on the floor at any
+ * depth in the floor. A probe that presses nothing moves along one segment, from sample to sample. */
 #ifndef HD_PROXY_H
 #define HD_PROXY_H
 
 #include "api/hd_core.h"
 #include "base/hd_rt.h"
 
-#define HD_PROXY_PLANES 16u /* surfaces that count as pressed; a hand presses two or three */
+#define HD_PROXY_PLANES 16u /* most surfaces that count as pressed; typically there are two or three */
 
 struct hd_proxy {
-    double from_m[2];   /* the last sample; this one where the last says nothing */
+    double from_m[2];   /* the last sample; after contacts were cleared, this sample */
     double to_m[2];     /* this sample */
-    int known;          /* the next two are worked out */
+    int known;          /* `segments` and `point` are computed */
     uint32_t segments;  /* 1 or 2 */
-    double point[3][2]; /* segments + 1 of them; the last is the sample */
+    double point[3][2]; /* segments + 1 points; the last is this sample */
     uint32_t plane_count;
     struct hd_proxy_plane {
         uint32_t slot;
@@ -28,7 +27,7 @@ struct hd_proxy {
     } plane[HD_PROXY_PLANES];
 };
 
-/* One more surface that is pressed as the tick begins. Beyond HD_PROXY_PLANES none is taken. */
+/* Adds a surface that is pressed at the start of the tick. More than HD_PROXY_PLANES surfaces are ignored. */
 HD_RT static inline void hd_proxy_press(struct hd_proxy *proxy, uint32_t slot, double depth_m, const double normal[2]) {
     if (proxy->plane_count < HD_PROXY_PLANES) {
         struct hd_proxy_plane *plane = &proxy->plane[proxy->plane_count++];
@@ -39,14 +38,13 @@ HD_RT static inline void hd_proxy_press(struct hd_proxy *proxy, uint32_t slot, d
     }
 }
 
-/* The swept segments; worked out at the first call in a tick. */
+/* Computes the swept segments at the first call in a tick, and returns the proxy. */
 HD_RT const struct hd_proxy *hd_proxy_sweep(struct hd_proxy *proxy);
-/* The proxy of `position_m`: that point, lifted out of every surface that is pressed but that of `slot`. 0: it lies in
- * none. */
+/* Projects `position_m` out of every pressed surface except that of `slot`. Returns 0 if it lies below none of them. */
 HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m[2], uint32_t slot,
                            double projected_m[2]);
-/* How far along a surface of this normal the proxy of `position_m` lies from it: 0 where nothing but `slot` is pressed.
- */
+/* Returns the distance from `position_m` to its projection (hd_proxy_project) along the tangent of a surface with this
+ * normal, m; 0 if no other surface than that of `slot` is pressed. */
 HD_RT double hd_proxy_offset(const struct hd_proxy *proxy, uint32_t slot, const double normal[2],
                              const double position_m[2]);
 

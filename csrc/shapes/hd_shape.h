@@ -1,13 +1,14 @@
-/* Shapes: pure geometry. Where the probe's path meets one, where the probe is on it, when it has left it.
+/* Shapes: pure geometry. Whether the path of the probe meets a shape, the contact point, and whether the probe has
+ * left.
  *
  * To add a shape, change these files. C, in csrc/:
  *
  *   api/hd_api.h          enum hd_shape; what point_m, normal and half_m of struct hd_object mean for it
- *   shapes/, a new file    fills a struct hd_shape_operations, as hd_wall.c does
+ *   shapes/, a new file   defines a struct hd_shape_operations, as hd_wall.c does
  *   shapes/hd_shape.h     its operations declared extern; HD_SHAPES
  *   shapes/hd_shape.c     its row of the table
- *   scene/hd_index.c      bounded_reach_m, is_round and visit: its bounds, and its distance. Compilers warn of a shape
- *                         that is missing in a switch there, and the check of a table refuses it
+ *   scene/hd_index.c      bounded_reach_m, is_round and visit: its bounds and its distance. Compilers warn if a switch
+ *                         there lacks a shape, and the check of a table refuses that shape
  *
  * Python, in hapticd/; mypy names each place that ends in assert_never:
  *
@@ -15,23 +16,23 @@
  *   config/scene.py                    the model, Surface and SURFACES
  *   config/document_kinds.py           OBJECT_KINDS
  *   config/operator.py                 the texts that list the shapes which a gesture can touch
- *   rendering/compiler/table.py        its number beside _WALL, and _place_of (assert_never)
+ *   rendering/compiler/table.py        its number next to _WALL, and _place_of (assert_never)
  *   rendering/joystick.py              target_of (assert_never): where a gesture touches it
- *   rendering/contact_sets.py          _regions: where it can be touched; _contributions, if it pushes along one normal
- *   rendering/stability_remedy.py      `deepens`, if a softer one is touched deeper; round_rubs, if it is round
- *   rendering/surface_properties.py    _put_discs, if it is round
+ *   rendering/contact_sets.py          _regions: where it can be touched; _rows, if it has one normal only
+ *   rendering/stability_remedy.py      `deepens`, if a softer one is pressed deeper; round_rubs, if it is round
+ *   rendering/surface_properties.py    _round, if it is round
  *   client/watch.py                    draw_scene: how `hapticd watch` draws it
- *   analysis/check.py                  a limit of its own, as _gone_through of a disc
- *   sweeps/measures/onset.py           _height_of: from where the handle is let fall on it
+ *   analysis/check.py                  a separate limit, if it has one, as _gone_through of a disc
+ *   sweeps/measures/onset.py           _height_of: height from which the handle is dropped on it
  *   experiment/trial_scenes.py         the text that lists the shapes
  *
- * The page, in hapticd/web/static/, where nothing warns of one that is missing:
+ * The page, in hapticd/web/static/, where no check finds a missing shape:
  *
  *   scene_view/geometry.js                     its case in each switch
  *   scene_view/surface_point.js, contacts.js   contact point and feature
  *   scene_view/shapes.js, picture.js           how it is drawn and named
- *   scene_view/arrange.js, grips.js            what it is called, how it is moved
- *   editor/placement.js, words.js, try_it.js   how it is made and tried
+ *   scene_view/arrange.js, grips.js            its name, and how it is moved
+ *   editor/placement.js, words.js, try_it.js   how it is created and tried out
  *
  * Documents: docs/materials.md, protocol.md, stability.md and glossary.md list the shapes, and `make docs-tables`
  * writes their tables of keys. Tests: tests/c/test_index.c has its distance from the definition. */
@@ -43,65 +44,69 @@
 #include "base/hd_vector.h"
 #include "shapes/hd_proxy.h"
 
-/* A point so near to the end or the surface of a shape is on it: where two shapes meet, neither rounding nor an update
- * opens a crack between them. Far below what an encoder resolves, above rounding anywhere within reach. */
+/* A point at most this far, in m, from the end or the surface of a shape counts as on it, so that neither rounding nor
+ * an update opens a crack between adjacent shapes. It is far below the step of an encoder and above the rounding of any
+ * reachable coordinate. */
 #define HD_RIM_M 1e-12
 
-/* Where the probe is on a surface. */
+/* The position of the probe relative to a surface. */
 struct hd_contact_point {
-    double depth_m; /* below it */
-    double arc_m;   /* the arc length s along it, from where the shape says */
+    double depth_m; /* below the surface */
+    double arc_m;   /* arc length s along the surface; each shape defines its origin */
     double normal[2];
 };
 
-/* The feature of a shape that is in contact. It is remembered, and depth is counted from it. */
+/* The feature of a shape that is in contact. It stays the same during a contact; depth is measured from it. */
 struct hd_feature {
-    int8_t side;  /* membrane: of its normal that the probe came from, +1 or -1; others: +1 */
-    uint8_t face; /* box: that was entered; others: 0 */
+    int8_t side;  /* membrane: the side of the normal from which the probe came, +1 or -1; others: +1 */
+    uint8_t face; /* box: the face through which the probe entered; others: 0 */
 };
 
 /* How a contact begins. */
 struct hd_onset {
-    int silent;                    /* no onset was seen: no tap, and the force comes in over the ramp */
-    int slid;                      /* reached along another surface, already pressed: no tap */
-    int stood;                     /* slid, but not by the probe's motion: it already lay between proxy and probe */
-    double fraction;               /* of the path from the last sample to this one */
-    struct hd_contact_point point; /* where the surface was met; where the probe is, if silent */
+    int silent;                    /* the probe was already inside: no tap, and the force ramps up */
+    int slid;                      /* reached along another, pressed surface: no tap */
+    int stood;                     /* slid, but without motion of the probe: it already lay between proxy and probe */
+    double fraction;               /* of the path from the last sample to this one, at which the surface was met */
+    struct hd_contact_point point; /* where the surface was met; if silent, at the probe */
     struct hd_feature feature;
 };
 
-/* On a surface that is curved, what the motion along it is to that of the probe. */
+/* On a curved surface: ratio of the motion along the surface to that of the probe, and gain of forces that depend on s.
+ */
 struct hd_lever {
-    double slide;      /* of s, over the probe's along the tangent */
-    double fade;       /* what there is of friction's spring and of geometry, 0 to 1, */
-    double fade_per_m; /* and by how much more it is farther out */
+    double slide;      /* change of s over motion of the probe along the tangent */
+    double fade;       /* gain of the friction spring and of geometry, 0 to 1 */
+    double fade_per_m; /* derivative of `fade` by the distance from the centre */
 };
 
 struct hd_shape_operations {
-    /* Whether the path of this tick meets the shape, and how. `fresh`: the object has just appeared, or contacts were
-     * cleared; a probe inside is met silently then, and nothing is crossed. Where it does, all of the onset is set, but
-     * for the fraction of a silent one. */
+    /* Whether the path of this tick meets the shape; fills in the onset, except the fraction of a silent one. `fresh`:
+     * the object has just appeared, or contacts were cleared; then a probe inside gives a silent onset, and the path is
+     * not tested. */
     HD_RT int (*meets)(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset);
-    /* Where `position_m` is on the feature that is in contact. `bearing` is the normal at `from_m`, where the probe was
-     * then; NULL: the object is met, or was moved itself. Neither is read where the feature says it all. */
+    /* Finds the contact point of `position_m` on the feature in contact. `bearing`: normal at the earlier position
+     * `from_m` of the probe; `from_m` is NULL if the contact begins or the object was moved. Both are used by round
+     * shapes only. */
     HD_RT void (*contact_point)(const struct hd_object *object, struct hd_feature feature, const double bearing[2],
                                 const double from_m[2], const double position_m[2], struct hd_contact_point *point);
-    /* Whether a probe at `position_m`, whose contact point is `point`, has left the shape. `slot`: the object's own, so
-     * that it does not count among the surfaces that are pressed. NULL: once it is not below the surface. */
+    /* Whether a probe at `position_m`, whose contact point is `point`, has left the shape. `slot`: slot of the object,
+     * which does not count among the pressed surfaces. NULL: it has left if it is not below the surface. */
     HD_RT int (*has_left)(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
                           struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point);
-    /* Whether a solid holds a point, its rim included. */
+    /* Whether a solid contains a point, including its rim (HD_RIM_M). */
     HD_RT int (*holds)(const struct hd_object *object, const double point_m[2]);
-    /* How far a point is outside of the shape, at least. */
+    /* Returns a lower bound of the distance of a point outside to the shape, m. */
     HD_RT double (*distance)(const struct hd_object *object, const double point_m[2]);
-    /* Half the length of a surface that has two ends; NULL: it has none. */
+    /* Returns half the length of a surface with two ends, m; NULL: the surface has no ends. */
     HD_RT double (*half_length)(const struct hd_object *object, struct hd_feature feature);
-    /* Round shapes alone, others NULL. s of a normal, which contact_point leaves at 0 there; the lever at a depth. */
+    /* Round shapes only, others NULL: s at a normal, since contact_point sets it to 0; and the lever at a depth. */
     HD_RT double (*arc_length)(const struct hd_object *object, const double normal[2]);
     HD_RT void (*lever)(const struct hd_object *object, double depth_m, struct hd_lever *lever);
-    /* Whether the members of half_m that the shape has lie between the two, and the others are 0. Control side. */
+    /* Whether the members of half_m that the shape uses lie between the two limits, and the others are 0. Control side.
+     */
     int (*is_sized)(const double half_m[2], double least_m, double most_m);
-    int membrane; /* it has two sides and no inside: it can rupture, and heal */
+    int membrane; /* 1: the shape has two sides and no inside; it can rupture and heal */
 };
 
 extern const struct hd_shape_operations hd_wall, hd_membrane, hd_box, hd_disc;
@@ -110,7 +115,7 @@ extern const struct hd_shape_operations hd_wall, hd_membrane, hd_box, hd_disc;
 #define HD_SHAPES 5u
 extern const struct hd_shape_operations *const hd_shapes[HD_SHAPES];
 
-/* The operations of an object that is there. */
+/* Returns the operations of an object whose shape is not HD_SHAPE_NONE. */
 HD_RT static inline const struct hd_shape_operations *hd_shape_of(const struct hd_object *object) {
     return hd_shapes[object->shape];
 }

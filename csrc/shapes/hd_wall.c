@@ -1,4 +1,4 @@
-/* Walls: half planes. d = -(p - p0).n, s = (p - p0).t; met when d goes from <= 0 to > 0. */
+/* Walls: half planes. d = -(p - p0).n, s = (p - p0).t; a contact begins when d goes from <= 0 to > 0. */
 #include "shapes/hd_shape.h"
 
 HD_RT static double height_of(const struct hd_object *object, const double point_m[2]) {
@@ -7,7 +7,8 @@ HD_RT static double height_of(const struct hd_object *object, const double point
     return hd_dot(offset, object->normal);
 }
 
-HD_RT static void on_wall(const struct hd_object *object, const double position_m[2], struct hd_contact_point *point) {
+HD_RT static void wall_point(const struct hd_object *object, const double position_m[2],
+                             struct hd_contact_point *point) {
     double offset[2];
     double tangent[2];
     hd_difference(position_m, object->point_m, offset);
@@ -23,11 +24,11 @@ HD_RT static void contact_point(const struct hd_object *object, struct hd_featur
     (void)feature;
     (void)bearing;
     (void)from_m;
-    on_wall(object, position_m, point);
+    wall_point(object, position_m, point);
 }
 
 HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {
-    on_wall(object, proxy->to_m, &onset->point);
+    wall_point(object, proxy->to_m, &onset->point);
     const double depth = onset->point.depth_m;
     if (!(depth > 0.0)) {
         return 0;
@@ -38,7 +39,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     onset->stood = 0;
     if (!fresh) {
         struct hd_contact_point from;
-        on_wall(object, proxy->from_m, &from);
+        wall_point(object, proxy->from_m, &from);
         if (from.depth_m <= 0.0) {
             onset->silent = 0;
             onset->fraction = from.depth_m / (from.depth_m - depth);

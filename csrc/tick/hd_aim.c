@@ -1,6 +1,6 @@
-/* A strike is added along the direction in which its material aims the vibration. A surface presses along its normal n
- * and not along its tangent t. So a mode that is compensated for what it meets is struck along n and along t apart: two
- * strikes of one active mode. Every other mode is struck once, along the aim. */
+/* Adds strikes along the direction that the material gives. The stiffness of a surface acts along its normal n and not
+ * along its tangent t, so a mode that is compensated for stiffness is struck along n and along t separately: two
+ * strikes of one active mode. Every other mode is struck once. */
 #include "tick/hd_aim.h"
 
 #include "tick/hd_strike.h"
@@ -22,7 +22,7 @@ HD_RT void hd_aim_strike(struct hd_state *state, const struct hd_slot *slot, con
         part.direction[1] = aim[0] > 0.0 ? normal[1] : -normal[1];
         hd_strike_add(state, &part);
         part.units = hd_magnitude(aim[1]) * strike->units;
-        part.growth_n = 0.0; /* it was counted */
+        part.growth_n = 0.0; /* counted with the first part */
         part.direction[0] = aim[1] > 0.0 ? tangent[0] : -tangent[0];
         part.direction[1] = aim[1] > 0.0 ? tangent[1] : -tangent[1];
         hd_strike_add(state, &part);

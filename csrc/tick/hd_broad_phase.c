@@ -1,16 +1,17 @@
 /* The candidate list, kept from tick to tick.
  *
- * Around one point, candidates[] holds all that lies within a radius, each with its distance; while the probe stays
- * within that radius of the point nothing else can be met, and of candidates[] only what is no farther than the probe
- * went. So a tick at rest visits what it touches, and the index (hd_index.h) is asked again when the probe has left the
- * circle or the table has changed. The fewer objects are near, the larger the circle. */
+ * candidates[] holds every object within a radius around a centre, with its distance from the centre. While the probe
+ * stays within that radius it can touch no other object, and of candidates[] only those that are no farther from the
+ * centre than the probe. So a tick at rest visits only the touched objects, and the index (hd_index.h) is queried again
+ * when the probe has left the circle or the table has changed. The fewer objects are near, the larger the circle. */
 #include "tick/hd_broad_phase.h"
 
 #include "base/hd_vector.h"
 
-#define HD_CANDIDATES_MANY 16u /* more than so many in the circle, and it is made smaller */
-#define HD_CANDIDATES_SORTED \
-    64u /* up to so many are visited in the order of their slots, however the index was filled */
+/* With more candidates the circle is made smaller, down to the needed radius. */
+#define HD_CANDIDATES_TARGET 16u
+/* Up to this number candidates are sorted by slot, so that the result does not depend on the order of the index. */
+#define HD_CANDIDATES_SORTED_MAX 64u
 
 HD_RT static void sort_candidates(struct hd_candidate *candidates, uint32_t count) {
     for (uint32_t i = 1; i < count; i++) {
@@ -27,15 +28,17 @@ HD_RT static void sort_candidates(struct hd_candidate *candidates, uint32_t coun
 HD_RT void hd_broad_phase_query(struct hd_context *context, double needed_m) {
     struct hd_state *state = context->state;
     const double *center = context->input->position_m;
-    /* Where it is crowded the last circle was small: most of what a large one holds would be left out again. */
+    /* In a dense region the last circle was small; a much larger one would return mostly objects that are dropped
+     * again.
+     */
     double radius = hd_index_radius(&context->world->index);
     const double wider = 2.0 * state->candidates_radius_m;
     radius = wider > 0.0 && wider < radius ? wider : radius;
-    /* A little more than is needed, or a probe that presses asks in every tick. */
-    const double least = state->candidate_count > HD_CANDIDATES_MANY ? needed_m : 2.0 * needed_m;
+    /* Twice the needed radius, since otherwise a pressing probe would query the index in every tick. */
+    const double least = state->candidate_count > HD_CANDIDATES_TARGET ? needed_m : 2.0 * needed_m;
     radius = radius > least ? radius : least;
     uint32_t count = hd_index_query(&context->world->index, context->table->objects, center, radius, state->candidates);
-    while (count > HD_CANDIDATES_MANY && radius > needed_m) {
+    while (count > HD_CANDIDATES_TARGET && radius > needed_m) {
         radius = 0.5 * radius > needed_m ? 0.5 * radius : needed_m;
         uint32_t kept = 0;
         for (uint32_t i = 0; i < count; i++) {
@@ -45,7 +48,7 @@ HD_RT void hd_broad_phase_query(struct hd_context *context, double needed_m) {
         }
         count = kept;
     }
-    if (count <= HD_CANDIDATES_SORTED) {
+    if (count <= HD_CANDIDATES_SORTED_MAX) {
         sort_candidates(state->candidates, count);
     }
     state->candidate_count = count;

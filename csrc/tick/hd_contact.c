@@ -1,14 +1,14 @@
 /* Contacts: one life cycle for every shape.
  *
- *   free --onset--> touched            the tap is struck, force at once
- *   free --met inside--> touched       silent, force over a ramp (jump, stall; where two solids overlap)
- *   free --appeared--> touched         silent (new or moved there, reset)
- *   touched --changed--> touched       it is the new one at once, the state stays (hd_contact_force.c)
- *   touched --let go--> free           the probe left
- *   touched --dropped--> free          the object went away under the hand
+ *   free --onset--> touched            the tap is struck, the force acts at once
+ *   free --inside--> touched           no tap, the force ramps up (after a jump or stall; where two solids overlap)
+ *   free --appeared--> touched         no tap (the object is new, was moved or reset)
+ *   touched --changed--> touched       the new parameters apply at once, the state stays (hd_contact_force.c)
+ *   touched --released--> free         the probe left
+ *   touched --dropped--> free          the object was removed while it was touched
  *
- * What commands make of the force is noted (struct hd_change) and comes in over the ramp
- * (hd_ramp.h). But a surface that is moved far along itself takes the hand along, with mu F_n at most. */
+ * Changes of the force by commands are recorded (struct hd_change) and come in over the ramp (hd_ramp.h). A surface
+ * that is moved far along itself still pulls the hand along, with at most mu F_n. */
 #include "tick/hd_contact.h"
 
 #include "tick/hd_seam.h"
@@ -29,11 +29,11 @@ HD_RT void hd_contact_close(struct hd_state *state, uint32_t index) {
 HD_RT void hd_contact_take(struct hd_state *state, uint32_t index, uint32_t generation) {
     struct hd_slot *slot = &state->slots[index];
     hd_contact_close(state, index);
-    /* A mode of the former owner goes on ringing on its own. */
+    /* A mode of the former owner continues to ring, no longer linked to the slot. */
     *slot = (struct hd_slot){.generation = generation, .visited = slot->visited};
 }
 
-/* Reached along a surface whose force is still coming in, it goes on from there. */
+/* Continues the ramp of the surface along which the probe came. */
 HD_RT static void continue_ramp(const struct hd_context *context, struct hd_slot *slot) {
     for (uint32_t i = 0; i < context->proxy.plane_count; i++) {
         const double pressed = context->state->slots[context->proxy.plane[i].slot].ramp;
@@ -41,8 +41,8 @@ HD_RT static void continue_ramp(const struct hd_context *context, struct hd_slot
     }
 }
 
-HD_RT static void begin(struct hd_context *context, uint32_t index, const struct hd_object *object,
-                        const struct hd_onset *onset) {
+HD_RT static void begin_touch(struct hd_context *context, uint32_t index, const struct hd_object *object,
+                              const struct hd_onset *onset) {
     struct hd_state *state = context->state;
     struct hd_slot *slot = &state->slots[index];
     slot->touched = 1;
@@ -55,7 +55,7 @@ HD_RT static void begin(struct hd_context *context, uint32_t index, const struct
     slot->surface_version = object->surface_version;
     slot->changed = onset->silent && !context->resync && hd_command_is_recent(context);
     state->change.whole |= slot->changed;
-    /* While the whole command is off, the contact needs no ramp of its own: the command's covers it. */
+    /* While the command is off, the contact needs no separate ramp: the ramp of the command covers it. */
     slot->ramp = onset->silent && !slot->changed && state->gain > 0.0 ? 0.0 : 1.0;
     slot->anchor_m = onset->point.arc_m;
     slot->seam = 0;
@@ -71,7 +71,7 @@ HD_RT static void begin(struct hd_context *context, uint32_t index, const struct
 HD_RT void hd_contact_begin(struct hd_context *context, uint32_t index, const struct hd_object *object,
                             const struct hd_onset *onset) {
     const struct hd_input *input = context->input;
-    begin(context, index, object, onset);
+    begin_touch(context, index, object, onset);
     const double before_s = onset->silent ? 0.0 : hd_before_tick(context, onset->fraction);
     const double approach = -hd_dot(input->velocity_m_per_s, onset->point.normal);
     struct hd_event *event = hd_event_add_at(context->state, HD_EVENT_CONTACT, input->time_ns, index);

@@ -1,26 +1,26 @@
-/* The life of a contact, whatever the shape: taking a slot, touching, letting go. Servo thread; all of it runs inside a
- * tick. */
+/* The life cycle of a contact, for every shape: a slot is assigned, the contact begins and ends. Servo thread; all of
+ * it runs inside a tick. */
 #ifndef HD_CONTACT_H
 #define HD_CONTACT_H
 
 #include "tick/hd_context.h"
 
-/* The slot, which is not touched, becomes that of another object. */
+/* Assigns a slot that is not touched to another object. */
 HD_RT void hd_contact_take(struct hd_state *state, uint32_t index, uint32_t generation);
-/* Touches: reports it and strikes the tap. */
+/* Begins a contact: reports it and strikes the tap. */
 HD_RT void hd_contact_begin(struct hd_context *context, uint32_t index, const struct hd_object *object,
                             const struct hd_onset *onset);
 HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_ns);
-/* A command took this from the force of the objects. */
+/* Records a force that a command took away from the contact force. */
 HD_RT void hd_contact_change(struct hd_state *state, const double force_n[2]);
-/* Lets go of a contact that is to be met anew by the next tick, silently and from the same side, if it is still pressed
- * then. */
+/* Ends a contact; if the object is still pressed at the next tick, the contact begins again there, without a tap and
+ * from the same side. */
 HD_RT void hd_contact_clear(struct hd_state *state, uint32_t index, int64_t time_ns);
-/* The membrane is no longer punctured, or about to heal. */
+/* Closes a punctured membrane and takes it out of healing[]. */
 HD_RT void hd_contact_close(struct hd_state *state, uint32_t index);
 
-/* How much of the path since the last tick the probe goes before it leaves over the end of a surface, half of whose
- * length is given; 1: all of it. */
+/* Returns the part of the path since the last tick, 0 to 1, after which the probe leaves over the end of a surface of
+ * half-length `half_length_m`; 1: it does not leave. */
 HD_RT static inline double hd_contact_until_end(const struct hd_slot *slot, const struct hd_contact_point *point,
                                                 double half_length_m) {
     if (hd_magnitude(point->arc_m) <= half_length_m) {

@@ -1,15 +1,16 @@
-/* A contact in a tick: where, of what material, and with which force.
+/* A contact in one tick: contact point, surface properties and force.
  *
- * F = F_n n + F_t t, with e = d - H(s) the depth below the surface as geometry has it,
+ * F = F_n n + F_t t, with e = d - H(s) the depth below the surface that geometry lowers by H,
  *     F_n = max(0, K e + D v_n) while e > 0, else 0
  *     F_t = K e H' - K'/2 e^2 (while e > 0) + friction - drag v_t,
  * v_n = -v.n, v_t = v.t; see hd_surface.h for K, H and their slopes, hd_friction.h for friction. Vibration (grooves,
- * noise) is added to that and never gated by it.
+ * noise) is added to this force and does not depend on whether it is displayed.
  *
- * On a disc of radius R the probe at r goes r/R as far as s goes, so there the first three terms of F_t are R/r
- * as large. Deep in it geometry and friction fade with g(r), from 1 to 0 (hd_shape.h: lever). What is stored is
+ * On a disc of radius R a probe at radius r moves by r/R of the change of s, so there the first three terms of F_t are
+ * multiplied by R/r. Deep in the disc geometry and friction fade with g(r), from 1 to 0 (hd_shape.h: lever). The stored
+ * energy is
  *     U = K/2 (d - g H)^2 + g k/2 (s - anchor)^2
- * and the force is its slope, so that n has g' (K e H - k/2 (s - anchor)^2) besides F_n. */
+ * and the force is its gradient, so that g' (K e H - k/2 (s - anchor)^2) along n is added to F_n. */
 #include "tick/hd_contact_force.h"
 
 #include <math.h>
@@ -24,15 +25,15 @@
 #include "tick/hd_surface_noise.h"
 
 #define HD_PI 3.14159265358979323846
-#define HD_UNBOUNDED 1e300
+#define HD_UNBOUNDED 1e300 /* half-length, in m, of a surface that is not round */
 
-/* Whether anything depends on s. */
+/* Whether the force on an object depends on s. */
 HD_RT static int needs_arc_length(const struct hd_table *table, const struct hd_object *object) {
     const struct hd_material *material = &table->materials[object->material];
     return material->friction_coefficient > 0.0 || material->texture != HD_TEXTURE_NONE;
 }
 
-/* Where the probe is on the surface. `met`: in this tick. */
+/* Finds the contact point of the probe. `met`: the contact began in this tick. */
 HD_RT static inline void find_point(const struct hd_context *context, const struct hd_slot *slot,
                                     const struct hd_object *object, int met, struct hd_contact_point *point) {
     const struct hd_shape_operations *shape = hd_shape_of(object);
@@ -43,9 +44,9 @@ HD_RT static inline void find_point(const struct hd_context *context, const stru
     }
 }
 
-/* Where the probe was at the last sample, on the object as it is now. */
-HD_RT static void find_last(const struct hd_context *context, const struct hd_slot *slot,
-                            const struct hd_object *object, int moved, struct hd_contact_point *point) {
+/* Finds the contact point of the last sample on the object as it is now. `moved`: its pose changed. */
+HD_RT static void find_last_point(const struct hd_context *context, const struct hd_slot *slot,
+                                  const struct hd_object *object, int moved, struct hd_contact_point *point) {
     const struct hd_shape_operations *shape = hd_shape_of(object);
     const double *was_m = context->proxy.from_m;
     shape->contact_point(object, slot->feature, slot->last.normal, moved ? NULL : was_m, was_m, point);
@@ -54,11 +55,11 @@ HD_RT static void find_last(const struct hd_context *context, const struct hd_sl
     }
 }
 
-/* The force of a surface at a contact point: along the normal, and along the tangent. `lever`: NULL on what is flat.
- * Moves the anchor. Returns F_n. */
-HD_RT static inline double press(const struct hd_surface *surface, const struct hd_contact_point *point,
-                                 const double velocity[2], const double tangent[2], const struct hd_lever *lever,
-                                 double *anchor_m, double force_n[2]) {
+/* Computes the force of a surface at a contact point, along the normal and along the tangent, and moves the anchor of
+ * friction. `lever`: NULL on a flat surface. Returns F_n. */
+HD_RT static inline double compute_force(const struct hd_surface *surface, const struct hd_contact_point *point,
+                                         const double velocity[2], const double tangent[2],
+                                         const struct hd_lever *lever, double *anchor_m, double force_n[2]) {
     const double depth = point->depth_m - surface->lowering_m;
     double normal_n = 0.0;
     double elastic = 0.0;
@@ -84,9 +85,10 @@ HD_RT static inline double press(const struct hd_surface *surface, const struct 
     return normal_n;
 }
 
-/* What the surface as it was would press with where the probe is now: the force of the last tick, and what the
- * displacement since then makes of it on the plane that it was there. */
-HD_RT static void press_as_it_was(const struct hd_context *context, const struct hd_slot *slot, double force_n[2]) {
+/* Computes the force that the surface before its change would exert at the present position of the probe: the force of
+ * the last tick, extrapolated by the displacement since then along the tangent plane of that tick. */
+HD_RT static void compute_unchanged_force(const struct hd_context *context, const struct hd_slot *slot,
+                                          double force_n[2]) {
     force_n[0] = slot->force_n[0];
     force_n[1] = slot->force_n[1];
     double step[2];
@@ -101,13 +103,13 @@ HD_RT static void press_as_it_was(const struct hd_context *context, const struct
     double after[2];
     double anchor_m = slot->anchor_m;
     hd_tangent_of(slot, point.normal, tangent);
-    press(&surface, &point, context->input->velocity_m_per_s, tangent, NULL, &anchor_m, before);
+    compute_force(&surface, &point, context->input->velocity_m_per_s, tangent, NULL, &anchor_m, before);
     const double slid_m = hd_dot(step, tangent);
     point.depth_m -= hd_dot(step, point.normal);
     point.arc_m += slid_m;
     surface.stiffness_n_per_m += slid_m * surface.stiffness_slope;
     surface.lowering_m += slid_m * surface.lowering_slope;
-    press(&surface, &point, context->input->velocity_m_per_s, tangent, NULL, &anchor_m, after);
+    compute_force(&surface, &point, context->input->velocity_m_per_s, tangent, NULL, &anchor_m, after);
     for (int axis = 0; axis < 2; axis++) {
         const double more = (after[0] - before[0]) * point.normal[axis] + (after[1] - before[1]) * tangent[axis];
         force_n[axis] += slot->ramp * more;
@@ -116,7 +118,7 @@ HD_RT static void press_as_it_was(const struct hd_context *context, const struct
 
 HD_RT void hd_contact_force_drop(struct hd_context *context, uint32_t index) {
     double was[2];
-    press_as_it_was(context, &context->state->slots[index], was);
+    compute_unchanged_force(context, &context->state->slots[index], was);
     hd_contact_change(context->state, was);
     context->state->change.whole = 1;
     hd_surface_noise_change(context->state, &context->state->slots[index]);
@@ -129,15 +131,15 @@ HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, c
     struct hd_contact_point point = slot->last;
     const int round = hd_shape_of(object)->arc_length ? 1 : 0;
     const int moved = slot->pose_version != object->pose_version;
-    if (moved || round) { /* of a round surface, s may not be known */
-        find_last(context, slot, object, moved, &point);
+    if (moved || round) { /* s of a round surface was computed only if its material used it */
+        find_last_point(context, slot, object, moved, &point);
     }
     if (moved && hd_dot(slot->last.normal, point.normal) <= 0.0) {
-        hd_contact_force_drop(context, index); /* it turned its back: it went, and another came */
+        hd_contact_force_drop(context, index); /* the normal turned away: treated as removal of the object */
         return;
     }
     double was[2];
-    press_as_it_was(context, slot, was);
+    compute_unchanged_force(context, slot, was);
     hd_contact_change(state, was);
     slot->changed = 1;
     slot->pose_version = object->pose_version;
@@ -149,7 +151,7 @@ HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, c
         const double round_m = 2.0 * HD_PI * object->half_m[0];
         const double stretch = point.arc_m - slot->anchor_m;
         HD_RT_FOREIGN_BEGIN
-        slot->anchor_m += round_m * rint(stretch / round_m); /* s goes round */
+        slot->anchor_m += round_m * rint(stretch / round_m); /* s is periodic */
         HD_RT_FOREIGN_END
     }
 }
@@ -160,14 +162,14 @@ HD_RT static inline int has_left(const struct hd_context *context, uint32_t inde
     return hd_shape_is_left(&context->proxy, object, index, feature, position_m, point);
 }
 
-/* How much of the path since the last tick the probe was in contact, when at its end it has left. */
-HD_RT static double until_left(const struct hd_slot *slot, const struct hd_object *object,
-                               const struct hd_contact_point *point) {
+/* Returns the part of the path since the last tick, 0 to 1, on which a probe that has now left was still in contact. */
+HD_RT static double contact_part(const struct hd_slot *slot, const struct hd_object *object,
+                                 const struct hd_contact_point *point) {
     const struct hd_shape_operations *shape = hd_shape_of(object);
     double part = 1.0;
     if (!(point->depth_m > 0.0)) {
         const double rise = slot->last.depth_m - point->depth_m;
-        /* A surface that was moved away was not pressed at all. */
+        /* 0 for a surface that was moved away: it was not pressed in this tick. */
         part = slot->last.depth_m > 0.0 && rise > 0.0 ? slot->last.depth_m / rise : 0.0;
     }
     if (shape->half_length) {
@@ -181,9 +183,10 @@ HD_RT static int has_grooves(const struct hd_table *table, const struct hd_objec
     return object->piece_count > 0 || table->materials[object->material].texture == HD_TEXTURE_STRIKES;
 }
 
-/* A contact ends. Soon after a command it may be that one's doing: the surface is another, or the path along the rest
- * of what is pressed is, so that the probe has left where it was already. Then what was pressed with was taken away. */
-HD_RT static void let_go(struct hd_context *context, uint32_t index, const struct hd_object *object) {
+/* Ends a contact that the probe has left. Soon after a command the command may be the cause: it changed this surface,
+ * or another one that the proxy moves along, so that the probe had left already at its last position. Then the force of
+ * the contact counts as taken away by the command. */
+HD_RT static void release(struct hd_context *context, uint32_t index, const struct hd_object *object) {
     struct hd_slot *slot = &context->state->slots[index];
     if (slot->changed) {
         hd_surface_noise_change(context->state, slot);
@@ -195,8 +198,8 @@ HD_RT static void let_go(struct hd_context *context, uint32_t index, const struc
     hd_contact_end(context->state, index, context->input->time_ns);
 }
 
-/* Where the probe is on a round surface, and how it got there: s jumps over the bottom, where it starts again. */
-HD_RT static void go_round(struct hd_slot *slot, const struct hd_object *object, struct hd_travel *travel) {
+/* Fills in the travel along a round surface. At the bottom s jumps by the circumference; the anchor jumps with it. */
+HD_RT static void find_travel_around(struct hd_slot *slot, const struct hd_object *object, struct hd_travel *travel) {
     const double half_length_m = HD_PI * object->half_m[0];
     const double step = travel->point.arc_m - slot->last.arc_m;
     travel->half_length_m = half_length_m;
@@ -204,8 +207,8 @@ HD_RT static void go_round(struct hd_slot *slot, const struct hd_object *object,
     slot->anchor_m -= travel->jump_m;
 }
 
-/* Finds the surface properties at the contact point, into the slot. In place: a copy of it that was written just before
- * costs a third of a contact. */
+/* Computes the surface properties at the contact point, directly in the slot: copying a struct that was just written
+ * costs a third of the time of a contact. */
 HD_RT static inline struct hd_dominant_material find_surface(const struct hd_table *table,
                                                              const struct hd_object *object,
                                                              const struct hd_travel *travel, struct hd_slot *slot) {
@@ -220,8 +223,8 @@ HD_RT static inline struct hd_dominant_material find_surface(const struct hd_tab
     return dominant;
 }
 
-/* What depends on s, as far as it is there at all. */
-HD_RT static void fade(struct hd_slot *slot, double arc_m, double part) {
+/* Scales the geometry by `part`, 0 to 1; at 0 the anchor of friction follows the probe. */
+HD_RT static void fade_geometry(struct hd_slot *slot, double arc_m, double part) {
     slot->surface.lowering_m *= part;
     slot->surface.lowering_slope *= part;
     if (!(part > 0.0)) {
@@ -229,7 +232,7 @@ HD_RT static void fade(struct hd_slot *slot, double arc_m, double part) {
     }
 }
 
-/* The force of this contact, along normal and tangent, joins the others. */
+/* Adds the force of this contact, given along normal and tangent, to the sum. */
 HD_RT static inline void add_force(struct hd_context *context, struct hd_slot *slot, const struct hd_travel *travel,
                                    double pressed_n[2]) {
     if (slot->ramp < 1.0) {
@@ -244,7 +247,7 @@ HD_RT static inline void add_force(struct hd_context *context, struct hd_slot *s
     }
 }
 
-/* The noise of the material that is displayed, or the end of another one's. */
+/* Adds the noise of the dominant material, or ends the noise if that material has none. */
 HD_RT static inline void add_noise(struct hd_context *context, uint32_t index,
                                    const struct hd_dominant_material *dominant, const struct hd_travel *travel,
                                    int changed) {
@@ -280,27 +283,27 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
     struct hd_lever round;
     const struct hd_lever *lever = NULL;
     if (shape->lever) {
-        go_round(slot, object, &travel);
+        find_travel_around(slot, object, &travel);
         shape->lever(object, travel.point.depth_m, &round);
         lever = &round;
     }
     const struct hd_dominant_material dominant = find_surface(context->table, object, &travel, slot);
     if (lever != NULL && lever->fade < 1.0) {
-        fade(slot, travel.point.arc_m, lever->fade);
+        fade_geometry(slot, travel.point.arc_m, lever->fade);
     }
     const int grooves = has_grooves(context->table, object);
     if (has_left(context, index, object, context->proxy.to_m, &travel.point)) {
         if (grooves) {
-            travel.part = until_left(slot, object, &travel.point);
+            travel.part = contact_part(slot, object, &travel.point);
             hd_grooves_pass(context, index, object, &travel);
         }
-        let_go(context, index, object);
+        release(context, index, object);
         return;
     }
 
     double pressed_n[2];
-    const double normal_n = press(&slot->surface, &travel.point, context->input->velocity_m_per_s, travel.tangent,
-                                  lever, &slot->anchor_m, pressed_n);
+    const double normal_n = compute_force(&slot->surface, &travel.point, context->input->velocity_m_per_s,
+                                          travel.tangent, lever, &slot->anchor_m, pressed_n);
     if (grooves) {
         hd_grooves_pass(context, index, object, &travel);
     } else if (slot->held) {

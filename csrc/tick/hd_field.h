@@ -1,13 +1,13 @@
-/* The force of the fields: one affine law, whatever their number. Servo thread. */
+/* The force of the fields: one affine law for any number of fields. Servo thread. */
 #ifndef HD_FIELD_H
 #define HD_FIELD_H
 
 #include "tick/hd_context.h"
 
-/* The state takes over the table's fields. */
+/* Takes over the table's fields into the state. */
 HD_RT void hd_field_follow(struct hd_context *context);
 
-/* Adds their force. */
+/* Adds the force of the fields to the context. */
 HD_RT static inline void hd_field_add(struct hd_context *context) {
     struct hd_state *state = context->state;
     if (!state->field_known || state->field_version != context->table->field_version || state->field_ramp < 1.0) {

@@ -1,15 +1,15 @@
 /* Coulomb friction with a pre-sliding spring, in the drift-free discrete form of Hayward and Armstrong (2000).
  *
- * The probe sticks to an anchor on the surface by a spring of stiffness k. While k |s - anchor| <= mu F_n the anchor
- * does not move at all: nothing drifts under load, nothing chatters at rest. Beyond it the anchor follows, so that the
- * spring never holds more than mu F_n. */
+ * A spring of stiffness k ties the probe to an anchor on the surface. While k |s - anchor| <= mu F_n the anchor does
+ * not move, so the probe neither drifts under load nor chatters at rest. Beyond that the anchor follows the probe, so
+ * that the force of the spring is at most mu F_n. */
 #ifndef HD_FRICTION_H
 #define HD_FRICTION_H
 
 #include "base/hd_rt.h"
 #include "tick/hd_state.h"
 
-/* The force along the tangent; moves the anchor. */
+/* Returns the friction force along the tangent and moves the anchor. */
 HD_RT static inline double hd_friction(const struct hd_surface *surface, double normal_n, double arc_m,
                                        double *anchor_m) {
     if (!(surface->friction_coefficient > 0.0)) {

@@ -1,4 +1,4 @@
-/* Which grooves a probe passes in a tick, and the strike that each of them makes. */
+/* Grooves that a probe passes in a tick, and the strike of each of them. */
 #include "tick/hd_groove.h"
 
 #include "tick/hd_groove_profile.h"
@@ -6,10 +6,10 @@
 #include "tick/hd_strike_mode.h"
 #include "tick/hd_surface.h"
 
-/* Grooves as near to each other as this, in spacings, are one. */
+/* Grooves closer than this, in spacings, are the same groove. */
 #define HD_GROOVE_SAME 1e-6
-/* Strikes on one stretch of a tick's path along one object; what is beyond is a texture that nobody feels as grooves
- * any more. */
+/* Most strikes on one stretch of a tick's path along one object. With more than this per tick single grooves cannot be
+ * felt. */
 #define HD_GROOVES_PER_TICK 1024
 
 /* One straight stretch of a tick's path along a surface. */
@@ -18,7 +18,7 @@ struct stretch {
     double to_m;
     double from_fraction; /* of the tick's path */
     double to_fraction;
-    double from_n; /* the model's normal force; below 0 there is none */
+    double from_n; /* the model's normal force; a value below 0 counts as 0 */
     double to_n;
     double half_length_m;
     const double *tangent;
@@ -26,7 +26,7 @@ struct stretch {
     double true_speed_m_per_s;
 };
 
-/* From one s to the other, the shorter way round a disc. */
+/* Returns the distance of two arc lengths, on a disc the shorter way round. */
 HD_RT static double distance_between(double a_m, double b_m, double half_length_m) {
     const double distance = hd_magnitude(a_m - b_m);
     return distance > half_length_m ? 2.0 * half_length_m - distance : distance;
@@ -38,12 +38,12 @@ HD_RT void hd_grooves_arm(struct hd_slot *slot, double arc_m, double half_length
     }
 }
 
-HD_RT static void strike(struct hd_context *context, uint32_t index, const struct hd_material *material,
-                         const struct stretch *stretch, int64_t k) {
+HD_RT static void strike_groove(struct hd_context *context, uint32_t index, const struct hd_material *material,
+                                const struct stretch *stretch, int64_t k) {
     struct hd_state *state = context->state;
     struct hd_slot *slot = &state->slots[index];
     const double groove_m = (double)k * material->spacing_m;
-    /* At the bottom of a disc the first and the last groove may be one. */
+    /* Compares distances, since at the bottom of a disc the first and the last groove can coincide. */
     const double apart_m = distance_between(groove_m, slot->groove_m, stretch->half_length_m);
     if (slot->held && apart_m <= HD_GROOVE_SAME * material->spacing_m) {
         return;
@@ -81,30 +81,30 @@ HD_RT static void strike(struct hd_context *context, uint32_t index, const struc
     }
 }
 
-/* The last groove that lies before s, where a point of the path counts as beyond a groove that it lies on, and the
- * place where two materials meet does not: that groove is one of the latter's. */
-HD_RT static int64_t last_before(double spacing_m, double arc_m, int meeting) {
+/* Returns the last groove before s. An end of the path that lies on a groove counts as beyond it. A boundary of two
+ * materials (`meeting`) that lies on a groove counts as before it, so that the groove belongs to the material at larger
+ * s. */
+HD_RT static int64_t groove_before(double spacing_m, double arc_m, int meeting) {
     const int64_t k = hd_groove_below(spacing_m, arc_m);
     return meeting && (double)k * spacing_m == arc_m ? k - 1 : k;
 }
 
-/* The part of a stretch that lies on one material, from where it begins or a material is met to where it ends or
- * another one is met. */
-struct part {
+/* The section of a stretch that lies on one material. */
+struct section {
     double from_m;
     double to_m;
-    int meets_from;
-    int meets_to;
-    int64_t room; /* for strikes of this stretch that are still to come */
+    int meets_from; /* from_m is a boundary of two materials */
+    int meets_to;   /* to_m is a boundary of two materials */
+    int64_t room;   /* strikes that the stretch may still have */
 };
 
 HD_RT static void pass_material(struct hd_context *context, uint32_t index, const struct hd_material *material,
-                                const struct stretch *stretch, struct part *part) {
+                                const struct stretch *stretch, struct section *part) {
     if (material->texture != HD_TEXTURE_STRIKES) {
         return;
     }
-    const int64_t from = last_before(material->spacing_m, part->from_m, part->meets_from);
-    const int64_t to = last_before(material->spacing_m, part->to_m, part->meets_to);
+    const int64_t from = groove_before(material->spacing_m, part->from_m, part->meets_from);
+    const int64_t to = groove_before(material->spacing_m, part->to_m, part->meets_to);
     const int64_t step = to > from ? 1 : -1;
     int64_t remaining = to > from ? to - from : from - to;
     int64_t k = to > from ? from + 1 : from;
@@ -115,18 +115,18 @@ HD_RT static void pass_material(struct hd_context *context, uint32_t index, cons
     part->room -= remaining;
     for (; remaining > 0; remaining--, k += step) {
         if (hd_magnitude((double)k * material->spacing_m) <= (1.0 + HD_GROOVE_SEAM) * stretch->half_length_m) {
-            strike(context, index, material, stretch, k);
+            strike_groove(context, index, material, stretch, k);
         }
     }
 }
 
-HD_RT static void pass(struct hd_context *context, uint32_t index, const struct hd_object *object,
-                       const struct stretch *stretch) {
+HD_RT static void pass_stretch(struct hd_context *context, uint32_t index, const struct hd_object *object,
+                               const struct stretch *stretch) {
     const struct hd_table *table = context->table;
     if (stretch->from_m == stretch->to_m) {
         return;
     }
-    struct part part = {.from_m = stretch->from_m, .to_m = stretch->to_m, .room = HD_GROOVES_PER_TICK};
+    struct section part = {.from_m = stretch->from_m, .to_m = stretch->to_m, .room = HD_GROOVES_PER_TICK};
     if (object->piece_count == 0) {
         pass_material(context, index, &table->materials[object->material], stretch, &part);
         return;
@@ -148,14 +148,14 @@ HD_RT static void pass(struct hd_context *context, uint32_t index, const struct 
     }
 }
 
-/* Strikes what the stretch passes, and arms. */
+/* Strikes the grooves of a stretch, and updates which groove can be struck again. */
 HD_RT static void pass_and_arm(struct hd_context *context, uint32_t index, const struct hd_object *object,
                                const struct stretch *stretch) {
     struct hd_slot *slot = &context->state->slots[index];
     if (slot->held) {
         hd_grooves_arm(slot, stretch->from_m, stretch->half_length_m);
     }
-    pass(context, index, object, stretch);
+    pass_stretch(context, index, object, stretch);
     if (slot->held) {
         hd_grooves_arm(slot, stretch->to_m, stretch->half_length_m);
     }

@@ -1,4 +1,4 @@
-/* The places of grooves, and their profile: groove k lies at s = k spacing. */
+/* Positions and profile of grooves: groove k lies at s = k spacing. */
 #ifndef HD_GROOVE_PROFILE_H
 #define HD_GROOVE_PROFILE_H
 
@@ -7,17 +7,19 @@
 #include "api/hd_core.h"
 #include "base/hd_rt.h"
 
-/* So near to the bottom of a disc, in half its circumference, a groove lies on it: rounding does not lose it. */
+/* A groove at most this far beyond the bottom of a disc, in half circumferences, lies on the bottom: covers rounding.
+ */
 #define HD_GROOVE_SEAM 1e-12
 
-/* The groove at or below s. Coordinates are bounded and spacings are not below 1e-9 m, so it fits. */
+/* Returns the number of the groove at or below s. Coordinates are bounded and spacings are at least 1e-9 m, so it fits.
+ */
 HD_RT static inline int64_t hd_groove_below(double spacing_m, double arc_m) {
     HD_RT_FOREIGN_BEGIN
     const double quotient = floor(arc_m / spacing_m);
     HD_RT_FOREIGN_END
     const double bounded = quotient < -9e15 ? -9e15 : quotient > 9e15 ? 9e15 : quotient;
     int64_t k = (int64_t)bounded;
-    /* The quotient is rounded; the groove lies at the rounded product. */
+    /* Corrects the rounded quotient: a groove lies at the rounded product k * spacing. */
     if ((double)k * spacing_m > arc_m) {
         k--;
     } else if ((double)(k + 1) * spacing_m <= arc_m) {
@@ -26,7 +28,7 @@ HD_RT static inline int64_t hd_groove_below(double spacing_m, double arc_m) {
     return k;
 }
 
-/* The raised cosine over the nearest groove, 0 to 1, and its slope over s. */
+/* Returns the profile at s, 0 to 1, a raised cosine at each groove, and its derivative by s in `slope`. */
 HD_RT double hd_groove_profile(const struct hd_material *material, double arc_m, double half_length_m, double *slope);
 
 #endif

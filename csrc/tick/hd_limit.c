@@ -1,11 +1,11 @@
-/* The force limit. Noise gives way first, then what rings, the wall last, and none is clipped into another waveform.
+/* The force limit. Noise is reduced first, then ringing modes, contact forces last; no waveform is clipped.
  *
- * Noise has a gain of its own (hd_limit_noise), the same for samples of either sign. A strike is scaled as a whole
- * before it sounds (hd_strikes_apply). What the device plays by itself cannot be scaled any more: the limit is lower by
- * it while it plays. What can still go wrong is a contact force that grows into a mode that rings already: then
- * everything that rings goes on at the factor g for which the command just reaches the limit, |contact + g vibration| =
- * max. Only beside a contact force beyond the limit is the sum itself cut, along its own direction; what rings then
- * ends over HD_LIMIT_RAMP_S. */
+ * Noise has a separate gain (hd_limit_noise), equal for samples of either sign. A strike is scaled as one before it
+ * sounds (hd_strikes_apply). An effect of the device cannot be scaled once it plays: the limit is reduced by its force
+ * meanwhile. The command can still exceed the limit if a contact force grows while modes ring: then all ringing modes
+ * continue with the factor g for which the command just reaches the limit, |contact + g vibration| = max. If the
+ * contact force alone exceeds the limit, the sum is cut in its direction, and ringing modes fade out over
+ * HD_LIMIT_RAMP_S. */
 #include "tick/hd_limit.h"
 
 #include <math.h>
@@ -59,8 +59,8 @@ HD_RT double hd_limit_within(double limit_n, double keep, const double contact_n
 HD_RT double hd_limit_within_whole(double limit_n, double keep, const double contact_n[2], const double whole_n[2],
                                    const double vibration_n[2], double force_n[2]) {
     const double factor = hd_limit_within(limit_n, keep, whole_n, vibration_n, force_n);
-    /* Where the limit alone lies between the two, that was it, to the last bit. Beside vibration, a contact force that
-     * is beyond the limit is cut by itself first. */
+    /* If contact_n is whole_n cut to the limit, the result is final, to the last bit: except with vibration and a
+     * contact force above the limit, where contact_n is limited together with the vibration. */
     const double cut = hd_limit_cut(whole_n, limit_n);
     const int bare = vibration_n[0] == 0.0 && vibration_n[1] == 0.0;
     if ((bare || cut == 1.0) && contact_n[0] == cut * whole_n[0] && contact_n[1] == cut * whole_n[1]) {
@@ -70,8 +70,8 @@ HD_RT double hd_limit_within_whole(double limit_n, double keep, const double con
     return factor * hd_limit_within(limit_n, 1.0, contact_n, vibration, force_n);
 }
 
-/* Modes that ring go on at `factor`. */
-HD_RT static void give_way(struct hd_state *state, double limit_n, const double contact_n[2], double factor) {
+/* Scales the ringing modes by `factor`. */
+HD_RT static void scale_ringing(struct hd_state *state, double limit_n, const double contact_n[2], double factor) {
     const int beyond = !(hd_dot(contact_n, contact_n) <= HD_JUST_BELOW * limit_n * limit_n);
     state->ringing_gain = beyond ? state->ringing_gain * factor : 1.0;
     if (factor < 1.0) {
@@ -92,8 +92,8 @@ HD_RT void hd_limit_exceeded(struct hd_state *state, const struct hd_table *tabl
                              const double vibration_n[2], int64_t time_ns, double force_n[2], uint32_t *flags) {
     const double limit = hd_limit_of(state, table);
     hd_limit_report(state, hd_root(hd_dot(force_n, force_n)), time_ns, flags);
-    give_way(state, limit, contact_n,
-             hd_limit_within(limit, hd_limit_keep(state, table), contact_n, vibration_n, force_n));
+    scale_ringing(state, limit, contact_n,
+                  hd_limit_within(limit, hd_limit_keep(state, table), contact_n, vibration_n, force_n));
 }
 
 HD_RT void hd_limit_ramped(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
@@ -108,5 +108,5 @@ HD_RT void hd_limit_ramped(struct hd_state *state, const struct hd_table *table,
     } else {
         state->saturated = state->yields;
     }
-    give_way(state, limit, whole_n, factor);
+    scale_ringing(state, limit, whole_n, factor);
 }

@@ -1,16 +1,16 @@
 /* Ringing modes, Q(t) = A exp(-B t) sin(w t) for 0 <= t <= 5/B, then exactly zero.
  *
- * A mode that is compensated for the device begins as gain A instead of A, a complex number, and may have a tail: a
- * second such active mode, struck together with it, with a decay and an end of its own.
+ * A mode that is compensated for the device starts with gain * A instead of A, where gain is a complex number. It can
+ * have a tail: a second active mode, struck together with the first, with a separate decay and end.
  *
- * Each mode is z[k+1] = z[k] exp((-B + i w) T), heard as Im z: the closed form of the sampled signal, so that the only
- * error is rounding (about k eps after k ticks). z has a component along x and one along y; both turn with one rotor,
- * so strikes along any direction add linearly. A mode ends by a count of ticks that was computed from the closed form
- * when it was struck, never by its amplitude; e^-5 of a strike is far above subnormal, and strikes too small to stay
- * normal are not made.
+ * Each mode is z[k+1] = z[k] exp((-B + i w) T) with the output Im z. This is the closed form of the sampled signal, so
+ * the only error is rounding, about k eps after k ticks. z has a component along x and one along y; one rotor turns
+ * both, so strikes along any direction add linearly. A mode ends after a number of ticks that is computed from the
+ * closed form at the strike, not by its amplitude. e^-5 of a strike is far above subnormal numbers; strikes that could
+ * become subnormal are ignored.
  *
- * A tick goes over the active modes once: what turns them also adds them up, and a strike adds its part to the sum. A
- * active mode is a cache line of its own, and x and y are one vector each, so that a few modes are as cheap as many. */
+ * A tick visits the active modes once: the loop that rotates them also sums them, and a strike adds its part to the
+ * sum. An active mode fills one cache line, and x and y are computed as one vector. */
 #include "tick/hd_mode.h"
 
 #include <math.h>
@@ -18,13 +18,14 @@
 #include "tick/hd_strike_correction.h"
 #include "tick/hd_waveform.h"
 
-/* Squares of coefficients below this could become subnormal. The coefficient, 1e-145 N, is nothing in newtons. */
+/* Squares of coefficients below this, N^2, could become subnormal. A coefficient of 1e-145 N cannot be felt. */
 #define HD_SMALLEST_SQUARE 1e-290
-#define HD_MODES_COMPARED 16u
-#define HD_END_ROUNDING 1e-12
+/* Most modes that a search compares, so that the work of a strike is bounded. */
+#define HD_MODES_COMPARED_MAX 16u
+#define HD_END_ROUNDING 1e-12 /* relative: covers the rounding of a period, of 5/B and of their multiples */
 
-/* What is struck, of a mode or of its tail. */
-struct part {
+/* What a strike starts: the mode, or its tail. */
+struct component {
     double rotor_re;
     double rotor_im;
     double decay_rate_per_s;
@@ -35,18 +36,18 @@ struct part {
     uint32_t use;
 };
 
-/* Where a slot keeps the place of its active mode for `use`. */
-HD_RT static uint32_t *known_place(struct hd_slot *slot, uint32_t use) {
+/* Returns the member of a slot that starts the chain of its active modes for `use`. */
+HD_RT static uint32_t *first_link(struct hd_slot *slot, uint32_t use) {
     return use < HD_MODE_USES ? &slot->mode[use] : &slot->tail[use - HD_MODE_USES];
 }
 
-/* Where the chain of an active mode's slot keeps its place; NULL where nothing does. */
-HD_RT static uint32_t *link_to(struct hd_state *state, uint32_t index) {
+/* Returns the link of the slot's chain that refers to an active mode; NULL if no chain does. */
+HD_RT static uint32_t *find_link(struct hd_state *state, uint32_t index) {
     const struct hd_active_mode *active = &state->active_modes[index];
     if (active->slot >= state->slot_capacity) {
         return NULL;
     }
-    uint32_t *link = known_place(&state->slots[active->slot], active->use);
+    uint32_t *link = first_link(&state->slots[active->slot], active->use);
     while (*link != 0 && *link != index + 1u) {
         link = &state->mode_ends[*link - 1u].next;
     }
@@ -54,13 +55,13 @@ HD_RT static uint32_t *link_to(struct hd_state *state, uint32_t index) {
 }
 
 HD_RT static void remove_mode(struct hd_state *state, uint32_t index) {
-    uint32_t *link = link_to(state, index);
+    uint32_t *link = find_link(state, index);
     if (link != NULL) {
         *link = state->mode_ends[index].next;
     }
     const uint32_t last = --state->active_mode_count;
     if (index != last) {
-        link = link_to(state, last);
+        link = find_link(state, last);
         if (link != NULL) {
             *link = index + 1u;
         }
@@ -69,7 +70,7 @@ HD_RT static void remove_mode(struct hd_state *state, uint32_t index) {
     }
 }
 
-HD_RT static void polar(double magnitude_log, double angle, double *re, double *im) {
+HD_RT static void exp_complex(double magnitude_log, double angle, double *re, double *im) {
     HD_RT_FOREIGN_BEGIN
     const double magnitude = exp(magnitude_log);
     *re = magnitude * cos(angle);
@@ -77,8 +78,8 @@ HD_RT static void polar(double magnitude_log, double angle, double *re, double *
     HD_RT_FOREIGN_END
 }
 
-/* z^exponent by squaring: an error of about `exponent` eps, as of so many ticks one by one. */
-HD_RT static void power(uint32_t exponent, double *re, double *im) {
+/* Computes z^exponent by squaring. The relative error is about `exponent` eps, as with single ticks. */
+HD_RT static void complex_power(uint32_t exponent, double *re, double *im) {
     double square_re = *re;
     double square_im = *im;
     *re = 1.0;
@@ -95,11 +96,11 @@ HD_RT static void power(uint32_t exponent, double *re, double *im) {
     }
 }
 
-HD_RT static void turn(struct hd_active_mode *active, uint32_t periods) {
+HD_RT static void rotate(struct hd_active_mode *active, uint32_t periods) {
     double rotor_re = active->rotor_re;
     double rotor_im = active->rotor_im;
     if (periods != 1) {
-        power(periods, &rotor_re, &rotor_im);
+        complex_power(periods, &rotor_re, &rotor_im);
     }
     const hd_pair re = active->re;
     const hd_pair im = active->im;
@@ -107,14 +108,14 @@ HD_RT static void turn(struct hd_active_mode *active, uint32_t periods) {
     active->im = re * rotor_im + im * rotor_re;
 }
 
-/* It is no more, and goes behind those that ring: a strike of this tick may turn out to have come before its end. */
+/* Ends a mode and moves it behind those that ring, since the onset of a strike of this tick can precede its end. */
 HD_RT static void end_mode(struct hd_state *state, uint32_t index, uint32_t periods) {
     struct hd_active_mode active = state->active_modes[index];
     struct hd_mode_end end = state->mode_ends[index];
     if (active.remaining + 1u == periods) {
-        turn(&active, periods);
+        rotate(&active, periods);
     } else {
-        end.over_s = (double)INFINITY; /* longer ago than a strike of this tick can be */
+        end.over_s = (double)INFINITY; /* ended before any strike of this tick */
     }
     remove_mode(state, index);
     state->active_modes[state->active_mode_count] = active;
@@ -132,7 +133,7 @@ HD_RT void hd_modes_advance(struct hd_state *state, uint32_t periods) {
             continue;
         }
         active->remaining -= periods;
-        turn(active, periods);
+        rotate(active, periods);
         sum += active->im;
         i++;
     }
@@ -159,14 +160,15 @@ HD_RT double hd_modes_bound(const struct hd_state *state) {
     return state->wave_count > 0 ? bound + hd_waves_bound(state) : bound;
 }
 
-/* The end of a mode, with the rounding of a period, of 5/B and of their multiples: a tick at the very end sounds. */
-HD_RT static double latest(double end_s) {
+/* Returns the end of a mode plus a tolerance, so that a tick exactly at the end sounds. */
+HD_RT static double rounded_end(double end_s) {
     return end_s * (1.0 + HD_END_ROUNDING);
 }
 
-/* Ticks after the striking one in which the mode sounds: the largest n with n T + tau <= 5/B; -1 if not even n = 0. */
+/* Returns the number of ticks after that of the strike in which the mode sounds: the largest n with n T + tau <= 5/B;
+ * -1 if n = 0 is too late already. */
 HD_RT static int64_t ticks_remaining(double mode_end_s, double before_s, double period_s) {
-    const double end_s = latest(mode_end_s);
+    const double end_s = rounded_end(mode_end_s);
     if (!(before_s <= end_s)) {
         return -1;
     }
@@ -185,23 +187,23 @@ HD_RT static int64_t ticks_remaining(double mode_end_s, double before_s, double 
 }
 
 HD_RT static int is_active_of(const struct hd_active_mode *active, const struct hd_strike *strike,
-                              const struct part *part) {
+                              const struct component *part) {
     return active->slot == strike->slot && active->generation == strike->generation && active->use == part->use &&
            active->rotor_re == part->rotor_re && active->rotor_im == part->rotor_im;
 }
 
-/* The mode's own active mode, if it rings. What is played has no slot and is known by its mode. Modes of other
- * materials that the slot had, or of other patches of its surface, ring on beside it. */
+/* Finds the active mode to which a strike is added: it has the same slot, use and rotor. A mode struck by `play` has no
+ * slot and is compared with all active modes. Modes of other materials of the slot ring separately. */
 HD_RT static struct hd_active_mode *find_active(struct hd_state *state, const struct hd_strike *strike,
-                                                const struct part *part) {
+                                                const struct component *part) {
     if (strike->slot < state->slot_capacity) {
-        uint32_t *link = known_place(&state->slots[strike->slot], part->use);
+        uint32_t *link = first_link(&state->slots[strike->slot], part->use);
         for (uint32_t passed = 1; *link != 0; passed++) {
             struct hd_active_mode *active = &state->active_modes[*link - 1u];
             if (is_active_of(active, strike, part)) {
                 return active;
             }
-            if (passed == HD_MODES_COMPARED) { /* so that chains stay short; it rings on, known to nobody */
+            if (passed == HD_MODES_COMPARED_MAX) { /* bounds the chain; the mode rings on without a link */
                 active->slot = HD_NO_SLOT;
                 *link = 0;
                 break;
@@ -219,10 +221,10 @@ HD_RT static struct hd_active_mode *find_active(struct hd_state *state, const st
     return NULL;
 }
 
-/* Adds what an active mode that ended since the last tick would be now, if this strike came before its end. */
-HD_RT static void revive(struct hd_state *state, const struct hd_strike *strike, const struct part *part, hd_pair *re,
-                         hd_pair *im) {
-    const uint32_t count = state->ended_count < HD_MODES_COMPARED ? state->ended_count : HD_MODES_COMPARED;
+/* Adds the continuation of a mode that ended since the last tick, if this strike came before its end. */
+HD_RT static void revive(struct hd_state *state, const struct hd_strike *strike, const struct component *part,
+                         hd_pair *re, hd_pair *im) {
+    const uint32_t count = state->ended_count < HD_MODES_COMPARED_MAX ? state->ended_count : HD_MODES_COMPARED_MAX;
     for (uint32_t i = state->active_mode_count; i < state->active_mode_count + count; i++) {
         if (is_active_of(&state->active_modes[i], strike, part) && state->mode_ends[i].over_s <= strike->before_s) {
             *re += state->active_modes[i].re;
@@ -234,9 +236,9 @@ HD_RT static void revive(struct hd_state *state, const struct hd_strike *strike,
 
 HD_RT static struct hd_active_mode *new_active(struct hd_state *state, const struct hd_strike *strike, uint32_t use) {
     if (state->active_mode_count == HD_ACTIVE_MODE_CAPACITY) {
-        /* The one nearest its end among a few, so that a tick that strikes thousands stays bounded. */
+        /* Replaces the mode nearest its end among a few, so that a tick with thousands of strikes has bounded work. */
         uint32_t nearest = state->strike_count % HD_ACTIVE_MODE_CAPACITY;
-        for (uint32_t i = 1; i < HD_MODES_COMPARED; i++) {
+        for (uint32_t i = 1; i < HD_MODES_COMPARED_MAX; i++) {
             const uint32_t other = (nearest + 257u * i) % HD_ACTIVE_MODE_CAPACITY;
             if (state->active_modes[other].remaining < state->active_modes[nearest].remaining) {
                 nearest = other;
@@ -258,20 +260,20 @@ HD_RT static struct hd_active_mode *new_active(struct hd_state *state, const str
         (struct hd_active_mode){.slot = strike->slot, .generation = strike->generation, .use = use};
     state->mode_ends[index] = (struct hd_mode_end){.over_s = (double)INFINITY};
     if (strike->slot < state->slot_capacity) {
-        uint32_t *first = known_place(&state->slots[strike->slot], use);
+        uint32_t *first = first_link(&state->slots[strike->slot], use);
         state->mode_ends[index].next = *first;
         *first = index + 1u;
     }
     return &state->active_modes[index];
 }
 
-HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *strike, const struct part *part,
+HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *strike, const struct component *part,
                               const double force_n[2], double period_s) {
     const int64_t remaining = ticks_remaining(part->end_s, strike->before_s, period_s);
     const double gain = part->gain_re * part->gain_re + part->gain_im * part->gain_im;
     const double square = gain * (force_n[0] * force_n[0] + force_n[1] * force_n[1]);
     if (remaining < 0 || !(square > HD_SMALLEST_SQUARE)) {
-        return; /* over before this tick, or nothing */
+        return; /* ended before this tick, or too small */
     }
     struct hd_active_mode *active = find_active(state, strike, part);
     if (active == NULL) {
@@ -286,17 +288,17 @@ HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *st
         state->ringing_n[0] += im[0];
         state->ringing_n[1] += im[1];
     }
-    /* Five time constants after the last of several strikes, in whatever order they come. */
+    /* The mode ends five time constants after the last of several strikes, which can come in any order. */
     struct hd_mode_end *end = &state->mode_ends[active - state->active_modes];
-    const double over_s = (double)(remaining + 1) * period_s + strike->before_s - latest(part->end_s);
+    const double over_s = (double)(remaining + 1) * period_s + strike->before_s - rounded_end(part->end_s);
     if ((uint32_t)remaining > active->remaining || ((uint32_t)remaining == active->remaining && over_s < end->over_s)) {
         active->remaining = (uint32_t)remaining;
         end->over_s = over_s;
     }
     double turned_re;
     double turned_im;
-    polar(-part->decay_rate_per_s * strike->before_s, part->angular_frequency_rad_per_s * strike->before_s, &turned_re,
-          &turned_im);
+    exp_complex(-part->decay_rate_per_s * strike->before_s, part->angular_frequency_rad_per_s * strike->before_s,
+                &turned_re, &turned_im);
     const double re = part->gain_re * turned_re - part->gain_im * turned_im;
     const double im = part->gain_re * turned_im + part->gain_im * turned_re;
     for (int axis = 0; axis < 2; axis++) {
@@ -306,8 +308,8 @@ HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *st
     }
 }
 
-/* On the straight line from one (share 0) to the other (share 1), which it is to the last bit. */
-HD_RT static double along(double from, double to, double share) {
+/* Interpolates from `from` (share 0) to `to` (share 1); exact at share 1. */
+HD_RT static double interpolate(double from, double to, double share) {
     return share == 1.0 ? to : from + share * (to - from);
 }
 
@@ -315,14 +317,14 @@ HD_RT void hd_modes_strike(struct hd_state *state, const struct hd_strike *strik
                            double period_s) {
     const struct hd_mode *mode = strike->mode;
     const double share = mode->touched_n_per_m > 0.0 ? strike->touched : 1.0;
-    const struct part own = {
+    const struct component own = {
         .rotor_re = mode->rotor_re,
         .rotor_im = mode->rotor_im,
         .decay_rate_per_s = mode->decay_rate_per_s,
         .angular_frequency_rad_per_s = mode->angular_frequency_rad_per_s,
         .end_s = mode->end_s,
-        .gain_re = strike->bare ? 1.0 : along(mode->free_gain_re, mode->gain_re, share),
-        .gain_im = strike->bare ? 0.0 : along(mode->free_gain_im, mode->gain_im, share),
+        .gain_re = strike->bare ? 1.0 : interpolate(mode->free_gain_re, mode->gain_re, share),
+        .gain_im = strike->bare ? 0.0 : interpolate(mode->free_gain_im, mode->gain_im, share),
         .use = strike->use,
     };
     strike_part(state, strike, &own, force_n, period_s);
@@ -330,14 +332,14 @@ HD_RT void hd_modes_strike(struct hd_state *state, const struct hd_strike *strik
         return;
     }
     if (mode->tail_end_s > 0.0) {
-        const struct part tail = {
+        const struct component tail = {
             .rotor_re = mode->tail_rotor_re,
             .rotor_im = mode->tail_rotor_im,
             .decay_rate_per_s = mode->tail_decay_rate_per_s,
             .angular_frequency_rad_per_s = mode->tail_angular_frequency_rad_per_s,
             .end_s = mode->tail_end_s,
-            .gain_re = along(mode->free_tail_re, mode->tail_re, share),
-            .gain_im = along(mode->free_tail_im, mode->tail_im, share),
+            .gain_re = interpolate(mode->free_tail_re, mode->tail_re, share),
+            .gain_im = interpolate(mode->free_tail_im, mode->tail_im, share),
             .use = HD_MODE_USES + strike->use,
         };
         strike_part(state, strike, &tail, force_n, period_s);

@@ -7,11 +7,11 @@
 #include "tick/hd_rupture.h"
 #include "tick/hd_seam.h"
 
-/* Of a step of the encoder, as far as its positions are rounded. */
+/* Relative tolerance of rearm_m: covers the rounding of positions that are multiples of the encoder's step. */
 #define HD_REARM_ROUNDING 1e-6
 
-/* What is touched, as a new table has it, before anything is met: the proxy goes along that. */
-HD_RT static void update_changed(struct hd_context *context) {
+/* Applies a new table to the touched objects. This precedes every new contact, because the proxy moves along them. */
+HD_RT static void update_changed_contacts(struct hd_context *context) {
     const struct hd_table *table = context->table;
     const struct hd_state *state = context->state;
     for (uint32_t i = state->active_count; i-- > 0;) {
@@ -26,7 +26,7 @@ HD_RT static void update_changed(struct hd_context *context) {
     }
 }
 
-/* The surfaces that are pressed as the tick begins. */
+/* Gives the proxy the surfaces that are pressed at the start of the tick. */
 HD_RT static void begin_proxy(struct hd_context *context) {
     const struct hd_state *state = context->state;
     context->proxy.known = 0;
@@ -37,8 +37,8 @@ HD_RT static void begin_proxy(struct hd_context *context) {
     }
 }
 
-/* The contact point of an object that appears, or is met anew, where the probe is: it did not move along the surface.
- */
+/* Finds the contact point of an object that appears, or is touched again, at the position of the probe: the probe did
+ * not move along its surface. */
 HD_RT static void point_at_rest(const struct hd_context *context, const struct hd_object *object,
                                 struct hd_feature feature, const double bearing[2], struct hd_contact_point *point) {
     const struct hd_shape_operations *shape = hd_shape_of(object);
@@ -49,8 +49,8 @@ HD_RT static void point_at_rest(const struct hd_context *context, const struct h
     }
 }
 
-/* What was cleared under the hand and is still pressed from the same side. Walls, boxes and discs that the probe is in
- * are met without this; a membrane, or a thin box with the probe beyond it, is not. */
+/* Whether an object whose contact was cleared is still pressed from the same side; fills in its onset. Walls, boxes and
+ * discs that contain the probe are touched without this; a membrane, or a thin box that the probe is beyond, is not. */
 HD_RT static int still_pressed(struct hd_context *context, uint32_t index, const struct hd_object *object,
                                struct hd_onset *onset) {
     const struct hd_slot *slot = &context->state->slots[index];
@@ -65,19 +65,19 @@ HD_RT static int still_pressed(struct hd_context *context, uint32_t index, const
            !hd_shape_is_left(&context->proxy, object, index, onset->feature, context->proxy.to_m, &onset->point);
 }
 
-HD_RT static int meets(struct hd_context *context, const struct hd_object *object, int fresh, struct hd_onset *onset) {
+HD_RT static int is_met(struct hd_context *context, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     return hd_shape_of(object)->meets(&context->proxy, object, fresh, onset);
 }
 
-HD_RT static void begin(struct hd_context *context, uint32_t index, const struct hd_object *object,
-                        const struct hd_onset *onset) {
+HD_RT static void begin_contact(struct hd_context *context, uint32_t index, const struct hd_object *object,
+                                const struct hd_onset *onset) {
     hd_contact_begin(context, index, object, onset);
     hd_contact_force_update(context, index, object, onset->silent ? 1.0 : onset->fraction);
 }
 
-/* One that is not touched: begins its contact, or notes its onset, where it is met. */
-HD_RT static void update_free(struct hd_context *context, uint32_t index, const struct hd_object *object, int fresh,
-                              int resumes) {
+/* Updates an object that is not touched: if the probe meets it, its contact begins or its onset is noted. */
+HD_RT static void update_untouched(struct hd_context *context, uint32_t index, const struct hd_object *object,
+                                   int fresh, int resumes) {
     struct hd_slot *slot = &context->state->slots[index];
     const double rearm_m = context->table->rearm_m;
     if (slot->disarmed && rearm_m > 0.0 &&
@@ -85,12 +85,12 @@ HD_RT static void update_free(struct hd_context *context, uint32_t index, const 
         slot->disarmed = 0;
     }
     struct hd_onset onset;
-    if (!(resumes && still_pressed(context, index, object, &onset)) && !meets(context, object, fresh, &onset)) {
+    if (!(resumes && still_pressed(context, index, object, &onset)) && !is_met(context, object, fresh, &onset)) {
         return;
     }
     if (onset.stood && hd_command_is_recent(context)) {
-        /* A command put it between proxy and probe, or brought the proxy beyond it: it is met as what the probe is in.
-         */
+        /* A command put the object between proxy and probe, or the proxy beyond it: the contact begins without a tap,
+         * as with an object that contains the probe. */
         onset.silent = 1;
         point_at_rest(context, object, onset.feature, onset.point.normal, &onset.point);
     }
@@ -98,12 +98,12 @@ HD_RT static void update_free(struct hd_context *context, uint32_t index, const 
         context->onset_slots[context->onset_count] = index;
         context->onsets[context->onset_count++] = onset;
     } else {
-        begin(context, index, object, &onset);
+        begin_contact(context, index, object, &onset);
     }
 }
 
-/* The contact update of one object. */
-HD_RT static void update(struct hd_context *context, uint32_t index) {
+/* Updates the contact of one object. */
+HD_RT static void update_object(struct hd_context *context, uint32_t index) {
     struct hd_state *state = context->state;
     struct hd_slot *slot = &state->slots[index];
     int resumes = slot->resume;
@@ -124,7 +124,7 @@ HD_RT static void update(struct hd_context *context, uint32_t index) {
             hd_contact_force_drop(context, index);
         }
         hd_contact_take(state, index, object->generation);
-        resumes = 0; /* that was another object */
+        resumes = 0; /* the cleared contact was with another object */
     }
     if (slot->touched &&
         (slot->pose_version != object->pose_version || slot->surface_version != object->surface_version)) {
@@ -135,14 +135,15 @@ HD_RT static void update(struct hd_context *context, uint32_t index) {
     } else if (slot->open == state->epoch && hd_shape_of(object)->membrane) {
         hd_rupture_heal(context, index, object);
     } else {
-        update_free(context, index, object, fresh, resumes);
+        update_untouched(context, index, object, fresh, resumes);
     }
 }
 
-/* A path of one segment that met `first` at `point`, and later the face of another solid within it: two boxes side by
- * side, and the probe landed on their seam. From where it landed it goes along the surface. */
-HD_RT static void meet_again(struct hd_context *context, uint32_t index, const struct hd_onset *first,
-                             const struct hd_object *object, struct hd_onset *onset) {
+/* Corrects the onset of an object whose surface the path meets inside the solid of the onset `first`: two boxes lie
+ * side by side, and the probe landed near their seam. From its landing point the proxy moves along the first surface.
+ */
+HD_RT static void meet_along_surface(struct hd_context *context, uint32_t index, const struct hd_onset *first,
+                                     const struct hd_object *object, struct hd_onset *onset) {
     struct hd_proxy *proxy = &context->proxy;
     const struct hd_proxy before = *proxy;
     double step[2];
@@ -151,16 +152,16 @@ HD_RT static void meet_again(struct hd_context *context, uint32_t index, const s
     proxy->plane_count = 0;
     hd_proxy_press(proxy, index, first->fraction * hd_dot(step, first->point.normal), first->point.normal);
     struct hd_onset again = *onset;
-    if (meets(context, object, 0, &again)) {
+    if (is_met(context, object, 0, &again)) {
         *onset = again;
     }
     *proxy = before;
 }
 
-/* Whether a surface that is met at its very end is the continuation of one that is pressed: then that one goes on to
- * hold, and the two do not push at once. */
-HD_RT static int continues(const struct hd_context *context, const struct hd_object *object,
-                           const struct hd_onset *onset) {
+/* Whether a surface that is met at its very end continues a pressed one. Then only the pressed one exerts a force, so
+ * that the two do not push at the same time. */
+HD_RT static int is_continuation(const struct hd_context *context, const struct hd_object *object,
+                                 const struct hd_onset *onset) {
     const struct hd_state *state = context->state;
     const struct hd_shape_operations *shape = hd_shape_of(object);
     if (!shape->half_length ||
@@ -177,8 +178,8 @@ HD_RT static int continues(const struct hd_context *context, const struct hd_obj
     return 0;
 }
 
-/* Begins the contacts with all that was met, first met, first begun. */
-HD_RT static void begin_in_order(struct hd_context *context) {
+/* Begins the noted contacts in the order of their onsets. */
+HD_RT static void begin_contacts_in_order(struct hd_context *context) {
     const struct hd_object *objects = context->table->objects;
     const uint32_t count = context->onset_count;
     uint32_t *slots = context->onset_slots;
@@ -196,25 +197,26 @@ HD_RT static void begin_in_order(struct hd_context *context) {
         }
         const uint32_t index = slots[first];
         slots[first] = HD_NO_SLOT;
-        if (continues(context, &objects[index], &onsets[first])) {
+        if (is_continuation(context, &objects[index], &onsets[first])) {
             continue;
         }
-        begin(context, index, &objects[index], &onsets[first]);
+        begin_contact(context, index, &objects[index], &onsets[first]);
         for (uint32_t i = 0; context->proxy.plane_count == 0 && i < count; i++) {
             if (slots[i] != HD_NO_SLOT && hd_shape_of(&objects[index])->holds(&objects[index], hits[i])) {
-                meet_again(context, index, &onsets[first], &objects[slots[i]], &onsets[i]);
+                meet_along_surface(context, index, &onsets[first], &objects[slots[i]], &onsets[i]);
             }
         }
     }
 }
 
-/* Those of a list that were not candidates. From the last to the first: an update may take its own out of the list. */
-HD_RT static void update_others(struct hd_context *context, const uint32_t *slots, uint32_t count) {
+/* Updates the objects of a list that were not candidates, from the last to the first, because an update may remove its
+ * object from the list. */
+HD_RT static void update_unvisited(struct hd_context *context, const uint32_t *slots, uint32_t count) {
     const struct hd_state *state = context->state;
     const uint64_t now = state->tick + 1u;
     for (uint32_t i = count; i-- > 0;) {
         if (state->slots[slots[i]].visited != now) {
-            update(context, slots[i]);
+            update_object(context, slots[i]);
         }
     }
 }
@@ -223,24 +225,24 @@ HD_RT void hd_narrow_phase(struct hd_context *context) {
     struct hd_state *state = context->state;
     context->onset_count = 0;
     if (context->new_table) {
-        update_changed(context);
+        update_changed_contacts(context);
     }
     begin_proxy(context);
     const double reach_m = hd_broad_phase(context);
     for (uint32_t i = 0; i < state->candidate_count; i++) {
         if (state->candidates[i].distance_m <= reach_m) {
-            update(context, state->candidates[i].slot);
+            update_object(context, state->candidates[i].slot);
         }
     }
-    update_others(context, state->active, state->active_count);
-    update_others(context, state->healing, state->healing_count);
+    update_unvisited(context, state->active, state->active_count);
+    update_unvisited(context, state->healing, state->healing_count);
     for (uint32_t i = 0; i < state->resumed_count; i++) {
         if (state->slots[state->resumed[i]].visited != state->tick + 1u) {
-            update(context, state->resumed[i]);
+            update_object(context, state->resumed[i]);
         }
     }
     state->resumed_count = 0;
     if (context->onset_count > 0) {
-        begin_in_order(context);
+        begin_contacts_in_order(context);
     }
 }

@@ -1,11 +1,11 @@
-/* Strikes that the device plays by itself: noted for it, and counted against the force limit while they may play. An
- * effect counts from the tick of its strike until it has ended even where the strike reached the device as late as it
- * may (hd_effects.h). Struck anew while it plays, it counts with the stronger of the two: the tick does not know when
- * the one becomes the other. Several strikes of one effect in one tick count together. */
+/* Strikes that the device plays as effects, and the part of the force limit that they reserve. The reserve lasts from
+ * the tick of the strike to the latest possible end of the effect, which includes the largest delay until it starts
+ * (hd_effects.h). If the effect is struck again while it plays, the larger of the two forces is reserved, since the
+ * tick does not know when the second one starts. Several strikes of one effect in one tick share one reserve. */
 #include "tick/hd_offload.h"
 
-/* The place of an effect in reserves[], or where it would come. */
-HD_RT static uint32_t find(const struct hd_state *state, uint32_t effect) {
+/* Returns the index of an effect in reserves[], or reserve_count if it is not there. */
+HD_RT static uint32_t find_reserve(const struct hd_state *state, uint32_t effect) {
     uint32_t place = 0;
     while (place < state->reserve_count && state->reserves[place].effect != effect) {
         place++;
@@ -13,7 +13,7 @@ HD_RT static uint32_t find(const struct hd_state *state, uint32_t effect) {
     return place;
 }
 
-HD_RT static void sum_up(struct hd_state *state) {
+HD_RT static void sum_reserves(struct hd_state *state) {
     state->reserved_n = 0.0;
     for (uint32_t i = 0; i < state->reserve_count; i++) {
         state->reserved_n += state->reserves[i].most_n;
@@ -25,7 +25,7 @@ HD_RT uint32_t hd_offload_reserve(struct hd_state *state, uint32_t effect) {
     if (!fully || state->offload_count == HD_OFFLOAD_CAPACITY) {
         return 0;
     }
-    const uint32_t place = find(state, effect);
+    const uint32_t place = find_reserve(state, effect);
     if (place == HD_RESERVE_CAPACITY) {
         return 0;
     }
@@ -42,12 +42,12 @@ HD_RT void hd_offload_strike(struct hd_state *state, const struct hd_strike *str
     struct hd_offload *offload = &state->offloads[strike->offload - 1u];
     offload->force_n[0] = force * strike->direction[0];
     offload->force_n[1] = force * strike->direction[1];
-    struct hd_reserve *reserve = &state->reserves[find(state, mode->effect)];
+    struct hd_reserve *reserve = &state->reserves[find_reserve(state, mode->effect)];
     const double most_n = force * mode->effect_peak;
     const uint32_t ticks = (uint32_t)((mode->effect_s + HD_OFFLOAD_LATE_S) / period_s) + 2u;
     reserve->most_n = most_n > reserve->most_n ? most_n : reserve->most_n;
     reserve->remaining = ticks > reserve->remaining ? ticks : reserve->remaining;
-    sum_up(state);
+    sum_reserves(state);
 }
 
 HD_RT void hd_offload_advance(struct hd_state *state, uint32_t periods) {
@@ -61,5 +61,5 @@ HD_RT void hd_offload_advance(struct hd_state *state, uint32_t periods) {
             *reserve = state->reserves[--state->reserve_count];
         }
     }
-    sum_up(state);
+    sum_reserves(state);
 }

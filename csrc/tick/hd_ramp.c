@@ -1,11 +1,11 @@
-/* What commands change of the force is spread over the ramp: the residual, and the pace of the command. */
+/* Ramps of commands: the residual of the contact force, and the largest change of the command per tick. */
 #include "tick/hd_ramp.h"
 
 #include "base/hd_vector.h"
 #include "tick/hd_limit.h"
 
-#define HD_RAMP_LONGEST 4e9 /* ticks */
-/* Below that a ramp is over a tick later than its length says, because it is rounded. */
+#define HD_RAMP_TICKS_MAX 4e9 /* ticks */
+/* Relative tolerance of ramp lengths and slopes: without it rounding could make a ramp one tick too long. */
 #define HD_RAMP_ROUNDING 1e-9
 
 HD_RT static void scale(double factor, double vector[2]) {
@@ -22,15 +22,15 @@ HD_RT void hd_ramp_clear(struct hd_state *state) {
     hd_ramp_forget(state);
 }
 
-HD_RT static double size_of(const struct hd_residual *residual) {
+HD_RT static double residual_size(const struct hd_residual *residual) {
     return hd_root(hd_dot(residual->force_n, residual->force_n));
 }
 
-/* What of it there is to fade. The passivity controller changes what objects make alone: where it may act, that and
- * the rest are two forces, which need not fade as one. */
-HD_RT static double extent_of(const struct hd_residual *residual, const struct hd_table *table) {
+/* Returns the size of the residual for its fading, N. The passivity controller changes only the force of objects: where
+ * it can act, the magnitudes of that part and of the rest are added, since the two can fade separately. */
+HD_RT static double residual_extent(const struct hd_residual *residual, const struct hd_table *table) {
     if (table->passivity != HD_PASSIVITY_CONTROL) {
-        return size_of(residual);
+        return residual_size(residual);
     }
     double rest[2];
     hd_difference(residual->force_n, residual->object_n, rest);
@@ -43,21 +43,22 @@ HD_RT static void shrink(struct hd_residual *residual, double factor) {
     scale(factor, residual->beyond_n);
 }
 
-/* Its ramp begins, in whole ticks. */
-HD_RT static void begin(struct hd_residual *residual, const struct hd_table *table) {
-    const double size = extent_of(residual, table);
+/* Sets the number of ticks in which the residual fades. */
+HD_RT static void begin_fade(struct hd_residual *residual, const struct hd_table *table) {
+    const double size = residual_extent(residual, table);
     const double limits = size > table->max_force_n ? size / table->max_force_n : 1.0;
     const double ticks = limits * table->ramp_s / table->period_s;
-    const double most = ticks < HD_RAMP_LONGEST ? ticks : HD_RAMP_LONGEST;
+    const double most = ticks < HD_RAMP_TICKS_MAX ? ticks : HD_RAMP_TICKS_MAX;
     residual->remaining = (uint32_t)most;
     if ((double)residual->remaining < most * (1.0 - HD_RAMP_ROUNDING)) {
         residual->remaining++;
     }
 }
 
-/* The hand lets go of a force that the residual holds down: the residual never holds more than there is. */
-HD_RT static void yield(struct hd_residual *residual) {
-    const double size = size_of(residual);
+/* Shrinks the residual when the hand withdraws from a force that the residual cancels: it never cancels more than there
+ * is of that force. */
+HD_RT static void shrink_with_release(struct hd_residual *residual) {
+    const double size = residual_size(residual);
     if (!(size > 0.0)) {
         return;
     }
@@ -71,9 +72,9 @@ HD_RT static void yield(struct hd_residual *residual) {
 }
 
 HD_RT static void fade(struct hd_residual *residual, const struct hd_table *table) {
-    const double size = extent_of(residual, table);
+    const double size = residual_extent(residual, table);
     const double most = hd_ramp_pace(table);
-    /* Then the ramp or the limit is another now. */
+    /* The ramp or the limit has changed since the fading began. */
     if (size > most * (double)residual->remaining * (1.0 + HD_RAMP_ROUNDING)) {
         shrink(residual, (size - most) / size);
         return;
@@ -90,13 +91,13 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
     const struct hd_change *change = &state->change;
     const double shown = state->show_force;
     state->show_force = (double)table->display_force;
-    if (state->gain == 0.0) { /* nothing of it was felt; the command's own ramp covers it */
+    if (state->gain == 0.0) { /* no force was felt before; the ramp of the gain covers the change */
         hd_ramp_clear(state);
         return 0;
     }
     ramped->changed = change->any || shown != state->show_force;
-    double was[2];    /* without the changes of this tick, */
-    double before[2]; /* and without the way that the stream went in it */
+    double was[2];    /* force without the changes of this tick */
+    double before[2]; /* the same, also without the change of the stream in this tick */
     double was_object[2];
     for (int axis = 0; axis < 2; axis++) {
         was[axis] = shown * (context->force_n[axis] + change->field_n[axis] + change->object_n[axis]);
@@ -106,7 +107,7 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
     const double limit = hd_limit_of(state, table);
     const double was_cut = hd_limit_cut(was, limit);
     const double cut = hd_limit_cut(contact_n, limit);
-    /* Without a residual the limit is left to hd_limit.c, which looks at contact and vibration together. */
+    /* Without a residual hd_limit.c applies the limit, to contact and vibration together. */
     const int cuts = residual->remaining > 0 || ramped->cuts;
     const double was_part = cuts ? was_cut : 1.0;
     const double before_cut = hd_limit_cut(before, limit);
@@ -118,10 +119,10 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
         object_n[axis] = state->show_force * context->object_n[axis];
         is_object[axis] = cut * object_n[axis];
         residual->was_n[axis] = residual->pressed_n[axis];
-        residual->pressed_n[axis] = before_cut * before[axis]; /* a stream that goes is no hand that lets go */
+        residual->pressed_n[axis] = before_cut * before[axis]; /* a falling stream is not a withdrawing hand */
     }
     if (residual->remaining > 0) {
-        yield(residual);
+        shrink_with_release(residual);
     }
     for (int axis = 0; axis < 2; axis++) {
         residual->pressed_n[axis] = was_cut * was[axis];
@@ -143,13 +144,13 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
             residual->beyond_n[axis] = whole - contact_n[axis] - residual->force_n[axis];
             residual->pressed_n[axis] = is[axis];
         }
-        begin(residual, table);
+        begin_fade(residual, table);
     }
     if (!change->whole && residual->remaining > 0) {
         fade(residual, table);
     }
     const int within = residual->remaining > 0 || ramped->cuts;
-    /* What the limit keeps from being felt is no part of it. */
+    /* The part above the limit is not felt, so it moves from force_n to beyond_n. */
     const double sum[2] = {is[0] + residual->force_n[0], is[1] + residual->force_n[1]};
     const double over = residual->remaining > 0 ? 1.0 - hd_limit_cut(sum, limit) : 0.0;
     for (int axis = 0; axis < 2; axis++) {
@@ -162,9 +163,9 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
     return 1;
 }
 
-/* Brings the command within its pace of what it would be if every ramp stood still. */
-HD_RT static void hold(struct hd_state *state, const struct hd_table *table, struct hd_ramped *ramped,
-                       const double still_n[2], double gain_step, double force_n[2]) {
+/* Limits the distance between the command and the command with every ramp stopped to hd_ramp_pace. */
+HD_RT static void limit_pace(struct hd_state *state, const struct hd_table *table, struct hd_ramped *ramped,
+                             const double still_n[2], double gain_step, double force_n[2]) {
     struct hd_residual *residual = &state->residual;
     double step[2];
     hd_difference(force_n, still_n, step);
@@ -175,7 +176,7 @@ HD_RT static void hold(struct hd_state *state, const struct hd_table *table, str
         return;
     }
     const double part = room / size;
-    /* As far as the controller knows; but a stream that waits is none of theirs. */
+    /* Counted as force of objects while the passivity observer runs, unless the stream is what moves too fast. */
     ramped->held_of_objects = state->passivity.running && !state->change.streams;
     for (int axis = 0; axis < 2; axis++) {
         const double held = still_n[axis] + part * step[axis];
@@ -187,7 +188,7 @@ HD_RT static void hold(struct hd_state *state, const struct hd_table *table, str
         force_n[axis] = held;
     }
     if (ramped->changed) {
-        begin(residual, table);
+        begin_fade(residual, table);
     } else if (residual->remaining == 0) {
         residual->remaining = 1;
     }
@@ -209,6 +210,6 @@ HD_RT void hd_ramp_command(struct hd_context *context, struct hd_ramped *ramped,
         hd_limit_within(limit, hd_limit_keep(state, table), ramped->still_n, still_n, still);
         hd_limit_apply(state, table, contact_n, vibration_n, time_ns, force_n, flags);
     }
-    hold(state, table, ramped, still, gain_step, force_n);
+    limit_pace(state, table, ramped, still, gain_step, force_n);
     hd_ramp_forget(state);
 }

@@ -1,22 +1,21 @@
-/* What a command may do to the force.
+/* Changes of the force by commands, spread over a ramp.
  *
- * A command is whatever changes the scene or what is shown of it: objects, materials, fields, display, ramp_s,
- * passivity, reset, set_forces. It takes effect at once, where the hand is: the tick that first sees it works out the
- * limited contact force there both as it was and as it is now. What lies between the two is the residual. It is added
- * to the force and goes to zero in a straight line over the ramp, or over more of them where it is larger than the
+ * A command here is anything that changes the scene or how it is displayed: objects, materials, fields, display,
+ * ramp_s, passivity, reset, set_forces. The scene changes at once. The first tick of the changed scene computes the
+ * limited contact force at the position of the hand before and after the change. Their difference is the residual. It
+ * is added to the force and falls linearly to zero over the ramp, or over several ramps if it is larger than the force
  * limit, so that
  *
  *     no command moves the force faster than max_force_n / ramp_s,
  *
- * however many there are and however they overtake each other; and what the hand does meanwhile is answered by the
- * scene as it is now, at once. What no command is the reason of is no part of it: a contact that is met inside after a
- * jump has a ramp of its own.
+ * for any number of overlapping commands. Motion of the hand meanwhile acts on the changed scene without delay. The
+ * residual contains only effects of commands: a contact that begins inside an object after a jump has a separate ramp.
  *
- * Where the hand lets go of what the residual holds down, the residual gives way as the force does, so that nothing
- * ever sticks to the hand. Vibration comes and goes by gains of its own; where they and the residual together would be
- * too fast, the residual waits.
+ * When the hand withdraws from a surface whose force the residual cancels, the residual shrinks with that force, so
+ * that it never pulls the hand toward the surface. Vibration is ramped by separate gains; where gains and residual
+ * together would move the force too fast, the residual waits.
  *
- * While something ramps, hd_tick.c calls hd_ramp_contact once fields are added, and hd_ramp_command in place of
+ * While a ramp is active, hd_tick.c calls hd_ramp_contact after fields are added, and hd_ramp_command instead of
  * hd_limit_apply. Servo thread. SI units. */
 #ifndef HD_RAMP_H
 #define HD_RAMP_H
@@ -24,39 +23,39 @@
 #include "base/hd_rt.h"
 #include "tick/hd_context.h"
 
-/* What a tick knows of its ramps. */
+/* The contact force of a tick with and without its ramps. */
 struct hd_ramped {
-    int any;                  /* hd_ramp_contact had something to do; otherwise the next four are the contact force */
-    int changed;              /* by a command of this tick */
-    int cuts;                 /* in: the contact force is cut to the limit in any case, for the passivity controller */
-    double still_n[2];        /* the contact force that would be felt if every ramp stood still, */
-    double still_object_n[2]; /* the part of it that objects make, */
-    double still_whole_n[2];  /* and that without the limit */
-    double whole_n[2];        /* the contact force that is felt, without the limit */
-    double held_n[2];         /* out of hd_ramp_command: what it took back, */
-    int held_of_objects;      /* and that it is theirs */
+    int any;                  /* hd_ramp_contact applied a ramp; otherwise the next four are the contact force */
+    int changed;              /* a command changed the force in this tick */
+    int cuts;                 /* in: always cut the contact force to the limit, for the passivity controller */
+    double still_n[2];        /* contact force that would be felt with every ramp stopped */
+    double still_object_n[2]; /* the part of it that objects exert */
+    double still_whole_n[2];  /* still_n before the force limit */
+    double whole_n[2];        /* the contact force that is felt, before the force limit */
+    double held_n[2];         /* out of hd_ramp_command: force added because the command moved too fast */
+    int held_of_objects;      /* held_n is counted as force of objects */
 };
 
-/* Where there is a change, a residual, or another display: brings the contact force, as it is displayed, to what is
- * felt, within the limit and with the residual; `object_n`, out, is the part of it that objects make. 0: nothing is
- * felt, since the whole command is off. */
+/* Applies the ramps after a change, during a residual or after a change of `display`: turns `contact_n`, the displayed
+ * contact force, into the force that is felt, within the limit and with the residual. `object_n`, out: the part of it
+ * that objects exert. Returns 0 if nothing is felt because the gain of the command is 0. */
 HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double contact_n[2],
                           struct hd_ramped *ramped);
 
-/* The command of this tick before its gain, as hd_limit_apply. `ramped`: of the contact force. What of it ramps do
- * beside that, and too fast together, is left for the ticks after it. `still_n`: the vibration if every ramp stood
- * still; `gain_step`: what the gain moves by. */
+/* Computes the command of this tick before its gain, as hd_limit_apply does. Where all ramps together would move the
+ * command too fast, the rest of the change is left to the following ticks. `ramped`: result of hd_ramp_contact;
+ * `still_n`: vibration with every ramp stopped; `gain_step`: change of the gain in this tick. */
 HD_RT void hd_ramp_command(struct hd_context *context, struct hd_ramped *ramped, const double contact_n[2],
                            const double vibration_n[2], const double still_n[2], double gain_step, double force_n[2],
                            uint32_t *flags);
-/* The slope that no command exceeds, in newtons a tick. */
+/* Returns the largest change of the force by commands, in N per tick. */
 HD_RT static inline double hd_ramp_pace(const struct hd_table *table) {
     return table->max_force_n * table->ramp_step;
 }
 
-/* What was noted of changes is taken in. */
+/* Clears the recorded changes, which are part of the residual now. */
 HD_RT void hd_ramp_forget(struct hd_state *state);
-/* Nothing of the force before counts. */
+/* Clears the residual and the recorded changes. */
 HD_RT void hd_ramp_clear(struct hd_state *state);
 
 #endif

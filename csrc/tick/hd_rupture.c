@@ -1,4 +1,4 @@
-/* Membranes that rupture: when one does, the strike that this makes, and when it has healed. */
+/* Membranes that rupture: the time of the rupture, its strike, and healing. */
 #include "tick/hd_rupture.h"
 
 #include "tick/hd_aim.h"
@@ -6,8 +6,8 @@
 #include "tick/hd_surface_noise.h"
 
 /* Reports the puncture and strikes the mode of the rupture. */
-HD_RT static void strike(struct hd_context *context, uint32_t index, const struct hd_material *material,
-                         const double normal[2], double fraction) {
+HD_RT static void strike_rupture(struct hd_context *context, uint32_t index, const struct hd_material *material,
+                                 const double normal[2], double fraction) {
     struct hd_state *state = context->state;
     const struct hd_slot *slot = &state->slots[index];
     const struct hd_input *input = context->input;
@@ -43,14 +43,15 @@ HD_RT int hd_rupture_happens(struct hd_context *context, uint32_t index, const s
     if (!(deepest_m > limit_m)) {
         return 0;
     }
-    /* One that is beyond it by a command ruptures at the end of the tick, so that nothing is heard of it before. */
+    /* If a command put the probe beyond the rupture depth, the rupture is at the end of the tick: its mode starts at 0.
+     */
     const double part = from_m < limit_m ? (limit_m - from_m) / (point->depth_m - from_m) : slot->changed ? 1.0 : 0.0;
-    strike(context, index, material, point->normal, fraction + (1.0 - fraction) * part);
+    strike_rupture(context, index, material, point->normal, fraction + (1.0 - fraction) * part);
     if (slot->changed) {
         hd_surface_noise_change(state, slot);
         slot->changed = 0;
     }
-    slot->last = *point; /* its normal says where the probe came from */
+    slot->last = *point; /* hd_rupture_heal takes the side of the probe from its normal */
     slot->open = state->epoch;
     if (material->heals) {
         state->healing[state->healing_count++] = index;
@@ -66,7 +67,7 @@ HD_RT void hd_rupture_heal(struct hd_context *context, uint32_t index, const str
         double offset[2];
         hd_difference(context->input->position_m, object->point_m, offset);
         const double height = hd_dot(offset, object->normal);
-        /* The normal may have been turned over since: the side is that of the contact's own. */
+        /* The object's normal may have been reversed since; the normal of the contact defines the side. */
         if (height * hd_dot(object->normal, slot->last.normal) > 0.0) {
             hd_contact_close(context->state, index);
         }

@@ -1,12 +1,12 @@
-/* Making, switching and freeing a state; see hd_state.h for what it holds. */
+/* Creating, copying and freeing a state; its members are described in hd_state.h. */
 #include "tick/hd_state.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* What there is one of for each slot. */
-#define SLOT_ARRAYS 5u
+/* Number of arrays with one entry per slot. */
+#define SLOT_ARRAY_COUNT 5u
 
 static size_t slot_regions(const struct hd_state *state, uint32_t from, uint32_t to, struct hd_region *regions) {
     const size_t count = to - from;
@@ -15,7 +15,7 @@ static size_t slot_regions(const struct hd_state *state, uint32_t from, uint32_t
     regions[2] = (struct hd_region){state->resumed + from, count * sizeof *state->resumed};
     regions[3] = (struct hd_region){state->healing + from, count * sizeof *state->healing};
     regions[4] = (struct hd_region){state->candidates + from, count * sizeof *state->candidates};
-    return SLOT_ARRAYS;
+    return SLOT_ARRAY_COUNT;
 }
 
 struct hd_state *hd_state_new(uint32_t slot_capacity) {
@@ -25,7 +25,7 @@ struct hd_state *hd_state_new(uint32_t slot_capacity) {
     }
     const size_t capacity = slot_capacity > 0 ? slot_capacity : 1;
     state->slot_capacity = slot_capacity;
-    /* calloc of what is large takes address space only; memory comes with the first touch. */
+    /* calloc of a large block takes address space only; a page gets memory when it is first touched. */
     state->slots = calloc(capacity, sizeof *state->slots);
     state->active = calloc(capacity, sizeof *state->active);
     state->resumed = calloc(capacity, sizeof *state->resumed);
@@ -84,10 +84,10 @@ void hd_state_free(struct hd_state *state) {
 
 int hd_state_reserve(struct hd_state *state, uint32_t slot_count) {
     if (slot_count > state->slot_capacity) {
-        return hd_invalid("table: %u objects, room for %u", slot_count, state->slot_capacity);
+        return hd_invalid("table: %u objects, but the state has room for %u", slot_count, state->slot_capacity);
     }
     if (slot_count > state->slot_count) {
-        struct hd_region regions[SLOT_ARRAYS];
+        struct hd_region regions[SLOT_ARRAY_COUNT];
         hd_memory_touch(regions, slot_regions(state, state->slot_count, slot_count, regions));
         state->slot_count = slot_count;
     }
@@ -158,7 +158,7 @@ int hd_state_copy(struct hd_state *to, const struct hd_state *from) {
             to->noises[noise - 1] = from->noises[noise - 1];
         }
     }
-    /* Between two ticks, all that is to be struck was played. */
+    /* Between two ticks strikes[] holds only strikes of hd_tick_play, whose modes are in played[]. */
     for (uint32_t i = 0; i < from->strike_count; i++) {
         to->strikes[i] = from->strikes[i];
         to->strikes[i].mode = to->played + (from->strikes[i].mode - from->played);

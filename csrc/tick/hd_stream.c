@@ -1,11 +1,11 @@
-/* The streamed force, tick by tick: along its line, within its limit and its pace. */
+/* The streamed force, tick by tick: along its line, within the force limit and the largest slope. */
 #include "tick/hd_stream.h"
 
 #include "base/hd_vector.h"
 #include "tick/hd_limit.h"
 #include "tick/hd_ramp.h"
 
-/* A line that is just as steep as the pace may seem to be steeper, by rounding. */
+/* Relative tolerance: rounding can make a line of the largest slope appear steeper. */
 #define HD_PACE_ROUNDING 1e-9
 
 HD_RT static void begin_line(struct hd_streamed *streamed, const double to_n[2], double length_s) {
@@ -18,7 +18,7 @@ HD_RT static void begin_line(struct hd_streamed *streamed, const double to_n[2],
     streamed->fresh = 1;
 }
 
-HD_RT static void note_limited(struct hd_streamed *streamed) {
+HD_RT static void count_limited(struct hd_streamed *streamed) {
     if (!streamed->behind) {
         streamed->behind = 1;
         streamed->limited++;
@@ -28,7 +28,7 @@ HD_RT static void note_limited(struct hd_streamed *streamed) {
 HD_RT void hd_stream_aim(struct hd_state *state, const struct hd_table *table, const double force_n[2],
                          double duration_s) {
     struct hd_streamed *streamed = &state->streamed;
-    /* The square of what a double can hold is more than it can. */
+    /* Scaled by the larger component first, since the square of a large double overflows. */
     const double larger_n =
         hd_magnitude(force_n[0]) > hd_magnitude(force_n[1]) ? hd_magnitude(force_n[0]) : hd_magnitude(force_n[1]);
     const double scale = larger_n > table->max_force_n ? table->max_force_n / larger_n : 1.0;
@@ -37,7 +37,7 @@ HD_RT void hd_stream_aim(struct hd_state *state, const struct hd_table *table, c
     streamed->behind = 0;
     streamed->ends = 0;
     if (scale < 1.0 || cut < 1.0) {
-        note_limited(streamed);
+        count_limited(streamed);
         to_n[0] *= cut;
         to_n[1] *= cut;
     }
@@ -60,9 +60,9 @@ HD_RT void hd_stream_drop(struct hd_state *state) {
     }
 }
 
-/* Where the line is in this tick. */
+/* Finds the value of the line in this tick. */
 HD_RT static void line_at(struct hd_streamed *streamed, const struct hd_context *context, double line_n[2]) {
-    /* A line begins at the tick before the one that took its value; periods missed before that are not its own. */
+    /* A line begins one period before the first tick that uses it; periods missed before that do not count. */
     streamed->periods += streamed->fresh ? 1u : context->input->periods;
     streamed->fresh = 0;
     const double passed_s = (double)streamed->periods * context->table->period_s;
@@ -91,10 +91,10 @@ HD_RT void hd_stream_add(struct hd_context *context) {
         context->force_n[axis] += streamed->value_n[axis];
     }
     if (late) {
-        note_limited(streamed);
+        count_limited(streamed);
     }
     if (size_n > 0.0) {
-        state->steady = 0; /* it is a command that goes on */
+        state->steady = 0; /* a moving stream counts as a command in every tick */
         state->change.streams = 1;
     }
     if (streamed->ends && streamed->value_n[0] == 0.0 && streamed->value_n[1] == 0.0) {

@@ -1,4 +1,4 @@
-/* Strikes of a tick: noted, scaled together to what the force limit leaves, and started as modes or waveforms. */
+/* Strikes of a tick: collected, scaled together to the room within the force limit, started as modes or waveforms. */
 #include "tick/hd_strike.h"
 
 #include "tick/hd_mode.h"

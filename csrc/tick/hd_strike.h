@@ -5,9 +5,10 @@
 #include "base/hd_rt.h"
 #include "tick/hd_state.h"
 
-/* Notes a strike for the end of the tick; its event reports its scale. */
+/* Adds a strike to those that start at the end of the tick; its event reports the scale. */
 HD_RT void hd_strike_add(struct hd_state *state, const struct hd_strike *strike);
-/* Strikes all that was noted, scaled as a whole to what the limit leaves of `felt_n`. Returns the scale. */
+/* Starts the collected strikes, all scaled by one factor so that they fit within the force limit above the contact
+ * force `felt_n`. Returns the factor. */
 HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *table, double felt_n);
 
 #endif

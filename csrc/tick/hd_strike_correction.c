@@ -1,4 +1,4 @@
-/* The corrections of the first samples after a strike: added, moved on, scaled and bounded. */
+/* Corrections of the first samples after a strike: added, advanced, scaled and bounded. */
 #include "tick/hd_strike_correction.h"
 
 #include "base/hd_vector.h"

@@ -1,12 +1,11 @@
-/* The largest force of a strike, from what presses along its direction then: the surfaces that are touched, and the
- * fields. */
+/* The largest force of a strike, which depends on the stiffness of touched surfaces and fields along its direction. */
 #ifndef HD_STRIKE_PEAK_H
 #define HD_STRIKE_PEAK_H
 
 #include "tick/hd_state.h"
 
-/* The largest force of a strike over its coefficient. Of a mode that is compensated for what it meets, notes in the
- * strike how much of that there is. */
+/* Returns the largest force of a strike divided by its coefficient. For a mode that is compensated for stiffness, sets
+ * strike->touched. */
 HD_RT double hd_strike_peak(const struct hd_state *state, const struct hd_table *table, struct hd_strike *strike);
 
 #endif

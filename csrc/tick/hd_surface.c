@@ -1,9 +1,9 @@
-/* Surface properties at an arc length: of one material, and mixed where one piece goes over into the next. */
+/* Surface properties at an arc length: of one material, or blended at the edge of two pieces. */
 #include "tick/hd_surface.h"
 
 #include "tick/hd_groove_profile.h"
 
-HD_RT static double mixed(double from, double to, double weight) {
+HD_RT static double interpolate(double from, double to, double weight) {
     return from + weight * (to - from);
 }
 
@@ -19,20 +19,20 @@ HD_RT void hd_surface_lower(const struct hd_material *material, double arc_m, do
     }
 }
 
-/* Into `surface`, which may be one of the two: 0 is `from`, 1 is `to`. */
+/* Writes the blend of two surfaces (0: `from`, 1: `to`) into `surface`, which may be one of the two. */
 HD_RT static void blend_into(const struct hd_surface *from, const struct hd_surface *to, double blend,
                              struct hd_surface *surface) {
-    surface->stiffness_n_per_m = mixed(from->stiffness_n_per_m, to->stiffness_n_per_m, blend);
-    surface->stiffness_slope = mixed(from->stiffness_slope, to->stiffness_slope, blend);
-    surface->damping_n_s_per_m = mixed(from->damping_n_s_per_m, to->damping_n_s_per_m, blend);
-    surface->lowering_m = mixed(from->lowering_m, to->lowering_m, blend);
-    surface->lowering_slope = mixed(from->lowering_slope, to->lowering_slope, blend);
-    surface->drag_n_s_per_m = mixed(from->drag_n_s_per_m, to->drag_n_s_per_m, blend);
-    /* What has no friction has no spring of its own either. */
+    surface->stiffness_n_per_m = interpolate(from->stiffness_n_per_m, to->stiffness_n_per_m, blend);
+    surface->stiffness_slope = interpolate(from->stiffness_slope, to->stiffness_slope, blend);
+    surface->damping_n_s_per_m = interpolate(from->damping_n_s_per_m, to->damping_n_s_per_m, blend);
+    surface->lowering_m = interpolate(from->lowering_m, to->lowering_m, blend);
+    surface->lowering_slope = interpolate(from->lowering_slope, to->lowering_slope, blend);
+    surface->drag_n_s_per_m = interpolate(from->drag_n_s_per_m, to->drag_n_s_per_m, blend);
+    /* A material without friction has no spring stiffness; the blend takes that of the other one. */
     const double first = from->friction_stiffness_n_per_m;
     const double last = to->friction_stiffness_n_per_m;
-    surface->friction_stiffness_n_per_m = last == 0.0 ? first : first == 0.0 ? last : mixed(first, last, blend);
-    surface->friction_coefficient = mixed(from->friction_coefficient, to->friction_coefficient, blend);
+    surface->friction_stiffness_n_per_m = last == 0.0 ? first : first == 0.0 ? last : interpolate(first, last, blend);
+    surface->friction_coefficient = interpolate(from->friction_coefficient, to->friction_coefficient, blend);
 }
 
 HD_RT uint32_t hd_surface_piece(const struct hd_table *table, const struct hd_object *object, double arc_m) {
@@ -54,7 +54,7 @@ HD_RT struct hd_dominant_material hd_surface_of_pieces(const struct hd_table *ta
                                                        double arc_m, double half_length_m, struct hd_surface *surface) {
     const struct hd_piece *pieces = &table->pieces[object->piece_first];
     const uint32_t here = hd_surface_piece(table, object, arc_m);
-    /* The edge whose ramp holds s: that before this piece, or that after it. */
+    /* Index of the edge whose ramp contains s: the edge before this piece or after it; 0: neither. */
     uint32_t edge = 0;
     if (here > 0 && arc_m < pieces[here].from_m + pieces[here].half_ramp_m) {
         edge = here;
@@ -77,7 +77,7 @@ HD_RT struct hd_dominant_material hd_surface_of_pieces(const struct hd_table *ta
     const struct hd_surface *const after = edge == here ? surface : &second;
     const double stiffness_step = after->stiffness_n_per_m - before->stiffness_n_per_m;
     const double lowering_step = after->lowering_m - before->lowering_m;
-    /* In place: a copy would wait for the stores of the one before it. */
+    /* Blended in place: reading a struct that was just written would stall on its stores. */
     blend_into(before, after, weight, surface);
     surface->stiffness_slope += slope * stiffness_step;
     surface->lowering_slope += slope * lowering_step;

@@ -1,11 +1,12 @@
-/* Surface properties: what the materials of an object give at one arc length of it.
+/* Surface properties of an object at one arc length: stiffness, damping, friction and geometry.
  *
- * A wall may be of several materials, in pieces along s. Where one goes over into the next, every parameter x does, by
+ * A wall can have several materials, in pieces along s. At the edge of two pieces every parameter x is blended,
  *     x(s) = x_a + w(s) (x_b - x_a),  w a smooth step from 0 to 1 over the ramp of the edge,
- * and the force is that of the energy U(s, d) = K(s)/2 max(0, d - H(s))^2, H what geometry lowers the surface by:
+ * and the force is the gradient of the energy U(s, d) = K(s)/2 max(0, d - H(s))^2, where geometry lowers the surface by
+ * H(s):
  *     normal part K (d - H), tangential part K (d - H) H' - K'/2 (d - H)^2.
- * So neither a groove nor an edge creates energy. w has a continuous slope, and so have the raised cosines of geometry:
- * the force has no step. */
+ * So neither a groove nor an edge creates energy. The slopes of w and of the raised cosines of geometry are continuous,
+ * so the force has no steps. */
 #ifndef HD_SURFACE_H
 #define HD_SURFACE_H
 
@@ -13,15 +14,15 @@
 #include "tick/hd_state.h"
 
 struct hd_dominant_material {
-    const struct hd_material *material; /* that weighs most: whose modes and texture are displayed */
-    double noise_weight;                /* weight of its noise, 1 but near an edge to a material without */
+    const struct hd_material *material; /* the one with the largest weight: its modes and texture are displayed */
+    double noise_weight;                /* gain of its noise: 1, less near an edge to a material without noise */
 };
 
-/* What grooves that are displayed as geometry or drag make of it at s. */
+/* Adds the effect of grooves that are displayed as geometry or drag at s. */
 HD_RT void hd_surface_lower(const struct hd_material *material, double arc_m, double half_length_m,
                             struct hd_surface *surface);
 
-/* One material alone. */
+/* Computes the surface properties of one material. */
 HD_RT static inline void hd_surface_of(const struct hd_material *material, double arc_m, double half_length_m,
                                        struct hd_surface *surface) {
     *surface = (struct hd_surface){
@@ -35,11 +36,11 @@ HD_RT static inline void hd_surface_of(const struct hd_material *material, doubl
     }
 }
 
-/* A wall of several materials. */
+/* Computes the surface properties of a wall with several materials. */
 HD_RT struct hd_dominant_material hd_surface_of_pieces(const struct hd_table *table, const struct hd_object *object,
                                                        double arc_m, double half_length_m, struct hd_surface *surface);
 
-/* The surface of an object at s. `half_length_m` bounds the grooves (discs: pi R). */
+/* Computes the surface properties of an object at s. `half_length_m`: |s| up to which grooves exist (discs: pi R). */
 HD_RT static inline struct hd_dominant_material hd_surface_at(const struct hd_table *table,
                                                               const struct hd_object *object, double arc_m,
                                                               double half_length_m, struct hd_surface *surface) {
@@ -50,7 +51,7 @@ HD_RT static inline struct hd_dominant_material hd_surface_at(const struct hd_ta
     hd_surface_of(material, arc_m, half_length_m, surface);
     return (struct hd_dominant_material){material, 1.0};
 }
-/* The index, among the wall's pieces, of the one that holds s; the object has pieces. */
+/* Returns the index, among the pieces of the object, of the piece that contains s. The object must have pieces. */
 HD_RT uint32_t hd_surface_piece(const struct hd_table *table, const struct hd_object *object, double arc_m);
 
 #endif

@@ -1,8 +1,8 @@
-/* The coloured noise of a surface that is touched: begun, added to the sums of the tick, and ended. */
+/* The coloured noise of a touched surface: started, added to the sums of the tick, and ended. */
 #include "tick/hd_surface_noise.h"
 
-/* What a noise is to sound like in a tick. */
-struct heard {
+/* The noise of the table that is to sound in a tick, with its gain, force and speed. */
+struct target {
     const struct hd_noise *noise;
     const double *numbers;
     double scale_n;
@@ -10,15 +10,16 @@ struct heard {
     double speed_m_per_s;
 };
 
-HD_RT static double hear(struct hd_active_noise *active, const struct heard *heard, int changed, double ramp_step) {
-    const double scale_n = hd_ease(&active->scale_n, heard->scale_n, changed, ramp_step);
-    const double normal_n = hd_ease(&active->normal_n, heard->normal_n, changed, ramp_step);
-    return scale_n * hd_noise_next(active, heard->noise, heard->numbers, heard->speed_m_per_s, normal_n, ramp_step);
+HD_RT static double next_sample_n(struct hd_active_noise *active, const struct target *target, int changed,
+                                  double ramp_step) {
+    const double scale_n = hd_ease(&active->scale_n, target->scale_n, changed, ramp_step);
+    const double normal_n = hd_ease(&active->normal_n, target->normal_n, changed, ramp_step);
+    return scale_n * hd_noise_next(active, target->noise, target->numbers, target->speed_m_per_s, normal_n, ramp_step);
 }
 
-/* The noise of the slot, begun where it does not sound yet; NULL: too many sound. */
-HD_RT static struct hd_active_noise *noise_of(struct hd_context *context, uint32_t index,
-                                              const struct hd_noise *noise) {
+/* Returns the active noise of a slot, started if the slot has none; NULL if too many noises sound. */
+HD_RT static struct hd_active_noise *find_or_start(struct hd_context *context, uint32_t index,
+                                                   const struct hd_noise *noise) {
     struct hd_state *state = context->state;
     struct hd_slot *slot = &state->slots[index];
     if (slot->noise == 0) {
@@ -27,7 +28,7 @@ HD_RT static struct hd_active_noise *noise_of(struct hd_context *context, uint32
         }
         slot->noise = state->free_noises[--state->free_noise_count] + 1u;
         struct hd_active_noise *fresh = &state->noises[slot->noise - 1u];
-        /* A noise that begins again within a contact (on another patch, say) is not the same one again. */
+        /* A noise that starts again within a contact, for example on another patch, gets another salt. */
         hd_noise_start(fresh, noise, context->table->numbers, slot->contacts++ + index * 2654435761u);
         fresh->version = noise->version;
     }
@@ -40,7 +41,7 @@ HD_RT void hd_surface_noise_sound(struct hd_context *context, uint32_t index,
     struct hd_state *state = context->state;
     const struct hd_table *table = context->table;
     const struct hd_noise *noise = &table->noises[dominant->material->noise];
-    struct hd_active_noise *active = noise_of(context, index, noise);
+    struct hd_active_noise *active = find_or_start(context, index, noise);
     if (active == NULL) {
         return;
     }
@@ -53,7 +54,7 @@ HD_RT void hd_surface_noise_sound(struct hd_context *context, uint32_t index,
         active->version = noise->version;
     }
     const double *direction = noise->along_normal ? normal : tangent;
-    const struct heard heard = {
+    const struct target target = {
         .noise = noise,
         .numbers = table->numbers,
         .scale_n = dominant->noise_weight * noise->force_per_unit,
@@ -68,9 +69,9 @@ HD_RT void hd_surface_noise_sound(struct hd_context *context, uint32_t index,
         along = still.direction;
     } else if (eases) {
         still = *active;
-        as_it_was = hear(&still, &heard, 0, 0.0);
+        as_it_was = next_sample_n(&still, &target, 0, 0.0);
     }
-    const double sample = hear(active, &heard, changed, context->ramp_step);
+    const double sample = next_sample_n(active, &target, changed, context->ramp_step);
     context->noise_rms_n += hd_noise_rms(active);
     if (eases) {
         state->change.noise_rms_n += hd_noise_rms(&still) - hd_noise_rms(active);

@@ -1,4 +1,4 @@
-/* The tap of an onset: its amplitude from the approach speed, its mode or waveform, and its strike. */
+/* Taps: amplitude from the approach speed, mode or waveform, and strike. */
 #include "tick/hd_tap.h"
 
 #include "tick/hd_aim.h"
@@ -18,15 +18,16 @@ HD_RT static const struct hd_material *material_at(const struct hd_context *cont
     return &table->materials[material];
 }
 
-/* What strikes the tap of a material, in the unit of its mode. */
-HD_RT static double units_of(const struct hd_table *table, const struct hd_material *material, double approach) {
+/* Returns the strength of a tap in the unit of its mode: the approach speed, or the value interpolated from the table
+ * of the material. */
+HD_RT static double tap_units(const struct hd_table *table, const struct hd_material *material, double approach) {
     const uint32_t count = material->tap_count;
     if (count == 0) {
         return approach;
     }
     const double *speeds = table->numbers + material->tap_first;
     const double *amplitudes = speeds + count;
-    /* The first point that is not slower, or the last one. */
+    /* Finds the first point whose speed is not below the approach speed, or the last one. */
     uint32_t end = 0;
     for (uint32_t last = count - 1u; end < last;) {
         const uint32_t middle = end + (last - end) / 2u;
@@ -47,10 +48,10 @@ HD_RT void hd_tap_strike(struct hd_context *context, uint32_t index, const struc
     struct hd_state *state = context->state;
     const struct hd_slot *slot = &state->slots[index];
     const struct hd_material *material = material_at(context, object, point->arc_m);
-    double units = units_of(context->table, material, approach);
+    double units = tap_units(context->table, material, approach);
     event->amplitude_m_per_s2 = material->tap.amplitude_per_unit * units;
     if (!(units > 0.0)) {
-        return; /* nothing; not even an effect of the device, which would end the one that plays */
+        return; /* a strike of strength 0 would replace a playing effect of the device */
     }
     double peak_time_s = material->tap.peak_time_s;
     const uint32_t struck = state->strike_count;
@@ -72,7 +73,8 @@ HD_RT void hd_tap_strike(struct hd_context *context, uint32_t index, const struc
         hd_aim_strike(state, slot, material->tap_aim, point->normal, &strike);
     }
     if (material->second.force_per_unit > 0.0) {
-        /* The force grows once, to the later of the peaks. Of a first mode that is silent it was not counted. */
+        /* The force grows until the later of the two peaks and must be counted once. The first strike has counted it up
+         * to its peak, unless it is silent. */
         const double counted_s = state->strike_count > struck ? peak_s : 0.0;
         const double longer_s = at_least_0(material->second.peak_time_s - before_s) - counted_s;
         strike.mode = &material->second;

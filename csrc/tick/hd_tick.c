@@ -1,8 +1,8 @@
-/* The tick, top to bottom: sense, ring, touch, strike, limit, fade.
+/* The tick, in the order of its stages: position, ringing modes, contacts, strikes, force limit, gain of the command.
  *
- * Bounded work: it looks at the objects in reach and at the ringing modes once. Whatever it is given, the force it
- * returns is finite and within the table's limit; a NaN or an infinity anywhere latches HD_FAULT_NONFINITE and the
- * force is zero from that tick on. Called by the servo thread and by the offline runs alike. */
+ * The work is bounded: a tick visits the objects in reach and the ringing modes once. For any input the force is finite
+ * and within the table's limit: NaN or infinity at any stage latches HD_FAULT_NONFINITE, and the force is zero from
+ * that tick on. Called by the servo thread and by offline runs. */
 #include "tick/hd_tick.h"
 
 #include "tick/hd_contact.h"
@@ -17,10 +17,10 @@
 #include "tick/hd_stream.h"
 #include "tick/hd_strike.h"
 
-/* Positions are rounded, so that motion at the very limit may seem to exceed it. */
+/* Relative tolerance of the speed limit: rounded positions can make a motion at the limit appear faster. */
 #define HD_SPEED_ROUNDING 1e-9
 
-HD_RT static inline int finite4(const double a[2], const double b[2]) {
+HD_RT static inline int are_finite(const double a[2], const double b[2]) {
     return (a[0] + a[1] + b[0] + b[1]) * 0.0 == 0.0;
 }
 
@@ -33,11 +33,11 @@ HD_RT void hd_sense(struct hd_state *state, const struct hd_table *table, const 
         input->position_m[axis] = position[axis];
         input->true_velocity_m_per_s[axis] = reading->true_velocity_m_per_s[axis];
     }
-    if (!finite4(position, position)) {
+    if (!are_finite(position, position)) {
         hd_velocity_reset(&state->velocity);
         input->velocity_m_per_s[0] = 0.0;
         input->velocity_m_per_s[1] = 0.0;
-        return; /* the tick sees it and latches the fault */
+        return; /* the tick finds the position and latches the fault */
     }
     if (state->located && reading->interval_s > 0.0) {
         const double step[2] = {position[0] - state->position_m[0], position[1] - state->position_m[1]};
@@ -55,8 +55,8 @@ HD_RT void hd_sense(struct hd_state *state, const struct hd_table *table, const 
     }
 }
 
-/* Everything is met as if it had just appeared; but with `resume`, what was pressed is met from the side that it was
- * pressed from. */
+/* Ends all contacts, so that objects are touched as if they had just appeared. With `resume` an object that was pressed
+ * is touched again from the same side. */
 HD_RT static void resynchronise(struct hd_state *state, const struct hd_input *input, int resume) {
     while (state->active_count > 0) {
         const uint32_t index = state->active[state->active_count - 1];
@@ -72,7 +72,7 @@ HD_RT static void resynchronise(struct hd_state *state, const struct hd_input *i
     hd_stream_drop(state);
 }
 
-HD_RT static inline double toward(double value, double target, double step) {
+HD_RT static inline double move_toward(double value, double target, double step) {
     if (value == target) {
         return target;
     }
@@ -82,8 +82,9 @@ HD_RT static inline double toward(double value, double target, double step) {
     return value - step > target ? value - step : target;
 }
 
-/* The tick that met something that is not a number: zero, latched, and nothing of it is remembered. */
-HD_RT static void stop(struct hd_state *state, const struct hd_input *input, uint32_t flags, struct hd_sample *sample) {
+/* Ends a tick in which NaN or infinity was found: the force is zero, the fault is latched, the state is cleared. */
+HD_RT static void stop_at_nonfinite(struct hd_state *state, const struct hd_input *input, uint32_t flags,
+                                    struct hd_sample *sample) {
     hd_modes_silence(state);
     state->strike_count = 0;
     state->played_count = 0;
@@ -103,7 +104,7 @@ HD_RT static void stop(struct hd_state *state, const struct hd_input *input, uin
     state->tick++;
 }
 
-HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_table *table, double felt) {
+HD_RT static uint32_t ramping_flag(const struct hd_state *state, const struct hd_table *table, double felt) {
     int any = state->field_ramp < 1.0 || state->gain != felt ||
               (!state->steady &&
                (state->residual.remaining > 0 || state->show_vibration != (double)table->display_vibration));
@@ -117,27 +118,27 @@ HD_RT static inline int is_ringing(const struct hd_state *state) {
     return (state->active_mode_count | state->wave_count) != 0;
 }
 
-/* What the stages of a tick hand on to each other. */
+/* The data that the stages of a tick hand on to each other. */
 struct tick {
     uint32_t flags;
-    int steady;              /* nothing of a command or of the passivity controller is under way */
-    int watches;             /* the passivity observer does */
-    int restrained;          /* the controller changed what would be felt if every ramp stood still */
+    int steady;              /* no ramp, residual or passivity control is active */
+    int watches;             /* the passivity observer is active */
+    int restrained;          /* the controller changed the force that would be felt with every ramp stopped */
     int eases;               /* vibration is on a ramp */
-    double elapsed;          /* since the last tick, in ramps */
-    double shown;            /* of vibration, at the last tick */
-    double contact_n[2];     /* as it is displayed: its weights, ramps and the controller are in it */
-    double object_n[2];      /* the objects' part of it, where a ramp or the observer needs it */
-    double vibration_n[2];   /* the same of noise and modes */
-    double noise_still_n[2]; /* noise, if every ramp stood still, without the gains of `display` */
+    double elapsed;          /* time since the last tick, in ramp durations */
+    double shown;            /* gain of vibration at the last tick */
+    double contact_n[2];     /* contact force as it is displayed: with its weights, its ramps and the controller */
+    double object_n[2];      /* the part of it that objects exert; set where a ramp or the observer uses it */
+    double vibration_n[2];   /* noise and modes as they are displayed */
+    double noise_still_n[2]; /* noise with every ramp stopped, without the gains of `display` */
     double force_n[2];       /* the command, before its gain */
     struct hd_ramped ramped;
-    struct hd_context context; /* last, because it is large: the others are near the top of the stack */
+    struct hd_context context; /* at the end, because it is large: keeps the other members near the top of the stack */
 };
 
-/* What this tick is of, and since when. */
-HD_RT static inline void begin(struct tick *tick, const struct hd_world *world, struct hd_state *state,
-                               const struct hd_input *input) {
+/* Fills in the context and finds whether the table is new. */
+HD_RT static inline void begin_tick(struct tick *tick, const struct hd_world *world, struct hd_state *state,
+                                    const struct hd_input *input) {
     struct hd_context *context = &tick->context;
     const struct hd_table *table = &world->table;
     context->world = world;
@@ -145,7 +146,7 @@ HD_RT static inline void begin(struct tick *tick, const struct hd_world *world, 
     context->state = state;
     context->input = input;
     context->new_table = state->revision != table->revision || !state->started;
-    /* A ramp counts ticks, not the periods that were missed before it began. */
+    /* A ramp counts ticks: periods that were missed before it began do not shorten it. */
     context->ramp_step = table->ramp_step;
     context->force_n[0] = context->force_n[1] = 0.0;
     context->noise_n[0] = context->noise_n[1] = context->noise_rms_n = 0.0;
@@ -163,8 +164,9 @@ HD_RT static inline void begin(struct tick *tick, const struct hd_world *world, 
     tick->elapsed = (double)input->periods * table->ramp_step;
 }
 
-/* A jump, or a stall longer than the ramp: what was felt before says nothing about now. */
-HD_RT static inline void locate(struct tick *tick) {
+/* Sets the path of the probe. After a jump, or a stall longer than the ramp, contacts are cleared, since the earlier
+ * force does not apply to the new position. */
+HD_RT static inline void locate_probe(struct tick *tick) {
     struct hd_context *context = &tick->context;
     struct hd_state *state = context->state;
     const struct hd_input *input = context->input;
@@ -187,8 +189,8 @@ HD_RT static inline void locate(struct tick *tick) {
     }
 }
 
-/* Time goes on for what rings. */
-HD_RT static inline void advance(struct hd_state *state, uint32_t periods) {
+/* Advances the modes, the waveforms and the effects of the device. */
+HD_RT static inline void advance_vibration(struct hd_state *state, uint32_t periods) {
     if (is_ringing(state)) {
         hd_modes_advance(state, periods);
     }
@@ -197,8 +199,8 @@ HD_RT static inline void advance(struct hd_state *state, uint32_t periods) {
     }
 }
 
-/* The force of objects, fields and stream, into the context. */
-HD_RT static inline void touch(struct tick *tick) {
+/* Adds the forces of objects, fields and stream to the context. */
+HD_RT static inline void add_contact_forces(struct tick *tick) {
     struct hd_context *context = &tick->context;
     hd_narrow_phase(context);
     context->object_n[0] = context->force_n[0];
@@ -210,9 +212,9 @@ HD_RT static inline void touch(struct tick *tick) {
     }
 }
 
-/* The passivity controller's part: of what is felt, and of what would be felt if every ramp stood still. `controlled`:
- * how much of it was done at the last tick. */
-HD_RT static void watch_energy(struct tick *tick, double controlled) {
+/* Runs the passivity observer and controller, on the contact force that is felt and on the one that would be felt with
+ * every ramp stopped. `controlled`: weight of the controller at the last tick. */
+HD_RT static void control_passivity(struct tick *tick, double controlled) {
     struct hd_context *context = &tick->context;
     struct hd_ramped *ramped = &tick->ramped;
     struct hd_state *state = context->state;
@@ -228,7 +230,8 @@ HD_RT static void watch_energy(struct tick *tick, double controlled) {
     tick->restrained = ramped->still_n[0] != still[0] || ramped->still_n[1] != still[1];
 }
 
-HD_RT static void nothing_ramped(struct tick *tick) {
+/* Fills in `ramped` where no ramp of the contact force is active: all of its forces are the contact force. */
+HD_RT static void copy_unramped(struct tick *tick) {
     struct hd_ramped *ramped = &tick->ramped;
     const double shows = (double)tick->context.table->display_force;
     ramped->changed = 0;
@@ -239,19 +242,19 @@ HD_RT static void nothing_ramped(struct tick *tick) {
     }
 }
 
-/* What commands and the passivity controller make of the contact force. */
+/* Applies the ramps of commands and the passivity controller to the contact force. */
 HD_RT static void ramp_contact(struct tick *tick) {
     struct hd_context *context = &tick->context;
     const struct hd_table *table = context->table;
     struct hd_state *state = context->state;
     struct hd_ramped *ramped = &tick->ramped;
-    state->show_vibration = toward(tick->shown, (double)table->display_vibration, context->ramp_step);
+    state->show_vibration = move_toward(tick->shown, (double)table->display_vibration, context->ramp_step);
     const double controlled = state->controls;
     const int controls = table->passivity == HD_PASSIVITY_CONTROL;
     ramped->cuts = controls || controlled > 0.0;
     if (ramped->cuts) {
         const double wanted = controls ? 1.0 : 0.0;
-        state->controls = state->started ? toward(controlled, wanted, context->ramp_step) : wanted;
+        state->controls = state->started ? move_toward(controlled, wanted, context->ramp_step) : wanted;
     }
     const int due = state->change.any || state->change.streams || state->residual.remaining > 0 ||
                     state->show_force != (double)table->display_force || ramped->cuts;
@@ -259,14 +262,14 @@ HD_RT static void ramp_contact(struct tick *tick) {
     tick->watches = table->passivity != HD_PASSIVITY_OFF || ramped->cuts;
     tick->eases = tick->shown != state->show_vibration || state->change.eases;
     if (!ramped->any && (tick->watches || tick->eases)) {
-        nothing_ramped(tick);
+        copy_unramped(tick);
     }
     if (tick->watches) {
-        watch_energy(tick, controlled);
+        control_passivity(tick, controlled);
     }
 }
 
-/* The contact force as it is displayed. */
+/* Computes the contact force as it is displayed. */
 HD_RT static inline void display_contact(struct tick *tick) {
     const struct hd_context *context = &tick->context;
     const struct hd_state *state = context->state;
@@ -284,9 +287,10 @@ HD_RT static inline void display_contact(struct tick *tick) {
     }
 }
 
-/* A strike does not hear of ramps: what it leaves room for is what would be felt if they stood still. What the
- * controller left is within the limit, which is not the scene's doing. Noise leaves room for it. */
-HD_RT static void strike(struct tick *tick) {
+/* Starts the strikes of this tick, scaled to the room within the force limit. Room is left for the contact force that
+ * would be felt with every ramp stopped, so that ramps do not change strikes; where that force was cut to the limit
+ * only for the passivity controller, the uncut force counts. Noise is scaled later and leaves room for strikes. */
+HD_RT static void start_strikes(struct tick *tick) {
     struct hd_state *state = tick->context.state;
     const struct hd_ramped *ramped = &tick->ramped;
     const int alone = ramped->any && ramped->cuts && state->residual.remaining == 0;
@@ -296,8 +300,8 @@ HD_RT static void strike(struct tick *tick) {
     }
 }
 
-/* What is heard of the noise of this tick, and what would be if every ramp stood still. */
-HD_RT static void hear_noise(struct tick *tick) {
+/* Computes the noise of this tick within the limit, and the noise with every ramp stopped. */
+HD_RT static void add_noise(struct tick *tick) {
     const struct hd_context *context = &tick->context;
     const struct hd_ramped *ramped = &tick->ramped;
     const struct hd_table *table = context->table;
@@ -325,15 +329,15 @@ HD_RT static void hear_noise(struct tick *tick) {
     state->noise_gain = gain;
 }
 
-/* Noise and modes, as they are displayed. */
-HD_RT static inline void vibrate(struct tick *tick) {
+/* Computes the vibration, which is noise, modes and waveforms, as it is displayed. */
+HD_RT static inline void add_vibration(struct tick *tick) {
     struct hd_state *state = tick->context.state;
     for (int axis = 0; axis < 2; axis++) {
         tick->vibration_n[axis] = 0.0;
         tick->noise_still_n[axis] = 0.0;
     }
     if (tick->context.noise_rms_n > 0.0 || state->change.eases || state->change.any) {
-        hear_noise(tick);
+        add_noise(tick);
     } else {
         state->noise_gain = 1.0;
     }
@@ -346,7 +350,7 @@ HD_RT static inline void vibrate(struct tick *tick) {
     tick->vibration_n[1] *= state->show_vibration;
 }
 
-/* The command within the limit, while a ramp is under way. `gain_step`: what the gain moves by. */
+/* Computes the command within the limit while a ramp is active. `gain_step`: change of the gain in this tick. */
 HD_RT static void ramp_command(struct tick *tick, double gain_step) {
     struct hd_ramped *ramped = &tick->ramped;
     const struct hd_state *state = tick->context.state;
@@ -360,29 +364,30 @@ HD_RT static void ramp_command(struct tick *tick, double gain_step) {
     hd_ramp_command(&tick->context, ramped, tick->contact_n, tick->vibration_n, still_n, gain_step, tick->force_n,
                     &tick->flags);
     if (tick->restrained && (ramped->held_n[0] != 0.0 || ramped->held_n[1] != 0.0)) {
-        tick->flags |= HD_FLAG_RESTRAINED; /* the command is held at what the controller left */
+        tick->flags |= HD_FLAG_RESTRAINED; /* the command stays at the force that the controller allowed */
     }
 }
 
-/* The passivity observer is told what is commanded from now on. */
-HD_RT static void tell_observer(struct tick *tick) {
+/* Reports the new command to the passivity observer. */
+HD_RT static void record_command(struct tick *tick) {
     struct hd_state *state = tick->context.state;
     const struct hd_ramped *ramped = &tick->ramped;
     double contact_n[2] = {tick->contact_n[0], tick->contact_n[1]};
-    for (int axis = 0; axis < 2 && (ramped->any || tick->eases); axis++) { /* what was held is commanded, too */
+    /* What hd_ramp_command held back is commanded as well. */
+    for (int axis = 0; axis < 2 && (ramped->any || tick->eases); axis++) {
         contact_n[axis] += ramped->held_n[axis];
         tick->object_n[axis] += ramped->held_of_objects ? ramped->held_n[axis] : 0.0;
     }
     hd_passivity_hold(&state->passivity, tick->context.table, state->tick, state->gain, tick->object_n, contact_n);
 }
 
-/* The state goes on, and the sample tells of it. `felt`: the gain on its way to which the command is. */
-HD_RT static inline void finish(struct tick *tick, double felt, double gain, struct hd_sample *sample) {
+/* Updates the state for the next tick and fills the sample. `felt`: the gain that the command moves to. */
+HD_RT static inline void finish_tick(struct tick *tick, double felt, double gain, struct hd_sample *sample) {
     const struct hd_table *table = tick->context.table;
     const struct hd_input *input = tick->context.input;
     struct hd_state *state = tick->context.state;
     if (tick->watches) {
-        tell_observer(tick);
+        record_command(tick);
     }
     if (!tick->steady) {
         state->steady = !tick->watches && state->residual.remaining == 0 && !state->change.any &&
@@ -391,7 +396,7 @@ HD_RT static inline void finish(struct tick *tick, double felt, double gain, str
     }
     sample->flags = tick->flags | (state->active_count > 0 ? HD_FLAG_CONTACT : 0u) |
                     (state->enabled ? HD_FLAG_FORCES_ON : 0u) | (state->faults != 0 ? HD_FLAG_FAULT : 0u) |
-                    ramping(state, table, felt);
+                    ramping_flag(state, table, felt);
     const double *whole_n = tick->ramped.any ? tick->ramped.whole_n : tick->contact_n;
     for (int axis = 0; axis < 2; axis++) {
         sample->position_m[axis] = input->position_m[axis];
@@ -416,24 +421,24 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     sample->revision = table->revision;
     tick.flags = (input->periods != 1 && state->started ? HD_FLAG_SKIPPED : 0u) |
                  (input->interval_s > 0.0 || !state->located ? 0u : HD_FLAG_REPEATED);
-    if (!finite4(input->position_m, input->velocity_m_per_s)) {
-        stop(state, input, tick.flags, sample);
+    if (!are_finite(input->position_m, input->velocity_m_per_s)) {
+        stop_at_nonfinite(state, input, tick.flags, sample);
         return;
     }
-    begin(&tick, world, state, input);
-    locate(&tick);
-    advance(state, input->periods);
-    touch(&tick);
+    begin_tick(&tick, world, state, input);
+    locate_probe(&tick);
+    advance_vibration(state, input->periods);
+    add_contact_forces(&tick);
     display_contact(&tick);
     if (state->strike_count > 0) {
-        strike(&tick);
+        start_strikes(&tick);
     }
-    vibrate(&tick);
+    add_vibration(&tick);
 
     const int checking = input->checking && state->enabled;
     const double felt = state->enabled && !checking ? 1.0 : 0.0;
-    /* Only on its way out does the command hurry: zero is due by the clock. */
-    const double gain = toward(state->gain, felt, felt > 0.0 ? tick.context.ramp_step : tick.elapsed);
+    /* Fading out counts missed periods, so that the force reaches zero in time; fading in counts ticks. */
+    const double gain = move_toward(state->gain, felt, felt > 0.0 ? tick.context.ramp_step : tick.elapsed);
     if (tick.ramped.any || tick.eases) {
         ramp_command(&tick, gain - state->gain);
     } else {
@@ -445,13 +450,13 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         tick.force_n[0] = cut * input->check_n[0];
         tick.force_n[1] = cut * input->check_n[1];
     }
-    if (!finite4(tick.force_n, tick.contact_n)) {
-        stop(state, input, tick.flags, sample);
+    if (!are_finite(tick.force_n, tick.contact_n)) {
+        stop_at_nonfinite(state, input, tick.flags, sample);
         return;
     }
     state->gain = gain;
     tick.flags |= checking ? HD_FLAG_CHECKING : 0u;
-    finish(&tick, felt, checked ? 1.0 : gain, sample);
+    finish_tick(&tick, felt, checked ? 1.0 : gain, sample);
 }
 
 HD_RT int hd_tick_play(struct hd_state *state, const struct hd_mode *mode, const double direction[2],

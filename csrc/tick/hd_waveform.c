@@ -1,21 +1,21 @@
-/* Waveforms of taps are started, played from tick to tick, bounded and ended. Those that play are dense, in no order.
- * Behind them lie those that are free, which keep their blocks of samples, so that ending one exchanges two small
- * records and moves no samples. */
+/* Waveforms of taps: started, played from tick to tick, bounded and ended. Playing waveforms are dense and unordered.
+ * The free ones lie behind them and keep their blocks of samples, so that ending a waveform exchanges two small records
+ * and moves no samples. */
 #include "tick/hd_waveform.h"
 
 #include <math.h>
 
 #include "base/hd_vector.h"
 
-/* Force per unit whose square could become subnormal. */
+/* Squares of a force per unit below this, N^2, could become subnormal. */
 #define HD_WAVE_SMALLEST_SQUARE 1e-290
 
-/* Where on the curve it is in this tick, in samples. */
-HD_RT static double place_of(const struct hd_wave *wave) {
+/* Returns the position of a waveform on its curve in this tick, in samples. */
+HD_RT static double curve_position(const struct hd_wave *wave) {
     return (double)wave->ticks * wave->step + wave->begin;
 }
 
-/* `samples` begin with the 0 before the first one; 0 <= place < count - 1. */
+/* Returns the value of the curve. `samples` start with the 0 before the first one; 0 <= place < count - 1. */
 HD_RT static double curve_at(const double *samples, double place) {
     const uint32_t k = (uint32_t)place;
     const double x = place - (double)k;
@@ -28,8 +28,8 @@ HD_RT static double curve_at(const double *samples, double place) {
     return from + 0.5 * x * (to - before + x * (square + x * cubic));
 }
 
-HD_RT static void add(struct hd_state *state, const struct hd_wave *wave, double sign) {
-    const double value = sign * curve_at(state->wave_blocks[wave->block].samples, place_of(wave));
+HD_RT static void add_sample(struct hd_state *state, const struct hd_wave *wave, double sign) {
+    const double value = sign * curve_at(state->wave_blocks[wave->block].samples, curve_position(wave));
     state->ringing_n[0] += value * wave->force_n[0];
     state->ringing_n[1] += value * wave->force_n[1];
 }
@@ -46,8 +46,8 @@ HD_RT void hd_waves_advance(struct hd_state *state, uint32_t periods) {
     while (i < state->wave_count) {
         struct hd_wave *wave = &state->waves[i];
         wave->ticks += periods;
-        if (place_of(wave) < wave->end) {
-            add(state, wave, 1.0);
+        if (curve_position(wave) < wave->end) {
+            add_sample(state, wave, 1.0);
             i++;
         } else {
             remove_wave(state, i);
@@ -59,26 +59,26 @@ HD_RT double hd_waves_bound(const struct hd_state *state) {
     double bound = 0.0;
     for (uint32_t i = 0; i < state->wave_count; i++) {
         const struct hd_wave *wave = &state->waves[i];
-        const uint32_t part = (uint32_t)(place_of(wave) / wave->end * (double)HD_WAVE_PARTS);
+        const uint32_t part = (uint32_t)(curve_position(wave) / wave->end * (double)HD_WAVE_PARTS);
         const double peak = state->wave_blocks[wave->block].peaks[part < HD_WAVE_PARTS ? part : HD_WAVE_PARTS - 1u];
         bound += peak * hd_root(hd_dot(wave->force_n, wave->force_n));
     }
     return bound;
 }
 
-/* The one that is nearest its end is given up. */
-HD_RT static void make_room(struct hd_state *state) {
+/* Ends the waveform that is nearest its end. */
+HD_RT static void drop_nearest_end(struct hd_state *state) {
     uint32_t nearest = 0;
     double least = (double)INFINITY;
     for (uint32_t i = 0; i < state->wave_count; i++) {
         const struct hd_wave *wave = &state->waves[i];
-        const double remaining = (wave->end - place_of(wave)) / wave->step; /* ticks */
+        const double remaining = (wave->end - curve_position(wave)) / wave->step; /* ticks */
         if (remaining < least) {
             least = remaining;
             nearest = i;
         }
     }
-    add(state, &state->waves[nearest], -1.0);
+    add_sample(state, &state->waves[nearest], -1.0);
     remove_wave(state, nearest);
 }
 
@@ -89,10 +89,10 @@ HD_RT void hd_waves_strike(struct hd_state *state, const struct hd_table *table,
     const double begin = strike->before_s * material->wave_rate_hz;
     const double end = (double)(count - 1u);
     if (!(begin < end) || !(hd_dot(force_n, force_n) > HD_WAVE_SMALLEST_SQUARE)) {
-        return; /* over before this tick, or nothing */
+        return; /* ended before this tick, or too small */
     }
     if (state->wave_count == HD_WAVE_CAPACITY) {
-        make_room(state);
+        drop_nearest_end(state);
     }
     struct hd_wave *wave = &state->waves[state->wave_count++];
     wave->force_n[0] = force_n[0];
@@ -111,7 +111,7 @@ HD_RT void hd_waves_strike(struct hd_state *state, const struct hd_table *table,
     for (uint32_t i = 0; i < HD_WAVE_PARTS; i++) {
         block->peaks[i] = numbers[count + i];
     }
-    add(state, wave, 1.0);
+    add_sample(state, wave, 1.0);
 }
 
 HD_RT void hd_waves_scale(struct hd_state *state, double factor) {
@@ -120,5 +120,3 @@ HD_RT void hd_waves_scale(struct hd_state *state, double factor) {
         state->waves[i].force_n[1] *= factor;
     }
 }
-
-/* ---- Checks ------------------------------------------------------------------------------------------------- */

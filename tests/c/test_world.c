@@ -320,14 +320,14 @@ static void refuses_scalars(struct hd_world *world) {
     NOT_WITHIN(bad.table.period_s, 0.9e-6, 1.1, "period");
     NOT_WITHIN(bad.table.max_force_n, 0.0, 2e6, "force limit");
     NOT_WITHIN(bad.table.max_speed_m_per_s, -1.0, (double)INFINITY, "speed limit");
-    NOT_WITHIN(bad.table.rearm_m, -1e-9, 1.1, "tap");
+    NOT_WITHIN(bad.table.rearm_m, -1e-9, 1.1, "rearm distance");
     NOT_WITHIN(bad.table.ramp_s, 0.0, 1e4, "ramp");
     NOT_WITHIN(bad.table.ramp_step, 0.04, 0.06, "ramp step");
     REFUSED((bad.table.ramp_s = 5e-4, bad.table.ramp_step = 2.0), "shorter than a period");
     REFUSED(bad.table.display_force = 2, "display");
     REFUSED(bad.table.display_vibration = 2, "display");
     REFUSED(bad.table.passivity = 3, "passivity");
-    REFUSED(bad.table.report_age = HD_PASSIVITY_AGE_MAX + 1, "periods old");
+    REFUSED(bad.table.report_age = HD_PASSIVITY_AGE_MAX + 1, "age of reports");
     NOT_WITHIN(bad.table.brake_n_s_per_m, -1.0, 2e9, "brake");
     NOT_WITHIN(bad.table.handle_damping_n_s_per_m, -1.0, 2e9, "handle's damping");
     NOT_WITHIN(bad.table.handle_friction_n, -1.0, 2e9, "friction");
@@ -335,11 +335,11 @@ static void refuses_scalars(struct hd_world *world) {
     NOT_WITHIN(bad.table.field.force_n[1], -2e9, 2e9, "field");
     NOT_WITHIN(bad.table.field.stiffness_n_per_m, -2e9, 2e9, "field");
     NOT_WITHIN(bad.table.field.damping_n_s_per_m, -2e9, 2e9, "field");
-    REFUSED(bad.table.objects = NULL, "without records");
-    REFUSED(bad.table.materials = NULL, "without records");
-    REFUSED(bad.table.pieces = NULL, "without records");
-    REFUSED(bad.table.noises = NULL, "without records");
-    REFUSED(bad.table.numbers = NULL, "without records");
+    REFUSED(bad.table.objects = NULL, "NULL");
+    REFUSED(bad.table.materials = NULL, "NULL");
+    REFUSED(bad.table.pieces = NULL, "NULL");
+    REFUSED(bad.table.noises = NULL, "NULL");
+    REFUSED(bad.table.numbers = NULL, "NULL");
     REFUSED(bad.table.object_count = 0x80000000u, "at most");
 }
 
@@ -348,7 +348,7 @@ static void refuses_objects(struct hd_world *world) {
     struct scene bad;
 
     make_scene(&good);
-    REFUSED(bad.objects[1].shape = HD_SHAPE_DISC + 1, "object 1: shape 5");
+    REFUSED(bad.objects[1].shape = HD_SHAPE_DISC + 1, "object 1: unknown shape 5");
     for (uint32_t i = 0; i < 6; i++) {
         if (i == 1)
             continue;
@@ -358,7 +358,7 @@ static void refuses_objects(struct hd_world *world) {
         NOT_WITHIN(bad.objects[i].normal[1], -1.001, 1.001, "unit vector");
         NOT_WITHIN(bad.objects[i].half_m[0], -0.001, 2e9, "half");
         NOT_WITHIN(bad.objects[i].half_m[1], -0.001, 2e9, "half");
-        REFUSED(bad.objects[i].material = 5, "material 5 of 5");
+        REFUSED(bad.objects[i].material = 5, "material 5 does not exist; there are 5");
         REFUSED(bad.objects[i].piece_count = 1, "pieces");
     }
     REFUSED(bad.objects[0].half_m[0] = 1e-3, "half");
@@ -368,7 +368,7 @@ static void refuses_objects(struct hd_world *world) {
     REFUSED(bad.objects[3].half_m[1] = 1e-300, "half");
     REFUSED(bad.objects[4].half_m[0] = bad.objects[4].half_m[1] = 0.0, "half");
     REFUSED(bad.objects[4].half_m[0] = 0.006, "half");
-    REFUSED((bad.objects[3].piece_first = 1, bad.objects[3].piece_count = 3), "a wall has none or at least 2");
+    REFUSED((bad.objects[3].piece_first = 1, bad.objects[3].piece_count = 3), "a wall has 0 or at least 2");
     REFUSED(bad.table.material_count = 0, "material");
     TAKEN(bad.objects[3].half_m[1] = 1e-9);
     TAKEN(bad.objects[1].half_m[0] = 2e9);
@@ -382,20 +382,20 @@ static void refuses_pieces(struct hd_world *world) {
     struct scene bad;
 
     make_scene(&good);
-    REFUSED(bad.objects[0].piece_count = 4, "of 4");
-    REFUSED(bad.objects[0].piece_first = 5, "of 4");
-    REFUSED(bad.objects[0].piece_first = UINT32_MAX, "of 4");
-    REFUSED(bad.objects[0].piece_count = UINT32_MAX, "of 4");
-    REFUSED(bad.table.piece_count = 3, "of 3");
-    REFUSED(bad.pieces[1].material = 5, "piece 0: material 5 of 5");
+    REFUSED(bad.objects[0].piece_count = 4, "there are 4");
+    REFUSED(bad.objects[0].piece_first = 5, "there are 4");
+    REFUSED(bad.objects[0].piece_first = UINT32_MAX, "there are 4");
+    REFUSED(bad.objects[0].piece_count = UINT32_MAX, "there are 4");
+    REFUSED(bad.table.piece_count = 3, "there are 3");
+    REFUSED(bad.pieces[1].material = 5, "piece 0: material 5 does not exist");
     REFUSED(bad.pieces[3].material = UINT32_MAX, "piece 2: material");
-    NOT_WITHIN(bad.pieces[2].from_m, -2e9, 2e9, "piece 1: begins");
-    NOT_WITHIN(bad.pieces[2].half_ramp_m, 0.0, 2e9, "piece 1: begins");
+    NOT_WITHIN(bad.pieces[2].from_m, -2e9, 2e9, "piece 1: start");
+    NOT_WITHIN(bad.pieces[2].half_ramp_m, 0.0, 2e9, "piece 1: start");
     NOT_WITHIN(bad.pieces[3].from_m, 0.0149, -(double)INFINITY, "piece 2");
     NOT_WITHIN(bad.pieces[3].half_ramp_m, -0.001, 0.00301, "piece 2");
     REFUSED((bad.pieces[2].from_m = bad.pieces[3].from_m = 0.0,
              bad.pieces[2].half_ramp_m = bad.pieces[3].half_ramp_m = 1e-9),
-            "not beyond the one before");
+            "must follow the one before");
     /* Ramps that meet exactly, but not in binary; a first piece whose numbers mean nothing. */
     TAKEN(bad.pieces[3].from_m = nextafter(0.015, 0.0));
     TAKEN(bad.pieces[1].from_m = (double)INFINITY);
@@ -410,7 +410,7 @@ static void refuses_materials(struct hd_world *world) {
     struct hd_material *material = &bad.materials[1];
 
     make_scene(&good);
-    REFUSED(material->texture = HD_TEXTURE_NOISE + 1, "material 1: texture 5");
+    REFUSED(material->texture = HD_TEXTURE_NOISE + 1, "material 1: unknown texture 5");
     REFUSED(material->heals = 2, "heals");
     NOT_WITHIN(material->tap_aim[0], -2.0, 0.5, "aim");
     NOT_WITHIN(material->rupture_aim[1], -0.9, 1.1, "aim");
@@ -431,9 +431,9 @@ static void refuses_materials(struct hd_world *world) {
         REFUSED(bad.materials[i].width_m = 0.0, "grooves");
         REFUSED(bad.materials[i].width_m = 0.0021, "grooves");
     }
-    REFUSED(bad.materials[4].noise = 1, "material 4: noise 1 of 1");
-    REFUSED(bad.table.noise_count = 0, "material 4: noise 0 of 0");
-    REFUSED((material->tap_count = HD_TAP_POINTS + 1), "points, at most");
+    REFUSED(bad.materials[4].noise = 1, "material 4: noise 1 does not exist");
+    REFUSED(bad.table.noise_count = 0, "material 4: noise 0 does not exist");
+    REFUSED((material->tap_count = HD_TAP_POINTS + 1), "points; there must be at most");
     REFUSED((WITH_TAP, material->tap_first++), "do not fit");
     REFUSED((WITH_TAP, material->tap_first = UINT32_MAX), "do not fit");
     REFUSED((WITH_TAP, bad.numbers[TAP_FIRST] = 0.0), "point 0");
@@ -445,17 +445,17 @@ static void refuses_materials(struct hd_world *world) {
     TAKEN((material->tap_count = 0, material->tap_first = UINT32_MAX));
     TAKEN(WITH_WAVE);
     TAKEN((material->wave_count = 0, material->wave_first = UINT32_MAX));
-    REFUSED((WITH_WAVE, material->wave_count = 2), "a waveform of 2 samples");
+    REFUSED((WITH_WAVE, material->wave_count = 2), "waveform has 2 samples");
     REFUSED((WITH_WAVE, material->wave_count = HD_WAVE_SAMPLES + 1), "3 to 512");
     REFUSED((WITH_WAVE, material->wave_first++), "do not fit");
     REFUSED((WITH_WAVE, material->wave_first = UINT32_MAX), "do not fit");
-    REFUSED((WITH_WAVE, material->wave_rate_hz = 0.0), "samples a second");
-    REFUSED((WITH_WAVE, material->wave_rate_hz = (double)NAN), "samples a second");
+    REFUSED((WITH_WAVE, material->wave_rate_hz = 0.0), "Hz of its waveform");
+    REFUSED((WITH_WAVE, material->wave_rate_hz = (double)NAN), "Hz of its waveform");
     REFUSED((WITH_WAVE, WAVE(1) = (double)NAN), "number 1 of its waveform");
     REFUSED((WITH_WAVE, WAVE(2) = 2e9), "number 2 of its waveform");
     REFUSED((WITH_WAVE, WAVE(4) = -1.0), "number 4 of its waveform");
-    REFUSED((WITH_WAVE, WAVE(0) = 0.1), "begins and ends with 0");
-    REFUSED((WITH_WAVE, WAVE(3) = 0.1), "begins and ends with 0");
+    REFUSED((WITH_WAVE, WAVE(0) = 0.1), "must begin and end with 0");
+    REFUSED((WITH_WAVE, WAVE(3) = 0.1), "must begin and end with 0");
     TAKEN(WITH_TUNE);
     TAKEN((WITH_TUNE, material->tune_mutes = 1, material->tune_nodes = 0));
     REFUSED((WITH_TUNE, material->tune_speeds = HD_TUNE_POINTS + 1), "1 to 16");
@@ -471,14 +471,14 @@ static void refuses_materials(struct hd_world *world) {
     REFUSED((WITH_TUNE, TUNE(5) = 0.0), "do not rise");
     REFUSED((WITH_TUNE, TUNE(6) = (double)INFINITY), "out of range");
     REFUSED((WITH_TUNE, TUNE(15) = -1e-9), "peak below 0");
-    REFUSED((WITH_TUNE, material->tune_highest_rad_per_s = 0.0), "groove frequencies up to");
-    REFUSED((WITH_TUNE, material->tune_mutes = 2), "groove frequencies up to");
-    REFUSED((WITH_TUNE, material->groove = (struct hd_mode){0}), "groove frequencies up to");
+    REFUSED((WITH_TUNE, material->tune_highest_rad_per_s = 0.0), "highest groove frequency");
+    REFUSED((WITH_TUNE, material->tune_mutes = 2), "highest groove frequency");
+    REFUSED((WITH_TUNE, material->groove = (struct hd_mode){0}), "highest groove frequency");
     TAKEN(WITH_MODES);
     TAKEN((WITH_MODES, material->mode_by_peak = 1, material->mode_nodes = 0));
     REFUSED((WITH_MODES, material->mode_count = HD_TUNE_POINTS + 1), "1 to 16");
     REFUSED((WITH_MODES, material->mode_nodes = HD_TUNE_NODES + 1), "at most 64");
-    REFUSED((WITH_MODES, material->mode_by_peak = 2), "a tap's mode");
+    REFUSED((WITH_MODES, material->mode_by_peak = 2), "mode_by_peak");
     REFUSED((WITH_MODES, WITH_WAVE), "no waveform");
     REFUSED((WITH_MODES, material->mode_first++), "do not fit");
     REFUSED((WITH_MODES, material->mode_first = UINT32_MAX), "do not fit");
