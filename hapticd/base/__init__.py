@@ -32,5 +32,5 @@ Questions, and where to begin:
     Where does a validation error get its words and its line?
         model (faults_of) has pydantic's words and the place; yaml_source (Document) knows the lines.
     How is a file written atomically?
-        files (write_whole, whole_file).
+        files (write_atomically, atomic_file).
 """

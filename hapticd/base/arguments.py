@@ -14,7 +14,7 @@ from hapticd.base.codec import MAX_DEPTH
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text, shown
 
 
-def wrong(where: str, problem: str) -> InvalidError:
+def invalid_argument(where: str, problem: str) -> InvalidError:
     """Return the error for one invalid argument."""
     return InvalidError([Problem(where, problem)])
 
@@ -24,7 +24,7 @@ def seconds(name: str, value: object, *, zero: bool = False) -> float:
     number = _number(value)
     if number is None or not 0 <= number < math.inf or (number == 0 and not zero):
         least = "of at least 0" if zero else "of more than 0"
-        raise wrong(name, f"must be a number of seconds {least}, is {shown(value)}")
+        raise invalid_argument(name, f"must be a number of seconds {least}, is {shown(value)}")
     return number
 
 
@@ -32,7 +32,7 @@ def within(name: str, value: object, most: float, unit: str) -> float:
     """Check a number from -`most` to `most`. Raises InvalidError."""
     number = _number(value)
     if number is None or not -most <= number <= most:
-        raise wrong(name, f"must be a number from {-most:g} to {most:g} {unit}, is {shown(value)}")
+        raise invalid_argument(name, f"must be a number from {-most:g} to {most:g} {unit}, is {shown(value)}")
     return number
 
 
@@ -40,24 +40,24 @@ def flag(name: str, value: object) -> bool:
     """Check a truth value, Python's or numpy's. Raises InvalidError."""
     made = value.tolist() if hasattr(value, "tolist") else value
     if not isinstance(made, bool):
-        raise wrong(name, f"must be True or False, is {shown(value)}")
+        raise invalid_argument(name, f"must be True or False, is {shown(value)}")
     return made
 
 
 def path(name: str, value: object) -> str:
     """Check the path of a file or a folder. Raises InvalidError."""
     if not isinstance(value, str | os.PathLike):
-        raise wrong(name, f"must be a path, is {shown(value)}")
+        raise invalid_argument(name, f"must be a path, is {shown(value)}")
     found = os.fspath(value)
     if not isinstance(found, str) or not found or "\0" in found:
-        raise wrong(name, f"must be a path, is {shown(found) if found else 'empty'}")
+        raise invalid_argument(name, f"must be a path, is {shown(found) if found else 'empty'}")
     return found
 
 
 def mapping(name: str, value: object) -> dict[str, object]:
     """Check a mapping, and return it as a dict. Raises InvalidError."""
     if not isinstance(value, Mapping):
-        raise wrong(name, f"must be a mapping, is {shown(value)}")
+        raise invalid_argument(name, f"must be a mapping, is {shown(value)}")
     return dict(value)
 
 
@@ -67,7 +67,7 @@ def numbers(name: str, value: object) -> list[float]:
     for place, each in enumerate(_items(name, value, "numbers")):
         number = _number(each)
         if number is None:
-            raise wrong(f"{name}[{place}]", f"must be a number, is {shown(each)}")
+            raise invalid_argument(f"{name}[{place}]", f"must be a number, is {shown(each)}")
         found.append(number)
     return found
 
@@ -82,7 +82,7 @@ def texts(name: str, value: object) -> list[str]:
     found = []
     for place, each in enumerate(_items(name, value, "texts")):
         if not isinstance(each, str):
-            raise wrong(f"{name}[{place}]", f"must be a text, is {shown(each)}")
+            raise invalid_argument(f"{name}[{place}]", f"must be a text, is {shown(each)}")
         found.append(each)
     return found
 
@@ -91,7 +91,7 @@ def one_of(name: str, value: object, known: Iterable[str]) -> None:
     """Raise InvalidError unless `value` is one of the `known` names."""
     names = tuple(known)
     if not isinstance(value, str) or value not in names:
-        raise wrong(name, f"unknown {name} {shown(value)}; {known_names(str(value), names)}")
+        raise invalid_argument(name, f"unknown {name} {shown(value)}; {known_names(str(value), names)}")
 
 
 def plain(where: Path, value: object) -> Any:
@@ -100,33 +100,33 @@ def plain(where: Path, value: object) -> Any:
     Raises InvalidError with the place of a value that JSON cannot hold.
     """
     if len(where) > MAX_DEPTH:
-        raise wrong(path_text(where[:1]), f"must not be nested deeper than {MAX_DEPTH}")
+        raise invalid_argument(path_text(where[:1]), f"must not be nested deeper than {MAX_DEPTH}")
     match value:
         case None | bool():
             return value
         case str():
             if not _is_utf8(value):
-                raise wrong(path_text(where), f"must be text that UTF-8 can hold, is {shown(value)}")
+                raise invalid_argument(path_text(where), f"must be text that UTF-8 can hold, is {shown(value)}")
             return value
         case int():
             if not -(2**63) <= value < 2**64:
-                raise wrong(path_text(where), f"must be an integer of at most 64 bits, is {shown(value)}")
+                raise invalid_argument(path_text(where), f"must be an integer of at most 64 bits, is {shown(value)}")
             return int(value)
         case float():
             if not math.isfinite(value):
-                raise wrong(path_text(where), f"must be finite, is {float(value)}")
+                raise invalid_argument(path_text(where), f"must be finite, is {float(value)}")
             return float(value)
         case Mapping():
             for key in value:
                 if not isinstance(key, str) or not _is_utf8(key):
-                    raise wrong(path_text(where), f"must have texts as keys, has {shown(key)}")
+                    raise invalid_argument(path_text(where), f"must have texts as keys, has {shown(key)}")
             return {str(key): plain((*where, key), inner) for key, inner in value.items()}
         case list() | tuple():
             return [plain((*where, place), inner) for place, inner in enumerate(value)]
     tolist = getattr(value, "tolist", None)  # numpy's scalars and arrays
     made = None if tolist is None else tolist()
     if made is None or isinstance(made, type(value)):
-        raise wrong(path_text(where), f"must be what JSON can hold, is {shown(value)}")
+        raise invalid_argument(path_text(where), f"must be what JSON can hold, is {shown(value)}")
     return plain(where, made)
 
 
@@ -140,7 +140,7 @@ def _is_utf8(text: str) -> bool:
 
 def _items(name: str, value: object, what: str) -> list[object]:
     if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
-        raise wrong(name, f"must be a list of {what}, is {shown(value)}")
+        raise invalid_argument(name, f"must be a list of {what}, is {shown(value)}")
     return list(value)
 
 

@@ -67,7 +67,7 @@ def lines_of(problems: Sequence[Problem]) -> list[str]:
     return [*map(str, problems[:_MAX_SHOWN_PROBLEMS]), *([f"and {hidden} more"] if hidden > 0 else [])]
 
 
-def on_one_line(text: str) -> str:
+def collapse_whitespace(text: str) -> str:
     """Replace each run of white space of a text, line breaks included, by one space."""
     return " ".join(text.split())
 

@@ -64,16 +64,16 @@ def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
         raise HapticdError(f"{name}: cannot be written: the folder {folder} does not exist")
 
 
-def write_whole(
+def write_atomically(
     path: str | os.PathLike[str], content: str | bytes, overwrite: bool, *, mode: int = 0o666, synced: bool = False
 ) -> None:
-    """Write a file atomically, with the arguments of `whole_file`. Raises HapticdError."""
-    with whole_file(path, overwrite, mode=mode, synced=synced) as file:
+    """Write a file atomically, with the arguments of `atomic_file`. Raises HapticdError."""
+    with atomic_file(path, overwrite, mode=mode, synced=synced) as file:
         file.write(content.encode() if isinstance(content, str) else content)
 
 
 @contextmanager
-def whole_file(
+def atomic_file(
     path: str | os.PathLike[str], overwrite: bool, *, mode: int = 0o666, synced: bool = False
 ) -> Iterator[BinaryIO]:
     """Open a file to write to, which gets the name `path` at the end of the block; if that fails, `path` is unchanged.
@@ -83,7 +83,7 @@ def whole_file(
     """
     check_regular(path)
     target = Path(os.path.realpath(path))
-    part = hidden_beside(target)
+    part = temporary_path(target)
     try:
         try:
             with create(part, mode) as file:
@@ -91,7 +91,7 @@ def whole_file(
                 file.flush()
                 if synced:
                     os.fsync(file.fileno())
-            placed = give_name(part, target, overwrite)
+            placed = rename_to_free_name(part, target, overwrite)
         finally:
             part.unlink(missing_ok=True)
     except OSError as error:
@@ -100,7 +100,7 @@ def whole_file(
         raise HapticdError(displaced(path, placed))
 
 
-def hidden_beside(target: Path) -> Path:
+def temporary_path(target: Path) -> Path:
     """Return an unused hidden path in the target's folder: `.NAME.PROCESS.RANDOM.part`."""
     return target.with_name(f".{target.name}.{os.getpid()}.{secrets.token_hex(8)}.part")
 
@@ -110,7 +110,7 @@ def create(path: Path, mode: int = 0o666, buffering: int = -1) -> BinaryIO:
     return open(path, "w+b", buffering, opener=lambda name, _: os.open(name, _NEW_FILE_FLAGS, mode))
 
 
-def give_name(part: Path, target: Path, overwrite: bool) -> Path:
+def rename_to_free_name(part: Path, target: Path, overwrite: bool) -> Path:
     """Rename a finished file to `target`, or to NAME-2.ENDING and so on if that is taken, and return the path.
 
     With `overwrite` a regular file is replaced. Raises OSError; `part` is unchanged then.

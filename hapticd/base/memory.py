@@ -15,7 +15,7 @@ Such buffers do not fragment the heap then: no smaller block is allocated betwee
 """
 
 
-def settle(large_block: int = MIN_RETURNED_BLOCK_BYTES) -> None:
+def return_large_blocks(large_block: int = MIN_RETURNED_BLOCK_BYTES) -> None:
     """Have the C library take blocks of at least `large_block` bytes from the kernel, and return them when freed.
 
     Holds for the process from now on. Raises HapticdError if the C library refuses the size.

@@ -86,7 +86,7 @@ class Document:
             marks = None if marks is None else marks.children.get(element)
             near = near if marks is None else marks
         line, column = (1, 1) if near is None else (near.line, near.column)
-        return f"{one_line(self.name or '')}:{line}:{column}"
+        return f"{printable(self.name or '')}:{line}:{column}"
 
     def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
         """Return a path as it is in the file, without the keys that `below` added."""
@@ -126,15 +126,15 @@ def read_file(name: str, most: int) -> bytes:
         with open(name, "rb") as file:
             return file.read(most + 1)
     except OSError as error:
-        raise HapticdError(f"{one_line(name)}: cannot be read: {error.strerror}") from None
+        raise HapticdError(f"{printable(name)}: cannot be read: {error.strerror}") from None
     except ValueError as error:
-        raise HapticdError(f"{one_line(name)}: cannot be read: {error}") from None
+        raise HapticdError(f"{printable(name)}: cannot be read: {error}") from None
 
 
 def load_bytes(content: bytes, name: str) -> Document:
     """Parse a YAML document in UTF-8. Raises InvalidError as load_path does."""
     if content.startswith(b"PK\x03\x04"):
-        raise InvalidError([Problem(one_line(name), "an archive, not YAML; for a recording use: hapticd replay")])
+        raise InvalidError([Problem(printable(name), "an archive, not YAML; for a recording use: hapticd replay")])
     return _parse(text_of(content, name, MAX_YAML_BYTES), name, _YAML_LOADER)
 
 
@@ -289,10 +289,10 @@ def _line_column(before: str) -> tuple[int, int]:
     return len(lines) - 1, len(lines[-1])
 
 
-def one_line(text: str) -> str:
+def printable(text: str) -> str:
     """Return a file's name or other text for a message: quoted if it has unprintable characters, else unchanged."""
     return text if text.isprintable() else quoted(text)
 
 
 def _refusal(name: str, line: int, column: int, problem: str) -> InvalidError:
-    return InvalidError([Problem(f"{one_line(name)}:{line + 1}:{column + 1}", one_line(problem))])
+    return InvalidError([Problem(f"{printable(name)}:{line + 1}:{column + 1}", printable(problem))])

@@ -12,7 +12,7 @@ import click
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, quoted
-from hapticd.base.files import check_new, write_whole
+from hapticd.base.files import check_new, write_atomically
 from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Finite,
@@ -227,7 +227,7 @@ def calibrate_command(
     text = yaml_text(section)
     print_result(section, as_json, text)  # first, since the file may fail
     if output is not None:
-        write_whole(output, text + "\n", overwrite)
+        write_atomically(output, text + "\n", overwrite)
 
 
 @devices_command.command("parse", short_help="Show the axes and forces in a report descriptor.")

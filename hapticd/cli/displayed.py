@@ -9,7 +9,7 @@ import click
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_new, write_whole
+from hapticd.base.files import check_new, write_atomically
 from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Finite,
@@ -216,9 +216,9 @@ def calibrate_command(
         if table_on_stderr:
             click.echo(yaml_text(section))
     if output is not None:
-        write_whole(output, yaml_text(section) + "\n", overwrite)
+        write_atomically(output, yaml_text(section) + "\n", overwrite)
     if plot is not None:
-        write_whole(plot, handle.picture(found, plot), overwrite)
+        write_atomically(plot, handle.picture(found, plot), overwrite)
 
 
 def _ask_for(recording: str, asks: bool) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_new, write_whole
+from hapticd.base.files import check_new, write_atomically
 from hapticd.cli.common import json_option, note, overwrite_option, print_json
 
 if TYPE_CHECKING:
@@ -50,9 +50,9 @@ def analyze_command(
     for name in files:
         check_new(str(Path(csv_folder or "") / name), overwrite)
     if output is not None:
-        write_whole(output, report.page(found), overwrite)
+        write_atomically(output, report.page(found), overwrite)
     for name, text in files.items():
-        write_whole(str(Path(csv_folder or "") / name), text, overwrite)
+        write_atomically(str(Path(csv_folder or "") / name), text, overwrite)
     if as_json:
         print_json(found.to_dict())
     else:

@@ -13,7 +13,7 @@ import sys
 
 import click
 
-from hapticd.base.errors import HapticdError, InvalidError, lines_of, on_one_line
+from hapticd.base.errors import HapticdError, InvalidError, collapse_whitespace, lines_of
 
 
 def report_error(error: Exception, as_json: bool) -> int:
@@ -28,7 +28,7 @@ def report_error(error: Exception, as_json: bool) -> int:
         return exit_code
     on_terminal = sys.stderr is not None and sys.stderr.isatty()
     for line in lines_of(problems) if len(problems) > 1 and on_terminal else [message]:
-        print("hapticd:", on_one_line(line), file=sys.stderr)
+        print("hapticd:", collapse_whitespace(line), file=sys.stderr)
     return exit_code
 
 
@@ -51,7 +51,7 @@ def _message(error: Exception, as_json: bool) -> str:
             if str(error) != threads.THREAD_START_ERROR:
                 raise error
             text = threads.refused()
-    return on_one_line(text)
+    return collapse_whitespace(text)
 
 
 def _code(error: Exception) -> int | None:

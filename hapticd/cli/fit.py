@@ -13,7 +13,7 @@ import click
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_new, write_whole
+from hapticd.base.files import check_new, write_atomically
 from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Finite,
@@ -204,9 +204,9 @@ def _run(
         picture = drawing.drawn(report, page_of(kind, f"{name}: {kind}", fit, recordings, unused))
     if output is not None:
         materials = {key: each.to_dict() for key, each in {**library, name: found.material}.items()}
-        write_whole(output, yaml_text({"materials": materials}) + "\n", overwrite or merge)
+        write_atomically(output, yaml_text({"materials": materials}) + "\n", overwrite or merge)
     if report is not None and picture is not None:
-        write_whole(report, picture, overwrite)
+        write_atomically(report, picture, overwrite)
     if as_json:
         print_json({"kind": kind, "fit": finite(fit.to_dict()), "notes": notes, **fresh})
         return

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from hapticd.base.errors import HapticdError, known_names
-from hapticd.base.files import check_new, write_whole
+from hapticd.base.files import check_new, write_atomically
 from hapticd.cli.common import json_option, note, overwrite_option, print_json
 
 if TYPE_CHECKING:
@@ -94,10 +94,10 @@ def _draw(store: Store, folder: Path | None, page: str | None, overwrite: bool) 
     if not drawings:
         note("no figures: no number is varied, and the study has no key figures")
     for file, drawing in zip(files, drawings, strict=False):
-        write_whole(file, drawing.png(), overwrite)
+        write_atomically(file, drawing.png(), overwrite)
         note(f"figure: {file}")
     if page is not None:
-        write_whole(page, report_page.page(results, drawings), overwrite)
+        write_atomically(page, report_page.page(results, drawings), overwrite)
         note(f"page: {page}")
 
 

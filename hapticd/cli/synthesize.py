@@ -12,7 +12,7 @@ import click
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, known_names, quoted
-from hapticd.base.files import check_new, write_whole
+from hapticd.base.files import check_new, write_atomically
 from hapticd.cli import names
 from hapticd.cli.common import (
     Finite,
@@ -144,7 +144,7 @@ def synthesize_command(
     for target in targets:
         check_new(target, overwrite)
     for target, recording in zip(targets, recordings, strict=True):
-        write_whole(target, npz_of(recording), overwrite)
+        write_atomically(target, npz_of(recording), overwrite)
     if as_json:
         print_json({"kind": kind, "material": name, "truth": truth, "files": targets})
         return

@@ -471,7 +471,9 @@ class Subscription(Generic[T]):
     ) -> None:
         """Create a subscription. With `newest` each item is requested when it is read; others are not sent."""
         if not topics:
-            raise arguments.wrong("telemetry", f"needs at least one topic; known: {', '.join(get_args(Topic))}")
+            raise arguments.invalid_argument(
+                "telemetry", f"needs at least one topic; known: {', '.join(get_args(Topic))}"
+            )
         for topic in topics:
             arguments.one_of("topic", topic, get_args(Topic))
         self._timeout_s = client.timeout_s if timeout_s is None else arguments.seconds("timeout_s", timeout_s)

@@ -47,7 +47,9 @@ def scene_tree(scene: SceneSource) -> Mapping[str, object]:
         read, document, root = read_scene(arguments.path("scene", scene))
         return FromFile(read.to_dict(), document, root)
     if not hasattr(scene, "to_dict"):
-        raise arguments.wrong("scene", f"must be a mapping, the path of a file or a hapticd.Scene, is {shown(scene)}")
+        raise arguments.invalid_argument(
+            "scene", f"must be a mapping, the path of a file or a hapticd.Scene, is {shown(scene)}"
+        )
     return scene.to_dict()
 
 
@@ -64,7 +66,7 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
     from hapticd.config.file_faults import FromFile
 
     if not isinstance(patch, str | os.PathLike):
-        raise arguments.wrong(path[-1], f"must be a mapping or the path of a file, is {shown(patch)}")
+        raise arguments.invalid_argument(path[-1], f"must be a mapping or the path of a file, is {shown(patch)}")
     document = load_path(arguments.path(path[-1], patch))
     refuse_other_kinds(document, *KINDS_WITH_PATCHES[path[-1]])
     found: tuple[str, ...] = ()

@@ -10,7 +10,7 @@ from typing import Final, Literal, TypeAlias
 
 from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.model import UNKNOWN_KEY
-from hapticd.base.yaml_source import Document, Json, load_path, one_line
+from hapticd.base.yaml_source import Document, Json, load_path, printable
 
 Kind: TypeAlias = Literal[
     "configuration",
@@ -121,5 +121,5 @@ def refuse_other_keys(document: Document, path: Sequence[str], given: Collection
 
 def _for_another_command(document: Document, kind: Kind, it: str = "") -> InvalidError:
     holds, taker = _COMMAND_OF_KIND[kind]
-    name = one_line(document.name or "")
+    name = printable(document.name or "")
     return InvalidError([Problem(name, f"{it}holds {holds}; use: hapticd {taker} {name}".rstrip())])

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.yaml_source import one_line
+from hapticd.base.yaml_source import printable
 
 CONFIG_VARIABLE: Final = "HAPTICD_CONFIG"
 """Environment variable that names files of the configuration."""
@@ -34,9 +34,9 @@ class ConfigFiles:
     """Files that were searched before and do not exist."""
 
     def __str__(self) -> str:
-        named = ", ".join(one_line(os.path.abspath(file)) for file in self.files)
+        named = ", ".join(printable(os.path.abspath(file)) for file in self.files)
         if self.origin == "built in":
-            return f"built in; there is no {' and no '.join(map(one_line, self.missing))}"
+            return f"built in; there is no {' and no '.join(map(printable, self.missing))}"
         return f"{named} (by ${CONFIG_VARIABLE})" if self.origin == "environment" else named
 
 
@@ -70,7 +70,7 @@ def check_named(chosen: ConfigFiles) -> None:
     """Raise HapticdError if the environment names a file that does not exist."""
     for file in chosen.files if chosen.origin == "environment" else ():
         if not os.path.exists(file):
-            raise HapticdError(f"{one_line(file)}: no such file; {CONFIG_VARIABLE} names it")
+            raise HapticdError(f"{printable(file)}: no such file; {CONFIG_VARIABLE} names it")
 
 
 def _exists(path: Path) -> bool:

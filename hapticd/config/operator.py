@@ -28,7 +28,16 @@ from pydantic import ConfigDict, Field, Strict, ValidationError, model_validator
 
 from hapticd.base.errors import InvalidError, Problem, known_names, quoted
 from hapticd.base.model import Coordinate, Model, Name, at_most, faults_of, plain
-from hapticd.base.yaml_source import MAX_YAML_BYTES, Document, Json, Marks, load_bytes, one_line, read_file, text_of
+from hapticd.base.yaml_source import (
+    MAX_YAML_BYTES,
+    Document,
+    Json,
+    Marks,
+    load_bytes,
+    printable,
+    read_file,
+    text_of,
+)
 from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.config.modes import given, one_of
 
@@ -435,4 +444,4 @@ def _number(cell: str) -> float | str:
 
 
 def _line(name: str, line: int) -> str:
-    return f"{one_line(name)}:{line}"
+    return f"{printable(name)}:{line}"

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
 from hapticd.base.errors import HapticdError, near_names
-from hapticd.base.yaml_source import one_line
+from hapticd.base.yaml_source import printable
 
 Folder: TypeAlias = Literal["scenes", "operators", "materials", "experiments", "sweeps"]
 
@@ -96,4 +96,4 @@ def file_of(text: str, folder: Folder) -> str:
         raise HapticdError(f"{text}: no such file; the shipped {what} of that name is called {stem}")
     near = near_names(text, list(known), _MAX_SUGGESTIONS)
     advice = f"did you mean {' or '.join(near)}?" if near else f"shipped: {', '.join(known)}"
-    raise HapticdError(f"{one_line(text)}: neither a file nor a shipped {what}; {advice}")
+    raise HapticdError(f"{printable(text)}: neither a file nor a shipped {what}; {advice}")

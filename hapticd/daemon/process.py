@@ -74,7 +74,7 @@ def run(
     and refused.
     """
     with ExitStack() as stack:
-        memory.settle()
+        memory.return_large_blocks()
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         connections = open_files.raise_descriptor_limit()

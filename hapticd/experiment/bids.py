@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from hapticd._version import __version__
-from hapticd.base.errors import HapticdError, on_one_line
-from hapticd.base.files import write_whole
+from hapticd.base.errors import HapticdError, collapse_whitespace
+from hapticd.base.files import write_atomically
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.measures import MOTION_MEASURES
 from hapticd.experiment.session_folder import STUDY_FILE_NAME, SessionFolder, participant_label
@@ -184,7 +184,7 @@ def _written(files: Mapping[Path, str], synced: bool = True) -> list[Path]:
             path.parent.mkdir(exist_ok=True)
         except OSError as error:
             raise HapticdError(f"{path.parent}: cannot be made: {error.strerror}") from None
-        write_whole(str(path), text, overwrite=True, synced=synced)
+        write_atomically(str(path), text, overwrite=True, synced=synced)
     return list(files)
 
 
@@ -239,7 +239,7 @@ def _cell(value: Json) -> str:
             return format(value, ".9g")
         case _:
             # A tab or a line break would begin another cell.
-            return on_one_line(str(value))
+            return collapse_whitespace(str(value))
 
 
 def task_label(title: str) -> str:

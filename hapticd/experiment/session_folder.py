@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final, cast
 
 from hapticd.base.errors import HapticdError, quoted
-from hapticd.base.files import check_regular, write_whole
+from hapticd.base.files import check_regular, write_atomically
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.session_log import Contents, SessionLog, read_log, sync_folder
 
@@ -116,7 +116,7 @@ class SessionFolder:
         except OSError as error:
             raise HapticdError(f"{error.filename or self.path}: cannot be written: {error.strerror}") from None
         for name, content in files.items():
-            write_whole(str(self.path / name), content, overwrite=True, synced=synced)
+            write_atomically(str(self.path / name), content, overwrite=True, synced=synced)
 
     @classmethod
     def open(cls, path: Path) -> SessionFolder:

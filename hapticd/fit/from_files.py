@@ -13,7 +13,7 @@ import numpy as np
 
 from hapticd.analysis.statistics import FitError, UnitError, require_scipy
 from hapticd.base.errors import HapticdError
-from hapticd.base.yaml_source import load_path, one_line
+from hapticd.base.yaml_source import load_path, printable
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
 from hapticd.fit.limits import WAVEFORM_LIMITS
@@ -80,7 +80,7 @@ def materials_of(path: str) -> dict[str, Material]:
     """
     data = load_path(path).data
     if not isinstance(data, dict) or list(data) != ["materials"]:
-        raise HapticdError(f"{one_line(path)}: a file to which materials are added must have the key materials only")
+        raise HapticdError(f"{printable(path)}: a file to which materials are added must have the key materials only")
     found = load_config(path).materials
     given = data["materials"]
     assert isinstance(given, dict)

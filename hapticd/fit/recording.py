@@ -41,10 +41,10 @@ from hapticd.analysis.recordings.files import (
 from hapticd.analysis.recordings.sensor import Sensor
 from hapticd.analysis.statistics import Floats
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names
-from hapticd.base.files import write_whole
+from hapticd.base.files import write_atomically
 from hapticd.base.model import Model, faults_of
 from hapticd.base.yaml_source import MAX_YAML_BYTES as MAX_YAML_BYTES
-from hapticd.base.yaml_source import load_bytes, one_line
+from hapticd.base.yaml_source import load_bytes, printable
 from hapticd.config.document_kinds import refuse_documents
 
 Kind: TypeAlias = Literal["tap", "grooves", "texture", "puncture"]
@@ -120,7 +120,7 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
     """
     name = os.fspath(path)
     own_name = name if known_as is None else known_as
-    shown = one_line(own_name)
+    shown = printable(own_name)
     refuse_documents(name)
     try:
         content = file_bytes(name, MAX_RECORDING_BYTES)
@@ -177,7 +177,7 @@ def npz_of(recording: Recording) -> bytes:
 
 def save(recording: Recording, path: str | os.PathLike[str]) -> None:
     """Write a recording as .npz, replacing an existing file; raise HapticdError if it cannot be written."""
-    write_whole(os.fspath(path), npz_of(recording), overwrite=True)
+    write_atomically(os.fspath(path), npz_of(recording), overwrite=True)
 
 
 # ---- The YAML file ---------------------------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ def _sidecar(name: str, own_name: str) -> RecordingSidecar:
     try:
         content = file_bytes(path, MAX_YAML_BYTES)
     except ValueError as error:
-        raise HapticdError(f"{one_line(shown)}: {error}") from None
+        raise HapticdError(f"{printable(shown)}: {error}") from None
     document = load_bytes(content, shown)
     if document.data is None:
         return RecordingSidecar()
@@ -239,7 +239,7 @@ def _table(name: str, content: bytes, named: bool) -> Table:
     if ending not in TABLE_READERS:
         raise ValueError("a recording ends in .csv, .npz or .wav")
     if ending == ".wav" and not named:
-        raise ValueError(f"a .wav needs {one_line(name)}.yaml, with its columns and their scale")
+        raise ValueError(f"a .wav needs {printable(name)}.yaml, with its columns and their scale")
     return TABLE_READERS[ending](content)
 
 

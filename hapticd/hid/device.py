@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from typing import Final, Protocol
 
-from hapticd.base.errors import on_one_line
+from hapticd.base.errors import collapse_whitespace
 from hapticd.hid.plan import DeviceError, Plan
 
 PERMISSION_HINT: Final = (
@@ -155,4 +155,4 @@ def _last_error(hidapi: object) -> str:
         reason = hidapi.error()  # type: ignore[attr-defined]
     except (OSError, ValueError):
         return "the device is gone"
-    return on_one_line(str(reason)) or "no reason given"
+    return collapse_whitespace(str(reason)) or "no reason given"

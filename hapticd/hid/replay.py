@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final
 
-from hapticd.base.errors import HapticdError, on_one_line, shown
-from hapticd.base.files import write_whole
+from hapticd.base.errors import HapticdError, collapse_whitespace, shown
+from hapticd.base.files import write_atomically
 from hapticd.config.hid import Replay
 from hapticd.hid.device import MAX_REPORT_BYTES, arrived_reports
 from hapticd.hid.plan import DeviceError
@@ -61,7 +61,7 @@ def save(path: str | os.PathLike[str], recording: Recording, overwrite: bool) ->
         "descriptor": recording.descriptor.hex(),
     }
     lines = [json.dumps([round(time_s, 6), report.hex()]) for time_s, report in recording.reports]
-    write_whole(path, "\n".join([json.dumps(head), *lines, ""]), overwrite)
+    write_atomically(path, "\n".join([json.dumps(head), *lines, ""]), overwrite)
 
 
 def load(path: str | os.PathLike[str]) -> Recording:
@@ -86,7 +86,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
     except OSError as error:
         raise HapticdError(f"{name}: {error.strerror}") from None
     except (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError) as error:
-        raise HapticdError(f"{place}: not a line of a recording: {on_one_line(str(error))}") from None
+        raise HapticdError(f"{place}: not a line of a recording: {collapse_whitespace(str(error))}") from None
     if recording is None or not reports:
         raise HapticdError(f"{name}: contains no reports; move the device while it is recorded")
     return replace(recording, reports=tuple(reports))

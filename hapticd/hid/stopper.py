@@ -22,8 +22,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from hapticd.base.errors import HapticdError, on_one_line, quoted
-from hapticd.base.files import write_whole
+from hapticd.base.errors import HapticdError, collapse_whitespace, quoted
+from hapticd.base.files import write_atomically
 from hapticd.system.trusted_files import read_trusted
 
 SYSFS_ROOT: Final = Path("/sys")
@@ -109,7 +109,7 @@ class StopFile:
             self.path.unlink()
         for part in self.path.parent.glob(f".{self.path.name}.*.part"):  # left by a killed daemon
             part.unlink(missing_ok=True)
-        write_whole(self.path, json.dumps(record), overwrite=True, mode=0o600)
+        write_atomically(self.path, json.dumps(record), overwrite=True, mode=0o600)
 
     def drop(self) -> None:
         """Remove the record, because the device has a force of zero."""
@@ -141,7 +141,7 @@ def load(path: Path) -> Record | None:
         known = Identity(int(identity["major"]), int(identity["minor"]), dict(identity["device"]))
         return Record(record["path"], known, zero, stop, pause_s)
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-        raise HapticdError(f"{path}: not a record of a device: {on_one_line(str(error))}") from None
+        raise HapticdError(f"{path}: not a record of a device: {collapse_whitespace(str(error))}") from None
 
 
 def stop_device(

@@ -67,9 +67,9 @@ class ForcesOff(UserWarning):
 def encode_request(id: int, method: str, params: Mapping[str, object] | None) -> bytes:
     """Return the body of a call. Raises HapticdError for a body that the daemon would refuse."""
     if not isinstance(method, str):
-        raise arguments.wrong("method", f"must be a string, is {shown(method)}")
+        raise arguments.invalid_argument("method", f"must be a string, is {shown(method)}")
     if params is not None and not isinstance(params, Mapping):
-        raise arguments.wrong("params", f"must be a mapping, is {shown(params)}")
+        raise arguments.invalid_argument("params", f"must be a mapping, is {shown(params)}")
     try:
         body = messages.request(id, method, params)
         if len(body) > messages.MAX_BODY_BYTES:

@@ -33,7 +33,7 @@ import numpy.typing as npt
 from hapticd._version import __version__
 from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import whole_file, write_whole
+from hapticd.base.files import atomic_file, write_atomically
 from hapticd.recording.event_columns import COMMON_EVENT_MEMBERS, EVENT_MEMBER_SCHEMAS, cell_of
 
 if TYPE_CHECKING:
@@ -89,12 +89,12 @@ def export(samples: Samples, events: Events, texts: Texts, target: Path, overwri
     """Write a recording in the format of the ending of `target`. Raises HapticdError."""
     files = files_of(target)
     if len(files) == 1:
-        with whole_file(target, overwrite) as file:
+        with atomic_file(target, overwrite) as file:
             _write_mcap(samples, events, texts, file)
         return
-    write_whole(files[0], _events_csv(events), overwrite)
-    write_whole(files[1], json.dumps(dict(texts), indent=1) + "\n", overwrite)
-    with whole_file(target, overwrite) as file:
+    write_atomically(files[0], _events_csv(events), overwrite)
+    write_atomically(files[1], json.dumps(dict(texts), indent=1) + "\n", overwrite)
+    with atomic_file(target, overwrite) as file:
         for first in range(0, max(1, len(samples)), _BLOCK_SAMPLES):
             frame = frame_of(samples[first : first + _BLOCK_SAMPLES])
             frame.to_csv(file, index=False, header=first == 0, lineterminator="\n")

@@ -23,7 +23,7 @@ from numpy.lib.recfunctions import require_fields
 
 from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
-from hapticd.base.yaml_source import one_line
+from hapticd.base.yaml_source import printable
 from hapticd.config.document_kinds import refuse_documents
 from hapticd.recording.event_columns import ROW_BLOCK_BYTES, events_of_rows
 from hapticd.recording.writer import Samples
@@ -62,7 +62,7 @@ Contents: TypeAlias = tuple[Samples, list[dict[str, Any]], dict[str, Any], npt.N
 
 def read(path: str | os.PathLike[str]) -> Contents:
     """Read a .npz of `hapticd record`, `simulate` or the flight recorder. Raises HapticdError for another file."""
-    name = one_line(os.fspath(path))
+    name = printable(os.fspath(path))
     if Path(path).suffix.lower() != ".npz":
         refuse_documents(path)
         raise HapticdError(f"{name}: must end in .npz; other formats are exports for other programs")
@@ -76,7 +76,7 @@ def read(path: str | os.PathLike[str]) -> Contents:
     except MemoryError:
         raise HapticdError(f"{name}: not enough memory") from None
     except READING_ERRORS as error:
-        why = one_line(str(error)[:_MAX_REASON_CHARACTERS]) or type(error).__name__
+        why = printable(str(error)[:_MAX_REASON_CHARACTERS]) or type(error).__name__
         raise HapticdError(f"{name}: damaged, or not a recording of hapticd: {why}") from None
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.yaml_source import one_line
+from hapticd.base.yaml_source import printable
 from hapticd.recording.reader import READING_ERRORS
 from hapticd.recording.recording import recording_path
 from hapticd.recording.writer import NOTES_ENDING, RecordingWriter
@@ -43,7 +43,7 @@ def partial_files_warning(target: str | os.PathLike[str]) -> str | None:
         return None
     more = f" and {len(parts) - 1} more" if len(parts) > 1 else ""
     return (
-        f"{one_line(name)}: {one_line(parts[0].name)}{more} in its folder: another recording is running, or was "
+        f"{printable(name)}: {printable(parts[0].name)}{more} in its folder: another recording is running, or was "
         f"killed; `hapticd recover {shlex.quote(name)}` recovers killed ones"
     )
 
@@ -60,7 +60,7 @@ def recover(target: str | os.PathLike[str]) -> Recovered:
         if isinstance(result, Path):
             recovered.files.append(result)
         else:
-            recovered.problems.append(f"{one_line(os.fspath(recording.with_name(part.name)))}: {result}")
+            recovered.problems.append(f"{printable(os.fspath(recording.with_name(part.name)))}: {result}")
     return recovered
 
 

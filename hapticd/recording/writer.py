@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_new, create, give_name, hidden_beside
+from hapticd.base.files import check_new, create, rename_to_free_name, temporary_path
 from hapticd.recording.event_columns import columns_of, dtype_of, rows_of
 
 Samples: TypeAlias = npt.NDArray[np.void]
@@ -92,7 +92,7 @@ class RecordingWriter:
             check_new(target, overwrite)
             if self.target.exists() and not os.access(self.target, os.W_OK):
                 raise HapticdError(f"{self._name}: may not be overwritten")
-        part = resume or hidden_beside(self.target)
+        part = resume or temporary_path(self.target)
         self._files: list[_PartialFile] = []
         try:
             for path in (part, part.with_suffix(NOTES_ENDING)):
@@ -220,7 +220,7 @@ class RecordingWriter:
                 file.flush()
                 os.fsync(file.fileno())
             self._part.check_there()
-            placed = give_name(self._part.path, self.target, self._overwrite)
+            placed = rename_to_free_name(self._part.path, self.target, self._overwrite)
         except OSError:
             self._part.cut(self._end)
             self._notes.cut(notes_size)

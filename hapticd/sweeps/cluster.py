@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
-from hapticd.base.errors import HapticdError, on_one_line
+from hapticd.base.errors import HapticdError, collapse_whitespace
 from hapticd.sweeps.forked_workers import START_METHOD, start_fork_server
 from hapticd.sweeps.interrupts import deferred_interrupts
 
@@ -88,10 +88,10 @@ def _reached(scheduler: str) -> Iterator[Any]:
             raise HapticdError(f"{scheduler}: not a dask scheduler, but a {found.lower()}")
         client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)
     except OSError as error:
-        why = f": {on_one_line(str(error))}" if str(error) else ""
+        why = f": {collapse_whitespace(str(error))}" if str(error) else ""
         raise HapticdError(f"{scheduler}: no scheduler answers within {SCHEDULER_TIMEOUT_S:g} s{why}") from None
     except (ValueError, TypeError, RuntimeError) as error:
-        raise HapticdError(f"{scheduler}: cannot be used: {on_one_line(str(error))}") from None
+        raise HapticdError(f"{scheduler}: cannot be used: {collapse_whitespace(str(error))}") from None
     try:
         yield client
     finally:

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base import wording
-from hapticd.base.errors import HapticdError, on_one_line
+from hapticd.base.errors import HapticdError, collapse_whitespace
 from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
 from hapticd.sweeps.interrupts import noted_interrupts, raise_interrupt
 from hapticd.sweeps.store import Store
@@ -184,7 +184,7 @@ class _Engine:
         try:
             found: dict[str, int] = self.client.nthreads()
         except (OSError, TimeoutError) as error:
-            gone = f"{self.client.scheduler.address}: the scheduler is gone: {on_one_line(str(error))}"
+            gone = f"{self.client.scheduler.address}: the scheduler is gone: {collapse_whitespace(str(error))}"
             raise HapticdError(f"{gone}; results are kept: run the same command again to continue") from None
         return found
 
@@ -196,7 +196,7 @@ class _Engine:
             if isinstance(answer, Exception):
                 # Dask replaces an exception that cannot be pickled by a bare Exception with its text.
                 kind = "" if type(answer) is Exception else f"{type(answer).__name__}: "
-                self.refuse(address, on_one_line(f"{kind}{answer}"))
+                self.refuse(address, collapse_whitespace(f"{kind}{answer}"))
             elif answer != self.version:
                 self.refuse(address, f"it runs hapticd {answer}, this study needs {self.version}")
 
@@ -352,7 +352,7 @@ class _Engine:
         """Return the row of a point that has no result; `why` is its error."""
         row: Row = dict.fromkeys(column.name for column in self.columns)
         row[POINT_COLUMN.name] = self.work.ids[index].tobytes().hex()
-        row[ERROR_COLUMN.name] = on_one_line(why)
+        row[ERROR_COLUMN.name] = collapse_whitespace(why)
         return row
 
     def store_rows(self, rows: list[Row]) -> None:

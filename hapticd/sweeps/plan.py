@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.errors import HapticdError, Path, on_one_line
+from hapticd.base.errors import HapticdError, Path, collapse_whitespace
 from hapticd.base.yaml_source import Json
 from hapticd.config.schema import unit_of
 from hapticd.experiment.key_paths import path_of, with_value
@@ -87,7 +87,7 @@ class Job:
             document = self.document(values)
             row |= self._measured(document) if self.study.refine is None else self._refined(document)
         except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR_COLUMN.name] = on_one_line(str(error)) or type(error).__name__
+            row[ERROR_COLUMN.name] = collapse_whitespace(str(error)) or type(error).__name__
         return row
 
     def _measured(self, document: Mapping[str, Json]) -> Row:

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_regular, write_whole
+from hapticd.base.files import check_regular, write_atomically
 from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row, Value
 from hapticd.sweeps.work import ID_DTYPE, Work
 from hapticd.sweeps.worker_check import code_version
@@ -117,8 +117,10 @@ class Store:
             "versions": {"hapticd": code_version(), "python": platform.python_version(), "numpy": np.__version__},
             **work.manifest(),
         }
-        write_whole(str(self._folder / POINTS_FILE), points.getvalue(), overwrite=True)
-        write_whole(str(self._folder / STUDY_FILE), json.dumps(manifest, indent=1).encode() + b"\n", overwrite=True)
+        write_atomically(str(self._folder / POINTS_FILE), points.getvalue(), overwrite=True)
+        write_atomically(
+            str(self._folder / STUDY_FILE), json.dumps(manifest, indent=1).encode() + b"\n", overwrite=True
+        )
 
     def manifest(self) -> dict[str, Any]:
         """Read study.json. Raises HapticdError."""
@@ -171,7 +173,7 @@ class Store:
         name = sha256("".join(str(row[POINT_COLUMN.name]) for row in ordered).encode()).hexdigest()[:32]
         content = io.BytesIO()
         parquet.write_table(table, content)
-        write_whole(str(self._folder / PIECES_FOLDER / f"{name}.parquet"), content.getvalue(), overwrite=True)
+        write_atomically(str(self._folder / PIECES_FOLDER / f"{name}.parquet"), content.getvalue(), overwrite=True)
 
     def table(self) -> Any:
         """Return the computed rows of the study, a pyarrow.Table sorted by point. Raises HapticdError."""

@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Final, Literal
 
-from hapticd.base.errors import HapticdError, on_one_line, quoted
+from hapticd.base.errors import HapticdError, collapse_whitespace, quoted
 
 Action = Literal["system", "user", "remove-system", "remove-user"]
 
@@ -74,7 +74,7 @@ def run(action: Action, installation: Installation, root: Path | None = None, dr
         words = ["sh", str(folder / "install.sh"), action]
         done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        said = on_one_line(done.stderr) or f"exit code {done.returncode}"
+        said = collapse_whitespace(done.stderr) or f"exit code {done.returncode}"
         may_not = "Permission denied" in said and not action.endswith("user")
         hint = "; run it as root, or install it for your user only with --user" if may_not else ""
         raise HapticdError(f"{said}{hint}")

@@ -6,7 +6,7 @@ import os
 import stat
 from typing import Final
 
-from hapticd.base.errors import HapticdError, on_one_line
+from hapticd.base.errors import HapticdError, collapse_whitespace
 
 _OTHERS_WRITE_BITS: Final = stat.S_IWGRP | stat.S_IWOTH
 """Bits of the mode that let other users change a file."""
@@ -20,7 +20,7 @@ def read_trusted(path: str | os.PathLike[str], most: int, *, secret: bool = Fals
     The file must belong to root or to the user of this process, and no other user may write to it. A `secret` file may
     be read only by its owner and its group. Raises HapticdError.
     """
-    name = on_one_line(os.fspath(path))
+    name = collapse_whitespace(os.fspath(path))
     try:
         # O_NONBLOCK: opening a pipe without a writer must not block.
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)

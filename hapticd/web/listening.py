@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final, cast
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.yaml_source import one_line
+from hapticd.base.yaml_source import printable
 from hapticd.system.trusted_files import read_trusted
 from hapticd.web.hosts import Hosts
 from hapticd.web.passwords import Passwords
@@ -56,7 +56,7 @@ def _address_of(host: str, port: int) -> str:
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except (OSError, UnicodeError) as error:
-        raise HapticdError(f"--host {one_line(host)}: {getattr(error, 'strerror', None) or error}") from None
+        raise HapticdError(f"--host {printable(host)}: {getattr(error, 'strerror', None) or error}") from None
     if host.lower() == "localhost":
         return "127.0.0.1"
     return str(found[0][4][0])
@@ -67,7 +67,7 @@ def _require_options(host: str, loopback: bool, cert: str | None, key: str | Non
     missing = [name for name, value in options.items() if value is None]
     if not loopback and missing:
         raise HapticdError(
-            f"--host {one_line(host)}: other machines can reach this address, so TLS and a password are needed: "
+            f"--host {printable(host)}: other machines can reach this address, so TLS and a password are needed: "
             f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
         )
     if (cert is None) != (key is None):
@@ -111,7 +111,9 @@ def _tls(cert: str, key: str) -> tuple[ssl.SSLContext, list[str]]:
         server.load_cert_chain(cert, key, password="")
     except ssl.SSLError as error:
         what = "the key belongs to another certificate" if "MISMATCH" in (error.reason or "") else error.reason or error
-        raise HapticdError(f"--tls-cert {one_line(cert)}, --tls-key {one_line(key)}: cannot be used: {what}") from None
+        raise HapticdError(
+            f"--tls-cert {printable(cert)}, --tls-key {printable(key)}: cannot be used: {what}"
+        ) from None
     return server, _names_in(cert, server)
 
 
@@ -134,8 +136,8 @@ def _names_in(cert: str, server: ssl.SSLContext) -> list[str]:
         subjects = cast("tuple[tuple[str, str], ...]", found.get("subjectAltName", ()))
     except ssl.SSLError as error:
         why = getattr(error, "verify_message", None) or error.reason or error
-        raise HapticdError(f"--tls-cert {one_line(cert)}: browsers would refuse it: {why}") from None
+        raise HapticdError(f"--tls-cert {printable(cert)}: browsers would refuse it: {why}") from None
     names = [name.lower() for kind, name in subjects if kind in ("DNS", "IP Address")]
     if not names:
-        raise HapticdError(f"--tls-cert {one_line(cert)}: needs a host name in subjectAltName (openssl -addext)")
+        raise HapticdError(f"--tls-cert {printable(cert)}: needs a host name in subjectAltName (openssl -addext)")
     return [f"[{ipaddress.ip_address(name).compressed}]" if ":" in name else name for name in names]

@@ -16,8 +16,8 @@ from collections.abc import Callable
 from typing import Final, Literal
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_regular, write_whole
-from hapticd.base.yaml_source import one_line
+from hapticd.base.files import check_regular, write_atomically
+from hapticd.base.yaml_source import printable
 from hapticd.system.trusted_files import read_trusted
 from hapticd.web.token_bucket import Bucket
 
@@ -51,7 +51,7 @@ class Passwords:
 
     def __init__(self, path: str, now: Callable[[], float] = time.monotonic) -> None:
         """Read the file. Raises HapticdError if other users may read it or if it does not contain a hash."""
-        name = one_line(path)
+        name = printable(path)
         match = _LINE_PATTERN.fullmatch(
             read_trusted(path, _MAX_PASSWORD_FILE_BYTES, secret=True).decode("ascii", "replace").strip()
         )
@@ -107,5 +107,5 @@ def write_password(path: str, password: str) -> None:
     line = ":".join(("scrypt", str(_SCRYPT_N), str(_SCRYPT_R), str(_SCRYPT_P), *parts)) + "\n"
     check_regular(path)
     if os.path.lexists(path):
-        raise HapticdError(f"{one_line(path)}: already exists; remove it first")
-    write_whole(path, line, overwrite=False, mode=0o600, synced=True)
+        raise HapticdError(f"{printable(path)}: already exists; remove it first")
+    write_atomically(path, line, overwrite=False, mode=0o600, synced=True)

@@ -64,7 +64,7 @@ class Options:
 
 def run(options: Options) -> int:
     """Serve the page until SIGTERM or SIGINT, and return the exit code. Raises HapticdError if it cannot start."""
-    memory.settle()
+    memory.return_large_blocks()
     with journal.attached(options.log_level), ExitStack() as stack:
         at = listen(options.host, options.port, options.tls_cert, options.tls_key, options.password_file)
         stack.callback(at.socket.close)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.yaml_source import Json, one_line
+from hapticd.base.yaml_source import Json, printable
 
 MAX_RECORDING_NAME_CHARACTERS: Final = 64
 """Length of a recording's name, without its ending."""
@@ -164,4 +164,4 @@ class RecordingFolder:
         return HapticdError(f"{name}: no such recording; it may have been deleted")
 
     def _unusable(self, error: OSError) -> HapticdError:
-        return HapticdError(f"{one_line(os.fspath(self.path))}: cannot be used for recordings: {error.strerror}")
+        return HapticdError(f"{printable(os.fspath(self.path))}: cannot be used for recordings: {error.strerror}")

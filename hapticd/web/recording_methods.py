@@ -13,7 +13,7 @@ from urllib.parse import quote
 from aiohttp import web
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.yaml_source import Json, one_line
+from hapticd.base.yaml_source import Json, printable
 from hapticd.client.record import Daemon
 from hapticd.recording.recording import load
 from hapticd.web.connections import extend_deadline
@@ -132,7 +132,7 @@ class Recordings:
             playback = await asyncio.to_thread(lambda: Playback(load(path)))
             facts = await asyncio.to_thread(playback.facts)
         except HapticdError as error:
-            raise HapticdError(str(error).replace(os.fspath(path), one_line(name))) from None
+            raise HapticdError(str(error).replace(os.fspath(path), printable(name))) from None
         self._forget_at_end_of(page)
         self._open[page] = playback
         return {"name": name, **facts}

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, cast
 
 from hapticd.base.errors import HapticdError, InvalidError, Problem
-from hapticd.base.yaml_source import Document, Json, load_text, one_line
+from hapticd.base.yaml_source import Document, Json, load_text, printable
 from hapticd.config.change_files import ChangeFiles, change_of
 from hapticd.config.configuration import config_of_documents
 from hapticd.config.document_kinds import CONFIGURATION_KEYS, kind_of
@@ -80,7 +80,7 @@ def placed(problems: Sequence[Problem], name: str) -> list[dict[str, Json]]:
     """Return problems for a page: `line` and `column` (from 1; nil without a place), the key `where`, and `problem`."""
     found: list[dict[str, Json]] = []
     for each in problems:
-        rest = each.where.removeprefix(one_line(name))
+        rest = each.where.removeprefix(printable(name))
         match = _PLACE_PATTERN.match(rest.removeprefix(":"))
         line, column, where = (int(match[1]), int(match[2]), match[3] or "") if match else (None, None, rest)
         found.append({"line": line, "column": column, "where": where, "problem": each.problem})

@@ -9,7 +9,7 @@ from typing import Final, cast
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, InvalidError, Problem
-from hapticd.base.yaml_source import MAX_YAML_BYTES, one_line
+from hapticd.base.yaml_source import MAX_YAML_BYTES, printable
 from hapticd.config.shipped_files import described, shipped
 from hapticd.protocol.calls import RemoteError
 from hapticd.protocol.messages import Code
@@ -92,7 +92,7 @@ def _read(name: object, text: object) -> Opened:
 
 def _refused(name: str, problems: tuple[Problem, ...]) -> RemoteError:
     found = yaml_files.placed(problems, name)
-    text = f"{one_line(name)}: {wording.count(len(found), 'fault')}; nothing was changed"
+    text = f"{printable(name)}: {wording.count(len(found), 'fault')}; nothing was changed"
     return RemoteError(Code.INVALID_PARAMS, text, found)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_new, whole_file, write_whole
+from hapticd.base.files import atomic_file, check_new, write_atomically
 from tests.support.special_files import KINDS, refused, special, untouched
 
 
@@ -22,16 +22,16 @@ def test_a_name_that_is_taken_is_not_taken_over(tmp_path: Path, monkeypatch: pyt
     if not links:
         monkeypatch.setattr(os, "link", refuse)
     target = tmp_path / "a.yaml"
-    write_whole(target, "1", overwrite=False)
+    write_atomically(target, "1", overwrite=False)
     for number in (2, 3):
         with pytest.raises(HapticdError, match=f"the output is in {tmp_path}/a-{number}.yaml"):
-            write_whole(target, str(number), overwrite=False)
+            write_atomically(target, str(number), overwrite=False)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
         "a.yaml": "1",
         "a-2.yaml": "2",
         "a-3.yaml": "3",
     }
-    write_whole(target, "4", overwrite=True)
+    write_atomically(target, "4", overwrite=True)
     assert target.read_text() == "4"
     assert len(list(tmp_path.iterdir())) == 3
 
@@ -41,9 +41,9 @@ def test_what_a_command_found_is_kept_beside_a_file_that_appeared(tmp_path: Path
     target.write_text("precious")
     told = r"found.yaml: another program created this file meanwhile; the output is in .*/found-2.yaml"
     with pytest.raises(HapticdError, match=told):
-        write_whole(str(target), "ours", overwrite=False)
+        write_atomically(str(target), "ours", overwrite=False)
     assert target.read_text() == "precious" and (tmp_path / "found-2.yaml").read_text() == "ours"
-    write_whole(str(target), "ours", overwrite=True)
+    write_atomically(str(target), "ours", overwrite=True)
     assert target.read_text() == "ours" and len(list(tmp_path.iterdir())) == 2
 
 
@@ -56,7 +56,7 @@ def test_what_is_no_regular_file_is_refused_and_left(tmp_path: Path, kind: str, 
     link.symlink_to(tmp_path / "second.yaml")
     (tmp_path / "second.yaml").symlink_to(end)
     for place in (end, link):
-        for write in (check_new, lambda path, overwrite: write_whole(path, "ours", overwrite)):
+        for write in (check_new, lambda path, overwrite: write_atomically(path, "ours", overwrite)):
             with untouched(tmp_path), pytest.raises(HapticdError) as caught:
                 write(str(place), overwrite)
             assert str(caught.value) == refused(place, kind)
@@ -76,7 +76,7 @@ def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(
         monkeypatch.setattr(os, "link", refuse)
     for name in "ab":
         target, told = tmp_path / f"{name}.yaml", f"the output is in {tmp_path}/{name}-3.yaml"
-        with pytest.raises(HapticdError, match=told), whole_file(target, overwrite=True) as file:
+        with pytest.raises(HapticdError, match=told), atomic_file(target, overwrite=True) as file:
             file.write(b"ours")
             if name == "a":
                 special(tmp_path / "end", kind)
@@ -92,14 +92,14 @@ def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(
 def test_a_block_that_fails_leaves_what_is_there(tmp_path: Path) -> None:
     target = tmp_path / "a.yaml"
     target.write_text("precious")
-    with pytest.raises(RuntimeError), whole_file(target, overwrite=True) as file:
+    with pytest.raises(RuntimeError), atomic_file(target, overwrite=True) as file:
         file.write(b"half")
         raise RuntimeError
     assert target.read_text() == "precious" and os.listdir(tmp_path) == ["a.yaml"]
 
 
 def test_a_secret_is_nobody_else_s_to_read(tmp_path: Path) -> None:
-    write_whole(tmp_path / "key", "secret", overwrite=False, mode=0o600)
+    write_atomically(tmp_path / "key", "secret", overwrite=False, mode=0o600)
     assert stat.S_IMODE((tmp_path / "key").stat().st_mode) == 0o600
 
 
@@ -111,6 +111,6 @@ def test_the_end_of_a_link_is_written_and_the_link_stays(tmp_path: Path, there: 
     if there:
         end.write_text("old")
     check_new(str(link), overwrite=there)
-    write_whole(str(link), "ours", overwrite=there)
+    write_atomically(str(link), "ours", overwrite=there)
     assert os.readlink(link) == "real/found.yaml" and end.read_text() == "ours"
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["found.yaml", "link.yaml", "real"]

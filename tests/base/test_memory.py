@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.memory import MIN_RETURNED_BLOCK_BYTES, settle
+from hapticd.base.memory import MIN_RETURNED_BLOCK_BYTES, return_large_blocks
 
 pytestmark = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc's limit moves, and is set")
 ROOT = Path(__file__).parents[2]
 PROGRAM = """
 import ctypes, json, re, sys
-from hapticd.base.memory import settle
+from hapticd.base.memory import return_large_blocks
 libc = ctypes.CDLL(None)
 libc.fopen.restype = ctypes.c_void_p
 
@@ -28,7 +28,7 @@ def apart():
     return int(re.search(r'<total type="mmap" count="(\\d+)"', open(sys.argv[1]).read())[1])
 
 if sys.argv[2] == "settled":
-    settle()
+    return_large_blocks()
 del (buffer := [bytearray(4 << 20)])[:]  # this is what raises the limit
 before = apart()
 kept = [bytearray(size) for size in json.loads(sys.argv[3])]
@@ -51,4 +51,4 @@ def test_large_blocks_are_kept_apart(tmp_path: Path) -> None:
 
 def test_a_size_that_malloc_does_not_take_is_refused() -> None:
     with pytest.raises(HapticdError, match="memory: malloc cannot map blocks of 4294967296 bytes"):
-        settle(2**32)
+        return_large_blocks(2**32)

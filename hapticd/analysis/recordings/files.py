@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from hapticd.analysis.statistics import Floats, require_scipy
 from hapticd.base.errors import HapticdError, known_names, quoted
-from hapticd.base.yaml_source import one_line, read_file
+from hapticd.base.yaml_source import printable, read_file
 
 MAX_RECORDING_BYTES: Final = 2**29
 """Largest file of a recording; it is read into memory."""
@@ -315,7 +315,7 @@ def _arrays(content: bytes) -> dict[str, npt.NDArray[Any] | str]:
 
 
 def _reason(error: BaseException) -> str:
-    return one_line(str(error)[:200]) or type(error).__name__
+    return printable(str(error)[:200]) or type(error).__name__
 
 
 # ---- .wav -----------------------------------------------------------------------------------------------------------

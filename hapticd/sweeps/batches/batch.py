@@ -19,7 +19,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.errors import HapticdError, on_one_line
+from hapticd.base.errors import HapticdError, collapse_whitespace
 from hapticd.base.model import plain
 from hapticd.base.yaml_source import Json
 from hapticd.sweeps.batches.tree import RecordingSet, Tree, fingerprint
@@ -72,7 +72,7 @@ class Fits:
         try:
             row |= fitted_row(self.root, recordings)
         except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR_COLUMN.name] = on_one_line(str(error)) or type(error).__name__
+            row[ERROR_COLUMN.name] = collapse_whitespace(str(error)) or type(error).__name__
         return row
 
 

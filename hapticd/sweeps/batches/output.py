@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Final
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import check_regular, write_whole
-from hapticd.base.yaml_source import one_line
+from hapticd.base.files import check_regular, write_atomically
+from hapticd.base.yaml_source import printable
 from hapticd.base.yaml_text import yaml_text
 from hapticd.config.schema import unit_of
 from hapticd.sweeps.batches.ranking import MaterialResult
@@ -59,7 +59,7 @@ def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[di
         check_regular(path)
         text = yaml_text({"materials": {each.name: each.material.to_dict()}}) + "\n"
         if _DATE_ENTRY.sub("", _read(path)) != _DATE_ENTRY.sub("", text):
-            write_whole(str(path), text, overwrite=True)
+            write_atomically(str(path), text, overwrite=True)
         files[each.name] = str(path)
     left = sorted({str(path) for path in target.glob("*.yaml")} - {*files.values()})
     return files, left
@@ -97,10 +97,10 @@ def _write(path: Path, heads: Sequence[str], rows: Sequence[Sequence[object]]) -
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(heads)
     writer.writerows(rows)
-    write_whole(str(path), text.getvalue(), overwrite=True)
+    write_atomically(str(path), text.getvalue(), overwrite=True)
 
 
 def shown_files(names: Sequence[str], most: int = 3) -> str:
     """Return the first `most` names and the number of the others, on one line."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(map(one_line, names[:most])) + more
+    return ", ".join(map(printable, names[:most])) + more

@@ -16,7 +16,7 @@ import numpy as np
 
 from hapticd.analysis.statistics import Estimate, Floats
 from hapticd.base import html_page, wording
-from hapticd.base.files import check_regular, write_whole
+from hapticd.base.files import check_regular, write_atomically
 from hapticd.config.schema import unit_of
 from hapticd.fit.recording import Kind
 from hapticd.fit.report import (
@@ -76,7 +76,7 @@ def write_page(
     count = sum(bool(fit.panels) for each in results for fit in each.fits)
     if drawn and count:
         note(f"drawing {wording.count(count, 'fit')} into {path}")
-    write_whole(str(path), page(title, results, files, folder, drawn) + mark, overwrite=True)
+    write_atomically(str(path), page(title, results, files, folder, drawn) + mark, overwrite=True)
 
 
 def page(title: str, results: Sequence[MaterialResult], files: Mapping[str, str], folder: Path, drawn: bool) -> str:

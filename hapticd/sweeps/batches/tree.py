@@ -23,7 +23,7 @@ from typing import Final, get_args
 
 from hapticd.analysis.recordings.files import TABLE_READERS, ending_of
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names, quoted
-from hapticd.base.yaml_source import one_line
+from hapticd.base.yaml_source import printable
 from hapticd.config.materials import MAX_PROVENANCE_FILES, validate_materials
 from hapticd.fit.options import MATERIAL_KEYS, FitOptions
 from hapticd.fit.recording import Kind
@@ -85,7 +85,7 @@ def read_tree(path: str) -> Tree:
     """Read a tree. Raises HapticdError if it is not a folder, InvalidError with all faults of the tree."""
     if not os.path.isdir(path):
         why = "not a folder" if os.path.exists(path) else "no such folder"
-        raise HapticdError(f"{one_line(path)}: {why}; a batch needs a folder with a folder for each material")
+        raise HapticdError(f"{printable(path)}: {why}; a batch needs a folder with a folder for each material")
     reader = _Reader(path)
     sets = tuple(reader.read())
     if not reader.problems and not sets:
@@ -107,11 +107,11 @@ def _sha256(path: str) -> str:
     try:
         # Opening a pipe would block.
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise HapticdError(f"{one_line(path)}: not a regular file")
+            raise HapticdError(f"{printable(path)}: not a regular file")
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise HapticdError(f"{one_line(path)}: cannot be read: {error.strerror}") from None
+        raise HapticdError(f"{printable(path)}: cannot be read: {error.strerror}") from None
 
 
 @dataclass(slots=True)
@@ -143,7 +143,7 @@ class _Reader:
     """Folders whose fit.yaml may set `kind`: a material's folder that holds recordings itself, and the tree."""
 
     def fault(self, name: str, text: str) -> None:
-        self.problems.append(Problem(one_line(os.path.join(self.root, name) if name else self.root), text))
+        self.problems.append(Problem(printable(os.path.join(self.root, name) if name else self.root), text))
 
     # ---- Folders -----------------------------------------------------------------------------------------------------
 
@@ -201,9 +201,9 @@ class _Reader:
                 name, f"unexpected YAML file; options of a folder are in {FIT_YAML}, tap1.csv.yaml describes tap1.csv"
             )
         elif described not in entries:
-            self.fault(name, f"describes {one_line(described)}, which does not exist")
+            self.fault(name, f"describes {printable(described)}, which does not exist")
         elif not entry.endswith(".yaml"):
-            self.fault(name, f"must be named {one_line(described)}.yaml")
+            self.fault(name, f"must be named {printable(described)}.yaml")
 
     def material(self, name: str, root: _Level) -> tuple[list[RecordingSet], list[_Level]]:
         """Return the fits of a material, and its folders."""
@@ -232,12 +232,13 @@ class _Reader:
             below = self.level(folder)
             levels.append(below)
             for deeper in below.folders:
-                self.fault(deeper, f"too deep; recordings must be in {one_line(folder)} itself")
+                self.fault(deeper, f"too deep; recordings must be in {printable(folder)} itself")
             if not below.recordings:
                 self.fault(folder, f"holds no recordings ({', '.join(TABLE_READERS)})")
             elif last in kinds:
                 self.fault(
-                    folder, f"has the same kind as the recordings in {one_line(name)} itself; put them into one folder"
+                    folder,
+                    f"has the same kind as the recordings in {printable(name)} itself; put them into one folder",
                 )
             else:
                 kinds[last] = below
@@ -315,7 +316,7 @@ class _Reader:
             for file in each.files:
                 material, name = first.setdefault(file.sha256, (each.material, file.name))
                 if material != each.material:
-                    other = one_line(os.path.join(self.root, name))
+                    other = printable(os.path.join(self.root, name))
                     self.fault(file.name, f"same content as {other}; a recording must belong to one material")
 
 

@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection
 from types import ModuleType
 from typing import Any, Final
 
-from hapticd.base.errors import HapticdError, known_names, on_one_line
+from hapticd.base.errors import HapticdError, collapse_whitespace, known_names
 from hapticd.sweeps.columns import Row
 from hapticd.sweeps.measures.function_process import Function
 from hapticd.sweeps.measures.function_values import values_of
@@ -81,7 +81,7 @@ def _answer(
     try:
         return values_of(called(point), dict(function.kinds)), None
     except HapticdError as error:
-        return None, on_one_line(str(error))[:_MAX_ERROR_CHARACTERS]
+        return None, collapse_whitespace(str(error))[:_MAX_ERROR_CHARACTERS]
     except BaseException as error:  # including SystemExit, so that a function cannot end a study
         return None, f"raised {_reason(error, function)}"
 
@@ -91,5 +91,5 @@ def _reason(error: BaseException, function: Function) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == function.file]
     where = f" ({os.path.basename(function.file)}, line {lines[-1]})" if lines else ""
-    text = on_one_line(str(error))[:_MAX_ERROR_CHARACTERS]
+    text = collapse_whitespace(str(error))[:_MAX_ERROR_CHARACTERS]
     return f"{type(error).__name__}{f': {text}' if text else ''}{where}"

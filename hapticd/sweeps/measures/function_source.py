@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from hapticd.base.errors import HapticdError, on_one_line
+from hapticd.base.errors import HapticdError, collapse_whitespace
 
 _MAX_SOURCE_BYTES: Final = 4 << 20
 """Largest size of a module that is sent to workers."""
@@ -33,7 +33,9 @@ def source_of(module: str, folder: str) -> FunctionSource:
     try:
         spec = find_spec(module)
     except Exception as error:  # parent packages are imported, which may raise any exception
-        raise HapticdError(f"{module} cannot be found: {on_one_line(f'{type(error).__name__}: {error}')}") from None
+        raise HapticdError(
+            f"{module} cannot be found: {collapse_whitespace(f'{type(error).__name__}: {error}')}"
+        ) from None
     if spec is None:
         raise HapticdError(f"no module {module}, neither as {module}.py in {folder} nor on Python's path")
     if spec.origin is None or not spec.origin.endswith(".py"):

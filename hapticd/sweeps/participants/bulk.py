@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.errors import HapticdError, on_one_line
+from hapticd.base.errors import HapticdError, collapse_whitespace
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.keys import Study
 from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
@@ -49,7 +49,7 @@ class Sessions:
         try:
             row |= row_of(self.study, label, self.session, self.seed)
         except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR_COLUMN.name] = on_one_line(str(error)) or type(error).__name__
+            row[ERROR_COLUMN.name] = collapse_whitespace(str(error)) or type(error).__name__
         return row
 
 

@@ -14,7 +14,7 @@ from typing import Final
 
 from hapticd.base import clock
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import write_whole
+from hapticd.base.files import write_atomically
 from hapticd.experiment.bids import check_one_study, write_data_set, write_session_tables
 from hapticd.experiment.plan import plan
 from hapticd.experiment.session import about_of, plan_document
@@ -93,4 +93,4 @@ class SessionFolders:
         self._on_disk.update(fresh)
         fresh.clear()
         written = "".join(f"{each}\n" for each in sorted(self._on_disk))
-        write_whole(str(self._file), written, overwrite=True, synced=True)
+        write_atomically(str(self._file), written, overwrite=True, synced=True)
