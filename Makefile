@@ -272,6 +272,8 @@ verify: tools ## everything that check leaves out, before an issue is resolved t
 		grep -h '^needed a second run' build/verify/$$each.log; \
 	done; [ -z "$$failed" ] || { echo "failed:$$failed" >&2; exit 1; }
 
+SPELLED = CHANGELOG.md Makefile README.md bench config csrc docs examples hapticd packaging pyproject.toml systemd
+
 .PHONY: lint
 lint: tools
 	$(BIN)/ruff check .
@@ -280,6 +282,7 @@ lint: tools
 	$(BIN)/lint-imports --no-logo --no-cache
 	@$(BIN)/python -m tests.project.check_includes
 	@$(BIN)/python -m tests.project.check_words
+	$(BIN)/codespell $(SPELLED)
 	@echo $(BIN)/clang-format --dry-run -Werror; $(BIN)/clang-format --dry-run -Werror $(C_FILES)
 
 # The extension as users build it, then every C file with all warnings; clang also proves that nothing marked HD_RT calls
