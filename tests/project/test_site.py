@@ -124,7 +124,7 @@ def test_commands_and_methods_are_there(site: Path) -> None:
     assert all(f'id="{name}"' in commands for name in page_names())
     assert "Sentinel" not in commands
     python = (site / "reference" / "python.html").read_text()
-    assert "Replaces the scene, all or nothing" in python
+    assert "Replace the scene" in python
 
 
 @pytest.mark.slow
