@@ -280,7 +280,7 @@ def ends(
         (b"\x01\x01x" * 1000, "a message of more than 1,024 parts"),
         (b"\x01\x00" * 1000, "a message of more than 1,024 parts"),
         (zmtp.header(2**17, zmtp.MORE_FLAG) + bytes(2**17), "a message of more than 67,108,864 bytes"),
-        (b"\x00\x00" + b"\x40", "what it sends is not ZMTP 3"),
+        (b"\x00\x00" + b"\x40", "its data is not ZMTP 3"),
         (zmtp.command(b"SUBSCRIBE", b"") + zmtp.command(b"READY", b""), "unexpected command"),
     ],
 )

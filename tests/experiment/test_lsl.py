@@ -239,7 +239,7 @@ def test_it_ends_with_what_it_sent(lsl: Any, daemon: Daemon) -> None:
         said, told = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0
         assert said.endswith(" samples and 0 events sent\n")
-        assert "hapticd: 'hapticd samples' and 'hapticd events' are there\n" in told
+        assert "hapticd: the outlets 'hapticd samples' and 'hapticd events' are open\n" in told
 
 
 @pytest.mark.long
@@ -295,5 +295,5 @@ def test_outlets_that_cannot_begin_keep_a_session_from_beginning(tmp_path: Path)
 def test_a_simulated_session_offline_has_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["okamura1998_tapping", "--participant", "simulated:A", "--offline", "--lsl", "-o", str(tmp_path)]
     assert main(["experiment", "run", *arguments]) == 2
-    assert capsys.readouterr().err.startswith("hapticd: --lsl is for a daemon")
+    assert capsys.readouterr().err.startswith("hapticd: --lsl cannot be combined with --offline")
     assert list(tmp_path.iterdir()) == []

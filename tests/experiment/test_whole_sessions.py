@@ -154,7 +154,7 @@ def test_a_study_that_was_changed_since_is_told(
     same = _run(ranked.parent / "ranking.yaml", data, "--offline", people=("B",))
     assert "was changed" not in same.output + capfd.readouterr().err
     other = _run(changed, data, "--offline", people=("C",))
-    assert f"{changed}: was changed since the session in {data}" in other.output + capfd.readouterr().err
+    assert f"{changed}: changed since the session in {data}" in other.output + capfd.readouterr().err
 
 
 @pytest.mark.long

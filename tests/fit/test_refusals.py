@@ -177,7 +177,7 @@ DAMAGED: Final[list[tuple[str, str, Damage, str]]] = [
     ("tap", "acceleration in km/s^2", times(SEEN, 1e-3), "off by a thousand"),
     ("tap", "position in mm", times(NORMAL, 1e3), "must be between 0.001 and 10 m/s"),
     ("tap", "position in km", times(NORMAL, 1e-3), "must be between 0.001 and 10 m/s"),
-    ("tap", "time in ms", times(TIME, 1e3), "which unit is the time in?"),
+    ("tap", "time in ms", times(TIME, 1e3), "are they in another unit?"),
     ("tap", "time and position", swapped(TIME, NORMAL), "is it the right column?"),
     ("tap", "time and acceleration", swapped(TIME, SEEN), "is it the right column?"),
     ("tap", "acceleration and position", swapped(SEEN, NORMAL), "is the position the right column?"),

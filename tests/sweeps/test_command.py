@@ -113,7 +113,7 @@ def test_a_point_that_cannot_be_computed_is_a_row_and_the_exit_code_says_so(
         ),
         ({"operator": None}, "measures a run: the study needs an operator"),
         ({"operator": {"gesture": {"kind": "tap"}}}, "operator.gesture.object: Field required"),
-        ({"base": "no_such_scene"}, "no_such_scene: is no file here and no shipped scene"),
+        ({"base": "no_such_scene"}, "no_such_scene: neither a file nor a shipped scene"),
         (
             {"refine": {"key": "servo.rate_hz", "start": 1000, "end": 9000, "holds": "peak"}},
             "unknown measured column peak",

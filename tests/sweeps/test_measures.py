@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import hapticd
-from bench.displayed import AT_TICK, moved_error
+from bench.displayed import moved_error
+from hapticd.analysis.calibration.verify import ONSET_LEAD_PERIODS
 from hapticd.base.errors import HapticdError, InvalidError
 from hapticd.config.materials import shipped_materials
 from hapticd.sweeps.columns import Row
@@ -82,7 +83,7 @@ def test_the_displayed_error_is_that_of_the_handles_motion(material: str, compen
     document = {"device": {"compensation": compensation}}
     found = measured({"displayed_error": {"material": material}}, document, "none")
     mode = shipped_materials()[material].tap.mode  # type: ignore[union-attr]
-    moved = moved_error(mode, "default", compensation, 10_000.0, AT_TICK)
+    moved = moved_error(mode, "default", compensation, 10_000.0, ONSET_LEAD_PERIODS)
     assert found["displayed_error"] == pytest.approx(moved, rel=0.02, abs=2e-3)
 
 
@@ -92,7 +93,7 @@ def test_behind_a_link_the_displayed_error_is_that_of_its_frames() -> None:
         {"displayed_error": {"material": "wood"}}, {"device": {"sim": {"link": {"rate_hz": 1000}}}}, "none"
     )
     mode = shipped_materials()["wood"].tap.mode  # type: ignore[union-attr]
-    assert found["displayed_error"] == pytest.approx(moved_error(mode, "default", "off", 1000.0, AT_TICK), rel=0.02)
+    assert found["displayed_error"] == pytest.approx(moved_error(mode, "default", "off", 1000.0, ONSET_LEAD_PERIODS), rel=0.02)
 
 
 def test_a_mode_that_the_rate_does_not_carry_has_no_displayed_error() -> None:

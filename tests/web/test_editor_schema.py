@@ -34,7 +34,7 @@ def test_an_object_is_found_by_its_kind(kind: str) -> None:
 def test_a_member_names_its_unit_once() -> None:
     stiffness = definition(editor_schema()["material"])["properties"]["stiffness_n_per_m"]  # type: ignore[arg-type]
     assert stiffness["unit"] == "N/m"
-    assert stiffness["description"] == "Force per penetration or deflection."
+    assert stiffness["description"] == "Normal force per penetration depth or deflection."
     assert (stiffness["minimum"], stiffness["maximum"]) == (0, 1e5)
 
 
