@@ -201,7 +201,7 @@ def _rates(client: Any, tell: Callable[[float], None]) -> Table:
     cells: dict[str, dict[float, str]] = {}
     for row in swept(client, "displayed_rates", tell):
         errors = [row[each] for each in COMPARED]
-        cell = "not carried" if None in errors else " / ".join(map(_percent, errors))
+        cell = "not displayable" if None in errors else " / ".join(map(_percent, errors))
         cells.setdefault(row["parameters.material"], {})[row["servo.rate_hz"]] = cell
     rates = next(iter(cells.values()))
     caption = "Displayed error over rate, default grip, %: off / full"
