@@ -62,12 +62,12 @@ MEASUREMENTS: dict[str, Measurement] = {
     "features": Measurement("what each feature of a surface adds to a tick", features.run, SPEED),
     "crowd": Measurement("1 to 10,000 objects, and compiling them", crowd.run, SPEED),
     "offline": Measurement("render and simulate, ticks a second", offline.run, SPEED),
-    "servo": Measurement("lateness and work beside cyclictest", lateness.run, SPEED),
-    "command": Measurement("command round trip beside a bare echo", command.run, SPEED),
+    "servo": Measurement("lateness and work, compared with cyclictest", lateness.run, SPEED),
+    "command": Measurement("command round trip, compared with a bare echo", command.run, SPEED),
     "telemetry": Measurement("ten subscribers, one dead", telemetry.run, SPEED),
-    "streams": Measurement("streamed forces: what is lost, how long one takes, what it costs", streams.run, SPEED),
-    "web": Measurement("what the page's server costs", web.run, SPEED),
-    "browser": Measurement("the page in a browser: frames, lateness of force, picture and sound", browser.run, SPEED),
+    "streams": Measurement("streamed forces: losses, latency, processor time", streams.run, SPEED),
+    "web": Measurement("cost of the page's server", web.run, SPEED),
+    "browser": Measurement("the page in a browser: frames, latency of force, picture and sound", browser.run, SPEED),
     "resources": Measurement("start, memory, processor time", resources.run, SPEED),
     "link": Measurement("links of 1000, 500 and 250 Hz: stability, and error of each material", link.run, DEVICES),
 }
@@ -123,7 +123,7 @@ def _measure(console: Console, names: Sequence[str], options: Options, on: str |
                 told = " ".join(str(error).split()) or type(error).__name__
                 section = Section(name, [f"**Not measured:** {told}"])
         took = f"`python -m bench {name}`, {time.monotonic() - started:.0f} s"
-        section.parts.append(took if on is None else f"{took}, by itself: {on}")
+        section.parts.append(took if on is None else f"{took}, measured separately: {on}")
         found.pages.setdefault(each.page, []).append(section)
         section.show(console)
     found.took_s = time.monotonic() - begin
@@ -140,24 +140,24 @@ def replaced(page: str, sections: Sequence[Section]) -> str:
 
 def _write(found: Found, folder: Path, on: str, whole: bool) -> list[Path]:
     """The pages, into a folder; their files. What is not all of a page goes into the one that is there."""
-    took = f"The whole run took {found.took_s / 60:.0f} minutes ({found.took_s:.0f} s)."
+    took = f"The complete run took {found.took_s / 60:.0f} minutes ({found.took_s:.0f} s)."
     heads = {
         ACCURACY: (
             "Accuracy",
-            "How wrong what is rendered, displayed and fitted is, against arbitrary precision or a closed form. "
-            "[Algorithms beside their alternatives](alternatives.md) sets the cost of each kernel against its error, "
-            f"measured once. Written by `make bench` (`hapticd bench`). {on} {took} Ways are measured in "
-            "turns in one process, and ratios are of one run, round by round; a cost is the median over the rounds, "
-            "and in brackets the tenth to the ninetieth percentile of them. What a wake-up, a command and a scene "
-            "cost is in [Benchmarks](benchmarks.md). All that a section claims is shown by the command at its end; "
-            "errors of the core are asserted, with margins, in `tests/`.",
+            "Errors of rendering, display and fitting, against arbitrary precision or a closed form. "
+            "[Algorithms and their alternatives](alternatives.md) compares cost and error of each kernel with other "
+            f"methods, measured once. `make bench` (`hapticd bench`) writes this page. {on} {took} Variants are "
+            "measured in turns (interleaved) in one process, and ratios are taken round by round within one run. "
+            "A cost is the median over the rounds, with the tenth to the ninetieth percentile in brackets. "
+            "[Benchmarks](benchmarks.md) has the times of wake-ups, commands and scenes. The command at the end of "
+            "a section repeats its measurements; tests in `tests/` assert the errors of the core, with margins.",
         ),
         SPEED: (
             "Benchmarks",
-            "Times and rates. [Accuracy](accuracy.md) is how wrong what is rendered is. Written by `make bench`; "
-            f"ratios are of one run. {on} {took} Processors and other guests of the machine are shared, so that "
-            "medians and ratios count, not the tails; a figure is the median over repetitions, and in brackets the "
-            "tenth to the ninetieth percentile of them.",
+            "Times and rates. [Accuracy](accuracy.md) has the errors of rendering. `make bench` writes this page; "
+            f"ratios are taken within one run. {on} {took} The machine is shared with other guests, so medians and "
+            "ratios are meaningful, the tails are not. A figure is the median over repetitions, with the tenth to "
+            "the ninetieth percentile in brackets.",
         ),
     }
     written = []

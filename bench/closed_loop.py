@@ -231,10 +231,10 @@ def loops(options: Options, advance: Advance) -> Section:
     section = Section(
         "The closed loop",
         [
-            "A hand (300 N/m, 5 N s/m) draws a mass of 0.05 kg onto a wall at 0.1 m/s and rests; the simulated "
-            "joystick without encoder step, dry friction, force resolution and vibration. The reference is the closed "
-            f"form of the continuous loop. Each figure is the largest over {PHASES} places of the onset within "
-            "the tick.",
+            "A hand (300 N/m, 5 N s/m) draws a mass of 0.05 kg onto a wall at 0.1 m/s and rests. The simulated "
+            "joystick has no encoder step, dry friction, force resolution or vibration. The reference is the closed "
+            f"form of the continuous loop. Each figure is the largest error over {PHASES} positions of the onset "
+            "within the tick.",
         ],
     )
     for index, (name, loop) in enumerate(LOOPS.items()):
@@ -243,11 +243,11 @@ def loops(options: Options, advance: Advance) -> Section:
     loop = LOOPS["K = 800 N/m"]
     left = [without_hold(loop, rate) for rate in RATES_HZ]
     section.parts.append(
-        "All fall with T to the first power, as a zero-order hold must: the force of tick k is held until tick k+1, so "
-        "that on average it is T/2 old, and a spring whose force comes T/2 late is a spring with K T/2 of negative "
-        "damping. Damping from the backward difference of positions is T/2 older still, T in all. An onset between two "
-        "ticks is first answered at the second of them. Taking K T/2 of damping from the continuous wall therefore "
-        "explains the first order, and what it leaves must be of the second:"
+        "All errors are of first order in T, as expected of a zero-order hold. The force of tick k is held until tick "
+        "k+1, so on average it is T/2 old. A spring whose force comes T/2 late acts like a spring with a damping of "
+        "-K T/2. Damping from the backward difference of positions is another T/2 older, T in all. An onset between "
+        "two ticks is first answered at the second of them. A continuous wall with K T/2 less damping therefore "
+        "explains the first order, and the remaining error must be of second order:"
     )
     rows = [[f"{rate:.0f}", f"{1e6 * value:.3f}"] for rate, value in zip(RATES_HZ, left, strict=True)]
     section.parts.append(
@@ -261,9 +261,8 @@ def loops(options: Options, advance: Advance) -> Section:
     prompt = [error(loop, rate) for rate in RATES_HZ]
     times = [a.penetration_m / b.penetration_m for a, b in zip(late, prompt, strict=True)]
     section.parts.append(
-        "A device whose reports are one tick old makes the force 3 T/2 old instead of T/2: the error in penetration is "
-        f"{min(times):.1f} to {max(times):.1f} times as large, and the force at a tick lags by what the wall gains in "
-        "one:"
+        "A device whose reports are one tick old makes the force 3 T/2 old instead of T/2. The error in penetration is "
+        f"{min(times):.1f} to {max(times):.1f} times as large, and the force lags by one tick:"
     )
     section.parts.append(table)
     return section

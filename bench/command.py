@@ -109,11 +109,11 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Command round trip",
         [
-            f"The whole daemon with the servo at {RATE_HZ} Hz, over ipc; the echo is another process. update_scene "
-            "moves one wall, another way each time. Ratios of p50 are taken block by block, that of p99 over all "
-            "of the run.",
+            f"A daemon with the servo at {RATE_HZ} Hz, over ipc; the echo is another process. `update_scene` "
+            "moves one wall, alternately up and down. Ratios of p50 are taken block by block, the ratio of p99 "
+            "over the complete run.",
             Table(
-                f"us, {blocks} blocks of {trips} round trips of each, in turns",
+                f"us, {blocks} interleaved blocks of {trips} round trips of each",
                 ["", "p50 (10 to 90 %)", "p99", "worst", "p50 over echo's", "p99 over echo's", "aims, reached"],
                 rows,
             ),

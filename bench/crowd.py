@@ -122,7 +122,7 @@ def _touched(options: Options, advance: Advance) -> Table:
             reached = verdict(float(np.median(ratio)), 1.3)
             rows.append([f"{name}, {way}", *cells, spread(ratio, ".2f"), reached])
     return Table(
-        f"ns a tick with three in touch (of one object: one), {rounds} rounds in turns, each of "
+        f"ns a tick with three objects in contact (of one object: one), {rounds} interleaved rounds, each of "
         f"{times * 64 * STRETCH} ticks",
         ["crowd", *(f"{count:,}" for count in COUNTS), "10,000 / 10 (10 to 90 %)", "<= 1.3"],
         rows,
@@ -154,7 +154,7 @@ def _untouched(options: Options, advance: Advance) -> Table:
             cells.append(cost if name == "none" else f"{cost}; {spread(more, '+.1f')}")
         rows.append(cells)
     return Table(
-        "ns a tick with nothing in touch; what that is more than in an empty scene, round by round (10 to 90 %)",
+        "ns a tick without contact; difference to an empty scene, round by round (10 to 90 %)",
         ["objects", *WAYS],
         rows,
     )
@@ -193,7 +193,7 @@ def _compile(options: Options, advance: Advance) -> Table:
     table = compiled(kept)
 
     work: dict[str, tuple[Callable[[], object], float | None]] = {
-        "compile, from validated models to what a tick reads": (whole, 200.0),
+        "compile, from validated models to the servo's table": (whole, 200.0),
         "of it: the table, in Python": (lambda: compiled(Compiler(output)), None),
         "of it: checks, copy and index, in C": (lambda: new_world(table), None),
         "before it: validation of plain data": (lambda: load_scene({"objects": objects}), None),
@@ -231,10 +231,10 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Crowds",
         [
-            "`hd_render` as above, the probe 0.2 mm deep in three surfaces or beside them all, at rest or stroking to "
-            "and fro over 41 mm (at 1 m/s 51 mm). Boxes and discs of 0.5 mm lie 2 mm apart over 0.2 by 0.2 m, the "
-            "nearest 1.5 mm away, fewer of them at places drawn from the same lattice; parallel walls lie 10 um apart, "
-            "the first 2.8 mm below the probe.",
+            "`hd_render` as above. The probe is 0.2 mm deep in three surfaces or touches nothing; it rests or strokes "
+            "to and fro over 41 mm (at 1 m/s 51 mm). Boxes and discs of 0.5 mm lie on a lattice with a spacing of "
+            "2 mm over 0.2 by 0.2 m, the nearest 1.5 mm away; smaller crowds are drawn from the same lattice. Parallel "
+            "walls have a spacing of 10 um, the first 2.8 mm below the probe.",
             _touched(options, lambda part, what: advance(0.5 * part, what)),
             _untouched(options, lambda part, what: advance(0.5 + 0.3 * part, what)),
             _compile(options, lambda part, what: advance(0.8 + 0.2 * part, what)),

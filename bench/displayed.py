@@ -184,7 +184,7 @@ def _errors(client: Any, tell: Callable[[float], None]) -> list[str | Table]:
     reached = sum(error <= GOAL for error in worst)
     tables.append(
         f"Worst with `full`: {100 * max(worst):.1f} %; at most {100 * AIM:g} %: {verdict(max(worst), AIM)}. "
-        f"{reached} of {len(worst)} are within the {100 * GOAL:g} % that were aimed for."
+        f"{reached} of {len(worst)} reach the aim of {100 * GOAL:g} %."
     )
     return tables
 
@@ -201,7 +201,7 @@ def _rates(client: Any, tell: Callable[[float], None]) -> Table:
     cells: dict[str, dict[float, str]] = {}
     for row in swept(client, "displayed_rates", tell):
         errors = [row[each] for each in COMPARED]
-        cell = "not carried" if None in errors else " / ".join(map(_percent, errors))
+        cell = "not displayable" if None in errors else " / ".join(map(_percent, errors))
         cells.setdefault(row["parameters.material"], {})[row["servo.rate_hz"]] = cell
     rates = next(iter(cells.values()))
     caption = "Displayed error over rate, default grip, %: off / full"
@@ -216,19 +216,19 @@ def run(options: Options, advance: Advance) -> Section:
         walls = _walls(client, between(advance, 0.5, 0.8, "walls"))
         rates = _rates(client, between(advance, 0.8, 0.9, "rates"))
     parts: list[str | Table] = [
-        "A tap of the default simulated handle (0.04 kg, 0.2 N s/m) in three grips. `off` strikes with the mass of "
-        "handle and hand, `mass` makes up for the hold of the force too, `C alone` is the complex gain of the whole "
-        "device on the mode's own pole, and `full` chooses gain and tail together by least squares. Columns without "
-        "`any onset` are for an onset at a tick, as of `play`. A tap begins anywhere between two ticks and cannot be "
-        f"answered before the second of them: what is missing until then counts in `any onset`, the RMS over {PHASES} "
-        "places. The tail is told by how long after the onset it ends.",
+        "A tap of the default simulated handle (0.04 kg, 0.2 N s/m) in three grips, with four compensations. `off`: "
+        "the force is the acceleration times the mass of handle and hand. `mass` also compensates the hold of the "
+        "force. `C alone`: the complex gain of the device at the mode's pole. `full`: gain and tail together, by least "
+        "squares. The onset is at a tick, as with `play`, except in columns `any onset`: a tap begins at any time "
+        "between two ticks, its force begins at the second of them, and the error includes what is missing until then "
+        f"(RMS over {PHASES} positions). `tail` is the time from the onset to the end of the tail.",
         *errors,
-        "All of that is with nothing touched, as of `play`. A wall acts on the handle while its tap rings. `wall left "
-        "out` are the forces for no wall, against the wall; `full` is what a tap on it is given.",
+        "These figures are without contact, as with `play`. A wall acts on the handle while its tap rings. `wall left "
+        "out`: forces computed without the wall, displayed on the wall. `full`: forces of a tap on this wall.",
         walls,
-        "`hapticd verify` tells the same of a configuration, at an onset at a tick: rows `tap` of nothing touched, "
-        "rows `wall` on the material's own stiffness. It adds what the joystick does besides: dry friction, steps of "
-        "the actuator, the force limit. Without friction, steps and a limit it gives these figures.",
+        "`hapticd verify` reports the same for a configuration, with the onset at a tick: rows `tap` without contact, "
+        "rows `wall` on a wall of the material's stiffness. It also includes dry friction, steps of the actuator and "
+        "the force limit of the joystick. Without these three it gives the figures above.",
         rates,
     ]
     return Section("Displayed acceleration", parts)

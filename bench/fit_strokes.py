@@ -103,7 +103,7 @@ def table(client: Any, options: Options, tell: Callable[[float], None]) -> Table
         for each in coverage(kind, sets)
     ]
     return Table(
-        "Strokes and punctures: coverage of the 95 % intervals, beside the standard error of so few sets",
+        "Strokes and punctures: coverage of the 95 % intervals, and its standard error with this number of sets",
         ["kind", "figure", "sets", "median error, %", "coverage, %", "+-"],
         rows,
     )

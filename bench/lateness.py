@@ -166,10 +166,10 @@ def run(options: Options, advance: Advance) -> Section:
         f"Simulated joystick at rest above a wooden floor, "
         f"{'SCHED_FIFO ' + str(PRIORITY) if first.scheduler == 'fifo' else 'no real-time priority'}"
         f"{', not granted: ' + '; '.join(first.missing) if first.missing else ''}; runs of {seconds:g} s, "
-        "no load added to what the machine has. "
-        "Lateness is wake-up after the deadline, missed periods included; work is from wake-up to the force handed "
-        "over: commands and table looked at, device read, velocity estimated, tick, device written, and one reading of "
-        "the clock."
+        "without additional load. "
+        "Lateness is the time from the deadline to the wake-up, missed periods included. Work is the time from the "
+        "wake-up to the force at the device: check for commands and a table, read the device, estimate the velocity, "
+        "compute the tick, write the device, and read the clock once."
     )
     section.parts.append(_work(runs, spun))
     if have:
@@ -177,8 +177,7 @@ def run(options: Options, advance: Advance) -> Section:
         section.parts.append(_ratios(runs, theirs))
     else:
         section.parts.append(
-            "**Not measured: wake-up lateness beside cyclictest.** It is not installed (Debian: rt-tests). The servo "
-            "alone:"
+            "**Not measured: wake-up lateness of cyclictest.** It is not installed (Debian: rt-tests). The servo alone:"
         )
         section.parts.append(_alone("Wake-up lateness, us, without spin", runs, dict.fromkeys(RATES_HZ, 0.0), None))
     section.parts.append(_alone("Wake-up lateness, us, with spin", spun, SPIN_US, 1000.0))
@@ -206,7 +205,7 @@ def _beside(runs: dict[int, list[Run]], theirs: dict[int, list[list[float]]]) ->
         for name, found in (("servo", ours), ("cyclictest", theirs[rate])):
             rows.append([f"{rate} Hz, {name}", *(_us([run[i] for run in found]) for i in range(3))])
     return Table(
-        f"Wake-up lateness, us, without spin, {len(runs[RATES_HZ[0]])} runs of each in turns: median (10 to 90 %)",
+        f"Wake-up lateness, us, without spin, {len(runs[RATES_HZ[0]])} interleaved runs of each: median (10 to 90 %)",
         ["", "p50", "p99", "p99.9"],
         rows,
     )

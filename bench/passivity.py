@@ -252,10 +252,10 @@ def _counts(options: Options, advance: Advance) -> list[str | Table]:
     text = (
         f"{len(GROUPS) * many} seeded cases (`bench/passivity.py`, `draw`), each of {LASTING_S:g} s with the "
         f"controller off and on, {contacts} contacts: one wall or a corner of 10 to 170 degrees, 1 to 10 kHz, "
-        "stiffness of 0.5 to 100 times what is passive, a third with wall damping of 0.1 to 300 N s/m, a third with "
-        "friction, the default hand or a handle of 20 g that nobody holds. "
-        f"F_max {MAX_FORCE_N:g} N, v_max {MAX_SPEED_M_PER_S:g} m/s, T one period; a the age of a position, in whole "
-        "periods. Energy is that of the handle's own motion."
+        "stiffness of 0.5 to 100 times the passive stiffness, a third with wall damping of 0.1 to 300 N s/m, a third "
+        "with friction, the default hand or a released handle of 20 g. "
+        f"F_max is {MAX_FORCE_N:g} N, v_max {MAX_SPEED_M_PER_S:g} m/s, T one period, a the age of a position rounded "
+        "up to periods. Energies are computed from the true motion of the handle."
     )
     return [
         text,
@@ -270,7 +270,7 @@ def _counts(options: Options, advance: Advance) -> list[str | Table]:
                 "worst / F v (T + a)",
                 "median / F v T (10 to 90 %)",
                 "fastest, m/s (10 to 90 %)",
-                "acted in",
+                "cases in which it acted",
             ],
             rows,
         ),
@@ -298,7 +298,7 @@ def _cost(options: Options, advance: Advance) -> Table:
             [name, *(spread(values, ".1f") for values in taken.values()), *(spread(each, ".1f") for each in more)]
         )
     return Table(
-        f"ns a tick, {rounds} rounds in turns, each the median of {calls} calls of {STRETCH} ticks (10 to 90 %)",
+        f"ns a tick, {rounds} interleaved rounds, each the median of {calls} calls of {STRETCH} ticks (10 to 90 %)",
         ["scene", "off", "observe", "control", "observe - off", "control - off"],
         rows,
     )

@@ -68,7 +68,7 @@ def run(options: Options, advance: Advance) -> Section:
         )
         advance(0.3 + 0.7 * (index + 1) / len(RATES_HZ), f"{rate} Hz")
     return Section(
-        "What a daemon costs",
+        "Cost of a daemon",
         [
             Table(
                 f"Start, s, {starts} starts: median (10 to 90 %); aim: ready < 0.5",
@@ -79,9 +79,9 @@ def run(options: Options, advance: Advance) -> Section:
                 ],
             ),
             Table(
-                f"Processor, % of one of {os.cpu_count()}, over {seconds:g} s, nobody connected; memory, MB, aim < 80 "
-                "(locked counts address space, of which only what is used is resident)",
-                ["servo", "daemon", "of it the servo thread", "resident", "most ever", "locked", "reached"],
+                f"Processor time, % of one of {os.cpu_count()}, over {seconds:g} s, without clients; memory, MB, aim "
+                "< 80 (locked: address space, of which only used pages are resident)",
+                ["servo", "daemon", "of it the servo thread", "resident", "largest", "locked", "reached"],
                 rows,
             ),
         ],

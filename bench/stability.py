@@ -547,7 +547,7 @@ def run(options: Options, advance: Advance) -> Section:
         numbers = [found.fates[what, fate] for fate in fates]
         rows.append([what, str(sum(numbers)), *map(str, numbers)])
     numbers = [found.plain[fate] for fate in fates]
-    rows.append(["the plain conditions call it safe", str(sum(numbers)), *map(str, numbers)])
+    rows.append(["safe by the plain conditions", str(sum(numbers)), *map(str, numbers)])
     if not options.quick:
         draw_maps(maps)
     heads = [
@@ -562,19 +562,20 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Stability",
         [
-            f"{trials} seeded trials: walls and corners, devices and hands drawn at random, a quarter of the handles "
-            "free and pushed, two fifths of the stiffnesses at 0.5, 0.999 or 2 times the limit; "
-            "what becomes of them once the hand rests, "
-            f"with the servo's tick and the simulated joystick. Called safe and not at rest: {len(found.broken)}. "
+            f"{trials} seeded trials with the servo's tick and the simulated joystick: random walls and corners, "
+            "devices and hands. A quarter of the handles are free and pushed; two fifths of the stiffnesses are 0.5, "
+            "0.999 or 2 times the limit. The table shows the motion after the hand has come to rest. "
+            f"Called safe, but not at rest: {len(found.broken)}. "
             f"Spectral radius above 1.001: {found.linear}, of which {found.grew} grow in the bilateral loop without "
-            "friction, rounding and limit. A trial is at rest where its speed stays within 1e-7 m/s of its mean, and "
-            "cycles where the energy of half-second stretches no longer changes, or does not fall for "
-            f"{UNSAFE_S:.0f} s ({LONGEST_S:.0f} s where it is called safe).",
-            "Simulated: the least stiffness at which the handle does not come to rest, the first unstable island of "
-            f"a search upwards by {100 * (STEP - 1):.1f} % from 0.9 of what is proved, from {len(STARTS)} starts. "
-            f"Rests again: part of the stiffnesses up to {ABOVE:g} times as large at which a free handle rests. "
-            f"Any: none was found up to {HIGHEST:g} N/m.",
-            Table("Trials by what the margin says", ["", "trials", "rest", "cycle", "grow", "still fall"], rows),
+            "friction, rounding and limit. A trial rests if its speed stays within 1e-7 m/s of its mean. It cycles if "
+            "the energy of half-second intervals no longer changes, or does not fall for "
+            f"{UNSAFE_S:.0f} s ({LONGEST_S:.0f} s if it is called safe).",
+            "Simulated: the smallest stiffness at which the handle does not come to rest. The search for this first "
+            f"unstable island goes upwards by {100 * (STEP - 1):.1f} % from 0.9 of the proved stiffness, from "
+            f"{len(STARTS)} starts. "
+            f"Rests again: fraction of the stiffnesses up to {ABOVE:g} times as large at which a free handle rests. "
+            f"Any: no limit was found up to {HIGHEST:g} N/m.",
+            Table("Trials by verdict of the margin", ["", "trials", "rest", "cycle", "grow", "still falling"], rows),
             *(
                 Table(f"Stiffness over {label}, N/m", [label, *heads], _of(maps[axis]))
                 for axis, (label, *_) in AXES.items()

@@ -169,9 +169,9 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Streams",
         [
-            f"The whole daemon at {RATE_HZ} Hz. Another process streams forces on a circle, {PER_S:,} a second "
-            f"for {seconds} s. From its clock before `send` to the wake-up of the tick that took the message, which "
-            "the samples show: the force turns towards another point of the circle.",
+            f"A daemon at {RATE_HZ} Hz. Another process streams forces on a circle, {PER_S:,} a second "
+            f"for {seconds} s. The latency is the time from `send` to the wake-up of the tick that took the message. "
+            "The samples show this tick, because the force turns towards another point of the circle.",
             Table(
                 f"{seconds * PER_S:,} messages",
                 [
@@ -202,8 +202,8 @@ def run(options: Options, advance: Advance) -> Section:
                     ["between two messages, as sent", *_percentiles(found.interval_us), ""],
                 ],
             ),
-            f"A message takes {found.command_us:.1f} us of a processor in the daemon, the waking up of the thread that "
-            f"serves commands included: {found.command_us * PER_S / 1e4:.1f} % of one at {PER_S:,} a second.",
+            f"A message takes {found.command_us:.1f} us of processor time in the daemon, including the wake-up of the "
+            f"command thread: {found.command_us * PER_S / 1e4:.1f} % of a processor at {PER_S:,} messages a second.",
         ],
     )
 

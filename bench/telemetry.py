@@ -110,12 +110,12 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Telemetry",
         [
-            f"The whole daemon at {RATE_HZ} Hz, {parts * seconds:g} s of each kind of run, {parts} of them in turns; "
-            "the readers are one process that takes all topics and unpacks every batch. The dead subscriber is "
-            f"connected and never reads. The daemon's ring dropped {dropped['samples_dropped']} samples and the servo "
-            f"missed {dropped['skipped']} periods in all of it, start to end.",
+            f"A daemon at {RATE_HZ} Hz, {parts * seconds:g} s of each kind of run in {parts} interleaved parts. "
+            "The readers are one process that subscribes to all topics and unpacks every batch. The dead subscriber is "
+            f"connected and never reads. In total the daemon's ring dropped {dropped['samples_dropped']} samples, and "
+            f"the servo missed {dropped['skipped']} periods.",
             Table(
-                "Servo and subscribers; aim: nothing missing, the servo unmoved",
+                "Servo and subscribers; aim: no missing samples, no effect on the servo",
                 [
                     "",
                     "lateness p50 / p99 / p99.9, us",

@@ -230,7 +230,7 @@ def _ticks(options: Options, advance: Advance) -> Table:
         ]
         for name, (_, _, aim) in cases.items()
     ]
-    rows.append(["of each row: the call itself (a call of no tick)", spread(overhead, ".1f"), "", ""])
+    rows.append(["part of each row: the call itself (a call without ticks)", spread(overhead, ".1f"), "", ""])
     return Table(
         f"ns a tick, {rounds} rounds of {calls} calls of {STRETCH} ticks: median of the rounds' medians (10 to 90 %)",
         ["scene", "ns a tick", "aim", "reached"],
@@ -277,10 +277,9 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Work per tick",
         [
-            "What is timed is `hd_render` from Python: its loop, the tick, and the 112-byte "
-            "sample it writes; the state and all memory are warm. There is no clock and no device in it, and no "
-            "estimator either where the row does not name it (velocities are given). Nothing is subtracted: the last "
-            "row says how much of every other is the call itself.",
+            "Time of `hd_render`, called from Python: its loop, the tick, and the 112-byte sample that it writes. "
+            "State and memory are warm. There is no clock and no device; velocities are given, unless the row names "
+            "the estimator. Nothing is subtracted: the last row shows how much of every other row is the call itself.",
             _ticks(options, lambda part, what: advance(0.9 * part, what)),
             _estimator(options, lambda part, what: advance(0.9 + 0.1 * part, what)),
         ],

@@ -118,10 +118,14 @@ def run(options: Options, advance: Advance) -> Section:
     rows = [
         ["processor time, page without samples, %", spread(shares[IDLE], ".1f"), verdict(median["idle"], 5.0)],
         ["processor time, page with all samples, %", spread(shares[DRAWING], ".1f"), verdict(median["draw"], 15.0)],
-        ["servo's p99 lateness, with over without", spread(ratios, ".2f"), verdict(float(np.median(ratios)), 1.1)],
+        [
+            "servo's p99 lateness, ratio with to without a page",
+            spread(ratios, ".2f"),
+            verdict(float(np.median(ratios)), 1.1),
+        ],
     ]
     return Section(
-        "What the page's server costs",
+        "Cost of the page's server",
         [
             Table(
                 f"`hapticd web` with one page, servo at 10 kHz, {pairs} runs of {seconds:g} s: median (10 to 90 %); "
@@ -129,7 +133,7 @@ def run(options: Options, advance: Advance) -> Section:
                 ["", "", "reached"],
                 rows,
             ),
-            "The page is a process without a browser that reads all telemetry.",
+            "The page is simulated by a process that reads all telemetry, without a browser.",
         ],
     )
 
