@@ -32,7 +32,7 @@ SPEEDS_M_PER_S = (0.05, 0.1, 0.2)
 TAP_M_PER_S = 0.05
 STROKE_M_PER_S = 0.1
 PHASES = 8
-"""Onsets at as many places within a frame; what is told is the worst."""
+"""Onsets at as many places within a frame; the worst is reported."""
 MASS_KG = 0.05
 SHOWN = (
     *("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel", "cellophane", "comb"),
@@ -278,21 +278,22 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Links",
         [
-            "The simulated joystick behind `device.sim.link`: a position is one frame old when it is read, a force "
-            "acts at the first frame after it was put and is held until the next. Computed, not timed.",
-            f"Walls: the default joystick ({sim.handle_mass_kg:g} kg, encoder {1e6 * sim.encoder_step_m:g} um) and "
-            f"hand ({sim.hand.mass_kg:g} kg, {sim.hand.stiffness_n_per_m:g} N/m, {sim.hand.damping_n_s_per_m:g} N s/m) "
-            f"press onto a wall and rest; a second later the handle must move by less than {1e6 * WORST_MOTION_M:g} "
-            "um. A force that is late acts as negative damping, stiffness times its age; where that exceeds the "
-            "damping of hand and handle (dry friction helps them), the wall buzzes.",
+            "The simulated joystick is behind `device.sim.link`: a position is one frame old when the servo reads it, "
+            "and a force acts from the first frame after its command until the next one. The figures are computed, not "
+            "timed.",
+            f"Walls: the hand ({sim.hand.mass_kg:g} kg, {sim.hand.stiffness_n_per_m:g} N/m, "
+            f"{sim.hand.damping_n_s_per_m:g} N s/m) presses the default joystick ({sim.handle_mass_kg:g} kg, encoder "
+            f"{1e6 * sim.encoder_step_m:g} um) onto a wall and holds it; a second later the handle must move by less "
+            f"than {1e6 * WORST_MOTION_M:g} um. A late force acts as negative damping: stiffness times the force's "
+            "age. If that exceeds the damping of hand and handle, to which dry friction adds, the wall buzzes.",
             _stability(advance),
-            f"Materials: a hand that nothing deflects taps, punctures ({TAP_M_PER_S:g} m/s) and strokes "
-            f"({STROKE_M_PER_S:g} m/s, 1 N). The tables show how far the force that the actuator holds is from the "
-            "closed form of the library (taps and puncture), or from the same stroke without a link (its changes): RMS "
-            "of the difference over RMS, once the delay that stands beside it is taken off; the worst of several "
-            "places of the onset within a frame. Much of it is the staircase of held forces, which the mass of a "
-            "handle smooths. "
-            "Above 0.4 of the link's rate a mode is silent (`undisplayable: mute`).",
+            f"Materials: a hand that no force deflects taps, punctures ({TAP_M_PER_S:g} m/s) and strokes "
+            f"({STROKE_M_PER_S:g} m/s, 1 N). The table shows the error of the actuator's force, and its delay. The "
+            "reference is the closed form of the library (taps and puncture), or the changes of force in the same "
+            "stroke without a link. The error is the RMS of the difference over the RMS of the reference, after the "
+            "delay is removed; the worst of several onsets within a frame. Much of it is the staircase of held forces, "
+            "which the mass of a handle smooths. Above 0.4 of the link's rate a mode is silent "
+            "(`undisplayable: mute`).",
             _materials(advance),
         ],
     )

@@ -99,7 +99,7 @@ def _limits(schema: Schema) -> str:
         case {"type": "boolean"}:
             return "`true`, `false`"
         case {"minimum": int() | float() as low, "maximum": int() | float() as high}:
-            return f"{_number(low)} to {_number(high)}" + (", whole" if schema["type"] == "integer" else "")
+            return f"{_number(low)} to {_number(high)}" + (", integer" if schema["type"] == "integer" else "")
         case {"items": {"prefixItems": list()} as item, "minItems": int() as least, "maxItems": int() as most}:
             return f"{least} to {most} times {_limits(_map(item))}"
         case {"pattern": "^[0-9a-f]{64}$"}:

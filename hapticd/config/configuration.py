@@ -62,8 +62,8 @@ class Servo(Model):
         default=0.02,
         ge=0.002,
         le=1,
-        description="A stream of targets or forces ends when none arrived for this long: the force goes to zero over "
-        "`ramp_s`, the hand stays.",
+        description="A stream ends if no message arrives for this time: a streamed force goes to zero over `ramp_s`, a "
+        "streamed hand stays at its last target.",
     )
 
 

@@ -52,7 +52,7 @@ class HandleAxes(Model):
 
     x: HandleAxis = Field(default=HandleAxis(usage="X"), description="To the right.")
     y: HandleAxis = Field(
-        default=HandleAxis(usage="Y", sign=-1), description="Away from the user; HID's Y grows towards."
+        default=HandleAxis(usage="Y", sign=-1), description="Away from the user; HID's Y grows towards the user."
     )
 
 

@@ -156,7 +156,7 @@ class WaveformLimits:
     large: float = _limit(0.6, "fraction of the peak", "The first large value of a pulse, where its rise ends.")
     crossing: float = _limit(0.25, "fraction of the peak", "Pulses are first aligned where they pass this level.")
     max_faint_energy: float = _limit(
-        5e-4, "fraction of the energy", "What lies before the beginning and behind the end of the waveform."
+        5e-4, "fraction of the energy", "Most energy before the beginning, or after the end, of the waveform."
     )
     min_samples: int = _limit(8, "samples", "A curve with fewer samples has no shape.")
     max_coarse_loss: float = _limit(
