@@ -231,10 +231,10 @@ def protocol(page: str) -> str:
         [
             ("version of the protocol", messages.PROTOCOL_VERSION),
             ("length", f"{messages.MAX_BODY_BYTES // mib} MiB"),
-            ("depth, the body itself counted", codec.MAX_DEPTH),
+            ("nesting depth, with the body itself", codec.MAX_DEPTH),
             ("members of a map", f"{messages.MAX_MAP_MEMBERS:,}"),
-            ("messages that are kept for a slow subscriber", publisher.MAX_QUEUED_MESSAGES),
-            ("bytes that are kept for it", f"{publisher.MAX_QUEUED_BYTES // mib} MiB"),
+            ("messages that wait for a slow subscriber", publisher.MAX_QUEUED_MESSAGES),
+            ("bytes of these messages", f"{publisher.MAX_QUEUED_BYTES // mib} MiB"),
         ],
     )
 
