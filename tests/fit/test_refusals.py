@@ -186,7 +186,7 @@ DAMAGED: Final[list[tuple[str, str, Damage, str]]] = [
     ("tap", "force in mN", times(FORCE, 1e4), "is impossible"),
     ("tap", "force in kN", times(FORCE, 1e-4), "too small to be felt: is it in kN?"),
     ("tap", "position at rest", constant(NORMAL, 0.01), "the position never moves"),
-    ("tap", "NaN", spoilt, "force_n is NaN or infinite in 1 samples, first in number 6501"),
+    ("tap", "NaN", spoilt, "force_n is NaN or infinite in 1 samples, first in sample 6501"),
     ("tap", "no acceleration", without(SEEN), "no acceleration"),
     ("tap", "no speed", without(NORMAL), "neither speed nor position"),
     ("grooves", "clipped", clipped, "clipped"),

@@ -93,7 +93,9 @@ def test_behind_a_link_the_displayed_error_is_that_of_its_frames() -> None:
         {"displayed_error": {"material": "wood"}}, {"device": {"sim": {"link": {"rate_hz": 1000}}}}, "none"
     )
     mode = shipped_materials()["wood"].tap.mode  # type: ignore[union-attr]
-    assert found["displayed_error"] == pytest.approx(moved_error(mode, "default", "off", 1000.0, ONSET_LEAD_PERIODS), rel=0.02)
+    assert found["displayed_error"] == pytest.approx(
+        moved_error(mode, "default", "off", 1000.0, ONSET_LEAD_PERIODS), rel=0.02
+    )
 
 
 def test_a_mode_that_the_rate_does_not_carry_has_no_displayed_error() -> None:

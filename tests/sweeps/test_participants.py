@@ -186,7 +186,10 @@ def test_a_participant_that_cannot_be_simulated_is_a_row_with_the_reason(monkeyp
             ["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"],
             "cannot be combined",
         ),
-        (["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"], "cannot be combined"),
+        (
+            ["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"],
+            "cannot be combined",
+        ),
         (
             ["--participant", f"simulated:{'A' * 29}", "--offline", "--count", "3"],
             "must be 1 to 32 ASCII letters and digits",
