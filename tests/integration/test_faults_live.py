@@ -399,7 +399,5 @@ def test_an_object_that_is_not_there_is_guessed_at() -> None:
         client.set_scene({"objects": PUSH})
         with pytest.raises(hapticd.RemoteError, match=r"objects\.pusch: there is no object of this id.*mean push"):
             client.update_scene({"pusch": {"force_n": [0, 1]}})
-        with pytest.raises(
-            hapticd.RemoteError, match=r"objects\.display: .* which set_scene changes"
-        ):
+        with pytest.raises(hapticd.RemoteError, match=r"objects\.display: .* which set_scene changes"):
             client.update_scene({"display": {"force": False}})
