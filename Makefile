@@ -1,6 +1,6 @@
-# hapticd. `make help` lists what there is; everything sets itself up in .venv first.
+# hapticd. `make help` lists the targets; each of them first sets up .venv as needed.
 #
-# What is built lies in .venv/, build/ and hapticd/_core.abi3.so. The C tests are built once for each VARIANT (a compiler
+# Everything is built into .venv/, build/ and hapticd/_core.abi3.so. The C tests are built once for each VARIANT (a compiler
 # and its flags) into build/c/VARIANT.
 
 PYTHON ?= python3
@@ -19,7 +19,7 @@ CHANGES ?= 50000
 TICKS ?= 10000000
 
 VENV := .venv
-# Exact versions of everything that is installed, for pip and for the environment in which pip builds hapticd.
+# Exact versions of all packages, for pip and for the environment in which pip builds hapticd.
 CONSTRAINTS := constraints.txt
 BIN := $(VENV)/bin
 BUILT := $(VENV)/.built
@@ -35,19 +35,19 @@ JOBS := $(shell nproc 2>/dev/null || echo 1)
 .SECONDARY:
 
 .PHONY: help
-help: ## this list
+help: ## list the targets
 	@sed -n 's/^\([a-z][a-z-]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | \
 		while IFS='|' read -r target text; do printf '%-16s %s\n' "$$target" "$$text"; done
 
 # ---- Set-up ------------------------------------------------------------------------------------------------------
 
 .PHONY: build
-build: $(BUILT) ## set up .venv with all that hapticd's commands use, and compile the C core
+build: $(BUILT) ## set up .venv with the dependencies of all commands, and compile the C core
 
 .PHONY: tools
-tools: $(TOOLS) ## add to .venv what tests, checks, documentation and packages are made with
+tools: $(TOOLS) ## add the tools of tests, checks, documentation and packages to .venv
 
-# `make PYTHON=...` sets up .venv again where it has another version of Python.
+# `make PYTHON=...` sets up .venv again if it has another version of Python.
 ifeq ($(origin PYTHON),command line)
 ifneq ($(shell $(PYTHON) -V 2>&1),$(shell $(BIN)/python -V 2>&1))
 OTHER_PYTHON := other-python
@@ -55,7 +55,7 @@ OTHER_PYTHON := other-python
 endif
 endif
 
-# A change of the packaging installs anew; a change of the C core alone only recompiles.
+# A change of the packaging installs again; a change of the C core alone only recompiles.
 $(BUILT): $(SETUP) $(OTHER_PYTHON) hapticd/_build.py hapticd/_stub.py $(wildcard csrc/*/*.[ch])
 	@if [ ! -x $(BIN)/hapticd ] || [ -n "$(filter $(SETUP) $(OTHER_PYTHON),$?)" ]; then \
 		$(MAKE) --no-print-directory install; \
@@ -64,7 +64,7 @@ $(BUILT): $(SETUP) $(OTHER_PYTHON) hapticd/_build.py hapticd/_stub.py $(wildcard
 		mkdir -p build && $(BIN)/python setup.py -q build_ext --inplace >build/build.log 2>&1 || \
 			{ cat build/build.log >&2; exit 1; }; \
 	fi
-	@$(BIN)/python -m compileall -q hapticd # a start that compiles takes half a second longer
+	@$(BIN)/python -m compileall -q hapticd # without this the first start takes half a second longer
 	@touch $@
 	@echo "set up: $$($(BIN)/hapticd --version) in $(VENV); next: . $(VENV)/bin/activate, then hapticd run"
 
@@ -89,16 +89,16 @@ build/build-requires.txt: pyproject.toml | prerequisites
 	@$(PYTHON) -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' >$@
 
 .PHONY: lock
-lock: tools build/build-requires.txt ## write constraints.txt: today's newest versions of all dependencies, for every Python from 3.11 on
+lock: tools build/build-requires.txt ## write constraints.txt with today's newest versions of all dependencies, for every Python from 3.11 on
 	@$(BIN)/pipx run uv pip compile --quiet --universal --python-version 3.11 --all-extras --no-annotate --no-header \
 		pyproject.toml build/build-requires.txt >build/constraints.txt
 	@{ echo "# Versions of $$(date +%F), written by make lock; what make build installs."; cat build/constraints.txt; } >constraints.txt
 	@echo "wrote constraints.txt; try it: make test"
 
-# setuptools leaves out of an editable install what a wheel puts below the prefix.
+# An editable install lacks the files that a wheel installs below the prefix: copy them.
 share = $(BIN)/python setup.py -q build_share && cp -R build/share $(VENV)
 
-# One clear line for each thing that is missing.
+# Reports a missing prerequisite in one line.
 .PHONY: prerequisites
 prerequisites:
 	@command -v $(PYTHON) >/dev/null || \
@@ -116,126 +116,126 @@ prerequisites:
 # ---- For everybody -----------------------------------------------------------------------------------------------
 
 .PHONY: play
-play: build ## a page in the browser: drag the stylus with the mouse, see, hear and change what it touches; Ctrl-C ends it
+play: build ## open the page with the simulated joystick: drag the stylus with the mouse; Ctrl-C ends it
 	@$(BIN)/hapticd web --demo --open
 
 .PHONY: demo
-demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s, longer where periods are missed
+demo: build ## run a daemon on the simulated joystick and measure it over ZeroMQ: 75 s, longer if periods are missed
 	@$(BIN)/python -m examples.demo
 
 PAPER_STUDIES := tapping texture puncture
 PAPER_PEOPLE := $(foreach name,A B C D E F G H,--participant simulated:$(name))
 
 .PHONY: paper-experiments
-paper-experiments: build ## the paper's three experiments, eight simulated participants each, reports in build/paper: a minute
+paper-experiments: build ## run the paper's three experiments with eight simulated participants each, reports in build/paper: a minute
 	@rm -rf build/paper && mkdir -p build/paper
 	@set -e; for study in $(PAPER_STUDIES); do \
 		$(BIN)/hapticd experiment run okamura1998_$$study --offline $(PAPER_PEOPLE) -o build/paper/$$study; \
 		$(BIN)/hapticd experiment analyze build/paper/$$study -o build/paper/$$study.html; \
 	done
 
-# pytest in a process more than there are processors, as many tests wait for a daemon. What Python and pytest compile is
-# kept, whatever the shell says: to do it anew costs seconds.
+# One pytest process more than processors, because many tests wait for a daemon. Bytecode is kept, whatever the shell's
+# settings: compiling it again takes seconds.
 PYTEST_ALL = -n $(shell expr $(JOBS) + 1) --dist worksteal
-# A test that fails is run a second time, with nothing beside it.
+# A test that fails is run a second time, alone.
 SECOND_RUN = PYTHONDONTWRITEBYTECODE= $(BIN)/python tests/second_run.py
 
 .PHONY: test
-test: tools ## C tests and pytest without what is long or slow: a minute and a half on two processors
+test: tools ## run the C tests and all of pytest that is neither long nor slow: a minute and a half on two processors
 	@$(MAKE) --no-print-directory -j$(JOBS) c-build
 	@$(SECOND_RUN) $(C_TESTS) -- $(PYTEST_ALL) -m 'not slow and not long'
 
 .PHONY: test-long
-test-long: tools ## the same and the long tests, as CI runs them: about four minutes
+test-long: tools ## run the same and the long tests, as CI does: about four minutes
 	@$(MAKE) --no-print-directory -j$(JOBS) c-build
 	@$(SECOND_RUN) $(C_TESTS) -- $(PYTEST_ALL) -m 'not slow'
 
 .PHONY: test-browser
-test-browser: tools ## the page opens in Chromium, and samples come
+test-browser: tools ## check that the page opens in Chromium and receives samples
 	@HAPTICD_BROWSER=required $(SECOND_RUN) -- -q tests/web/test_page.py::test_the_page_opens_and_samples_come
 
-# A missing browser, compiler or library of a client in another language fails this run; `make test-long` skips its tests. Those
-# marked `alone` take all processors: they run in one process, after the others.
+# A missing browser, compiler or library of a client in another language fails this run; `make test-long` skips its tests.
+# Tests marked `alone` take all processors: they run in one process, after the others.
 .PHONY: test-slow
 test-slow: export HAPTICD_BROWSER = required
 test-slow: export HAPTICD_CLIENTS = required
-test-slow: tools ## the tests that make test-long leaves out: an hour
+test-slow: tools ## run the slow tests, which make test-long leaves out: an hour
 	@failed=0; \
 		$(SECOND_RUN) -- -n $(JOBS) --dist worksteal --durations=60 -m 'slow and not alone' || failed=1; \
 		$(SECOND_RUN) -- --durations=30 -m alone || failed=1; \
 		exit $$failed
 
 .PHONY: test-newest
-test-newest: ## make test-long with the newest version of every dependency, in an environment of its own
+test-newest: ## run make test-long with the newest version of every dependency, in a separate environment
 	@rm -rf build/newest
 	@$(MAKE) --no-print-directory test-long VENV=build/newest CONSTRAINTS=
 
 .PHONY: test-pythons
-test-pythons: tools ## make test-long with every Python of this machine from 3.11 on, each in an environment of its own
+test-pythons: tools ## run make test-long with every Python of this machine from 3.11 on, each in a separate environment
 	@failed=0; for python in $$($(BIN)/python packaging/try_wheel.py --list); do \
 		echo "$$($$python --version) ($$python)"; \
 		$(MAKE) --no-print-directory test-long PYTHON=$$python VENV=build/python-$$(basename $$python) || failed=1; \
 	done; exit $$failed
 
 .PHONY: test-vm
-test-vm: tools ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
+test-vm: tools ## test virtual HID joysticks in a virtual machine: needs QEMU, which the first run as root installs
 	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh
 
 .PHONY: test-systemd
-test-systemd: tools ## the installed service under systemd and udev, in a virtual machine: needs what test-vm needs, minutes
+test-systemd: tools ## test the installed service under systemd and udev in a virtual machine, with QEMU: minutes
 	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh -s
 
 .PHONY: deb
-deb: tools ## dist/hapticd_VERSION_ARCH.deb, with what it needs of PyPI; DEB_VERSION=... names another version: two minutes
+deb: tools ## build dist/hapticd_VERSION_ARCH.deb with its dependencies from PyPI; DEB_VERSION=... sets the version: two minutes
 	@bash packaging/deb.sh $(BIN)/python $(DEB_VERSION)
 
 .PHONY: test-deb
-test-deb: deb ## lintian on the Debian package; installed, upgraded and purged under systemd in a virtual machine: minutes
+test-deb: deb ## run lintian on the Debian package; install, upgrade and purge it in a virtual machine: minutes
 	@bash packaging/lint.sh
 	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh -d
 
 .PHONY: bench
-bench: tools ## errors and times, as in docs/accuracy.md and docs/benchmarks.md: 15 minutes
+bench: tools ## measure the errors and times of docs/accuracy.md and docs/benchmarks.md: 15 minutes
 	@$(BIN)/python -m bench --overwrite
 
 .PHONY: man
-man: build ## man pages and completion scripts of the commands, into .venv/share, where man looks
+man: build ## write man pages and completion scripts to .venv/share, where man finds them
 	@$(share)
 
 .PHONY: vendor-check
-vendor-check: tools ## compare the packages that the page uses with npm's
+vendor-check: tools ## compare the packages that the page includes with npm's
 	@$(BIN)/python -m tests.web.vendored
 
 .PHONY: screenshots
-screenshots: tools ## take the pictures of the page that docs/ shows: needs Chromium
+screenshots: tools ## take the screenshots in docs/: needs Chromium
 	@$(BIN)/python -m docs.screenshots
 
 .PHONY: docs
-docs: tools ## the documentation as a site in build/site, to be opened without a server and without the network
+docs: tools ## build the documentation as a site in build/site, which needs neither a server nor the network
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "open build/site/index.html"
 
 .PHONY: docs-tables
-docs-tables: tools ## write the tables of docs/ that repeat code: keys, limits, defaults
+docs-tables: tools ## write the tables of docs/ that come from the code: keys, limits, defaults
 	@$(BIN)/python -m docs.tables
 
 .PHONY: format
-format: tools ## lay out C and Python
+format: tools ## format C and Python
 	@$(BIN)/clang-format -i $(C_FILES)
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
 
 .PHONY: clean
-clean: ## remove everything that was built, .venv too
+clean: ## remove everything that was built, including .venv
 	rm -rf $(VENV) build dist *.egg-info hapticd/_core*.so hapticd/_core.c hapticd/_core.pyi
 	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # ---- To install --------------------------------------------------------------------------------------------------
 
-# The sdist, and the wheel of it. auditwheel gives the wheel the oldest glibc that it runs with, at most this machine's.
+# The sdist, and the wheel built from it. auditwheel tags the wheel with the oldest glibc that it runs with.
 .PHONY: wheel
-wheel: tools ## sdist and wheel into dist/: of one wheel for every Python from 3.11 on, and this machine's glibc or newer
+wheel: tools ## build sdist and wheel into dist/; the wheel runs with every Python from 3.11 on and this machine's glibc or newer
 	@rm -rf build/wheel dist/hapticd-* && mkdir -p build/wheel
 	@{ $(BIN)/python -m build --outdir build/wheel . && \
 		PATH="$(abspath $(BIN)):$$PATH" $(BIN)/auditwheel repair --wheel-dir dist build/wheel/hapticd-*.whl && \
@@ -244,17 +244,17 @@ wheel: tools ## sdist and wheel into dist/: of one wheel for every Python from 3
 	@ls -1 dist/*
 
 .PHONY: wheel-test
-wheel-test: wheel ## README's installation of that wheel in every Python of this machine, and by pipx
+wheel-test: wheel ## install the wheel as README says, in every Python of this machine and by pipx
 	@$(BIN)/python packaging/try_wheel.py dist/hapticd-*.whl
 
 .PHONY: container-test
-container-test: tools ## packaging/Containerfile built and run to a first tap: needs root, buildah and debootstrap or BASE=image; minutes
+container-test: tools ## build packaging/Containerfile and run it to a first tap: needs root, buildah, and debootstrap or BASE=image; minutes
 	@PYTHON=$(BIN)/python bash packaging/try_container.sh
 
-# ---- What CI runs, and what is run by hand ------------------------------------------------------------------------
+# ---- Checks of CI and before releases -----------------------------------------------------------------------------
 
 .PHONY: check
-check: tools ## what .ci/run does, but for the fresh user: lint, C tests under three sanitizers, make test-long, the page in Chromium
+check: tools ## run lint, C tests under three sanitizers, make test-long, and the page in Chromium: .ci/run without the fresh user
 	@$(MAKE) --no-print-directory -j$(JOBS) --output-sync=target lint tsan asan ubsan
 	@$(MAKE) --no-print-directory test-long
 	@$(MAKE) --no-print-directory test-browser
@@ -263,7 +263,7 @@ VERIFIED = warnings analyze msan rtsan jitter verify-model rtsan-daemon tsan-dae
 	test-systemd test-pythons
 
 .PHONY: verify
-verify: tools ## everything that check leaves out, before an issue is resolved that touches it; VERIFIED='...' for a part: hours
+verify: tools ## run everything that make check leaves out, or the part VERIFIED='...'; before you resolve an issue that affects it: hours
 	@mkdir -p build/verify; failed=; for each in $(VERIFIED); do \
 		begin=$$(date +%s); \
 		if $(MAKE) --no-print-directory $$each >build/verify/$$each.log 2>&1; then said=passed; \
@@ -285,8 +285,8 @@ lint: tools
 	$(BIN)/codespell $(SPELLED)
 	@echo $(BIN)/clang-format --dry-run -Werror; $(BIN)/clang-format --dry-run -Werror $(C_FILES)
 
-# The extension as users build it, then every C file with all warnings; clang also proves that nothing marked HD_RT calls
-# anything that may block.
+# Builds the extension as users do, then every C file with all warnings. clang also proves that functions marked HD_RT never
+# call a function that may block.
 .PHONY: warnings
 warnings: build
 	HAPTICD_WERROR=1 $(BIN)/python setup.py -q build_ext --force --build-lib build/werror --build-temp build/werror
@@ -299,7 +299,7 @@ warnings: build
 	fi
 
 .PHONY: verify-units
-verify-units: tools ## systemd's own word on the units: valid, and exposed as little as docs/service.md says
+verify-units: tools ## let systemd check that the units are valid and as little exposed as docs/service.md says
 	@if command -v systemd-analyze >/dev/null; then \
 		$(BIN)/python -m pytest -q tests/system/test_service_files.py -k 'the_units_are' && \
 		for unit in hapticd hapticd-web; do \
@@ -310,11 +310,11 @@ verify-units: tools ## systemd's own word on the units: valid, and exposed as li
 	fi
 
 .PHONY: analyze
-analyze: ## gcc's static analyser over the C core
+analyze: ## run gcc's static analyser on the C core
 	@for source in $(C_SOURCES); do gcc -fanalyzer -Werror $(C_FLAGS) -c $$source -o /dev/null || exit 1; done
 
 .PHONY: verify-model
-verify-model: tools ## triple buffer and ring proved by spin, and the C code held to the models
+verify-model: tools ## prove triple buffer and ring with spin, and compare the C code with the models
 	@$(BIN)/python -m tests.model.verify
 
 # ---- C tests -----------------------------------------------------------------------------------------------------
@@ -338,7 +338,7 @@ $(C_DIR)/test_%: tests/c/test_%.c $(C_OBJECTS) Makefile
 .PHONY: c-build
 c-build: $(C_TESTS)
 
-# Each run after the first has random cases of its own, a tenth as many: see tests/c/hd_test.h.
+# Each run after the first has other random cases, a tenth as many: see tests/c/hd_test.h.
 .PHONY: c-run
 c-run: c-build
 	@$(PYTHON) tests/second_run.py --c-runs $(C_RUNS) $(C_TESTS)
@@ -349,7 +349,7 @@ ctest:
 
 # ---- Sanitizers --------------------------------------------------------------------------------------------------
 
-# C tests with threads: the others have no races to find.
+# C tests with threads: the others cannot have races.
 THREADED = C_TESTS='$(patsubst tests/c/%.c,build/c/$(1)/%,$(shell grep -l pthread.h tests/c/test_*.c))'
 
 # $(call sanitized,VARIANT,SANITIZERS[,WHICH]): the C tests under them, if this clang has their run-time library.
@@ -364,24 +364,24 @@ define sanitized
 endef
 
 .PHONY: tsan asan ubsan msan rtsan
-tsan: ## C tests with threads under ThreadSanitizer, C_RUNS=1 times each, as with the next five
+tsan: ## run the C tests with threads under ThreadSanitizer; C_RUNS=1 sets the runs of this and the next five targets
 	$(call sanitized,tsan,thread,$(call THREADED,tsan))
-asan: ## C tests under AddressSanitizer
+asan: ## run the C tests under AddressSanitizer
 	$(call sanitized,asan,address)
-ubsan: ## C tests under UndefinedBehaviorSanitizer
+ubsan: ## run the C tests under UndefinedBehaviorSanitizer
 	$(call sanitized,ubsan,undefined$(comma)float-cast-overflow)
-msan: ## C tests under MemorySanitizer
+msan: ## run the C tests under MemorySanitizer
 	$(call sanitized,msan,memory)
-rtsan: ## C tests under RealtimeSanitizer: the servo never blocks
+rtsan: ## run the C tests under RealtimeSanitizer: the servo never blocks
 	$(call sanitized,rtsan,realtime)
 
 .PHONY: jitter
-jitter: ## C tests with threads, with random delays wherever threads meet
+jitter: ## run the C tests with threads, with random delays at each synchronisation
 	@$(MAKE) --no-print-directory -j$(JOBS) c-run VARIANT=jitter CHECKS='-include tests/c/hd_jitter.h' $(call THREADED,jitter)
 
 comma := ,
 
-# $(call sanitized_daemon,VARIANT,SANITIZERS): the daemon under them, in a Python with the core inside it.
+# $(call sanitized_daemon,VARIANT,SANITIZERS): the daemon under them, in a Python that is linked with the core.
 define sanitized_daemon
 	@command -v $(CLANG) >/dev/null && \
 		echo 'int main(void) { return 0; }' | $(CLANG) -fsanitize=$(2) -x c - -o /dev/null 2>/dev/null || \
@@ -393,17 +393,17 @@ define sanitized_daemon
 endef
 
 .PHONY: sanitize-daemon tsan-daemon asan-daemon ubsan-daemon rtsan-daemon
-sanitize-daemon: tsan-daemon asan-daemon ubsan-daemon rtsan-daemon ## the whole daemon under each of four sanitizers
-tsan-daemon: tools ## the whole daemon under ThreadSanitizer, DAEMON_SECONDS=30
+sanitize-daemon: tsan-daemon asan-daemon ubsan-daemon rtsan-daemon ## run the daemon under each of four sanitizers
+tsan-daemon: tools ## run the daemon under ThreadSanitizer for DAEMON_SECONDS=30
 	$(call sanitized_daemon,tsan,thread)
-asan-daemon: tools ## the whole daemon under AddressSanitizer
+asan-daemon: tools ## run the daemon under AddressSanitizer
 	$(call sanitized_daemon,asan,address)
-ubsan-daemon: tools ## the whole daemon under UndefinedBehaviorSanitizer
+ubsan-daemon: tools ## run the daemon under UndefinedBehaviorSanitizer
 	$(call sanitized_daemon,ubsan,undefined$(comma)float-cast-overflow)
-rtsan-daemon: tools ## the whole daemon under RealtimeSanitizer
+rtsan-daemon: tools ## run the daemon under RealtimeSanitizer
 	$(call sanitized_daemon,rtsan,realtime)
 
-# What cffi makes of csrc/api/, and how an executable is linked with this Python.
+# The C code that cffi generates from csrc/api/, and the flags that link an executable with this Python.
 build/c/_core.c: $(wildcard csrc/api/hd_api*.h) hapticd/_build.py $(BUILT)
 	@mkdir -p $(@D)
 	@$(BIN)/python -c 'import runpy; runpy.run_path("hapticd/_build.py")["ffibuilder"].emit_c_code("$@")' >/dev/null
@@ -431,7 +431,7 @@ $(C_DIR)/launcher: tests/sanitized/launcher.c $(C_DIR)/_core.o $(C_OBJECTS) Make
 		$(PYTHON_LIBS) -lm -o $@
 
 .PHONY: fuzz
-fuzz: tools ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, MESSAGES, DOCUMENTS=20000 and others
+fuzz: tools ## fuzz the inputs of the C core, FUZZ_SECONDS=60 each, then DESCRIPTORS, MESSAGES, DOCUMENTS=20000 and others
 	@echo 'int LLVMFuzzerTestOneInput(const char *d, long s) { return !d && s; }' | \
 		$(CLANG) -fsanitize=fuzzer,address,undefined -x c - -o /dev/null 2>/dev/null || \
 		{ echo "make fuzz needs $(CLANG) with libFuzzer: install clang-22 and libclang-rt-22-dev (Debian)," \
@@ -451,13 +451,13 @@ fuzz: tools ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, 
 	$(BIN)/python -m tests.soak.fuzz_recordings --runs $(RECORDINGS)
 
 .PHONY: torture
-torture: tools ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000, CHANGES=50000, offline and live
+torture: tools ## check the rule of ramps in every tick under random changes, offline and live: TICKS=10000000, CHANGES=50000
 	@$(MAKE) --no-print-directory -j$(JOBS) $(C_DIR)/test_ramp
 	$(C_DIR)/test_ramp $(TICKS) $(CHANGES) 1
 	$(BIN)/python -m tests.soak.torture_live --ticks $(TICKS) --changes $(CHANGES)
 
-# $(call fuzzed,NAME,LONGEST): tests/c/test_fuzz_NAME.c on inputs of up to LONGEST bytes, from the first one on: what the
-# bytes do not say is zero, and a short input says nearly nothing.
+# $(call fuzzed,NAME,LONGEST): tests/c/test_fuzz_NAME.c on inputs of up to LONGEST bytes. Long inputs are tried from the
+# first one on, because missing bytes count as zero and a short input covers little.
 define fuzzed
 	@mkdir -p build/fuzz/$(1)-corpus
 	$(CLANG) $(C_FLAGS) -DHD_LIBFUZZER -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all \

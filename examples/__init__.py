@@ -1,1 +1,1 @@
-"""Examples: what `make demo` shows, and PsychoPy beside a session."""
+"""Examples: clients, notebooks, PsychoPy during a session, and the demo of `make demo`."""

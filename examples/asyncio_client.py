@@ -1,4 +1,4 @@
-"""Commands and events side by side, with asyncio: the hand taps a wall while another task prints each contact.
+"""Commands and events at the same time, with asyncio: the hand taps a wall while another task prints each contact.
 
 hapticd run                              # in one terminal
 python examples/asyncio_client.py        # in another one
@@ -17,12 +17,12 @@ TAPS = 3
 
 
 async def print_contacts(daemon: aio.Client, listening: asyncio.Event) -> None:
-    """Prints the first TAPS taps on the floor."""
+    """Print the first TAPS taps on the floor."""
     seen = 0
     async with daemon.events() as events:
         listening.set()
         async for event in events:
-            # A hand that is below the floor when it appears touches it, too, and taps nothing.
+            # If the hand is below the floor when the floor appears, the contact has no tap: amplitude 0.
             if event["event"] == "contact" and event["object"] == "floor" and event["amplitude_m_per_s2"] > 0:
                 seen += 1
                 print(f"tap {seen}: {event['speed_m_per_s']:.3f} m/s")
@@ -31,12 +31,12 @@ async def print_contacts(daemon: aio.Client, listening: asyncio.Event) -> None:
 
 
 async def main() -> None:
-    """Sets the scene, listens, and has the hand tap."""
+    """Set the scene, subscribe to events, and let the hand tap."""
     async with aio.connect() as daemon:
         await daemon.set_scene({"objects": {"floor": FLOOR}}, wait=True)
         listening = asyncio.Event()
         contacts = asyncio.create_task(print_contacts(daemon, listening))
-        await listening.wait()  # who listens first misses nothing
+        await listening.wait()  # subscribe before the command, so that no event is missed
         gesture = {"kind": "tap", "object": "floor", "speed_m_per_s": 0.1, "count": TAPS}
         await daemon.set_operator(gesture=gesture)
         await asyncio.wait_for(contacts, timeout=60)

@@ -1,9 +1,9 @@
-"""A loop of 60 pictures a second, as a game has one: a disc moves, the hand feels it, the newest state is drawn.
+"""A loop of 60 frames per second, as in a game: it moves a disc that the hand feels, and draws the newest state.
 
     hapticd run                              # in one terminal
     python examples/gui_loop.py              # in another one; --for SECONDS ends it
 
-`picture` stands for whatever draws: call `frame` from Tk's `after`, Qt's `QTimer` or the loop of a game instead.
+Replace `picture` by your drawing code: call `frame` from Tk's `after`, Qt's `QTimer` or the loop of a game.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ import hapticd
 from hapticd.base.errors import HapticdError
 
 FRAME_S: Final = 1 / 60
-"""Time from one picture to the next."""
+"""Period of a frame."""
 RADIUS_M: Final = 0.01
 WIDTH: Final = 60
-"""Characters of a line of the picture, for 0.12 m."""
+"""Number of characters of the picture, which is 0.12 m wide."""
 
 
 def disc_at(time_s: float) -> dict[str, object]:
-    """The disc, which goes to and fro along x once in two seconds, 4 cm each way."""
+    """Return the disc, which moves along x between -4 cm and 4 cm with a period of 2 s."""
     x_m = 0.04 * math.sin(math.pi * time_s)
     return {"kind": "disc", "center_m": [x_m, 0.0], "radius_m": RADIUS_M, "material": "acrylic"}
 
 
 def picture(disc_x_m: float, state: hapticd.State) -> str:
-    """One line: the disc as O, the hand as + where it touches nothing and as * where it does."""
+    """Draw one line: the disc as O, the hand as *, or as + if it touches nothing."""
     line = ["."] * WIDTH
     for x_m, mark in ((disc_x_m, "O"), (state["position_m"][0], "*" if state["touching"] else "+")):
         column = round((x_m / 0.12 + 0.5) * (WIDTH - 1))
@@ -40,9 +40,9 @@ def picture(disc_x_m: float, state: hapticd.State) -> str:
 
 
 def frame(daemon: hapticd.Client, time_s: float) -> str:
-    """What one picture needs: moves the disc, and draws the newest state.
+    """Move the disc, and draw the newest state.
 
-    The daemon lets the disc slide from place to place over the scene's `ramp_s`; nothing here waits for the servo.
+    The daemon moves the disc smoothly to its new position over the scene's `ramp_s`. No call waits for the servo.
     """
     disc = disc_at(time_s)
     daemon.update_scene({"disc": disc})
@@ -50,9 +50,9 @@ def frame(daemon: hapticd.Client, time_s: float) -> str:
 
 
 def main() -> int:
-    """The loop; the exit code."""
+    """Run the loop, and return the exit code."""
     parser = argparse.ArgumentParser(prog="gui_loop", description="Move a disc, and show the hand, 60 times a second.")
-    parser.add_argument("--for", dest="seconds", type=float, default=math.inf, help="End after so many seconds.")
+    parser.add_argument("--for", dest="seconds", type=float, default=math.inf, help="End after this time in s.")
     seconds = parser.parse_args().seconds
     try:
         with hapticd.connect() as daemon:

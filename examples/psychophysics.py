@@ -1,10 +1,10 @@
-"""A staircase in a script of one's own: by how much must the stiffness of two walls differ to be told apart?
+"""A staircase in a Python script: the smallest difference in the stiffness of two walls that a person notices.
 
     hapticd run                                        # in one terminal
-    python examples/psychophysics.py answers.csv       # in another one; with --simulated nobody is asked
+    python examples/psychophysics.py answers.csv       # in another one; --simulated answers automatically
 
-Each trial presents two walls one after the other, by a tap of the simulated hand, and asks which was stiffer. The rule
-2-down 1-up goes to 70.7 % correct answers. `hapticd experiment` does much more of this without a line of code.
+In each trial the simulated hand taps two walls, one after the other, and the script asks which was stiffer. The rule
+1-up-2-down converges at 70.7 % correct answers. `hapticd experiment` runs such studies from a YAML file.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TAP: Final = {"kind": "tap", "object": "floor", "speed_m_per_s": 0.1}
 
 
 def staircase(trials: int) -> Staircase:
-    """Differences in N/m, from 200 down, in factors."""
+    """Return a staircase of differences in N/m, which starts at 200 and changes by factors."""
     parameters = {
         "rule": "1-up-2-down",
         "start": 200,
@@ -42,7 +42,7 @@ def staircase(trials: int) -> Staircase:
 
 
 def present(daemon: hapticd.Client, stiffness_n_per_m: float) -> float:
-    """Has the hand tap a wall of that stiffness; returns the largest force, N."""
+    """Let the hand tap a wall of this stiffness, and return the largest force in N."""
     daemon.update_materials({"tested": {"stiffness_n_per_m": stiffness_n_per_m}}, wait=True)
     with daemon.samples() as samples:
         daemon.set_operator(gesture=TAP)
@@ -56,7 +56,7 @@ def present(daemon: hapticd.Client, stiffness_n_per_m: float) -> float:
 
 
 def person(forces_n: tuple[float, float]) -> str:
-    """Asks at the terminal; the forces are not told."""
+    """Ask at the terminal, without showing the forces."""
     while True:
         answer = input("Which was stiffer, the first (1) or the second (2)? ").strip()
         if answer in ("1", "2"):
@@ -64,12 +64,12 @@ def person(forces_n: tuple[float, float]) -> str:
 
 
 def simulated(forces_n: tuple[float, float]) -> str:
-    """Names the wall that pushed harder."""
+    """Return the wall with the larger force."""
     return "1" if forces_n[0] > forces_n[1] else "2"
 
 
 def run(daemon: hapticd.Client, path: Path, answer_of: Callable[[tuple[float, float]], str], trials: int) -> Staircase:
-    """Trials until the staircase ends; a row of the table for each, written at once."""
+    """Run trials until the staircase ends, and write a row of the table after each of them."""
     order = random.Random(1)
     procedure = staircase(trials)
     tested = {"stiffness_n_per_m": STANDARD_N_PER_M}
@@ -90,11 +90,11 @@ def run(daemon: hapticd.Client, path: Path, answer_of: Callable[[tuple[float, fl
 
 
 def main() -> int:
-    """One run; the exit code."""
+    """Run the script, and return the exit code."""
     parser = argparse.ArgumentParser(prog="psychophysics", description="A staircase of the stiffness of two walls.")
-    parser.add_argument("path", type=Path, help="Table of answers to write; it must not be there yet.")
-    parser.add_argument("--simulated", action="store_true", help="Answer by the forces instead of asking.")
-    parser.add_argument("--trials", type=int, default=40, help="End after so many trials.")
+    parser.add_argument("path", type=Path, help="New file for the table of answers (.csv).")
+    parser.add_argument("--simulated", action="store_true", help="Answer from the forces instead of asking.")
+    parser.add_argument("--trials", type=int, default=40, help="Maximum number of trials.")
     given = parser.parse_args()
     try:
         with hapticd.connect() as daemon:

@@ -1,12 +1,12 @@
-"""PsychoPy shows something to look at while a session of `hapticd experiment` runs: what is on the screen follows the
-session's event codes.
+"""PsychoPy's pictures during a session of `hapticd experiment`: the session's event codes select the picture on the
+screen.
 
     hapticd run                                            # in one terminal
     python examples/psychopy_stimuli.py                    # in another one, before the session
     hapticd experiment run STUDY.yaml --participant P07 --text
 
-It needs PsychoPy (pip install psychopy) beside hapticd. Escape closes the window; the session goes on without it. To
-show something else, change `pictures_of`: PsychoPy's images, gratings and films have the method `draw`, too.
+It needs hapticd and PsychoPy (pip install psychopy). Escape closes the window; the session continues without it. To
+show other pictures, change `pictures_of`: PsychoPy's images, gratings and films have the method `draw`, too.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.experiment.event_codes import EventCode, code_of
 
 WAIT_S: Final = 0.004
-"""So long is an event waited for in each frame: little, so that `flip` keeps the screen's rate."""
+"""Time to wait for an event in each frame: short, so that `flip` keeps the screen's rate."""
 LAST: Final = frozenset({EventCode.SESSION_END, EventCode.SESSION_ABORTED})
 
 
@@ -38,7 +38,7 @@ class Window(Protocol):
 
 
 class Events(Protocol):
-    """What `daemon.events()` gives."""
+    """The result of `daemon.events()`."""
 
     def receive(self, timeout_s: float) -> Mapping[str, Any] | None: ...
 
@@ -49,9 +49,9 @@ def follow(
     pictures: Mapping[EventCode, Picture | None],
     closed: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Shows the picture of each event code until the next one that has a picture; None is an empty screen.
+    """Show the picture of each event code until the next code in `pictures`; None is an empty screen.
 
-    Returns at the end of the session, or when `closed` says so. Raises DaemonNotRunning for a daemon that goes away.
+    Returns at the end of the session, or when `closed` returns True. Raises DaemonNotRunning if the daemon ends.
     """
     shown: Picture | None = None
     while not closed():
@@ -67,7 +67,7 @@ def follow(
 
 
 def pictures_of(visual: Any, window: Any) -> dict[EventCode, Picture | None]:
-    """`visual` is the module psychopy.visual. A cross when a trial is ready, a disc while the forces are on."""
+    """Return a cross when a trial is ready, a disc while the forces are on. `visual` is the module psychopy.visual."""
     pause = visual.TextStim(window, text="A break. Rest your hand.", height=0.06)
     return {
         EventCode.TRIAL_ARMED: visual.TextStim(window, text="+", height=0.1),
@@ -84,10 +84,10 @@ def pictures_of(visual: Any, window: Any) -> dict[EventCode, Picture | None]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Follows one session; the exit code."""
+    """Follow one session, and return the exit code."""
     parser = argparse.ArgumentParser(prog="psychopy_stimuli", description="Show pictures at the codes of a session.")
-    parser.add_argument("--runtime-dir", help="Where the daemon's sockets are.")
-    parser.add_argument("--full-screen", action="store_true", help="Take the whole screen.")
+    parser.add_argument("--runtime-dir", help="Folder of the daemon's sockets.")
+    parser.add_argument("--full-screen", action="store_true", help="Fill the screen.")
     given = parser.parse_args(arguments)
     try:
         from psychopy import event, visual

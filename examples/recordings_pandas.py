@@ -1,4 +1,4 @@
-"""A table of contacts from a recording, with pandas: how fast each was, how hard, how long, and its first vibration.
+"""A table of the contacts of a recording, with pandas: speed, duration, largest force and largest vibration of each.
 
     hapticd simulate materials -o taps.npz             # or: hapticd record taps.npz
     python examples/recordings_pandas.py taps.npz
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def contacts(recording: hapticd.Recording) -> pandas.DataFrame:
-    """A row for each contact that ended within the recording.
+    """Return a row for each contact that ended within the recording.
 
     Columns: object, start_s and duration_s, speed_m_per_s along the normal, largest_force_n, largest_vibration_n.
     """
@@ -54,7 +54,7 @@ def contacts(recording: hapticd.Recording) -> pandas.DataFrame:
 
 
 def main() -> int:
-    """Prints the table; the exit code."""
+    """Print the table, and return the exit code."""
     parser = argparse.ArgumentParser(prog="recordings_pandas", description="Contacts of a recording as a table.")
     parser.add_argument("path", help="A recording (.npz).")
     given = parser.parse_args()

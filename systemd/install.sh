@@ -1,14 +1,14 @@
 #!/bin/sh
-# Puts the files of the service in their places, or takes them away; prints each command. `hapticd install-service` runs it,
-# and so does the build of the Debian package.
+# Installs or removes the files of the service, and prints each command. `hapticd install-service` and the build of the
+# Debian package run it.
 #
 #   CONFIG=FILE [VARIABLE=...] sh install.sh system|user|remove-system|remove-user
 #
-# CONFIG        absolute path of the first configuration; one that is there already stays
-# ROOT          absolute path that comes before all others, as a package's folder; the running system is left alone then
-# LIB           folder of users, folders and rules [/etc]
+# CONFIG        absolute path of the initial configuration; an existing one is kept
+# ROOT          absolute path to prefix to all others, as a package's folder; the running system is then not changed
+# LIB           folder of sysusers.d, tmpfiles.d and udev rules [/etc]
 # UNITS, RULES  folders of the units and of the udev rules [$LIB/systemd/system, $LIB/udev/rules.d]
-# DRY           if set, the commands are only printed
+# DRY           if set, commands are printed and not run
 set -eu
 cd "$(dirname "$0")"
 root=${ROOT-} lib=${LIB-/etc}
@@ -21,7 +21,7 @@ run() {
 }
 put() { run install -D -m 644 "$1" "$2"; }
 begin() { [ -e "$1" ] || put "$CONFIG" "$1"; }
-has() { command -v "$1" >/dev/null || { echo "$1 is not here: run it later"; false; }; }
+has() { command -v "$1" >/dev/null || { echo "$1: not found; run it later"; false; }; }
 systemd_runs() { [ -z "$root" ] && [ -d /run/systemd/system ]; }
 udev_runs() { [ -z "$root" ] && [ -e /run/udev/control ]; }
 user_systemd_runs() { [ -e "${XDG_RUNTIME_DIR-/run/user/$(id -u)}/systemd/private" ]; }

@@ -1,9 +1,9 @@
-/* A client of hapticd in C, with libzmq and msgpack-c: puts a wall in force, has the simulated hand tap on it, and prints
- * the contact and a sample of telemetry.
+/* A client of hapticd in C, with libzmq and msgpack-c: sets a wall, lets the simulated hand tap it, and prints the contact
+ * and a sample of telemetry.
  *
  *     make && ./client [RUNTIME_DIRECTORY]
  *
- * A daemon on the simulated joystick must run: `hapticd run`. docs/protocol.md says what is sent and what comes. */
+ * A daemon on the simulated joystick must run: `hapticd run`. docs/protocol.md describes all messages. */
 #include <inttypes.h>
 #include <msgpack.h>
 #include <stdio.h>
@@ -19,7 +19,7 @@ static void fail(const char *what, const char *why)
     exit(1);
 }
 
-/* ---- msgpack: what is sent, and what is looked for in what came ---------------------------------------------------- */
+/* ---- msgpack: writing and reading maps ------------------------------------------------------------------------------ */
 
 static void put(msgpack_packer *out, const char *text)
 {
@@ -40,7 +40,7 @@ static void put_text(msgpack_packer *out, const char *key, const char *text)
     put(out, text);
 }
 
-/* The member of a map, or NULL. */
+/* Returns the member of a map, or NULL. */
 static const msgpack_object *member(const msgpack_object *map, const char *key)
 {
     if (map == NULL || map->type != MSGPACK_OBJECT_MAP)
@@ -60,7 +60,7 @@ static int is_text(const msgpack_object *value, const char *text)
            memcmp(value->via.str.ptr, text, strlen(text)) == 0;
 }
 
-/* A number; integers are numbers, too. */
+/* Returns a number, which may be an integer. */
 static double number(const msgpack_object *value)
 {
     if (value == NULL)
@@ -74,7 +74,7 @@ static double number(const msgpack_object *value)
     case MSGPACK_OBJECT_FLOAT64:
         return value->via.f64;
     default:
-        fail("answer", "a member is no number");
+        fail("answer", "a member is not a number");
         return 0;
     }
 }
@@ -95,7 +95,7 @@ static void *connected(void *context, int kind, const char *directory, const cha
     if (snprintf(address, sizeof address, "ipc://%s/%s", directory, name) >= (int)sizeof address)
         fail(directory, "the name is too long for a socket");
     void *socket = zmq_socket(context, kind);
-    /* Without time-outs a client waits for ever for a daemon that is gone. */
+    /* Without time-outs the client waits for ever if the daemon has ended. */
     zmq_setsockopt(socket, ZMQ_RCVTIMEO, &timeout, sizeof timeout);
     zmq_setsockopt(socket, ZMQ_SNDTIMEO, &timeout, sizeof timeout);
     zmq_setsockopt(socket, ZMQ_LINGER, &zero, sizeof zero);
@@ -105,16 +105,16 @@ static void *connected(void *context, int kind, const char *directory, const cha
     return socket;
 }
 
-/* The map in the next frame; msgpack_unpacked_destroy releases it. */
+/* Receives the next frame and unpacks its map; msgpack_unpacked_destroy releases it. */
 static void receive(void *socket, const char *from, msgpack_unpacked *into)
 {
     zmq_msg_t frame;
     zmq_msg_init(&frame);
     if (zmq_msg_recv(&frame, socket, 0) < 0)
         fail(from, zmq_errno() == EAGAIN ? "nothing came within 5 s: does a daemon run?" : zmq_strerror(zmq_errno()));
-    /* A copy that the unpacked map owns: its strings stay when the frame goes. */
+    /* The unpacked map owns a copy: its strings stay valid after the frame is closed. */
     if (msgpack_unpack_next(into, zmq_msg_data(&frame), zmq_msg_size(&frame), NULL) != MSGPACK_UNPACK_SUCCESS)
-        fail(from, "what came is not msgpack");
+        fail(from, "the message is not msgpack");
     zmq_msg_close(&frame);
 }
 
@@ -129,7 +129,7 @@ static void begin(msgpack_packer *out, const char *method)
     put(out, "params");
 }
 
-/* Sends a request, and returns the tick of its result. */
+/* Sends a request and returns the tick of its result. */
 static uint64_t call(void *command, const char *method, const msgpack_sbuffer *body)
 {
     if (zmq_send(command, body->data, body->size, 0) < 0)
@@ -151,7 +151,7 @@ static uint64_t call(void *command, const char *method, const msgpack_sbuffer *b
     return tick;
 }
 
-/* A message of telemetry has two frames, the topic and a map. Returns whether it is of this topic. */
+/* Receives a message of telemetry, which has two frames: the topic and a map. Returns whether it has this topic. */
 static int telemetry(void *socket, const char *wanted, msgpack_unpacked *into)
 {
     char topic[16] = "";
@@ -161,7 +161,7 @@ static int telemetry(void *socket, const char *wanted, msgpack_unpacked *into)
     return strcmp(topic, wanted) == 0;
 }
 
-/* ---- What it is for -------------------------------------------------------------------------------------------------- */
+/* ---- The wall and the tap -------------------------------------------------------------------------------------------- */
 
 static void put_wall_in_force(void *command)
 {
@@ -171,7 +171,7 @@ static void put_wall_in_force(void *command)
     msgpack_packer_init(&out, &body, msgpack_sbuffer_write);
     begin(&out, "set_scene");
     msgpack_pack_map(&out, 2);
-    put(&out, "wait"); /* answered once the servo has it */
+    put(&out, "wait"); /* the answer comes once the servo uses the scene */
     msgpack_pack_true(&out);
     put(&out, "scene");
     msgpack_pack_map(&out, 1);
@@ -223,7 +223,7 @@ int main(int argc, char **argv)
     msgpack_unpacked message;
     msgpack_unpacked_init(&message);
 
-    /* `state` comes 60 times a second: once it does, the subscription before it is in effect, too. */
+    /* `state` arrives 60 times a second. Once it arrives, the subscription to `event` is active, too. */
     zmq_setsockopt(listening, ZMQ_SUBSCRIBE, "event", 5);
     zmq_setsockopt(listening, ZMQ_SUBSCRIBE, "state", 5);
     while (!telemetry(listening, "state", &message))

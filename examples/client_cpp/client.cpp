@@ -1,9 +1,9 @@
-// A client of hapticd in C++, with cppzmq and msgpack-cxx: puts a wall in force, has the simulated hand tap on it, and
-// prints the contact and a sample of telemetry.
+// A client of hapticd in C++, with cppzmq and msgpack-cxx: sets a wall, lets the simulated hand tap it, and prints the
+// contact and a sample of telemetry.
 //
 //     make && ./client [RUNTIME_DIRECTORY]
 //
-// A daemon on the simulated joystick must run: `hapticd run`. docs/protocol.md says what is sent and what comes.
+// A daemon on the simulated joystick must run: `hapticd run`. docs/protocol.md describes all messages.
 #include <array>
 #include <cstdint>
 #include <cstdio>
@@ -24,7 +24,7 @@ using Error = std::runtime_error;
 zmq::socket_t connected(zmq::context_t &context, zmq::socket_type kind, const std::string &address)
 {
     zmq::socket_t socket(context, kind);
-    // Without time-outs a client waits for ever for a daemon that is gone.
+    // Without time-outs the client waits for ever if the daemon has ended.
     socket.set(zmq::sockopt::rcvtimeo, TIMEOUT_MS);
     socket.set(zmq::sockopt::sndtimeo, TIMEOUT_MS);
     socket.set(zmq::sockopt::linger, 0);
@@ -41,7 +41,7 @@ zmq::message_t frame_of(zmq::socket_t &socket)
     return frame;
 }
 
-// A map that came, with the memory that its members are in.
+// A received map, with the memory of its members.
 struct Message {
     msgpack::object_handle memory;
     Map members;
@@ -54,7 +54,7 @@ struct Message {
     template <typename T> T at(const std::string &key) const { return members.at(key).as<T>(); }
 };
 
-// The tick in the result of a request. `params` packs the map of its parameters.
+// Sends a request and returns the tick of its result. `params` packs the map of its parameters.
 template <typename Params> std::uint64_t call(zmq::socket_t &command, const std::string &method, const Params &params)
 {
     msgpack::sbuffer body;
@@ -73,7 +73,7 @@ template <typename Params> std::uint64_t call(zmq::socket_t &command, const std:
     return answer.at<Map>("result").at("tick").as<std::uint64_t>();
 }
 
-// The next message of a topic; what comes of others is passed over. A message has two frames, the topic and a map.
+// Returns the next message of a topic and skips others. A message has two frames, the topic and a map.
 Message next(zmq::socket_t &telemetry, const std::string &wanted, int most)
 {
     for (; most > 0; most--) {
@@ -91,14 +91,14 @@ void run(const std::string &directory)
     zmq::socket_t command = connected(context, zmq::socket_type::req, "ipc://" + directory + "/hapticd.command");
     zmq::socket_t telemetry = connected(context, zmq::socket_type::sub, "ipc://" + directory + "/hapticd.telemetry");
 
-    // `state` comes 60 times a second: once it does, the subscription before it is in effect, too.
+    // `state` arrives 60 times a second. Once it arrives, the subscription to `event` is active, too.
     telemetry.set(zmq::sockopt::subscribe, "event");
     telemetry.set(zmq::sockopt::subscribe, "state");
     next(telemetry, "state", 2000);
 
     const std::uint64_t in_force = call(command, "set_scene", [](auto &out) {
         out.pack_map(2);
-        out.pack("wait").pack(true); // answered once the servo has it
+        out.pack("wait").pack(true); // the answer comes once the servo uses the scene
         out.pack("scene").pack_map(1).pack("objects").pack_map(1).pack("floor").pack_map(4);
         out.pack("kind").pack("wall").pack("material").pack("wood");
         out.pack("point_m").pack(Vector{0, 0}).pack("normal").pack(Vector{0, 1});

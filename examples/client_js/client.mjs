@@ -1,9 +1,9 @@
-// A client of hapticd in JavaScript (node), with zeromq and @msgpack/msgpack: puts a wall in force, has the simulated hand
-// tap on it, and prints the contact and a sample of telemetry.
+// A client of hapticd in JavaScript (node), with zeromq and @msgpack/msgpack: sets a wall, lets the simulated hand tap it,
+// and prints the contact and a sample of telemetry.
 //
 //     npm ci && node client.mjs [RUNTIME_DIRECTORY]
 //
-// A daemon on the simulated joystick must run: `hapticd run`. docs/protocol.md says what is sent and what comes.
+// A daemon on the simulated joystick must run: `hapticd run`. docs/protocol.md describes all messages.
 import { decode, encode } from "@msgpack/msgpack";
 import { Request, Subscriber } from "zeromq";
 
@@ -16,7 +16,7 @@ function runtimeDirectory() {
     return found;
 }
 
-/** What a promise gives; without a daemon ZeroMQ says so by EAGAIN, after the time-out of the socket. */
+/** Awaits a promise. Without a daemon ZeroMQ fails with EAGAIN after the time-out of the socket. */
 async function inTime(promise, what) {
     try {
         return await promise;
@@ -25,7 +25,7 @@ async function inTime(promise, what) {
     }
 }
 
-/** The result of a request. */
+/** Sends a request and returns its result. */
 async function call(command, method, params) {
     const body = encode({ jsonrpc: "2.0", id: 1, method, params });
     await inTime(command.send(body), method);
@@ -35,31 +35,31 @@ async function call(command, method, params) {
     return result;
 }
 
-/** The next message of telemetry for which `wanted` holds. A message has two frames, the topic and a map. */
+/** Returns the next message of telemetry for which `wanted` is true. A message has two frames, the topic and a map. */
 async function next(telemetry, wanted) {
     for (let left = 2000; left > 0; left--) {
         const [topic, body] = await inTime(telemetry.receive(), "telemetry");
         const message = decode(body);
         if (wanted(topic.toString(), message)) return message;
     }
-    throw new Error("telemetry: what was waited for did not come: is the device the simulated joystick?");
+    throw new Error("telemetry: the expected message did not come: is the device the simulated joystick?");
 }
 
 async function run() {
     const directory = runtimeDirectory();
-    // Without time-outs a client waits for ever for a daemon that is gone.
+    // Without time-outs the client waits for ever if the daemon has ended.
     const options = { receiveTimeout: TIMEOUT_MS, sendTimeout: TIMEOUT_MS, linger: 0, immediate: true };
     const command = new Request(options);
     const telemetry = new Subscriber({ receiveTimeout: TIMEOUT_MS, linger: 0 });
     command.connect(`ipc://${directory}/hapticd.command`);
     telemetry.connect(`ipc://${directory}/hapticd.telemetry`);
 
-    // `state` comes 60 times a second: once it does, the subscription before it is in effect, too.
+    // `state` arrives 60 times a second. Once it arrives, the subscription to `event` is active, too.
     telemetry.subscribe("event", "state");
     await next(telemetry, (topic) => topic === "state");
 
     const floor = { kind: "wall", point_m: [0, 0], normal: [0, 1], material: "wood" };
-    // `wait`: answered once the servo has it.
+    // `wait`: the answer comes once the servo uses the scene.
     const inForce = await call(command, "set_scene", { scene: { objects: { floor } }, wait: true });
     console.log(`wall in force from tick ${inForce.tick} on`);
 

@@ -1,6 +1,6 @@
-"""The main job, shown: `make demo`.
+"""The demo of `make demo`: renders every kind of surface, measures it, and compares it with the material library.
 
-Starts the daemon on the simulated joystick in a process of its own and drives it over ZeroMQ: taps on the seven
-materials of the paper, strokes over a comb and over sandpaper, and a puncture. Telemetry alone says what was rendered:
-it is measured here by other means than it was made, and compared with the library. Ends by itself.
+The demo starts a daemon on the simulated joystick in a separate process and commands it over ZeroMQ: taps on the seven
+materials of the paper, strokes over a comb and over sandpaper, and a puncture. It measures the rendered surfaces from
+telemetry, with other code than the one that rendered them, and ends automatically.
 """

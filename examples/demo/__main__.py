@@ -1,6 +1,7 @@
-"""`python -m examples.demo`: performs, measures, prints the tables, saves the plot.
+"""`python -m examples.demo`: run the demo, print the tables and save the plot.
 
-It ends with 1 if a figure is wrong or the daemon failed. Where a busy machine left too little to measure, it says so.
+The exit code is 1 if a figure is wrong or the daemon failed. If missed periods left too little to measure, the demo
+reports it.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from hapticd.protocol.calls import TelemetryLoss
 
 
 def main() -> int:
-    """Runs the demo; its exit code."""
+    """Run the demo, and return its exit code."""
     console = Console()
     library = shipped_materials()
     with (
@@ -66,7 +67,7 @@ def main() -> int:
 
 
 def _compare(console: Console, seen: Mapping[str, Seen], library: Materials, rate_hz: float, marks: Marks) -> None:
-    """Prints what was measured beside the library's figures, and draws it."""
+    """Print the measured figures next to those of the library, and draw them."""
     measured = {name: each.measured for name, each in seen.items() if each.measured is not None}
     if tapped := {name: each for name, each in measured.items() if isinstance(each, taps.Tapped)}:
         console.print(taps.table(tapped, library, marks))

@@ -1,7 +1,7 @@
-"""A comb, displayed as vibration: every groove that is passed is one strike along the motion.
+"""A comb, displayed as vibration: every groove that the hand passes is one strike along the motion.
 
-Where a groove is passed is read off the position; what it struck is found in the vibration (`strikes`). Where a servo
-without real-time rights missed periods, strikes nearby are hidden, and the grooves only counted in events.
+The position shows when the hand passes a groove; the vibration shows the strike (`strikes`). If a servo without
+real-time privileges missed periods, nearby strikes are hidden, and their grooves are only counted from events.
 """
 
 from __future__ import annotations
@@ -24,57 +24,56 @@ from hapticd.config.texture import Grooves
 
 MATERIAL: Final = "comb_2400um_vibration"
 STROKES: Final = tuple((speed, press, 1) for press in (0.5, 1.0, 1.5) for speed in (0.05, 0.1, 0.2))
-"""Each a speed, m/s, and the force that is pressed with, N, once; the second one back, and so on."""
+"""Speed in m/s, pressing force in N and number of passes of each stroke; directions alternate."""
 HALF_STROKE_M: Final = 0.0304
-"""The ends lie between two grooves."""
+"""Half of the length of a stroke, whose ends lie between two grooves."""
 PATH, WAYS = stroking(HALF_STROKE_M, STROKES)
 WANTED: Final = 100
-"""Strikes that gains are measured from, at least."""
+"""Minimum number of strikes from which gains are measured."""
 MAX_OFF_PLACE_M: Final = 1e-6
 RAMP_S: Final = Scene().ramp_s
 
 
 @dataclass(frozen=True, slots=True)
 class Combing:
-    """What was measured; arrays have one element a strike."""
+    """Measurements of the comb; arrays have one element per strike."""
 
     strikes: Strikes
     groove: npt.NDArray[np.int64]
     position_m: Floats
     direction: Floats
-    """Of the motion in that tick, 1 or -1: where the hand turns, the estimated speed is late."""
+    """Direction of the motion in the tick of the strike, 1 or -1. The estimated speed is late when the hand turns."""
     speed_m_per_s: Floats
-    """As estimated: telemetry's velocity at the strike."""
+    """Estimated speed: telemetry's velocity at the strike."""
     force_n: Floats
     true_speed_m_per_s: Floats
-    """As the nearest event has it."""
+    """True speed in the nearest event."""
     whole: npt.NDArray[np.bool_]
-    """Whether that event is of the same time, the force limit left the strike as it was, and no ramp hid the force."""
+    """Whether that event has the same time, and neither the force limit nor a ramp changed the force."""
     passed: int
     reported: int
-    """Grooves that events report."""
+    """Number of grooves in events."""
 
     @property
     def count(self) -> int:
         return int(self.whole.sum())
 
     def gains(self, speed: Floats) -> Floats:
-        """Of speed, 1/s, and of force, m/s^2/N: the least squares of |A| = g_v |v| + g_F F."""
+        """Fit the gains of speed in 1/s and of force in m/s^2/N by least squares of |A| = g_v |v| + g_F F."""
         columns = np.stack([abs(speed), self.force_n], axis=1)[self.whole]
         return np.asarray(np.linalg.lstsq(columns, abs(self.strikes.amplitude[self.whole]), rcond=None)[0])
 
 
 def passages(recorded: Recorded, spacing_m: float) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
-    """Which grooves were passed on the surface y = 0, when they were struck, and in which direction, 1 or -1. Within a
-    tick the way is straight.
+    """Return the grooves passed on the surface y = 0, the times of their strikes, and the directions, 1 or -1.
 
-    What was passed in missed periods is struck in the last of them. Where they are longer than the ramp, the surface is
-    met anew, and nothing is struck on the way.
+    Within a tick the path is straight. Grooves passed during missed periods are struck in the last of these periods. If
+    the gap is longer than the ramp, the contact begins again, and the grooves of the gap are not struck.
     """
     x, y = recorded.samples["position_m"].T
     below = y < 0
     felt = (below[:-1] | below[1:]) & (np.diff(recorded.time_s) < RAMP_S + 0.5 / recorded.rate_hz)
-    # Where periods were missed, the hand may have moved far in the tick in which it landed, or left.
+    # After missed periods the hand may have moved far in the tick in which it landed or left.
     crossing = x[:-1] + y[:-1] / np.where(y[:-1] == y[1:], 1.0, y[:-1] - y[1:]) * np.diff(x)
     ends = np.array([np.where(below[:-1], x[:-1], crossing), np.where(below[1:], x[1:], crossing)])
     cell = np.floor(ends / spacing_m).astype(np.int64)
@@ -86,7 +85,7 @@ def passages(recorded: Recorded, spacing_m: float) -> tuple[npt.NDArray[np.int64
         low, high = sorted(cell[:, n].tolist())
         met = range(low + 1, high + 1)
         found += [(n, groove) for groove in (met if cell[1, n] > cell[0, n] else reversed(met))]
-    # A groove that was passed last counts again only from half a spacing away, on the surface.
+    # The same groove counts again only if the hand was half a spacing away from it, on the surface.
     on_surface = np.where(np.stack([below[:-1] | felt, below[1:] | felt]), ends, np.nan).T.ravel()
     found = found[:1] + [
         (n, groove)
@@ -100,7 +99,7 @@ def passages(recorded: Recorded, spacing_m: float) -> tuple[npt.NDArray[np.int64
 
 
 def measured(recorded: Recorded, material: Material) -> Combing:
-    """Everything about the comb that telemetry shows; the library says only where grooves should have been."""
+    """Measure the comb from telemetry; only the nominal spacing of the grooves comes from the library."""
     assert isinstance(material.texture, Grooves)
     groove, due, direction = passages(recorded, material.texture.spacing_m)
     strikes = strikes_of(recorded, 0, due)
@@ -108,12 +107,12 @@ def measured(recorded: Recorded, material: Material) -> Combing:
     def at_strikes(field: str, axis: int) -> Floats:
         return np.asarray(np.interp(strikes.onset_s, recorded.time_s, recorded.samples[field][:, axis]))
 
-    # The flag stands at the first tick after a strike; one tick more on either side covers a strike on a tick.
+    # The flag is set at the first tick after a strike; one more tick on either side covers a strike on a tick.
     limited = recorded.flagged(Flag.SATURATED | Flag.RAMPING)
     near = np.searchsorted(recorded.time_s, strikes.onset_s).tolist()
     free = ~np.array([limited[max(0, n - 1) : n + 2].any() for n in near], dtype=np.bool_)
     events = recorded.reported("groove")
-    # The first is none: it is the nearest only where there is no event.
+    # The first is a placeholder: it is the nearest only if there are no events.
     onsets = np.array([-np.inf, *(recorded.onset_s(event) for event in events)])
     nearest = abs(strikes.onset_s[:, None] - onsets).argmin(axis=1)
     return Combing(
@@ -131,7 +130,7 @@ def measured(recorded: Recorded, material: Material) -> Combing:
 
 
 def table(found: Combing, material: Material, marks: Marks) -> Table:
-    """Measured, library, difference, a line for each; without figures where too few strikes were seen."""
+    """Return the table of measured figures, library and difference, without figures if there are too few strikes."""
     grooves, mode, strikes = material.texture, material.groove_mode, found.strikes
     assert isinstance(grooves, Grooves) and mode is not None
     rows = Table(title=f"Strokes over {MATERIAL}: strikes found in telemetry")

@@ -1,4 +1,4 @@
-"""What is measured beside what the library says, and what was missed."""
+"""Comparison of measured figures with the library."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class Marks:
-    """Collects what lies farther from the library than its limit, a line each."""
+    """Collects deviations from the library that exceed their limits, one line each."""
 
     missed: list[str] = field(default_factory=list)
 
     def off(self, what: str, measured: float, wanted: float, limit: float) -> str:
-        """The difference in percent; missed beyond the fraction `limit`, and where it is no number."""
+        """Return the difference in percent; add a line if it exceeds the fraction `limit` or is NaN."""
         error = measured / wanted - 1
         self.expect(abs(error) <= limit, f"{what} is off by {100 * error:+.2f} % (limit {100 * limit:.3g} %)")
         return f"{100 * error:+.2f}%"
 
     def expect(self, holds: bool, otherwise: str) -> None:
-        """Notes `otherwise` unless it holds."""
+        """Add the line `otherwise` unless the condition holds."""
         if not holds:
             self.missed.append(otherwise)

@@ -1,4 +1,4 @@
-"""The parts of the demo: what is done to which surface, until enough of it was seen."""
+"""The parts of the demo: a motion on a surface, repeated until there is enough to measure."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from hapticd.client.blocking import Client
 from hapticd.config.materials import Materials
 
 MAX_REPETITIONS: Final = 10
-"""Of a part of which too little was seen so far."""
+"""Maximum number of repetitions of a part, if there is too little to measure."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Something that is done to a surface, and measured."""
+    """A motion on a surface, and its measurement."""
 
     material: str
     surface: Mapping[str, object]
@@ -32,15 +32,15 @@ class Part:
 
 @dataclass(slots=True)
 class Seen:
-    """What was seen of a part in all repetitions together."""
+    """The measurements of all repetitions of a part."""
 
     part: Part
     measured: Any = None
-    """None: every repetition was disturbed."""
+    """None if every repetition was disturbed."""
     best: tuple[Any, Any] = (None, None)
-    """The repetition that shows most, as a Recorded, and what was measured in it."""
+    """The repetition with the largest count, as a Recorded, and its measurement."""
     disturbed: bool = False
-    """Whether periods were missed, or something was lost."""
+    """Whether periods were missed, or samples or events were lost."""
 
     @property
     def enough(self) -> bool:
@@ -88,7 +88,7 @@ def all_parts(library: Materials) -> list[Part]:
 
 
 def repeat(daemon: Client, progress: Progress, part: Part) -> Seen:
-    """Does a part until enough of it was seen, MAX_REPETITIONS times at most."""
+    """Repeat a part until there is enough to measure, at most MAX_REPETITIONS times."""
     task = progress.add_task(part.material, total=1.0)
     seen = Seen(part)
     for repetition in range(1, MAX_REPETITIONS + 1):

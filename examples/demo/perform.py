@@ -1,4 +1,4 @@
-"""Running the daemon, having the operator do something, and recording what telemetry says of it."""
+"""Running the daemon, commanding the operator, and recording telemetry."""
 
 from __future__ import annotations
 
@@ -25,61 +25,64 @@ Floats = npt.NDArray[np.float64]
 Waypoints = list[list[float]]
 
 MASS_KG: Final = 0.05
-"""Handle and hand of the default configuration: what makes an acceleration a force."""
+"""Effective mass of handle and hand in the default configuration: the ratio of force to acceleration."""
 GRIP_N_PER_M: Final = 300.0
-"""Stiffness of its hand."""
+"""Stiffness of the hand of the default configuration."""
 FLOOR_N_PER_M: Final = 800.0
-"""Of the materials that are stroked."""
+"""Stiffness of the stroked materials."""
 HOVER_M: Final = 0.012
-"""Where the hand waits between two performances, above the surface y = 0."""
+"""Height of the hand above the surface y = 0 between two motions."""
 PAUSE_BEFORE_STROKE_S: Final = 0.15
 START_TIMEOUT_S: Final = 180.0
-"""A daemon that gets a hundredth of a processor needs so long to start."""
+"""Time in which a daemon starts that gets a hundredth of a processor."""
 ANSWER_TIMEOUT_S: Final = 30.0
-"""A daemon that does nothing for so long has failed, however busy the machine is."""
+"""A daemon that does not answer within this time has failed, even on a busy machine."""
 
 
 class Disturbed(HapticdError):
-    """The machine was too busy to record a performance whole. It says nothing about the daemon."""
+    """The machine was too busy to record a motion completely. This is not a fault of the daemon."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """Telemetry of one performance, times in seconds from its first sample."""
+    """Telemetry of one motion, with times in s since its first sample."""
 
     time_s: Floats
     samples: npt.NDArray[np.void]
-    """(n,) records with the fields of telemetry, one a tick."""
+    """Records with the fields of telemetry, one per tick, (n,)."""
     events: tuple[dict[str, Any], ...]
     start_ns: int
     rate_hz: float
 
     def vibration(self, axis: int) -> Floats:
-        """(n,) what the modes and the noise ask of the handle along an axis, m/s^2."""
+        """Return the commanded acceleration of modes and noise along an axis in m/s^2, (n,)."""
         return np.ascontiguousarray(self.samples["vibration_force_n"][:, axis]) / MASS_KG
 
     def gaps(self) -> npt.NDArray[np.intp]:
-        """Samples before which periods were missed."""
+        """Return the samples that follow missed periods."""
         return np.flatnonzero(np.diff(self.time_s) > 1.5 / self.rate_hz) + 1
 
     def flagged(self, flags: Flag) -> npt.NDArray[np.bool_]:
-        """(n,) whether a tick has one of these flags."""
+        """Return whether each tick has one of these flags, (n,)."""
         return np.asarray((self.samples["flags"] & flags) != 0)
 
     def reported(self, kind: str) -> list[dict[str, Any]]:
-        """The events of a kind, in order."""
+        """Return the events of a kind, in order."""
         return [event for event in self.events if event["event"] == kind]
 
     def onset_s(self, event: dict[str, Any]) -> float:
-        """When an event happened, between two samples."""
+        """Return the time of an event, which may lie between two samples."""
         return float((event["time_ns"] - self.start_ns) / 1e9 - event["before_tick_s"])
 
 
 def stroking(
     half_m: float, strokes: Sequence[tuple[float, float, int]]
 ) -> tuple[Waypoints, list[tuple[int, float, float]]]:
-    """Waypoints of a hand that strokes the floor at y = 0 between -half_m and half_m, and of each way the number of its
-    stroke, begin and end. A stroke is its speed, the force that is pressed with, N, and how many ways it goes."""
+    """Return the waypoints of a hand that strokes the floor at y = 0 between -half_m and half_m, and its passes.
+
+    A stroke has a speed in m/s, a pressing force in N and a number of passes. A pass has the number of its stroke, its
+    begin and its end in s.
+    """
     now, x, path, ways = 0.5, -half_m, [[0.2, -half_m, HOVER_M]], []
     for number, (speed, press_n, count) in enumerate(strokes):
         # Hand and surface are springs in series.
@@ -100,7 +103,7 @@ def stroking(
 
 
 def joined(measured: Sequence[Any]) -> Any:
-    """Measurements of several performances as one: arrays are put one after the other, numbers are added."""
+    """Join the measurements of several motions: concatenate arrays, add numbers."""
     first = measured[0]
     if isinstance(first, np.ndarray):
         return np.concatenate(measured)
@@ -110,10 +113,9 @@ def joined(measured: Sequence[Any]) -> Any:
 
 
 def perform(daemon: Client, waypoints: Waypoints, advance: Callable[[float], None]) -> Recorded:
-    """Has the operator follow the waypoints and records it until the end; `advance` gets the part that is done.
+    """Let the operator follow the waypoints, and record telemetry until the end; `advance` gets the completed fraction.
 
-    Raises Disturbed where samples or events were lost, or where commands got no processor for so long that the forces
-    went off.
+    Raises Disturbed if samples or events were lost, or if the forces went off because commands got no processor.
     """
     before = daemon.get_status()
     with daemon.samples() as samples, daemon.events() as feed:
@@ -132,7 +134,7 @@ def perform(daemon: Client, waypoints: Waypoints, advance: Callable[[float], Non
                 batches.append(np.array(kept))
                 done_s = (int(kept["time_ns"][-1]) - int(batches[0]["time_ns"][0])) / 1e9
                 advance(min(1.0, done_s / duration_s))
-        # The end of the gesture is the last event that matters: what happened before it has come when it comes.
+        # Events arrive in order: the end of the gesture follows all events that matter.
         while not any(event.get("started_tick") == begin for event in events):
             if (event := feed.receive(ANSWER_TIMEOUT_S)) is None:
                 raise Disturbed("the end of the gesture was not reported")
@@ -153,7 +155,7 @@ def perform(daemon: Client, waypoints: Waypoints, advance: Callable[[float], Non
 
 
 def _connected(process: subprocess.Popen[bytes], directory: Path) -> Client:
-    """A client of a daemon that may still be starting. Raises DaemonNotRunning."""
+    """Connect to a daemon that may still be starting. Raises DaemonNotRunning."""
     deadline = time.monotonic() + START_TIMEOUT_S
     while True:
         try:
@@ -165,17 +167,17 @@ def _connected(process: subprocess.Popen[bytes], directory: Path) -> Client:
 
 @contextmanager
 def running_daemon(directory: Path) -> Iterator[Client]:
-    """`hapticd run` in a process of its own, stopped (and checked to have stopped well) at the end."""
+    """Run `hapticd run` in a separate process; at the end stop it, and check its exit code."""
     command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(directory), "run"]
     silent = False
-    # In a pipe that nobody reads, a long log of a busy machine would stop the daemon.
+    # A file, because a pipe that is not read would block the daemon when its log fills the pipe.
     with tempfile.TemporaryFile("w+") as log:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log)
         try:
             with _connected(process, directory) as daemon:
                 yield daemon
         except DaemonNotRunning:
-            silent = process.poll() is None  # one that ended by itself says why
+            silent = process.poll() is None  # if the daemon itself ended, its log says why
             raise
         finally:
             process.send_signal(signal.SIGTERM)

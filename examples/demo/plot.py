@@ -1,4 +1,4 @@
-"""The plot: each material's tap, slopes, the comb, the sandpaper and the puncture, rendered over the library's."""
+"""The plot: taps, slopes, puncture, comb and sandpaper, as rendered and as in the library."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PLOT: Final = Path(__file__).parents[2] / "demo.png"
-"""Which git ignores, wherever the demo was started."""
+"""File of the plot in the repository, which git ignores."""
 THERE_AND_BACK: Final = (4, 3)
-"""The strokes over the comb that are drawn, neighbours in `comb.STROKES`: even ones go to the right."""
+"""The two strokes over the comb that are drawn, indices into `comb.STROKES`: even ones go to the right."""
 
 
 def save(seen: Mapping[str, Seen], library: Materials, rate_hz: float) -> None:
-    """Draws everything of which enough was seen."""
+    """Draw every part with enough measurements."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -37,7 +37,7 @@ def save(seen: Mapping[str, Seen], library: Materials, rate_hz: float) -> None:
     panels = iter(axes.flat)
 
     def panel_of(name: str) -> Axes | None:
-        """The next panel; None where not enough of the part was seen, as the panel then says."""
+        """Return the next panel; label it and return None if there is too little to draw."""
         panel: Axes = next(panels)
         if seen[name].enough:
             return panel
@@ -155,9 +155,9 @@ def _spectrum(panel: Axes, spectrum: Floats, material: Material, rate_hz: float)
     frequency = np.linspace(0.0, rate_hz / 2, len(spectrum))
     fine = np.linspace(0, 1000, 1001)
     asked = power_spectrum(stochastic_filter(law.peak_hz, law.mean_hz, rate_hz), fine, rate_hz)
-    # At 0 a one-sided spectrum is half of what it is beside it.
+    # At 0 a one-sided spectrum is half of its neighbouring value.
     shown = (frequency > 0) & (frequency <= fine[-1])
-    # In the same unit: the power that the spectrum holds up to there.
+    # Scale the law to the power of the measured spectrum up to the last frequency.
     asked *= spectrum[shown].sum() * frequency[1] / np.trapezoid(asked, fine)
     panel.plot(frequency[shown], 1e3 * spectrum[shown], ".-", ms=4, lw=0.6, label="rendered")
     panel.plot(fine, 1e3 * asked, lw=1, label="library")

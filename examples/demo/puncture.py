@@ -1,4 +1,4 @@
-"""A puncture: the hand presses slowly through a membrane, which breaks and rings."""
+"""A puncture: the hand presses slowly on a membrane, which ruptures and rings."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ PATH: Final = [
     [1.9, 0.0, -0.03],
     [2.3, 0.0, HOVER_M],
 ]
-"""Waypoints of a hand that presses through the membrane slowly, and comes back through the hole for a second try."""
+"""Waypoints of a hand that presses slowly through the membrane, and returns through the hole."""
 
 
 WANTED: Final = 1
-"""Ruptures."""
+"""Minimum number of ruptures."""
 
 
 @dataclass(frozen=True, slots=True)
 class Torn:
-    """Arrays have one element for each rupture that can be seen."""
+    """Measurements of the puncture; arrays have one element per visible rupture."""
 
     strikes: Strikes
-    """Those that cannot be seen whole are among them."""
+    """All strikes, including those of ruptures that are not completely visible."""
     amplitude: Floats
-    """m/s^2."""
+    """Amplitude in m/s^2."""
     force_before_n: Floats
     force_after_n: Floats
-    """The largest from the tick of the rupture on."""
+    """Largest force from the tick of the rupture on."""
     past_m: Floats
-    """How far beyond the rupture deflection that tick is."""
+    """Deflection at that tick beyond the rupture deflection."""
     travelled_m: Floats
-    """In that tick."""
+    """Distance travelled in that tick."""
     unreported: int
-    """Times that the deflection was exceeded, away from missed periods, without the event of a rupture."""
+    """Number of times that the deflection was exceeded without an event, not counting those at missed periods."""
 
     @property
     def count(self) -> int:
@@ -53,8 +53,10 @@ class Torn:
 
 
 def measured(recorded: Recorded, material: Material) -> Torn:
-    """The rupture, and its ringing. Missed periods hide it just before the tick in which the deflection is exceeded,
-    and shortly after that."""
+    """Measure the rupture and its ringing.
+
+    Missed periods hide the rupture just before the tick in which the deflection is exceeded, and shortly after it.
+    """
     assert material.rupture is not None
     force = recorded.samples["contact_force_n"][:, 1]
     deflection = -recorded.samples["position_m"][:, 1]
@@ -78,7 +80,7 @@ def measured(recorded: Recorded, material: Material) -> Torn:
 
 
 def table(torn: Torn, material: Material, marks: Marks) -> Table:
-    """The membrane's force at the tick of rupture, how far past its limit it came, and the ringing."""
+    """Return the table of force at the rupture, deflection beyond the limit, and ringing."""
     rupture, strikes = material.rupture, torn.strikes
     assert rupture is not None
     rows = Table(title=f"Puncture of {MATERIAL}", show_header=False)

@@ -1,10 +1,10 @@
-"""Sandpaper: noise along the surface, its RMS and its spectrum against the law.
+"""Sandpaper: RMS and spectrum of the noise along the surface, compared with the material's law.
 
-At each tick the noise is divided by the RMS that the law has for the speed and the force of that tick: both change
-where periods are missed. Every limit is four standard deviations of what noise of that spectrum gives in strokes of
-that length: with D seconds and the one-sided spectrum S, a sum of phi(f) S(f) over the spectrum has the variance of
-phi^2 S^2, integrated, over D. 11 s of a band of 440 Hz leave 0.7 % to the RMS and to the mean frequency. The peak of a
-wide spectrum is flat, and so is known to 3 %.
+The noise of each tick is divided by the RMS that the law states for the speed and the force of that tick, because both
+change when periods are missed. Every limit is four standard deviations of the estimate. For a stroke of D seconds and
+the one-sided spectrum S, the integral of phi(f) S(f) has the variance of the integral of phi^2 S^2, divided by D. With
+11 s and a band of 440 Hz the standard deviation of RMS and mean frequency is 0.7 %. The peak of a wide spectrum is
+flat, so its standard deviation is 3 %.
 """
 
 from __future__ import annotations
@@ -26,34 +26,34 @@ from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
 MATERIAL: Final = "sandpaper_100"
 STROKES: Final = ((0.05, 1.0, 1), (0.1, 0.5, 3), (0.1, 1.5, 3), (0.2, 1.0, 5))
-"""Each a speed, m/s, the force that is pressed with, N, and how often to or fro."""
+"""Speed in m/s, pressing force in N and number of passes of each stroke."""
 HALF_STROKE_M: Final = 0.0645
 PATH, WAYS = stroking(HALF_STROKE_M, STROKES)
 WANTED: Final = len(STROKES)
 WANTED_TICKS: Final = 10_000
-"""Of each stroke, at least."""
+"""Minimum number of ticks of each stroke."""
 SETTLED_S: Final = 0.06
-"""After the hand set off the handle follows."""
+"""Time after the start of a pass until the handle moves like the hand."""
 LIMIT_DEVIATIONS: Final = 4.0
 PEAK_DEVIATION: Final = 0.11
-"""Standard deviation of the peak frequency, a part of it, times the root of the seconds; from 60 seeded recordings."""
+"""Relative standard deviation of the peak frequency in 1 s (it falls with the root of time), from 60 recordings."""
 SEGMENT_TICKS: Final = 1024
-"""Of Welch's method."""
+"""Length of a segment of Welch's method."""
 PEAK_BELOW_HZ: Final = 1000.0
-"""Where two poles are fitted: beyond it there is nothing that could move a peak."""
+"""Upper end of the band in which two poles are fitted; higher frequencies do not change the peak."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sanding:
-    """What was measured; arrays (n,) of stretches without a ramp."""
+    """Measurements of sections without a ramp, (n,)."""
 
     stroke: npt.NDArray[np.int64]
-    """Which of STROKES it is of."""
+    """Index into STROKES."""
     ticks: npt.NDArray[np.int64]
     square: Floats
-    """Mean square of the noise over its law's RMS."""
+    """Mean square of the noise divided by its law's RMS."""
     spectrum: Floats
-    """(n, frequencies) of the noise over its law's RMS, 1/Hz, one-sided, up to half the rate."""
+    """One-sided spectrum of the noise divided by its law's RMS in 1/Hz, up to half the rate, (n, frequencies)."""
     speed_m_per_s: Floats
     force_n: Floats
 
@@ -62,7 +62,7 @@ class Sanding:
 
     @property
     def count(self) -> int:
-        """Strokes of which enough was seen."""
+        """Number of strokes with at least WANTED_TICKS ticks."""
         return sum(ticks >= WANTED_TICKS for ticks in self.ticks_of_strokes())
 
     def mean_spectrum(self) -> Floats:
@@ -70,9 +70,9 @@ class Sanding:
 
 
 def measured(recorded: Recorded, material: Material) -> Sanding:
-    """The noise of every stroke, a sequence of ticks: a missed period makes no gap in it.
+    """Measure the noise of every stroke as a sequence of ticks: a missed period leaves no gap in it.
 
-    After missed periods the force may come in over a ramp, or the hand may have left the surface: that is left out.
+    Ticks with a ramp or without contact, as after missed periods, are left out.
     """
     from scipy.signal import welch
 
@@ -106,7 +106,7 @@ def _rms(law: Stochastic, speed: Floats, force: Floats) -> Floats:
 
 
 def peak_of(frequency_hz: Floats, spectrum: Floats, rate_hz: float) -> float:
-    """The peak of the two poles whose spectrum is the most likely: the sum of P/S + ln S is least (Whittle 1953).
+    """Fit the peak of a two-pole spectrum by maximum likelihood: minimise the sum of P/S + ln S (Whittle 1953).
 
     1/S of two poles is a parabola in 4 sin^2(pi f/rate).
     """
@@ -128,7 +128,7 @@ def peak_of(frequency_hz: Floats, spectrum: Floats, rate_hz: float) -> float:
 
 
 def table(found: Sanding, material: Material, rate_hz: float, marks: Marks) -> Table:
-    """A line for each stroke, then all of them together; without figures where too little was seen."""
+    """Return the table of each stroke and of all strokes together, without figures if there are too few ticks."""
     law = _stochastic(material)
     fine = np.arange(0.0, rate_hz / 2)
     asked = power_spectrum(stochastic_filter(law.peak_hz, law.mean_hz, rate_hz), fine, rate_hz)

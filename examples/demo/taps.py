@@ -1,4 +1,4 @@
-"""Taps: the floor of a material is struck at many speeds, and the ringing of each fitted in the vibration."""
+"""Taps: the hand strikes a floor of each material at many speeds, and the vibration of each tap is fitted."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ SPEEDS_M_PER_S: Final = (0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.10, 0.11, 0.12, 0
 PRESS_DEPTH_M: Final = 0.004
 HOLD_S: Final = 0.06
 WANTED: Final = 10
-"""Taps that the force limit left whole, at least: what a slope is measured from."""
+"""Minimum number of taps below the force limit, from which a slope is measured."""
 
 
 def _path() -> Waypoints:
-    """Of a hand that taps the floor at y = 0 at each speed, in straight lines."""
+    """Return the waypoints of a hand that taps the floor at y = 0 at each speed, in straight lines."""
     path = [[0.0, 0.0, HOVER_M]]
     for speed in SPEEDS_M_PER_S:
         down_s = (HOVER_M + PRESS_DEPTH_M) / speed
@@ -42,28 +42,28 @@ PATH: Final = _path()
 
 @dataclass(frozen=True, slots=True)
 class Tapped:
-    """The taps of a material that can be seen; arrays have one element a tap, slopes are of those left whole, 1/s."""
+    """The visible taps of a material; arrays have one element per tap. Slopes in 1/s use taps below the force limit."""
 
     strikes: Strikes
     speed: Floats
     true_speed: Floats
     whole: npt.NDArray[np.bool_]
-    """Whether the force limit left it as it was."""
+    """Whether the tap was below the force limit."""
     silent: int
-    """Landings, away from missed periods, that no event reports as a tap."""
+    """Number of landings without the event of a tap, not counting those at missed periods."""
 
     @property
     def count(self) -> int:
         return int(self.whole.sum())
 
     def slope(self, speeds: Floats) -> float:
-        """The regression of the amplitude on a speed through the origin."""
+        """Return the regression of the amplitude on a speed through the origin."""
         v, amplitude = speeds[self.whole], self.strikes.amplitude[self.whole]
         return float(v @ amplitude / (v @ v))
 
 
 def landings(recorded: Recorded) -> npt.NDArray[np.uint64]:
-    """Ticks in which the hand came down to the floor from well above it, with no period missed in between."""
+    """Return the ticks in which the hand reached the floor from well above it, without a missed period."""
     y = recorded.samples["position_m"][:, 1]
     down = np.flatnonzero((y[:-1] >= 0) & (y[1:] < 0)) + 1
     if len(down) == 0:
@@ -75,7 +75,7 @@ def landings(recorded: Recorded) -> npt.NDArray[np.uint64]:
 
 
 def measured(recorded: Recorded) -> Tapped:
-    """The taps that telemetry shows."""
+    """Measure the taps in telemetry."""
     events = [event for event in recorded.reported("contact") if event["amplitude_m_per_s2"] > 0]
     strikes = strikes_of(recorded, 1, [recorded.onset_s(event) for event in events])
     seen = [events[number] for number in strikes.number.tolist()]
@@ -89,8 +89,7 @@ def measured(recorded: Recorded) -> Tapped:
 
 
 def table(tapped: Mapping[str, Tapped], library: Materials, marks: Marks) -> Table:
-    """Each material: measured, and below it the library's and the difference; no figures where too few taps were
-    seen."""
+    """Return the table of measured figures, library and difference, without figures if there are too few taps."""
     rows = Table(title="Taps, fitted to telemetry (below: library, difference)", show_lines=True)
     for heading in ("material", "frequency Hz", "decay ms", "slope 1/s", "slope by true speed", "taps"):
         rows.add_column(heading, justify="left" if heading == "material" else "right")
