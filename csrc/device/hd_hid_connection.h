@@ -33,7 +33,7 @@
  *   forces, effect_queue                            the servo writes, the writer reads while its phase is IDLE
  *   seen_* and what follows in struct hd_hid       the servo alone
  *   the writer's counters                          the writer, while its phase is IDLE
- *   playing, ended, told in struct hd_connection   the reader writes, the writer reads
+ *   `playing`, `ended`, `told` of hd_connection    the reader writes, the writer reads
  *   connection, parting_ns                         control alone: one thread at a time connects and disconnects
  *   connected, error, reset, returns_ns, event_fd  any thread
  *

@@ -1,7 +1,7 @@
-"""Check the wording of hapticd/: `python -m tests.project.check_words [PATH ...]` prints each place to mend.
+"""Check the wording of code and pages: `python -m tests.project.check_words [PATH ...]` prints each place to mend.
 
-A place is an expression of the table "Words to avoid" (docs/contributing.md) in a comment, a docstring or a text of
-several words, or a module constant of one word, which says neither quantity nor unit.
+A place is an expression of the table "Words to avoid" (docs/contributing.md) in a comment, a docstring, a text of
+several words or a page, or a module constant of one word, which says neither quantity nor unit.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ ROOT: Final = Path(__file__).resolve().parents[2]
 GUIDE: Final = ROOT / "docs" / "contributing.md"
 TABLE_HEADING: Final = "### Words to avoid"
 
-CHECKED_PATHS: Final = ("hapticd",)
-"""Files and folders that are checked by default."""
+CHECKED_FILES: Final = ("README.md", "csrc/**/*.[ch]", "docs/**/*.md", "hapticd/**/*.js", "hapticd/**/*.py")
+UNCHECKED_PATHS: Final = (GUIDE, ROOT / "docs" / "adr", ROOT / "hapticd" / "web" / "static" / "vendor")
+"""The guide quotes what it avoids, records of decisions are history, and other packages have their words."""
 
 ONE_WORD_CONSTANT: Final = re.compile(r"_?[A-Z]{3,}(_(S|MS|US|NS|HZ|M|N|BYTES))?")
 
@@ -43,12 +44,24 @@ def avoided_words(guide: str) -> list[tuple[re.Pattern[str], str]]:
     return [(re.compile(rf"(?<![\w.`-])(?:{pattern})(?![\w`-])", re.I), advice) for pattern, advice in rows]
 
 
-def _prose(source: str) -> Iterator[tuple[int, str]]:
-    """Yield the comments, docstrings and texts of several words, each with the number of its first line."""
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        is_text = token.type == tokenize.STRING or token.type == getattr(tokenize, "FSTRING_MIDDLE", -1)
-        if token.type == tokenize.COMMENT or (is_text and " " in token.string.strip("\"' ")):
-            yield token.start[0], token.string
+def _blanked(pattern: str, text: str) -> str:
+    """Replace each match by a space and its line breaks, so that line numbers stay."""
+    return re.sub(pattern, lambda match: " " + "\n" * match.group().count("\n"), text, flags=re.S | re.M)
+
+
+def _prose(text: str, suffix: str) -> Iterator[tuple[int, str]]:
+    """Yield the parts of a file that people read, each with the number of its first line."""
+    if suffix == ".md":
+        # Without fenced and indented blocks, comments, and code in a line.
+        yield 1, _blanked(r"^```.*?^```|^(?: {4}.*\n)+|<!--.*?-->|`[^`]*`", text)
+    elif suffix in (".c", ".h", ".js"):
+        for comment in re.finditer(r"/\*.*?\*/|(?<!:)//[^\n]*", text, re.S):
+            yield 1 + text.count("\n", 0, comment.start()), comment.group()
+    else:
+        for token in tokenize.generate_tokens(io.StringIO(text).readline):
+            is_text = token.type == tokenize.STRING or token.type == getattr(tokenize, "FSTRING_MIDDLE", -1)
+            if token.type == tokenize.COMMENT or (is_text and " " in token.string.strip("\"' ")):
+                yield token.start[0], token.string
 
 
 def _one_word_constants(source: str) -> Iterator[Finding]:
@@ -59,19 +72,21 @@ def _one_word_constants(source: str) -> Iterator[Finding]:
                 yield Finding(statement.lineno, target.id, "a name with quantity and unit, as MIN_REST_SAMPLES")
 
 
-def findings(source: str, words: list[tuple[re.Pattern[str], str]]) -> list[Finding]:
-    """Find the places to mend in the text of a Python file, in the order of its lines."""
-    found = list(_one_word_constants(source))
-    for first_line, text in _prose(source):
+def findings(source: str, words: list[tuple[re.Pattern[str], str]], suffix: str = ".py") -> list[Finding]:
+    """Find the places to mend in the text of a file, in the order of its lines."""
+    found = list(_one_word_constants(source)) if suffix == ".py" else []
+    for first_line, text in _prose(source, suffix):
         for pattern, advice in words:
             for match in pattern.finditer(text):
                 found.append(Finding(first_line + text.count("\n", 0, match.start()), match.group(), advice))
     return sorted(found)
 
 
-def _checked_files(paths: list[str]) -> Iterator[Path]:
-    for path in paths or CHECKED_PATHS:
-        yield from sorted((ROOT / path).rglob("*.py")) if (ROOT / path).is_dir() else [ROOT / path]
+def _checked_files(paths: list[str]) -> list[Path]:
+    files = (file for pattern in CHECKED_FILES for file in ROOT.glob(pattern))
+    checked = (file for file in files if not any(map(file.is_relative_to, UNCHECKED_PATHS)))
+    wanted = [ROOT / path for path in paths] or [ROOT]
+    return sorted(file for file in checked if any(map(file.is_relative_to, wanted)))
 
 
 def main(paths: list[str]) -> int:
@@ -79,7 +94,7 @@ def main(paths: list[str]) -> int:
     words = avoided_words(GUIDE.read_text(encoding="utf-8"))
     status = 0
     for file in _checked_files(paths):
-        for line, found, advice in findings(file.read_text(encoding="utf-8"), words):
+        for line, found, advice in findings(file.read_text(encoding="utf-8"), words, file.suffix):
             print(f"{file.relative_to(ROOT)}:{line}: {' '.join(found.split())!r}: write {advice}")
             status = 1
     return status

@@ -42,3 +42,16 @@ def test_other_words_pass(source: str) -> None:
 def test_a_finding_names_its_line_and_what_to_write() -> None:
     (finding,) = findings('x = 1\ny = """First line.\n\nGone anew."""\n', WORDS)
     assert (finding.line, finding.found, finding.advice) == (4, "anew", "again")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text", "found"),
+    [
+        (".md", "A page.\n\nIt is told anew.\n", [3, 3]),
+        (".md", "`told`\n\n    told\n\n```\ntold\n```\n<!-- told -->\nIt is beside.\n", [9]),
+        (".h", "/* First line.\n * It is told. */\nint told;\n", [2]),
+        (".js", "const told = 1; // the whole scene\n", [1]),
+    ],
+)
+def test_pages_and_comments_of_other_languages_are_read(suffix: str, text: str, found: list[int]) -> None:
+    assert [one.line for one in findings(text, WORDS, suffix)] == found
