@@ -53,7 +53,7 @@ def _prose(text: str, suffix: str) -> Iterator[tuple[int, str]]:
     """Yield the parts of a file that people read, each with the number of its first line."""
     if suffix == ".md":
         # Without fenced and indented blocks, comments, and code in a line.
-        yield 1, _blanked(r"^```.*?^```|^(?: {4}.*\n)+|<!--.*?-->|`[^`]*`", text)
+        yield 1, _blanked(r"^```.*?^```|^(?: {4}[^\n]*\n)+|<!--.*?-->|`[^`]*`", text)
     elif suffix in (".c", ".h", ".js"):
         for comment in re.finditer(r"/\*.*?\*/|(?<!:)//[^\n]*", text, re.S):
             yield 1 + text.count("\n", 0, comment.start()), comment.group()
