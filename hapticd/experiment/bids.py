@@ -183,7 +183,7 @@ def _written(files: Mapping[Path, str], synced: bool = True) -> list[Path]:
         try:
             path.parent.mkdir(exist_ok=True)
         except OSError as error:
-            raise HapticdError(f"{path.parent}: cannot be made: {error.strerror}") from None
+            raise HapticdError(f"{path.parent}: cannot be created: {error.strerror}") from None
         write_atomically(str(path), text, overwrite=True, synced=synced)
     return list(files)
 

@@ -1,4 +1,4 @@
-"""The stage for trials on a running daemon: forces under a lease, scenes replaced in one change, telemetry recorded."""
+"""The stage for trials on a running daemon: it holds a lease, replaces scenes and records telemetry."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from hapticd.protocol.results import Event
 from hapticd.recording.recording import load
 
 RUNNER_LEASE_S: Final = 3.0
-"""Duration of the runner's lease: forces fade out that long after the runner was killed or hangs."""
+"""Duration of the runner's lease: the time after which the forces fade out if the runner hangs or was killed."""
 TELEMETRY_LAG_TIMEOUT_S: Final = 20.0
-"""How long to wait for the telemetry of a trial. If it is later, the machine is too busy for the experiment."""
+"""Timeout of the telemetry of a trial. If it is later, the machine is too busy for the experiment."""
 FADE_TIMEOUT_S: Final = 5.0
-"""How long to wait for zero force after the forces were switched off. If it takes longer, there is a fault."""
+"""Timeout of zero force after the forces were switched off. A longer time is a fault."""
 _LEASE_GRACE_S: Final = 1.0
-"""How much longer than a lease to wait for the lease of another client to lapse."""
+"""Added to a lease's duration: the timeout for another client's lease to lapse."""
 _LEASE_RETRY_S: Final = 0.1
 """Time between two attempts to take a lease that another client holds. The daemon does not report when it lapses."""
 _DESCRIBED_STATUS_KEYS: Final = ("version", "protocol", "started_ns", "device", "rate_hz", "realtime", "undisplayable")
@@ -44,7 +44,7 @@ _SAMPLE_BATCH_S: Final = 0.02
 
 
 class DaemonStage:
-    """A stage on a running daemon; a context that holds the daemon's lease."""
+    """A stage on a running daemon; a context manager that holds the daemon's lease."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -149,7 +149,7 @@ class DaemonStage:
         )
 
     def mark(self, text: str, data: Json) -> None:
-        """Leave a mark in the event stream. Every client can read it, so it must not name a stimulus."""
+        """Add a mark to the event stream. Every client can read it, so it must not name a stimulus."""
         self._client.mark(text, data)
 
     @contextmanager
@@ -161,7 +161,7 @@ class DaemonStage:
         self._file = Path(recorder.result.file)
 
     def _await_telemetry(self, events: Subscription[Event]) -> None:
-        """Wait until the daemon has sent the end of the trial. On a busy machine telemetry lags behind."""
+        """Wait until the daemon has sent all telemetry of the trial. On a busy machine telemetry lags behind."""
         tick = self._client.mark("recorded")["tick"]
         deadline = time.monotonic() + TELEMETRY_LAG_TIMEOUT_S
         while (left_s := deadline - time.monotonic()) > 0:

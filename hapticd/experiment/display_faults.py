@@ -1,4 +1,4 @@
-"""Faults that the configuration finds in the stimuli of a study, each at the key of the study that causes it."""
+"""Invalid configurations of the stimuli of a study, each reported at the key of the study that causes it."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _faults(make: Callable[[], dict[str, Json]]) -> list[Fault]:
 
 
 def _stimulus(study: Study, condition: str, levels: Mapping[str, Scalar], place: str | None) -> list[Fault]:
-    """Return the faults of a stimulus, at the level that alone causes them, or else at trial.cross or trial.list."""
+    """Return the faults of a stimulus: at a level that alone causes them, or else at trial.cross or trial.list."""
     found = _faults(partial(document_of, study, condition, levels, place))
     if not found:
         return []
