@@ -88,7 +88,7 @@ class Varied:
     reference: float | None = None
     """Value of the variable in the stimulus that the target is compared with."""
     level: str = "value"
-    """Meaning of the level: "value", "difference" (added to the reference) or "factor" (of the reference)."""
+    """Meaning of the level: "value", "added" (to the reference) or "factor" (multiplies the reference)."""
     logarithmic: bool = False
     rising: bool = True
     """Whether the probability of a correct answer grows with the level."""

@@ -23,6 +23,7 @@ from hapticd.experiment.session_log import Record
 BIDS_VERSION: Final = "1.9.0"
 """Version of the Brain Imaging Data Structure that the tables follow."""
 _BIDSIGNORE_PATTERNS: Final = ("study.yaml", "plan.json", "session.json", "log.jsonl", "*.npz")
+"""Files of a session that BIDS does not know."""
 _README_TEXT: Final = """\
 Sessions of `hapticd experiment`, a folder for each participant and session.
 

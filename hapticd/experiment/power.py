@@ -27,12 +27,12 @@ class Power:
     """How often simulated experiments find the effect."""
 
     power: float
-    """Share of the experiments in which the test rejects chance, or no difference, in the right direction."""
+    """Fraction of the experiments in which the test rejects chance, or no difference, in the right direction."""
     standard_error: float
     """Standard error of `power`, due to the number of simulated experiments."""
     participants: int
     trials: int
-    """Number of answers of each participant, or of pairs of trials whose difference is taken."""
+    """Number of answers of each participant, or of pairs of trials for a difference."""
     test: str
     """Name of the statistical test, with its sample size."""
 

@@ -48,6 +48,7 @@ from hapticd.experiment.analysis.psychometric_shapes import (
 )
 
 PSYCHOMETRIC_FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slope", "guess", "lapse")
+"""Names of the figures of a fit, as listed above."""
 BOOTSTRAP_RESAMPLES: Final = 2000
 """Number of resamples for an interval."""
 _STEP_MARGIN: Final = 0.05

@@ -23,7 +23,7 @@ Task: TypeAlias = Literal["tap", "stroke", "press"]
 FEATURE_OF_TASK: Final[dict[Task, Feature]] = {"tap": "hardness", "stroke": "fineness", "press": "loudness"}
 """The feature by which the observer answers in each task."""
 _MIN_REACTION_TIME_S: Final = 0.03
-"""Lower bound of the drawn reaction time, for the nerves to conduct."""
+"""Lower bound of the drawn reaction time, due to the conduction time of nerves."""
 
 
 def task_of(plan: Plan) -> Task:
@@ -95,7 +95,7 @@ class SimulatedFront:
     def not_done(self, trial: int, why: str) -> None:
         """Ignore that a motor task was not done."""
 
-    def feedback(self, told: str, right: str | None) -> None:
+    def feedback(self, text: str, right: str | None) -> None:
         """Learn the correct answer."""
         if right is not None and len(self._percepts) == 1:
             self._observer.learn(self._percepts[0], right)
