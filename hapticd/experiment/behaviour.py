@@ -1,7 +1,7 @@
 """Rows of answers from the folders of sessions (`*_beh.tsv`), and facts from the study.yaml of a session.
 
-A row is a trial; a missing value is `n/a` (BIDS). From the study only what an analysis needs is read: type of trial,
-chance level, published table, the meaning of answers, and the order of levels.
+A row is a trial; a missing value is `n/a` (BIDS). Of the study only type of trial, chance level, published table,
+meaning of answers and order of levels are read.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ REQUIRED_COLUMNS: Final = ("participant", "phase", "condition", "cell", "respons
 MEASURE_COLUMNS: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m", "response_time")
 """Columns with a numeric measure of a trial. Its unit ends the name; response_time is in s."""
 _MAX_STUDY_FOLDER_LEVELS: Final = 3
-"""Number of folders searched for study.yaml, from that of a table upwards: beh/, the session's, the participant's."""
+"""Number of folders searched for study.yaml, upwards: beh/, the session's, the participant's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Varied:
     at: tuple[str, ...] = ()
     """Paths of the keys that are set to its value."""
     reference: float | None = None
-    """Value of the variable in the stimulus that the target is compared with."""
+    """Value in the stimuli that the target is compared with."""
     level: str = "value"
     """Meaning of the level: "value", "added" (to the reference) or "factor" (multiplies the reference)."""
     logarithmic: bool = False
@@ -112,9 +112,9 @@ class StudyFacts:
     chance: float | None = None
     published: str | None = None
     varied: Mapping[str, Varied] = field(default_factory=dict)
-    """The varied quantity of each adaptive procedure, by the procedure's name."""
+    """The varied quantity of each adaptive procedure, by name."""
     staircases: Mapping[str, Mapping[str, Json]] = field(default_factory=dict)
-    """The `method` of each staircase, by the name of its procedure."""
+    """The `method` of each staircase, by procedure."""
     crossed: bool = False
     """Whether cells are combinations of levels (trial.cross). If not, an adaptive trial's cell is its procedure."""
     conditions: tuple[str, ...] = ()
@@ -122,9 +122,9 @@ class StudyFacts:
     items: tuple[str, ...] = ()
     """Levels of all factors, in the order of the study."""
     meanings: Mapping[str, str] = field(default_factory=dict)
-    """Meaning of each answer, by its name: first, second, ..., or same."""
+    """Meaning of each answer, by name: first, second, ..., or same."""
     levels: Mapping[str, str] = field(default_factory=dict)
-    """Level of each answer that names a level, by the answer's name."""
+    """Level that an answer names, by name of the answer."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -192,7 +192,7 @@ def _meaning(question: ChoiceQuestion, position: int) -> str | None:
 def _ranks(study: Study, cell: Cell, order: Sequence[int], factor: str) -> list[float]:
     """Return the rank of each stimulus by its level of a factor, in the order of presentation.
 
-    The rank of a number is the number, since a reference need not be one of the factor's levels.
+    The rank of a numeric level is the level itself, as a reference need not be a level of the factor.
     """
     levels = [cell.levels[index][factor] for index in order]
     if all(isinstance(level, int | float) and not isinstance(level, bool) for level in levels):

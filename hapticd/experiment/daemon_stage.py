@@ -28,9 +28,9 @@ from hapticd.protocol.results import Event
 from hapticd.recording.recording import load
 
 RUNNER_LEASE_S: Final = 3.0
-"""Duration of the runner's lease: the time after which the forces fade out if the runner hangs or was killed."""
+"""Duration of the runner's lease. The forces fade out this long after the runner hangs or is killed."""
 TELEMETRY_LAG_TIMEOUT_S: Final = 20.0
-"""Timeout of the telemetry of a trial. If it is later, the machine is too busy for the experiment."""
+"""Timeout of a trial's telemetry. If it is later, the machine is too busy."""
 FADE_TIMEOUT_S: Final = 5.0
 """Timeout of zero force after the forces were switched off. A longer time is a fault."""
 _LEASE_GRACE_S: Final = 1.0
@@ -85,7 +85,7 @@ class DaemonStage:
         }
 
     def check(self) -> None:
-        """Check as `Stage.check`. Raises DaemonNotRunning if the daemon has ended."""
+        """Check the forces as `Stage.check`. Raises DaemonNotRunning if the daemon has ended."""
         status = self._client.get_status()
         if status["faults"]:
             faults = ", ".join(status["faults"])
@@ -96,7 +96,7 @@ class DaemonStage:
             raise ForcesStopped("another client switched the forces off")
 
     def arm(self, config: Config) -> None:
-        """Arm as `Stage.arm`: `apply` replaces scene and materials together, `reset` restores ruptured membranes."""
+        """Arm a scene as `Stage.arm`: `apply` replaces scene and materials, `reset` restores ruptured membranes."""
         self.fade()
         known = shipped_materials()
         materials = {
@@ -161,7 +161,7 @@ class DaemonStage:
         self._file = Path(recorder.result.file)
 
     def _await_telemetry(self, events: Subscription[Event]) -> None:
-        """Wait until the daemon has sent all telemetry of the trial. On a busy machine telemetry lags behind."""
+        """Wait until the daemon has sent all telemetry of the trial."""
         tick = self._client.mark("recorded")["tick"]
         deadline = time.monotonic() + TELEMETRY_LAG_TIMEOUT_S
         while (left_s := deadline - time.monotonic()) > 0:

@@ -99,7 +99,7 @@ def _stimulus(study: Study, condition: str, levels: Mapping[str, Scalar], place:
 
 
 def _level_path(study: Study, name: str, level: Scalar, text: str) -> Path:
-    """Return the path at which a level is written. An unknown key is a fault of the factor's `at`."""
+    """Return the path of a level in the study, or for an unknown key that of the factor's `at`."""
     factor = study.factors[name]
     if factor.at is not None and text.startswith(UNKNOWN_KEY):
         return ("factors", name, "at")

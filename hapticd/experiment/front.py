@@ -1,4 +1,4 @@
-"""The interface of a front, through which the runner shows trials to participant and experimenter and receives replies.
+"""The interface of a front: it shows trials to participant and experimenter, and returns replies to the runner.
 
 The participant's part receives only `Shown`. It contains surfaces and answers, but no name of a stimulus, a material, a
 factor or a condition.
@@ -145,7 +145,7 @@ class Front(Protocol):
         """Return a command that forbids the forces, or None. Called just before and just after they are switched on."""
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Present an interval before the last, counted from 1, and return when the participant ends it."""
+        """Present an interval except the last, counted from 1, and return when the participant ends it."""
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
         """Present the last interval, ask the question and return the reply. Calls `stage.check` while it waits."""

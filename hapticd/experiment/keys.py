@@ -108,7 +108,7 @@ class ReplyAnswer(Model):
 
 
 class Asked(Model):
-    """Which stimulus is the correct answer to the question."""
+    """The rule for the correct answer, from the levels of the stimuli."""
 
     factor: Name = Field(description="The factor, or the variable of a procedure, by which stimuli are compared.")
     which: Literal["highest", "lowest"] = Field(
@@ -306,7 +306,7 @@ class Warmup(Model):
 
 
 class Breaks(Model):
-    """When the participant rests."""
+    """The breaks of a session."""
 
     every_trials: int | None = Field(
         default=None, ge=1, le=10_000, description="Number of test trials between two breaks."

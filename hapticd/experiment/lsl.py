@@ -38,7 +38,7 @@ OUTLET_LINGER_S: Final = 0.5
 _DRAIN_TIMEOUT_S: Final = 1.0
 """At the end of a stream, telemetry is drained until the daemon has been silent for this long."""
 _RECEIVE_TIMEOUT_S: Final = 0.1
-"""How long to wait for a message before the stop event and the daemon's silence are checked."""
+"""Time between two checks of the stop event and of the daemon's silence, while no message arrives."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,7 +53,7 @@ def measure_text(name: str, value: float) -> str:
 
 
 def why_not_done(name: str, value: float | None) -> str | None:
-    """Return why a task with this measure was not done, as a participant reads it, or None if it was done."""
+    """Return why a task with this measure was not done, for the participant, or None if it was done."""
     if name == "overtravel_m" and value is None:
         return "No membrane broke. Push further, until it breaks."
     if name == "peak_force_n" and not value:
@@ -76,7 +76,7 @@ def overtravel_m(samples: Samples, events: Events, planes: Planes) -> float | No
 
     The place of the rupture is interpolated between the two samples around `onset_time_ns` of the first event
     `puncture`. The direction of the puncture follows from the side of the resting membrane on which this place lies.
-    The velocity would be less reliable, as the hand may just have reversed.
+    The velocity is less reliable: the hand may just have reversed.
     """
     rupture = next((event for event in events if event["event"] == "puncture" and event["object"] in planes), None)
     if rupture is None or len(samples) < 2:

@@ -48,7 +48,7 @@ class OfflineStage:
         """Do nothing: an offline stage loses no forces."""
 
     def arm(self, config: Config) -> None:
-        """Arm as `Stage.arm`. Each run of the closed loop begins with an untouched scene."""
+        """Arm a scene as `Stage.arm`. Each run of the closed loop begins with an untouched scene."""
         self.fade()
         self._config = config
 

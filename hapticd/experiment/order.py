@@ -1,7 +1,6 @@
 """The order of trials and the sides of stimuli, from a seed.
 
-The generator is PCG64, seeded by (seed, participant, session). Every order that the design allows is equally likely,
-so that no stimulus is favoured by its place in the file.
+The generator is PCG64, seeded by (seed, participant, session). Every order that the design allows is equally likely.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ OrderKind: TypeAlias = Literal["random", "blocked", "latin_square", "listed"]
 _SEED_WORDS_PER_NAME: Final = 4
 """Number of 32-bit words of a participant's hashed name in the seed."""
 _LATIN_SQUARE_SALT: Final = b"latin square"
-"""Replaces the participant's name in the seed of a Latin square, which is equal for all participants."""
+"""Replaces the participant's name in the seed, as all participants share a Latin square."""
 
 
 def generator_of(seed: int, participant: str, session: int) -> np.random.Generator:

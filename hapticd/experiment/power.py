@@ -19,7 +19,7 @@ from hapticd.experiment.keys import DifferenceEffect, ProportionEffect
 SIMULATED_EXPERIMENTS: Final = 4000
 """Number of simulated experiments; the standard error of the power is at most 0.8 %."""
 _SIMULATION_SEED: Final = 1
-"""Seed of the simulation, fixed so that the power of a study is reproducible."""
+"""Seed of the simulation; it makes the power reproducible."""
 
 
 @dataclass(frozen=True, slots=True)

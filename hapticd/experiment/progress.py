@@ -45,7 +45,7 @@ class Progress:
     began: bool = False
     """Whether the session was started."""
     ended: str | None = None
-    """Why the session is over, or None if it is not."""
+    """Reason why the session is over, or None."""
 
     def take(self, record: Record) -> None:
         """Update the progress with the next record of the log."""

@@ -1,4 +1,4 @@
-"""Published results to compare a study with, as data of the package."""
+"""Published results to compare a study with; they are data of the package."""
 
 from __future__ import annotations
 

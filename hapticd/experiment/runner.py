@@ -34,7 +34,7 @@ from hapticd.experiment.trial_scenes import configurations, seen
 MAX_FAULTS_IN_A_ROW: Final = 3
 """The session ends after this many successive attempts that ended in a fault."""
 MAX_ATTEMPTS_NOT_DONE: Final = 3
-"""A trial ends without answer after this many successive attempts in which the motor task was not done."""
+"""A motor task that was not done in this many successive attempts ends without answer."""
 
 Ending: TypeAlias = Literal["ended", "aborted"]
 """How a run ended: the session is over, or the experimenter aborted it."""
@@ -429,7 +429,7 @@ class Session:
     def _ask_during_attempt(
         self, armed: _ArmedTrial, attempt: int, ask: Callable[[], Reply | Command | None]
     ) -> Reply | None:
-        """Ask the front during an attempt. A pause or a repetition ends the attempt, so that its times are valid."""
+        """Ask the front during an attempt. A pause or a repetition ends the attempt, to keep times valid."""
         while True:
             result = ask()
             if not isinstance(result, Command):

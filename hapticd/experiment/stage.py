@@ -1,4 +1,4 @@
-"""The interface of a stage, which renders trials for the runner: on a daemon, or in the simulated closed loop."""
+"""The interface of a stage, which renders trials: on a daemon, or in the simulated closed loop."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Reaction:
     """A reaction of a simulated hand to what it feels."""
 
     noticed_s: Callable[[Samples], float | None]
-    """Returns when the hand begins to react to the felt samples, in s since the first sample, or None."""
+    """Returns the time in s, from the first sample, at which the hand reacts to the samples, or None."""
     then: Callable[[float], Waypoints]
     """Returns the waypoints from a time onwards."""
 

@@ -49,7 +49,7 @@ class Box:
         """Return the bounds for levels at `positions` (k,) on the axis.
 
         The threshold is at most one range beyond the lowest or highest level. The slope is from 0.05 / range to 6 / d,
-        where d is the smallest distance of two levels. At 6 / d a logistic function rises from 5 to 95 % within d.
+        where d is the smallest distance of two levels: then a logistic function rises from 5 to 95 % within d.
         """
         ordered = np.unique(positions)
         span, least = float(ordered[-1] - ordered[0]), float(np.diff(ordered).min())

@@ -52,8 +52,8 @@ PSYCHOMETRIC_FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slo
 BOOTSTRAP_RESAMPLES: Final = 2000
 """Number of resamples for an interval."""
 _STEP_MARGIN: Final = 0.05
-"""If the fitted F differs from 0 or 1 by less than this at every level, it is a step between two levels. Resampled
-answers would equal the original ones, and the interval of the threshold would have no width.
+"""A fitted F within this distance of 0 or 1 at every level is a step. Resampled answers would equal the original ones,
+and the interval of the threshold would have no width.
 """
 
 

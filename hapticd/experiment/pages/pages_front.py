@@ -104,7 +104,7 @@ class PagesFront:
     def console(self) -> dict[str, Any]:
         """Return the content of the experimenter's page without the answers; `answers` is their number.
 
-        `least_s` is the shortest duration of a break, `left_s` the time until the break may end. Otherwise both are 0.
+        During a break `least_s` is its shortest duration, `left_s` the time until it may end. Otherwise both are 0.
         """
         with self._lock:
             rests = self._console.doing == "rests"
@@ -296,10 +296,7 @@ class PagesFront:
         self._changed()
 
     def server_runs(self) -> None:
-        """Note that the pages' server runs. The server calls this a few times per second.
-
-        A server that is stuck would not receive a stop.
-        """
+        """Note that the pages' server runs; called a few times per second. A stuck server would not receive a stop."""
         self._server_s = time.monotonic()
 
     def _missing(self) -> list[str]:

@@ -1,4 +1,4 @@
-"""A session in the browser from start to end: two ports for the pages, and a thread for the session."""
+"""A session in the browser: two ports for the pages, and a thread for the session."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ STATIC_FOLDER: Final = Path(__file__).parent / "static"
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The options of `hapticd experiment run` for sessions in the browser."""
+    """The options of a session in the browser."""
 
     place: RuntimePaths
     simulated: bool

@@ -45,7 +45,7 @@ def read(markdown: str, go_on: str | None, least_s: float = 0.0) -> Screen:
 
 
 def wait(markdown: str) -> Screen:
-    """Return a screen with a text, shown while the participant waits for the experimenter."""
+    """Return a screen with a text for a participant who waits for the experimenter."""
     return {"kind": "wait", "html": html(markdown)}
 
 

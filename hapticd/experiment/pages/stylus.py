@@ -1,7 +1,6 @@
 """The position at which the stylus is drawn, which must not reveal the material.
 
-The depth of the handle in a surface depends on the stiffness. A stylus that touches a surface is therefore drawn on the
-surface.
+The depth of the handle in a surface depends on the stiffness. So a stylus that touches a surface is drawn on it.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ class Observer:
         self._learned: dict[str, list[float]] = {}
 
     def percept(self, feature: Feature, felt: Samples, surface: Seen) -> float:
-        """Return a feature of the samples felt at one stimulus, with the noise of one judgement."""
+        """Return a feature of the samples felt at one stimulus, with noise."""
         found = FEATURE_FUNCTIONS[feature](felt, surface)
         return found + self._parameters.noise * float(self._chance.standard_normal())
 
@@ -88,7 +88,7 @@ class Observer:
         return ">".join(POSITION_NAMES[int(at)] for at in np.argsort(percepts)[::-1])
 
     def identify(self, percept: float, answers: tuple[Choice, ...]) -> str:
-        """Return the answer whose learned percepts are nearest to the percept, or a guess if none was learned."""
+        """Return the answer with the nearest learned percepts, or a guess if none was learned."""
         known = {answer.name: self._learned[answer.name] for answer in answers if answer.name in self._learned}
         if not known:
             return self.guess(answers)

@@ -29,7 +29,7 @@ _MIN_REACTION_TIME_S: Final = 0.03
 def task_of(plan: Plan) -> Task:
     """Return the task of a study, the same for all trials.
 
-    It is to press if the motion is measured, to stroke if the first trial has a texture, and otherwise to tap.
+    The task is `press` if the motion is measured, `stroke` if the first trial has a texture, otherwise `tap`.
     """
     if isinstance(plan.study.asked, MeasureQuestion):
         return "press"

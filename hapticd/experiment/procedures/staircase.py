@@ -65,7 +65,7 @@ class StaircaseParameters(CheckedTogether):
     steps: Annotated[
         tuple[Annotated[float, Field(gt=0, le=1e9)], ...], Field(min_length=1, max_length=64, strict=False)
     ]
-    """Step by the number of past reversals, from 0; the last one is used for all further reversals."""
+    """Step by the number of reversals before it; the last one is used to the end."""
     axis: Literal["linear", "logarithmic"] = "linear"
     harder: Literal["lower", "higher"] = "lower"
     """Whether lower or higher levels are harder."""
