@@ -60,9 +60,9 @@ class StudyReport:
     """Duration of a session in minutes: expected_s per trial, and the shortest breaks."""
     expected_s: float
     correct: str | None
-    """Which answer is correct, in words, or None if the study defines none."""
+    """The correct answer in words, or None if the study defines none."""
     chance: float | None
-    """Probability of a correct answer by guessing, from analysis.chance, or None. Without it nothing is tested."""
+    """Probability of a correct answer by guessing, from analysis.chance, or None. Without it answers are not tested."""
     power: Power | None
     undisplayable: tuple[Problem, ...]
     """Problems with the display on the device, each once with the names of its stimuli."""

@@ -32,9 +32,9 @@ RUNNER_LEASE_S: Final = 3.0
 TELEMETRY_LAG_TIMEOUT_S: Final = 20.0
 """Timeout of a trial's telemetry. If it is later, the machine is too busy."""
 FADE_TIMEOUT_S: Final = 5.0
-"""Timeout of zero force after the forces were switched off. A longer time is a fault."""
+"""The force must be zero within this time after it was switched off."""
 _LEASE_GRACE_S: Final = 1.0
-"""Added to a lease's duration: the timeout for another client's lease to lapse."""
+"""The wait for another client's lease is a lease's duration plus this time."""
 _LEASE_RETRY_S: Final = 0.1
 """Time between two attempts to take a lease that another client holds. The daemon does not report when it lapses."""
 _DESCRIBED_STATUS_KEYS: Final = ("version", "protocol", "started_ns", "device", "rate_hz", "realtime", "undisplayable")

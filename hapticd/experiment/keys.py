@@ -407,7 +407,7 @@ class Study(Model):
         return self.questions[self.trial.question]
 
     def adaptive(self, procedure: str) -> Adaptive:
-        """Return the adaptive procedure of a run, by the name of the run.
+        """Return the adaptive procedure of a run, by the run's name.
 
         The name is e.g. `rising`, or `rising.CONDITION.CELL` if each condition and cell has a separate run.
         """

@@ -76,7 +76,7 @@ def overtravel_m(samples: Samples, events: Events, planes: Planes) -> float | No
 
     The place of the rupture is interpolated between the two samples around `onset_time_ns` of the first event
     `puncture`. The direction of the puncture follows from the side of the resting membrane on which this place lies.
-    The velocity is less reliable: the hand may just have reversed.
+    The velocity would be less reliable, as the hand may just have reversed.
     """
     rupture = next((event for event in events if event["event"] == "puncture" and event["object"] in planes), None)
     if rupture is None or len(samples) < 2:

@@ -24,7 +24,7 @@ _SIMULATION_SEED: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """How often simulated experiments find the effect."""
+    """The simulated power of a study."""
 
     power: float
     """Fraction of the experiments in which the test rejects chance, or no difference, in the right direction."""

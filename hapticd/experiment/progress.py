@@ -25,7 +25,7 @@ from hapticd.experiment.session_log import Record
 
 @dataclass(slots=True)
 class Progress:
-    """How much of a session is done."""
+    """The progress of a session."""
 
     done: set[int] = field(default_factory=set)
     """Indices of trials that were answered or skipped."""

@@ -1,4 +1,4 @@
-"""Published results to compare a study with; they are data of the package."""
+"""Published results in the package, to compare a study with."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def _trial_document(trial: PlannedTrial) -> dict[str, Json]:
 
 
 def plan_of(folder: SessionFolder) -> Plan:
-    """Read the plan of a session from its file, as another version of hapticd might plan differently.
+    """Read the plan of a session from its file, since another version might plan differently.
 
     Raises HapticdError if the file is invalid.
     """

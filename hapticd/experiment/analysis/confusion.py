@@ -72,7 +72,7 @@ def confusion(shown: Sequence[str], answered: Sequence[str], order: Sequence[str
 
 
 def information(counts: npt.ArrayLike) -> Information:
-    """Return the information transfer of counts (stimuli, answers). Raises FitError for negative or no counts."""
+    """Return the information transfer of counts (stimuli, answers). Raises FitError for invalid counts."""
     table = np.asarray(counts, dtype=float)
     total = table.sum()
     if table.ndim != 2 or not (table >= 0).all() or not total > 0:

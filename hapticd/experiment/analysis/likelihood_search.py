@@ -23,11 +23,11 @@ _PRIOR_EXPONENT: Final = 9.0
 MAX_SEARCH_ROUNDS: Final = 60
 """Largest number of iterations of the search from a grid point."""
 MAX_RESAMPLE_ROUNDS: Final = 12
-"""The same for a bootstrap resample; its search begins at the fit, near the maximum."""
+"""Largest number of iterations for a resample, whose search begins at the fit, near the maximum."""
 SEARCH_TOLERANCE: Final = 1e-11
 """The search ends if a step gains less log probability than this."""
 RESAMPLE_TOLERANCE: Final = 1e-6
-"""The tolerance for a resample, equivalent to 0.0014 standard errors."""
+"""Tolerance of the search for a resample, equivalent to 0.0014 standard errors."""
 _MIN_SEARCH_STEP: Final = 1e-7
 """The search ends if a step that gains nothing changes every parameter by less than this."""
 _MIN_POSITIVE: Final = 1e-12

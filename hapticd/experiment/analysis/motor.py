@@ -17,7 +17,7 @@ class PairedComparison:
 
     participants: int
     difference: Estimate
-    """Mean difference, with Student's interval."""
+    """Mean difference, with the interval of Student's t."""
     standard_deviation: float
     """Standard deviation of the differences."""
     effect_size: Estimate

@@ -11,5 +11,5 @@ The session runs in a thread, as at a terminal; the pages run in the event loop 
     stylus              position at which the stylus is drawn: never below a surface
     experimenter_page   methods of the experimenter's page
 
-`static/` holds the files of both pages; they also use modules of hapticd/web/static.
+`static/` holds the files of both pages, which also use hapticd/web/static.
 """

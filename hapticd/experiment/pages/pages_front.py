@@ -222,7 +222,7 @@ class PagesFront:
         return Reply(None, timed_out=True) if message is None else message
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
-        """Show an answer that was saved on disk to the experimenter."""
+        """Show a saved answer to the experimenter."""
         row = Row(watched.index, watched.condition, watched.cell, watched.stimuli, answer, correct, response_s)
         with self._lock:
             self._rows.append(row)

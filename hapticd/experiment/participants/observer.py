@@ -213,7 +213,7 @@ def loudness(felt: Samples, surface: Seen) -> float:
 
 
 FEATURE_FUNCTIONS: Final = {"hardness": hardness, "fineness": fineness, "loudness": loudness}
-"""The function that computes a feature, by its name."""
+"""Functions that compute the features, by feature."""
 
 
 def rupture_felt_s(felt: Samples, surface: Seen) -> float | None:

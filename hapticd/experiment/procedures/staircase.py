@@ -65,7 +65,7 @@ class StaircaseParameters(CheckedTogether):
     steps: Annotated[
         tuple[Annotated[float, Field(gt=0, le=1e9)], ...], Field(min_length=1, max_length=64, strict=False)
     ]
-    """Step by the number of reversals before it; the last one is used to the end."""
+    """Steps. Each reversal changes to the next one; the last is used to the end."""
     axis: Literal["linear", "logarithmic"] = "linear"
     harder: Literal["lower", "higher"] = "lower"
     """Whether lower or higher levels are harder."""
@@ -74,7 +74,7 @@ class StaircaseParameters(CheckedTogether):
     trials: Annotated[int, Field(ge=1, le=10000)] = 100
     """The staircase ends after this many answers."""
     discard: Annotated[int, Field(ge=0, le=999)] = 4
-    """The mean of the reversals excludes this many first ones."""
+    """Number of first reversals excluded from their mean."""
     guess: Proportion = 0.0
     """Probability of a positive answer far below threshold."""
     shape: Shape = "logistic"
