@@ -81,7 +81,7 @@ class Stage(Protocol):
         """
 
     def enable(self) -> None:
-        """Restore ruptured membranes, and fade the force in. Raises HapticdError if the scene has changed since `arm`."""
+        """Restore ruptured membranes, and fade the force in. Raises HapticdError if the scene changed since `arm`."""
 
     def fade(self) -> None:
         """Fade the force out, and return when it is zero."""
