@@ -1,7 +1,7 @@
 """The complete analysis of the sessions of one study.
 
-Only answered trials of the test phase are used, or without any, those with a measure of the motion. The summary
-says how many trials are left out.
+Only answered trials of the test phase are used. Without these, its trials with a measure of the motion are used. The
+summary says how many trials are left out.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ RANK_WORDS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "se
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """The analysis of a study. `files` are the tables of answers that it was made from."""
+    """The analysis of a study. `files` are the tables of answers that it used."""
 
     title: str
     summary: str
     sections: tuple[Section, ...]
     files: tuple[Path, ...]
     published: str | None
-    """Name of the published results that these are compared with, or None."""
+    """Name of the published results that the sessions are compared with, or None."""
 
     @property
     def tables(self) -> tuple[ResultTable, ...]:
@@ -40,7 +40,7 @@ class Analysis:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What could not be computed, and why."""
+        """Notes on results that could not be computed, with the reason."""
         return tuple(note for section in self.sections for note in section.notes)
 
     def to_dict(self) -> dict[str, Json]:
@@ -74,14 +74,14 @@ def analyze(folders: Sequence[Path]) -> Analysis:
 
 
 def analysis_of(behaviour: Behaviour) -> Analysis:
-    """Analyze rows that were read. Raises HapticdError if no trial can be used."""
+    """Analyze the rows of sessions. Raises HapticdError if no trial can be used."""
     facts = behaviour.facts
     tested = [row for row in behaviour.rows if row["phase"] == "test"]
     answered = [row for row in tested if row.get("response") is not None]
     used = answered or [row for row in tested if any(row.get(name) is not None for name in MEASURE_COLUMNS)]
     if not used:
         raise HapticdError(
-            f"nothing to analyze: none of {len(behaviour.rows)} trials is one of the test phase with an answer"
+            f"nothing to analyze: none of {len(behaviour.rows)} trials is an answered trial of the test phase"
         )
     published = published_results(facts.published) if facts.published else PublishedResults()
     places = {name: place for place, name in enumerate(facts.conditions)}

@@ -1,7 +1,7 @@
 """Rows of answers from the folders of sessions (`*_beh.tsv`), and facts from the study.yaml of a session.
 
-A row is a trial; a missing value is `n/a` (BIDS). From the study only what an analysis needs is read: type of trial,
-chance level, published table, the meaning of answers, and the order of levels.
+A row is a trial; a missing value is `n/a` (BIDS). Of the study only type of trial, chance level, published table,
+meaning of answers and order of levels are read.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ REQUIRED_COLUMNS: Final = ("participant", "phase", "condition", "cell", "respons
 MEASURE_COLUMNS: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m", "response_time")
 """Columns with a numeric measure of a trial. Its unit ends the name; response_time is in s."""
 _MAX_STUDY_FOLDER_LEVELS: Final = 3
-"""How many folders above a table are searched for study.yaml: beh/, the session's, the participant's."""
+"""Number of folders searched for study.yaml, upwards: beh/, the session's, the participant's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Row:
     def __getitem__(self, name: str) -> str:
         found = self.cells.get(name)
         if found is None:
-            raise HapticdError(f"{self.where}: has no {name}")
+            raise HapticdError(f"{self.where}: has no value of {name}")
         return found
 
     def get(self, name: str) -> str | None:
@@ -76,7 +76,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """What an adaptive procedure varies.
+    """The quantity that an adaptive procedure varies.
 
     Procedures with equal `Varied` share one psychometric function within a condition and a cell.
     """
@@ -84,16 +84,16 @@ class Varied:
     variable: str | None = None
     """The key that is varied; its name ends with its unit."""
     at: tuple[str, ...] = ()
-    """The paths of the keys that take its value."""
+    """Paths of the keys that are set to its value."""
     reference: float | None = None
-    """Value of the stimulus that the target is compared with."""
+    """Value in the stimuli that the target is compared with."""
     level: str = "value"
-    """What the level is: "value", "difference" (added to the reference) or "factor" (of the reference)."""
+    """Meaning of the level: "value", "added" (to the reference) or "factor" (multiplies the reference)."""
     logarithmic: bool = False
     rising: bool = True
     """Whether the probability of a correct answer grows with the level."""
     guess: float = 0.0
-    """Probability of a correct answer by chance."""
+    """Probability of a correct answer by guessing."""
 
     @property
     def unit(self) -> str:
@@ -105,16 +105,16 @@ class Varied:
 
 @dataclass(frozen=True, slots=True)
 class StudyFacts:
-    """What an analysis needs to know about the study."""
+    """Facts about the study that an analysis needs."""
 
     title: str
     trial_type: str | None = None
     chance: float | None = None
     published: str | None = None
     varied: Mapping[str, Varied] = field(default_factory=dict)
-    """What each adaptive procedure varies, by its name."""
+    """The varied quantity of each adaptive procedure, by name."""
     staircases: Mapping[str, Mapping[str, Json]] = field(default_factory=dict)
-    """The `method` of each staircase, by the name of its procedure."""
+    """The `method` of each staircase, by procedure."""
     crossed: bool = False
     """Whether cells are combinations of levels (trial.cross). If not, an adaptive trial's cell is its procedure."""
     conditions: tuple[str, ...] = ()
@@ -122,9 +122,9 @@ class StudyFacts:
     items: tuple[str, ...] = ()
     """Levels of all factors, in the order of the study."""
     meanings: Mapping[str, str] = field(default_factory=dict)
-    """What each answer means: first, second, ..., or same."""
+    """Meaning of each answer, by name: first, second, ..., or same."""
     levels: Mapping[str, str] = field(default_factory=dict)
-    """The level that each answer names."""
+    """Level that an answer names, by name of the answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +199,7 @@ def _facts(files: Sequence[Path], task: str) -> StudyFacts:
 
 
 def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
-    """Return the facts of a study's YAML, with defaults for missing keys. `task` is the title if it has none."""
+    """Return the facts of a study's YAML, with defaults for missing keys. `task` replaces a missing title."""
     trial, analysis, questions = (_mapping(study.get(key)) for key in ("trial", "analysis", "questions"))
     asked = _mapping(questions.get(str(trial.get("question")), next(iter(questions.values()), None)))
     answers = asked.get("answers")

@@ -1,7 +1,7 @@
 """Behaviour as tidy tables that follow BIDS 1.9: beh.tsv and events.tsv with their JSON sidecars, made from the log.
 
-Every table is rewritten from the log each time a session ends, and can be made again at any time. Cells without a
-value are `n/a`. `.bidsignore` lists the files of a session that BIDS does not know.
+Every table is rewritten from the log each time a session ends. Cells without a value are `n/a`. `.bidsignore` lists the
+files of a session that BIDS does not know.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from hapticd.experiment.session_log import Record
 BIDS_VERSION: Final = "1.9.0"
 """Version of the Brain Imaging Data Structure that the tables follow."""
 _BIDSIGNORE_PATTERNS: Final = ("study.yaml", "plan.json", "session.json", "log.jsonl", "*.npz")
+"""Files of a session that BIDS does not know."""
 _README_TEXT: Final = """\
 Sessions of `hapticd experiment`, a folder for each participant and session.
 
@@ -34,7 +35,7 @@ session, seed, versions and device. A `.npz` file is the telemetry of a trial. `
 statistics and a report.
 """
 TASK_IN_FILE_NAME: Final = re.compile(r"_task-([^_]+)_beh\.tsv$")
-"""Finds the label of the study in the file name of a table of answers."""
+"""Pattern of the study's label in the file name of a table of answers."""
 _FIXED_COLUMNS: Final = (
     "onset", "duration", "participant", "session", "phase", "block", "trial", "condition", "cell", "repetition",
     "attempt", "question", "response", "correct", "response_time", "procedure", "level",
@@ -183,7 +184,7 @@ def _written(files: Mapping[Path, str], synced: bool = True) -> list[Path]:
         try:
             path.parent.mkdir(exist_ok=True)
         except OSError as error:
-            raise HapticdError(f"{path.parent}: cannot be made: {error.strerror}") from None
+            raise HapticdError(f"{path.parent}: cannot be created: {error.strerror}") from None
         write_atomically(str(path), text, overwrite=True, synced=synced)
     return list(files)
 

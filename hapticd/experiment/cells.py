@@ -29,7 +29,7 @@ class Cell:
     """The levels of each stimulus. The target of a forced choice is the first. Listed stimuli are in the order of their
     presentation."""
     count: int
-    """Number of trials in the test; for a procedure the largest number."""
+    """Number of trials in the test; for a procedure the largest possible number."""
     procedure: str | None = None
     """Name of the run of an adaptive procedure, or None."""
     correct: str | None = None
@@ -87,7 +87,7 @@ def _cells(study: Study, condition: str) -> Iterator[Cell]:
 
 
 def _listed(study: Study, condition: str, trials: Sequence[ListedTrial]) -> Iterator[Cell]:
-    """Yield the cells of trial.list. Equal stimuli share one object, so that a long list names each only once."""
+    """Yield the cells of trial.list. Equal stimuli share one object, to save memory and time in a long list."""
     known: dict[object, tuple[Levels, str]] = {}
     for entry, listed in enumerate(trials):
         if listed.condition not in (None, condition):
@@ -143,12 +143,12 @@ def stimulus_name(study: Study, cell: Cell, index: int) -> str:
 def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None:
     """Return the name of the correct answer if the stimuli of a cell are presented in this order.
 
-    `order` holds indices of `cell.levels`. The answer of a paired comparison follows from what the question asks for.
-    That of a forced choice means the position of the target, unless the question asks for a level. That of an
-    identification names the level. That of a ranking lists the positions in order.
+    `order` holds indices of `cell.levels`. In a paired comparison the correct answer follows from the level that the
+    question asks for. In a forced choice it means the position of the target, unless the question asks for a level. In
+    an identification it names the level. In a ranking it lists the positions in order.
 
-    Returns None if the study does not define it, if stimuli tie and no answer means `same`, and for a listed forced
-    choice whose target neither the trial nor the question defines.
+    Returns None if the study does not define a correct answer, if stimuli tie and no answer means `same`, and for a
+    listed forced choice whose target neither the trial nor the question defines.
     """
     if cell.correct is not None:
         return cell.correct
@@ -192,7 +192,7 @@ def _meaning(question: ChoiceQuestion, position: int) -> str | None:
 def _ranks(study: Study, cell: Cell, order: Sequence[int], factor: str) -> list[float]:
     """Return the rank of each stimulus by its level of a factor, in the order of presentation.
 
-    The rank of a number is the number, since a reference need not be one of the factor's levels.
+    The rank of a numeric level is the level itself, as a reference need not be a level of the factor.
     """
     levels = [cell.levels[index][factor] for index in order]
     if all(isinstance(level, int | float) and not isinstance(level, bool) for level in levels):

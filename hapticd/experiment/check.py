@@ -1,4 +1,4 @@
-"""The check of a study: what a device can display of it, how long a session takes, trials of each cell, and its power.
+"""The check of a study: problems with the display, duration of a session, trials of each cell, and power.
 
 Each stimulus is checked as `hapticd check` checks a configuration. No force is displayed.
 """
@@ -36,7 +36,7 @@ _MAX_NAMED_STIMULI: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class CellCount:
-    """Number of trials of the test in one cell; for a procedure the largest number."""
+    """Number of trials of the test in one cell; for a procedure the largest possible number."""
 
     condition: str
     cell: str
@@ -60,12 +60,12 @@ class StudyReport:
     """Duration of a session in minutes: expected_s per trial, and the shortest breaks."""
     expected_s: float
     correct: str | None
-    """Which answer is correct, in words, or None if the study defines none."""
+    """The correct answer in words, or None if the study defines none."""
     chance: float | None
-    """Probability of a correct answer by guessing, from analysis.chance, or None. Without it nothing is tested."""
+    """Probability of a correct answer by guessing, from analysis.chance, or None. Without it answers are not tested."""
     power: Power | None
     undisplayable: tuple[Problem, ...]
-    """What the device cannot display, or only with a deviation, each once with the names of its stimuli."""
+    """Problems with the display on the device, each once with the names of its stimuli."""
     to_look_at: tuple[Problem, ...]
     """Warnings: names visible to participants that reveal levels or conditions, and staircases that cannot reach their
     hardest level."""
@@ -84,7 +84,7 @@ def check_study(study: Study, rig: Config) -> StudyReport:
     """Check a study for the device and servo of `rig`.
 
     Raises HapticdError if the power needs scipy and it is not installed, or if the effect is a proportion and the study
-    has no analysis.chance. What cannot be displayed is reported, and does not raise.
+    has no analysis.chance. Stimuli that cannot be displayed are reported, and raise no error.
     """
     sample, cells = plan(study, "", 1, study.order.seed), cells_of(study)
     phases = [trial.phase for trial in sample.trials]
@@ -123,7 +123,7 @@ def breaks_of(plan: Plan) -> int:
 
 
 def correct_words(study: Study) -> str:
-    """Say in words which answer is correct, for a study that defines it."""
+    """Return in words which answer is correct, for a study that defines it."""
     question = study.asked
     if any(each.correct is not None for each in study.trial.list or ()):
         return "as trial.list defines"
@@ -160,7 +160,7 @@ def _power(study: Study, cells: int, trials: int) -> Power | None:
 
 
 def display_problems(study: Study, cells: Sequence[Cell], rig: Config) -> tuple[str, tuple[Problem, ...]]:
-    """Return the device of `rig`, and each problem that it has with stimuli of a study, once, with their names."""
+    """Return the device of `rig`, and its problems with displaying stimuli, each once with the names of its stimuli."""
     found: dict[tuple[str, str], list[str]] = {}
     device = ""
     for name, stimulus in _stimuli(study, cells):
@@ -179,7 +179,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _stimuli(study: Study, cells: Sequence[Cell]) -> Iterator[tuple[str, Stimulus]]:
-    """Yield the name of each stimulus and the stimulus, once, at the first place.
+    """Yield each stimulus once, with its name, as it is at the first place.
 
     The stimuli of a procedure are its reference and the target at both ends of the procedure's range.
     """

@@ -1,4 +1,4 @@
-"""The stage for trials on a running daemon: forces under a lease, scenes replaced in one change, telemetry recorded."""
+"""The stage for trials on a running daemon: it holds a lease, replaces scenes and records telemetry."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from hapticd.protocol.results import Event
 from hapticd.recording.recording import load
 
 RUNNER_LEASE_S: Final = 3.0
-"""Duration of the runner's lease: forces fade out that long after the runner was killed or hangs."""
+"""Duration of the runner's lease. The forces fade out this long after the runner hangs or is killed."""
 TELEMETRY_LAG_TIMEOUT_S: Final = 20.0
-"""How long to wait for the telemetry of a trial. If it is later, the machine is too busy for the experiment."""
+"""Timeout of a trial's telemetry. If it is later, the machine is too busy."""
 FADE_TIMEOUT_S: Final = 5.0
-"""How long to wait for zero force after the forces were switched off. If it takes longer, there is a fault."""
+"""The force must be zero within this time after it was switched off."""
 _LEASE_GRACE_S: Final = 1.0
-"""How much longer than a lease to wait for the lease of another client to lapse."""
+"""The wait for another client's lease is a lease's duration plus this time."""
 _LEASE_RETRY_S: Final = 0.1
 """Time between two attempts to take a lease that another client holds. The daemon does not report when it lapses."""
 _DESCRIBED_STATUS_KEYS: Final = ("version", "protocol", "started_ns", "device", "rate_hz", "realtime", "undisplayable")
@@ -44,7 +44,7 @@ _SAMPLE_BATCH_S: Final = 0.02
 
 
 class DaemonStage:
-    """A stage on a running daemon; a context that holds the daemon's lease."""
+    """A stage on a running daemon; a context manager that holds the daemon's lease."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -85,7 +85,7 @@ class DaemonStage:
         }
 
     def check(self) -> None:
-        """Check as `Stage.check`. Raises DaemonNotRunning if the daemon has ended."""
+        """Check the forces as `Stage.check`. Raises DaemonNotRunning if the daemon has ended."""
         status = self._client.get_status()
         if status["faults"]:
             faults = ", ".join(status["faults"])
@@ -96,7 +96,7 @@ class DaemonStage:
             raise ForcesStopped("another client switched the forces off")
 
     def arm(self, config: Config) -> None:
-        """Arm as `Stage.arm`: `apply` replaces scene and materials together, `reset` restores ruptured membranes."""
+        """Arm a scene as `Stage.arm`: `apply` replaces scene and materials, `reset` restores ruptured membranes."""
         self.fade()
         known = shipped_materials()
         materials = {
@@ -149,7 +149,7 @@ class DaemonStage:
         )
 
     def mark(self, text: str, data: Json) -> None:
-        """Leave a mark in the event stream. Every client can read it, so it must not name a stimulus."""
+        """Add a mark to the event stream. Every client can read it, so it must not name a stimulus."""
         self._client.mark(text, data)
 
     @contextmanager
@@ -161,7 +161,7 @@ class DaemonStage:
         self._file = Path(recorder.result.file)
 
     def _await_telemetry(self, events: Subscription[Event]) -> None:
-        """Wait until the daemon has sent the end of the trial. On a busy machine telemetry lags behind."""
+        """Wait until the daemon has sent all telemetry of the trial."""
         tick = self._client.mark("recorded")["tick"]
         deadline = time.monotonic() + TELEMETRY_LAG_TIMEOUT_S
         while (left_s := deadline - time.monotonic()) > 0:

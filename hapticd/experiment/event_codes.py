@@ -11,7 +11,7 @@ class EventCode(IntEnum):
     """An event code from 1 to 255, which fits a trigger line of eight bits.
 
     Codes below 100 are sent by the session as marks, with `text` as the mark's text and the number as `code` in its
-    data. Codes above 100 stand for events of the daemon, for which the session leaves no mark.
+    data. Codes above 100 stand for events of the daemon, for which the session sends no mark.
     """
 
     SESSION_BEGIN = 1, "the instructions were read, and the first trial follows"
@@ -58,7 +58,7 @@ _CODES_OF_EVENTS: Final = {code.text: code for code in EventCode if code > 100}
 def code_of(event: Mapping[str, object]) -> EventCode | None:
     """Return the event code of an event of the daemon, or None.
 
-    Of marks, only those of a session have one. A mark of another client has none, even if its text is the same.
+    Marks of other clients have none, even with the text of a session's mark.
     """
     if event.get("event") != "mark":
         return _CODES_OF_EVENTS.get(str(event.get("event")))

@@ -287,16 +287,16 @@ def _listed(study: Study, listed: ListedTrial, known: _Known, where: Path) -> It
 
 
 def _levels(
-    study: Study, levels: Mapping[str, Scalar], known: _Known, where: Path, outside: bool = False
+    study: Study, levels: Mapping[str, Scalar], known: _Known, where: Path, any_number: bool = False
 ) -> Iterator[Fault]:
-    """Check levels by factor. With `outside`, numbers that are not among the factor's levels are allowed."""
+    """Check levels by factor. With `any_number`, numbers that are not levels of a numeric factor are allowed."""
     for name, level in levels.items():
         factor = study.factors.get(name)
         if factor is None:
             yield (*where, name), f"unknown factor {quoted(name)}; {known_names(name, study.factors)}"
             continue
         text = level_text(level)
-        allowed = outside and factor.levels is not None and _number(level) and all(map(_number, factor.levels))
+        allowed = any_number and factor.levels is not None and _number(level) and all(map(_number, factor.levels))
         if text not in known[name] and not allowed:
             yield (*where, name), f"the factor {name} has no level {quoted(text)}; {known_names(text, known[name])}"
 
@@ -334,7 +334,7 @@ def _references(study: Study) -> Iterator[Fault]:
     if trial.type != "forced_choice" or trial.procedures is not None or trial.list is not None:
         yield ("trial", "reference"), "is only valid for a forced_choice with cross"
         return
-    yield from _levels(study, trial.reference, _known(study), ("trial", "reference"), outside=True)
+    yield from _levels(study, trial.reference, _known(study), ("trial", "reference"), any_number=True)
     for name in crossed:
         if name in study.factors and name not in trial.reference:
             yield ("trial", "reference"), f"has no level of the factor {name}"
@@ -455,7 +455,7 @@ def _cells(study: Study) -> Iterator[Fault]:
 
 
 def _without_correct(study: Study, cells: Sequence[Cell]) -> Iterator[Fault]:
-    """Report trials of a forced choice for which no answer is correct."""
+    """Report trials of a forced choice without a correct answer."""
     question = study.asked
     if study.trial.type != "forced_choice" or not isinstance(question, ChoiceQuestion):
         return

@@ -1,7 +1,7 @@
-"""The interface between the runner and its front: what participant and experimenter see, and what they reply.
+"""The interface of a front: it shows trials to participant and experimenter, and returns replies to the runner.
 
-The participant's side only gets `Shown`. It has places and answers, but no name of a stimulus, a material, a factor or
-a condition.
+The participant's part receives only `Shown`. It contains surfaces and answers, but no name of a stimulus, a material, a
+factor or a condition.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What the participant's side gets of a trial."""
+    """What a participant may know of a trial."""
 
     number: int
     """Number of the trial in the session, from 1."""
@@ -79,13 +79,13 @@ class Shown:
     time_limit_s: float | None = None
 
     def surfaces_of(self, interval: int) -> Sequence[Seen]:
-        """Return all surfaces if they are side by side, else that of an interval, counted from 1."""
+        """Return all surfaces if they are side by side, else the surface of an interval, counted from 1."""
         return self.surfaces if self.in_places else self.surfaces[interval - 1 : interval]
 
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What the experimenter sees of a trial."""
+    """A trial as the experimenter sees it."""
 
     index: int
     attempt: int
@@ -102,7 +102,7 @@ class Watched:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What the participant answered.
+    """A reply of the participant.
 
     `answer` is the name of an answer, positions in order, a number or a text; None if the motion itself is the answer,
     or the time limit passed.
@@ -114,19 +114,19 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command of the experimenter; `text` is that of a note."""
+    """A command of the experimenter; `text` is the text of a note."""
 
     kind: CommandKind
     text: str = ""
 
 
 class Front(Protocol):
-    """The side of participant and experimenter. A method that returns a command was interrupted by the experimenter."""
+    """The user interface of participant and experimenter. A method that returns a command was interrupted by it."""
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
         """Show title and instructions before the first trial of a run, and return when the participant begins.
 
-        `done` of `total` trials are done already. With `at_most` fewer than `total` may be needed.
+        `done` of `total` trials are already done. With `at_most`, fewer than `total` may be needed.
         """
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
@@ -145,25 +145,25 @@ class Front(Protocol):
         """Return a command that forbids the forces, or None. Called just before and just after they are switched on."""
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Present an interval before the last, counted from 1, and return when the participant ends it."""
+        """Present an interval except the last, counted from 1, and return when the participant ends it."""
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
         """Present the last interval, ask the question and return the reply. Calls `stage.check` while it waits."""
 
-    def feedback(self, told: str, right: str | None) -> None:
+    def feedback(self, text: str, right: str | None) -> None:
         """Show the participant the feedback on a trial.
 
         `right` is the name of the correct answer if the feedback reveals it, else None.
         """
 
     def not_done(self, trial: int, why: str) -> None:
-        """Report to both that a motor task was not done and begins again. `trial` counts from 1."""
+        """Report to both persons that a motor task was not done and begins again. `trial` counts from 1."""
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
-        """Report an answer that is on disk. `response_s` is the time from the onset of the last interval, in s."""
+        """Report a saved answer. `response_s` is the time from the onset of the last interval, in s."""
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """Show a break of at least `least_s` more, and return when the participant continues."""
+        """Show a break of at least another `least_s`, in s. Return when the participant continues."""
 
     def paused(self) -> Command | None:
         """Show a pause of the experimenter, and return when the experimenter continues."""

@@ -1,7 +1,7 @@
 """Changes of a configuration as plain data, by the paths of its keys, e.g. `materials.wood.tap.frequency_hz`.
 
-A change of a shipped material's key starts from that material. A material's name in the place of its keys, as in
-`materials.left: wood`, stands for the keys of that material.
+If one key of a shipped material is changed, its other keys keep the shipped values. `materials.left: wood` gives the
+material `left` all keys of `wood`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _shipped() -> dict[str, Json]:
 
 
 def expanded(document: Mapping[str, Json]) -> dict[str, Json]:
-    """Return a configuration in which each material given as the name of another one has the keys of that one.
+    """Return a configuration in which each material that is given as the name of another has the other's keys.
 
     Raises InvalidError at materials.NAME for a name that is neither in the configuration nor shipped.
     """
@@ -78,8 +78,8 @@ def with_patch(document: Mapping[str, Json], patch: Mapping[str, Json]) -> dict[
 def with_value(document: Mapping[str, Json], path: Path, value: Json, *, make: bool = False) -> dict[str, Json]:
     """Return a configuration with one key set.
 
-    With `make`, missing mappings along the path are created, as every key of a configuration has a default. Raises
-    InvalidError at the path if it does not exist.
+    With `make`, missing mappings along the path are created; their other keys have defaults. Raises InvalidError at the
+    path if it does not exist.
     """
     if path[0] == "materials" and len(path) > 2:
         document = _with_shipped(document, (str(path[1]),))

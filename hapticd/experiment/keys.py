@@ -1,6 +1,6 @@
 """The keys of a study's YAML file, each with its range.
 
-Conflicts between keys are found by hapticd.experiment.faults, which knows the place of each key.
+hapticd.experiment.faults finds conflicts between keys.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ Names: TypeAlias = Annotated[tuple[Name, ...], Strict(False), Field(min_length=1
 
 
 class Factor(CheckedTogether):
-    """What is varied between stimuli: values of one or more keys, or merge patches by name."""
+    """A property that varies between stimuli: values of one or more keys, or merge patches by name."""
 
     levels: Annotated[tuple[Level, ...], Strict(False), Field(min_length=1, max_length=MAX_FACTOR_LEVELS)] | None = (
         Field(
@@ -108,7 +108,7 @@ class ReplyAnswer(Model):
 
 
 class Asked(Model):
-    """Which stimulus is the correct answer to the question."""
+    """The rule for the correct answer, from the levels of the stimuli."""
 
     factor: Name = Field(description="The factor, or the variable of a procedure, by which stimuli are compared.")
     which: Literal["highest", "lowest"] = Field(
@@ -306,7 +306,7 @@ class Warmup(Model):
 
 
 class Breaks(Model):
-    """When the participant rests."""
+    """The breaks of a session."""
 
     every_trials: int | None = Field(
         default=None, ge=1, le=10_000, description="Number of test trials between two breaks."
@@ -407,7 +407,7 @@ class Study(Model):
         return self.questions[self.trial.question]
 
     def adaptive(self, procedure: str) -> Adaptive:
-        """Return the procedure of a run, which a planned trial names.
+        """Return the adaptive procedure of a run, by the run's name.
 
         The name is e.g. `rising`, or `rising.CONDITION.CELL` if each condition and cell has a separate run.
         """

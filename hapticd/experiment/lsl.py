@@ -32,13 +32,13 @@ SAMPLES_OUTLET: Final = "hapticd samples"
 EVENTS_OUTLET: Final = "hapticd events"
 """Name of the LSL outlet of event codes."""
 OUTLET_BUFFER_S: Final = 60
-"""How much data an outlet keeps for a reader that lags."""
+"""Duration of the data, in s, that an outlet keeps for a reader that lags."""
 OUTLET_LINGER_S: Final = 0.5
 """Delay before an outlet is closed. Closing drops unsent data, and LSL does not report when everything was sent."""
 _DRAIN_TIMEOUT_S: Final = 1.0
 """At the end of a stream, telemetry is drained until the daemon has been silent for this long."""
 _RECEIVE_TIMEOUT_S: Final = 0.1
-"""How long to wait for a message before the stop event and the daemon's silence are checked."""
+"""Time between two checks of the stop event and of the daemon's silence, while no message arrives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ SAMPLE_CHANNELS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """Counts of what was streamed."""
+    """Numbers of sent and lost data."""
 
     samples: int
     """Samples that were sent."""
@@ -104,10 +104,10 @@ def matrix_of(batch: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
 
 
 class Outlets:
-    """The two outlets. They are closed when the context ends."""
+    """The outlets of samples and of event codes; a context manager that closes them."""
 
     def __init__(self, status: Status, directory: str) -> None:
-        """Open the outlets of a daemon with a status, whose sockets are in `directory`.
+        """Open the outlets of the daemon whose status is `status` and whose sockets are in `directory`.
 
         Raises HapticdError if pylsl is not installed.
         """

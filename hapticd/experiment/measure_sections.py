@@ -27,7 +27,7 @@ from hapticd.experiment.published_tables import PublishedResults
 from hapticd.experiment.results import Cell, Dots, Fitted, PairedValues, ResultTable, Section
 
 POOLED_LABEL: Final = "pooled"
-"""In the column of participants: the answers of all participants together."""
+"""Text in the column of participants for the answers of all participants together."""
 BOOTSTRAP_RESAMPLES: Final = 1000
 """Number of resamples of the parametric bootstrap."""
 _FITTED_CURVE_POINTS: Final = 200
@@ -109,7 +109,7 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
 
 
 def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str, Varied], list[Row]]:
-    """Group the judged rows with a level by condition, cell and what varies.
+    """Group the judged rows with a level by condition, cell and `Varied`.
 
     Without crossed factors (trial.cross) the cell is empty.
     """
@@ -122,7 +122,7 @@ def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str,
 
 
 def _procedure(row: Row) -> str:
-    """Return the name of a row's procedure in the study. In the row, condition and levels may follow it."""
+    """Return the name of a row's procedure in the study, without the condition and levels that may follow it."""
     return (row.get("procedure") or "").partition(".")[0]
 
 
@@ -157,7 +157,7 @@ def staircases(rows: Sequence[Row], facts: StudyFacts) -> Section:
 def _replayed_staircase(parameters: StaircaseParameters, rows: Sequence[Row]) -> Staircase:
     """Replay a staircase with the answers of its rows, in their order.
 
-    Raises ProcedureError if a row's level is not the one that the staircase asks for.
+    Raises ProcedureError if a row's level is not the next level of the staircase.
     """
     staircase = Staircase(parameters)
     for row in rows:
@@ -329,7 +329,7 @@ def _figures(
 
 
 def _ends(found: Estimate) -> tuple[float | None, float | None]:
-    """Return the ends of an interval, or None twice if a bound fixed the value in every resample."""
+    """Return the ends of an interval, or (None, None) if the value is at a bound in every resample."""
     return (None, None) if found.low == found.high else (found.low, found.high)
 
 

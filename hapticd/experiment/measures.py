@@ -1,7 +1,7 @@
 """Measures of a trial's motion, computed from its telemetry.
 
-`samples` are (n,) records of `hapticd.SAMPLE_DTYPE`, `events` are maps as in telemetry. The value of a
-measure that the trial does not have, e.g. overtravel without a rupture, is `None`.
+`samples` are (n,) records of `hapticd.SAMPLE_DTYPE`, `events` are mappings as in telemetry. The value of a measure that
+the trial does not have, e.g. overtravel without a rupture, is `None`.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ Planes: TypeAlias = Mapping[str, Plane]
 """The planes of the membranes of a scene, by id."""
 
 PATH_STEP_S: Final = 0.01
-"""Time between two positions of the polygon whose length is the length of a path. A shorter time would count the steps
-of the encoder as motion of the hand."""
+"""A path's length is that of the polygon through positions at this interval. A shorter interval would count the steps
+of the encoder as motion of the hand.
+"""
 
 MOTION_MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m")
 """Names of all measures, which end with their unit."""
@@ -52,7 +53,7 @@ def measure_text(name: str, value: float) -> str:
 
 
 def why_not_done(name: str, value: float | None) -> str | None:
-    """Return why a trial with this measure as its task was not done, as a participant reads it, or None if it was."""
+    """Return why a task with this measure was not done, for the participant, or None if it was done."""
     if name == "overtravel_m" and value is None:
         return "No membrane broke. Push further, until it breaks."
     if name == "peak_force_n" and not value:
@@ -73,9 +74,9 @@ def measures_of(samples: Samples, events: Events, planes: Planes) -> dict[str, f
 def overtravel_m(samples: Samples, events: Events, planes: Planes) -> float | None:
     """Return how far the hand moved beyond the place of the first rupture, along the membrane's normal, in m.
 
-    The place is interpolated between the two samples around `onset_time_ns` of the first event `puncture`. Its side of
-    the membrane at rest is the direction of the puncture. The velocity at that time would be less reliable, as the hand
-    may just have reversed.
+    The place of the rupture is interpolated between the two samples around `onset_time_ns` of the first event
+    `puncture`. The direction of the puncture follows from the side of the resting membrane on which this place lies.
+    The velocity would be less reliable, as the hand may just have reversed.
     """
     rupture = next((event for event in events if event["event"] == "puncture" and event["object"] in planes), None)
     if rupture is None or len(samples) < 2:
@@ -130,7 +131,7 @@ def planes_of(objects: Mapping[str, Any]) -> dict[str, Plane]:
     return found
 
 
-def joined(parts: Iterable[Samples], none: Samples) -> Samples:
-    """Concatenate samples of several parts, or return `none`, an empty array, if there is no part."""
-    taken = list(parts)
-    return np.concatenate(taken) if taken else none
+def joined(arrays: Iterable[Samples], empty: Samples) -> Samples:
+    """Concatenate arrays of samples; without any, return `empty`."""
+    taken = list(arrays)
+    return np.concatenate(taken) if taken else empty

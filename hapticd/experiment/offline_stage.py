@@ -1,4 +1,4 @@
-"""The stage for trials without a daemon, faster than real time: the servo's tick and the simulated joystick.
+"""The stage for trials without a daemon, faster than real time: it simulates servo and joystick.
 
 Nothing waits in real time. The session's clock is the simulated time: each tick adds its period.
 """
@@ -48,7 +48,7 @@ class OfflineStage:
         """Do nothing: an offline stage loses no forces."""
 
     def arm(self, config: Config) -> None:
-        """Arm as `Stage.arm`. Each run of the closed loop begins with an untouched scene."""
+        """Arm a scene as `Stage.arm`. Each run of the closed loop begins with an untouched scene."""
         self.fade()
         self._config = config
 
@@ -67,7 +67,7 @@ class OfflineStage:
         self._on = False
 
     def mark(self, text: str, data: Json) -> None:
-        """Leave an event code at the next tick. The mark `interval` begins a new interval."""
+        """Add an event code at the next tick. The mark `interval` begins a new interval."""
         if text == EventCode.INTERVAL.text:
             self._parts = []
         tick = sum(len(part.samples) for part in self._parts)
@@ -99,7 +99,7 @@ class OfflineStage:
         return run.samples
 
     def telemetry(self) -> Telemetry:
-        """Return the motions of the last interval as one, with consecutive ticks and times."""
+        """Return the telemetry of all motions of the last interval, with consecutive ticks and times."""
         samples, events = [np.zeros(0, SAMPLE_DTYPE)], []
         ticks, time_ns = 0, 0
         for run in self._parts:
@@ -134,7 +134,7 @@ class OfflineStage:
 
 
 def _shifted(event: Any, run: Run, ticks: int, time_ns: int) -> dict[str, Any]:
-    """Return an event as a map, with its ticks and times counted from the first motion of the interval."""
+    """Return an event as a mapping, with its ticks and times counted from the first motion of the interval."""
     found: dict[str, Any] = event_map(event, run.objects.get((int(event["slot"]), int(event["generation"]))))
     found["tick"] += ticks
     for name in ("time_ns", "onset_time_ns"):

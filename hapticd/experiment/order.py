@@ -1,7 +1,6 @@
 """The order of trials and the sides of stimuli, from a seed.
 
-The generator is PCG64, seeded by (seed, participant, session). Every order that the design allows is equally likely,
-so that no stimulus is favoured by its place in the file.
+The generator is PCG64, seeded by (seed, participant, session). Every order that the design allows is equally likely.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ OrderKind: TypeAlias = Literal["random", "blocked", "latin_square", "listed"]
 _SEED_WORDS_PER_NAME: Final = 4
 """Number of 32-bit words of a participant's hashed name in the seed."""
 _LATIN_SQUARE_SALT: Final = b"latin square"
-"""Takes the place of a participant's name in the seed of a Latin square."""
+"""Replaces the participant's name in the seed, as all participants share a Latin square."""
 
 
 def generator_of(seed: int, participant: str, session: int) -> np.random.Generator:
@@ -100,7 +99,7 @@ def shuffled(items: Sequence[int], generator: np.random.Generator) -> list[int]:
 def interleaved(counts: Sequence[int], generator: np.random.Generator) -> list[int]:
     """Return the indices of procedures, each `counts[index]` times, in random rounds.
 
-    A round has each procedure once that has trials left.
+    A round contains each procedure that has trials left, once.
     """
     found: list[int] = []
     for turn in range(max(counts, default=0)):
@@ -111,8 +110,8 @@ def interleaved(counts: Sequence[int], generator: np.random.Generator) -> list[i
 def sides(pairs: Sequence[tuple[int, int]], generator: np.random.Generator) -> list[bool]:
     """Return for each pair of stimuli whether its order is reversed.
 
-    Copies of a pair have both orders equally often, or one of them once more. Each stimulus is first as often as it is
-    second, give or take one trial, not counting pairs with itself. Both orders of a pair are equally likely.
+    Equal pairs have both orders equally often, give or take one. Each stimulus is first as often as it is second, give
+    or take one trial, not counting pairs with itself. Both orders of a pair are equally likely.
     """
     copies: dict[tuple[int, int], list[int]] = defaultdict(list)
     for index, (one, other) in enumerate(pairs):

@@ -26,7 +26,7 @@ def scalar_of(value: object) -> Scalar:
 def mapping_of(value: object) -> dict[str, Json]:
     """Return a mapping as plain data.
 
-    Raises ValueError if the value is not a mapping, InvalidError if the mapping contains other than plain data.
+    Raises ValueError if the value is not a mapping, InvalidError if it contains anything but plain data.
     """
     if not isinstance(value, dict):
         raise ValueError(f"must be a mapping, is {shown(value)}")

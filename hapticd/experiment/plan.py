@@ -63,7 +63,7 @@ class Plan:
 
 @dataclass(slots=True)
 class _UnplacedTrial:
-    """A trial that does not have its place in the session yet. `order` holds indices of its cell's stimuli."""
+    """A trial without an index and a block. `order` holds indices of its cell's stimuli."""
 
     cell: Cell
     repetition: int
@@ -74,7 +74,7 @@ class _UnplacedTrial:
 def plan(study: Study, participant: str, session: int, seed: int) -> Plan:
     """Plan the trials of a session. Equal arguments give the same plan.
 
-    Raises InvalidError for invalid stimuli, which load_study rejects before.
+    Raises InvalidError for invalid stimuli; `load_study` already rejects these.
     """
     generator = generator_of(seed, participant, session)
     cells = cells_of(study)
@@ -190,7 +190,7 @@ def _pair_orders(cells: Sequence[Cell], generator: np.random.Generator) -> list[
 
 
 def _ranking_orders(cell: Cell, generator: np.random.Generator) -> list[tuple[int, ...]]:
-    """Return Latin squares of cyclic shifts of a random order.
+    """Return orders of presentation for a ranking: Latin squares of cyclic shifts of a random order.
 
     Each stimulus is at each position equally often, give or take one trial.
     """

@@ -19,20 +19,20 @@ from hapticd.experiment.keys import DifferenceEffect, ProportionEffect
 SIMULATED_EXPERIMENTS: Final = 4000
 """Number of simulated experiments; the standard error of the power is at most 0.8 %."""
 _SIMULATION_SEED: Final = 1
-"""Seed of the simulation, fixed so that the power of a study is reproducible."""
+"""Seed of the simulation; it makes the power reproducible."""
 
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """How often simulated experiments find the effect."""
+    """The simulated power of a study."""
 
     power: float
-    """Share of the experiments in which the test rejects chance, or no difference, in the right direction."""
+    """Fraction of the experiments in which the test rejects chance, or no difference, in the right direction."""
     standard_error: float
     """Standard error of `power`, due to the number of simulated experiments."""
     participants: int
     trials: int
-    """Number of answers of each participant, or of pairs of trials whose difference is taken."""
+    """Number of answers of each participant, or of pairs of trials for a difference."""
     test: str
     """Name of the statistical test, with its sample size."""
 

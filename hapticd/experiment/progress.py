@@ -1,6 +1,6 @@
-"""How far a session is, from its log.
+"""The progress of a session, from its log.
 
-Kinds of records that change the progress. Others only inform: `session_resumed`, `note`, `paused`, `continued`,
+These kinds of records change the progress. The others do not: `session_resumed`, `note`, `paused`, `continued`,
 `break`, `line_dropped`, `stage_lost`, `aborted`.
 
     session_started the session began
@@ -25,7 +25,7 @@ from hapticd.experiment.session_log import Record
 
 @dataclass(slots=True)
 class Progress:
-    """How much of a session is done."""
+    """The progress of a session."""
 
     done: set[int] = field(default_factory=set)
     """Indices of trials that were answered or skipped."""
@@ -34,18 +34,18 @@ class Progress:
     procedures: dict[str, Json] = field(default_factory=dict)
     """The newest state of each adaptive procedure."""
     elapsed_s: float = 0.0
-    """Time on the session's clock of the last record that has one."""
+    """Time on the session's clock of the last record that has a time."""
     correct: int = 0
     answered: int = 0
     answered_in_test: int = 0
     wrong_in_a_row: int = 0
-    """Number of successive wrong answers at the end of the test until now."""
+    """Number of successive wrong answers in the test, up to the newest answer."""
     test_began_s: float | None = None
     """Onset of the first answered trial of the test, on the session's clock; None before it."""
     began: bool = False
     """Whether the session was started."""
     ended: str | None = None
-    """Why the session is over, or None if it is not."""
+    """Reason why the session is over, or None."""
 
     def take(self, record: Record) -> None:
         """Update the progress with the next record of the log."""

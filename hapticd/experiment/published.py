@@ -1,4 +1,4 @@
-"""Published results to compare a study with, as data of the package."""
+"""Published results in the package, to compare a study with."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def published(name: str) -> dict[str, Json]:
 
 
 def published_faults(name: str) -> list[str]:
-    """Return an empty list for a known name, else one error text."""
+    """Return an empty list for a known name, else a list with one error text."""
     known = published_names()
     return [] if name in known else [f"unknown published results {quoted(name)}; {known_names(name, known)}"]
 

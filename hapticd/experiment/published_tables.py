@@ -1,4 +1,4 @@
-"""Published results in the form of our own: medians and quartiles, matrices of pairs, differences."""
+"""Published results in the form of an analysis: medians and quartiles, matrices of pairs, differences."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PublishedMatrix:
 
 @dataclass(frozen=True, slots=True)
 class PublishedResults:
-    """Results of a publication, by condition; empty for what it does not report."""
+    """Results of a publication, by condition. Results that it does not report are empty or None."""
 
     quartiles: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     """Median, first and third quartile of percent correct."""
@@ -72,7 +72,7 @@ def _matrices(data: Mapping[str, Json]) -> dict[str, PublishedMatrix]:
 
 
 def _of_names(items: Sequence[str], table: Json, diagonal: Sequence[Json]) -> Floats:
-    """Return the lower triangle of a table by names of rows and columns, which may lie above the diagonal."""
+    """Return the lower triangle of a symmetric table, whose cells are given by two names in either order."""
     percent = np.diag(np.array([_number(each) for each in diagonal]))
     percent[~np.eye(len(items), dtype=bool)] = np.nan
     assert isinstance(table, dict)

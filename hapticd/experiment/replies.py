@@ -1,4 +1,4 @@
-"""Conversion of what a participant typed or set into the answer in the data."""
+"""Conversion of typed texts and slider values to answers in the data."""
 
 from __future__ import annotations
 

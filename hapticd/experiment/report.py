@@ -1,4 +1,4 @@
-"""The report of an analysis as one HTML page with tables, and pictures as SVG. Matplotlib draws them."""
+"""The report of an analysis as one HTML page with tables, and pictures as SVG, drawn by matplotlib."""
 
 from __future__ import annotations
 

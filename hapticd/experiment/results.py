@@ -37,7 +37,7 @@ class ResultTable:
         ]
 
     def of_text(self) -> tuple[bool, ...]:
-        """Return for each column whether it only has texts, which are aligned left."""
+        """Return for each column whether it contains only texts, which are aligned left."""
         columns = list(zip(*self.rows, strict=True)) or [()] * len(self.columns)
         return tuple(all(isinstance(cell, str) for cell in column) for column in columns)
 

@@ -32,16 +32,16 @@ from hapticd.experiment.stimuli import Stimulus
 from hapticd.experiment.trial_scenes import configurations, seen
 
 MAX_FAULTS_IN_A_ROW: Final = 3
-"""Number of successive attempts ended by faults after which the session ends, too."""
+"""The session ends after this many successive attempts that ended in a fault."""
 MAX_ATTEMPTS_NOT_DONE: Final = 3
-"""Number of successive attempts at a motor task without result after which the trial ends without answer."""
+"""A motor task that was not done in this many successive attempts ends without answer."""
 
 Ending: TypeAlias = Literal["ended", "aborted"]
 """How a run ended: the session is over, or the experimenter aborted it."""
 Procedures: TypeAlias = "Callable[[str, Json], Procedure]"
-"""Makes the adaptive procedure of a name from its state, or a new one without a state."""
+"""Function that makes the adaptive procedure of a name: from its state, or a new one if the state is null."""
 AtLevel: TypeAlias = Callable[[PlannedTrial, float], tuple[Stimulus, ...]]
-"""Returns the stimuli of an adaptive trial at a level."""
+"""Function that returns the stimuli of an adaptive trial at a level."""
 
 
 class _Aborted(Exception):
@@ -49,7 +49,7 @@ class _Aborted(Exception):
 
 
 class _AttemptRepeated(Exception):
-    """The attempt does not count, and the trial begins again; with `paused` after a pause."""
+    """The attempt does not count, and the trial begins again, after a pause if `paused`."""
 
     def __init__(self, paused: bool = False) -> None:
         super().__init__()
@@ -112,7 +112,7 @@ class Session:
         return self._progress.answered
 
     def run(self) -> Ending:
-        """Run the remaining trials, once, and close the log.
+        """Run the remaining trials and close the log. Call it once.
 
         Raises HapticdError if the stage is lost or something cannot be written. The log stays valid, and another
         Session can continue from it.
@@ -164,7 +164,7 @@ class Session:
         return resumed
 
     def _abort_quietly(self) -> None:
-        """Fade the forces and mark the abort after an error. Further errors are suppressed in favour of that one."""
+        """Fade the forces and mark the abort after an error. Further errors are suppressed."""
         with suppress(HapticdError):
             self._stage.fade()
             self._mark(EventCode.SESSION_ABORTED)
@@ -317,7 +317,7 @@ class Session:
         asked_s: float,
         answered_s: float,
     ) -> None:
-        """Write the answer and the state of its procedure after it to disk, in one record."""
+        """Write the answer and the new state of its procedure to disk, in one record."""
         trial = armed.trial
         question = self._plan.study.questions[trial.question]
         answer: Json = reply.answer
@@ -405,7 +405,7 @@ class Session:
         return {name: found[name] for name in wanted}
 
     def _check_faults(self, trial: PlannedTrial, attempt: int) -> None:
-        """Repeat the attempt if the forces were lost during it; see `_repeat_attempt`."""
+        """Repeat the attempt if the forces were switched off during it; see `_repeat_attempt`."""
         try:
             self._stage.check()
         except HapticdError as error:
@@ -429,28 +429,28 @@ class Session:
     def _ask_during_attempt(
         self, armed: _ArmedTrial, attempt: int, ask: Callable[[], Reply | Command | None]
     ) -> Reply | None:
-        """Ask the front during an attempt. A pause or a repetition ends it, so that times stay valid."""
+        """Ask the front during an attempt. A pause or a repetition ends the attempt, to keep times valid."""
         while True:
-            said = ask()
-            if not isinstance(said, Command):
-                return said
-            if said.kind == "note":
-                self._record("note", text=said.text, trial=armed.trial.index)
+            result = ask()
+            if not isinstance(result, Command):
+                return result
+            if result.kind == "note":
+                self._record("note", text=result.text, trial=armed.trial.index)
                 continue
             self._stage.fade()
-            if said.kind == "abort":
+            if result.kind == "abort":
                 raise _Aborted
-            self._give_up(armed.trial, attempt, because=said.kind)
-            raise _AttemptRepeated(paused=said.kind == "pause")
+            self._give_up(armed.trial, attempt, because=result.kind)
+            raise _AttemptRepeated(paused=result.kind == "pause")
 
     def _ask_between_trials(self, ask: Callable[[], Command | None]) -> None:
         """Ask the front between trials, until it returns no command."""
-        while (said := ask()) is not None:
-            if said.kind == "abort":
+        while (result := ask()) is not None:
+            if result.kind == "abort":
                 raise _Aborted
-            if said.kind == "note":
-                self._record("note", text=said.text)
-            elif said.kind == "pause":
+            if result.kind == "note":
+                self._record("note", text=result.text)
+            elif result.kind == "pause":
                 self._pause()
             else:
                 self._front.tell("repeat: no trial is running")
@@ -519,7 +519,7 @@ class Session:
         self._mark(EventCode.TRIAL_GIVEN_UP, trial=trial.index, attempt=attempt)
 
     def _mark(self, code: EventCode, **members: Json) -> None:
-        """Leave an event code for other programs. It must not name stimuli or conditions."""
+        """Send an event code for other programs. Its data must not name stimuli or conditions."""
         self._stage.mark(code.text, {"code": int(code), **members})
 
     def _record(self, kind: str, **members: Json) -> Record:

@@ -1,4 +1,4 @@
-"""Begin or resume a session: the plan as a file, and the adaptive procedures of a study."""
+"""Begin or resume a session: write and read its plan, and make its adaptive procedures."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def begin(root: Path, source: bytes, plan: Plan, stage: Mapping[str, Json]) -> t
 
 
 def about_of(plan: Plan, stage: Mapping[str, Json], moment: clock.Moment) -> dict[str, Json]:
-    """Return the content of session.json for a session that begins at a moment."""
+    """Return the content of session.json for a session that begins at `moment`."""
     return {
         "participant": plan.participant,
         "session": plan.session,
@@ -51,7 +51,7 @@ def about_of(plan: Plan, stage: Mapping[str, Json], moment: clock.Moment) -> dic
 
 
 def plan_document(plan: Plan) -> dict[str, Json]:
-    """Return a plan as plain data. It contains the complete study, including what its file took from other files."""
+    """Return a plan as plain data. It contains the complete study, including the content of the base file."""
     return {
         "study": plan.study.to_dict(),
         "participant": plan.participant,
@@ -79,7 +79,7 @@ def _trial_document(trial: PlannedTrial) -> dict[str, Json]:
 
 
 def plan_of(folder: SessionFolder) -> Plan:
-    """Read the plan of a session from its file, as another version of hapticd might plan differently.
+    """Read the plan of a session from its file, since another version might plan differently.
 
     Raises HapticdError if the file is invalid.
     """

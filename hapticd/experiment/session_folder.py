@@ -3,11 +3,11 @@
     study.yaml        the study as it was read
     plan.json         every trial in its order
     session.json      participant, session, seed, versions, device and calibration
-    log.jsonl         what happened (session_log); it is made last, so if it exists, the other files are complete
+    log.jsonl         the log (session_log). It is created last: if it exists, the other files are complete
     trial-0007.npz    telemetry of the trial with index 7; that of its second attempt is trial-0007-2.npz
     beh/              the tables of BIDS, made from the log (bids)
 
-However the process ends, `SessionFolder.open` finds the same order and every answer.
+These files keep order and answers however the process ends.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def check_new(root: Path, participant: str, session: int) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class SessionFolder:
-    """A session on disk: its files that do not change after its beginning. What happens is in the log."""
+    """A session on disk: its log, and the files that do not change after its beginning."""
 
     path: Path
     study: bytes

@@ -27,9 +27,11 @@ from hapticd.base.files import check_regular
 from hapticd.base.yaml_source import Json
 
 _CHECKSUM_KEY: Final = b',"crc32":"'
+"""Text before the checksum of a line."""
 _LINE_ENDING: Final = b'"}'
+"""Text after the checksum of a line."""
 _MAX_KEPT_TORN_BYTES: Final = 4096
-"""At most this much of an incomplete line is kept in its record `line_dropped`."""
+"""At most this many bytes of an incomplete line are kept in its record `line_dropped`."""
 
 Record = dict[str, Json]
 """One record without its checksum: `record`, `kind` and the members of that kind."""
@@ -45,7 +47,7 @@ class Contents:
     crc: int
     """Checksum of the last valid line."""
     torn: bytes
-    """The incomplete line after the valid ones, or nothing."""
+    """The incomplete line after the valid ones, or empty."""
 
 
 def encoded(record: Mapping[str, Json], crc: int) -> tuple[bytes, int]:
@@ -119,12 +121,12 @@ def lines_of(records: Iterable[Mapping[str, Json]]) -> bytes:
 
 
 class Log(Protocol):
-    """The log as the runner needs it."""
+    """The interface of a log for the runner."""
 
     records: list[Record]
     """Records that existed when the log was opened."""
     dropped: str | None
-    """One line that reports an incomplete last line that was removed, or None."""
+    """Message that an incomplete last line was removed, or None."""
 
     def append(self, kind: str, **members: Json) -> Record:
         """Append a record and return it with its number. Raises HapticdError if it cannot be written."""
@@ -161,7 +163,7 @@ class SessionLog:
         """
         self.path = path
         self.dropped: str | None = None
-        """One line that reports an incomplete last line that was removed, or None."""
+        """Message that an incomplete last line was removed, or None."""
         check_regular(path)
         try:
             self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
@@ -185,7 +187,7 @@ class SessionLog:
             raise
 
     def append(self, kind: str, **members: Json) -> Record:
-        """Append a record and return it with its number, when it is on disk (fsync).
+        """Append a record, wait until it is on disk (fsync), and return it with its number.
 
         Raises HapticdError if it cannot be written. Then the log is unchanged.
         """

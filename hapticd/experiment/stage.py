@@ -1,4 +1,4 @@
-"""The interface between the runner and what renders a trial: a daemon, or the simulated closed loop."""
+"""The interface of a stage, which renders trials: on a daemon, or in the simulated closed loop."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class ForcesStopped(HapticdError):
 
 @dataclass(frozen=True, slots=True)
 class Reaction:
-    """How a simulated hand changes its motion once it has felt something."""
+    """A reaction of a simulated hand to what it feels."""
 
     noticed_s: Callable[[Samples], float | None]
-    """Returns when the hand begins to react to what it felt in the samples, in s since the first one, or None."""
+    """Returns the time in s, from the first sample, at which the hand reacts to the samples, or None."""
     then: Callable[[float], Waypoints]
-    """Returns the waypoints from that time onwards."""
+    """Returns the waypoints from a time onwards."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,14 +49,14 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """Samples, and events as maps, of the last interval of a trial while the forces were on."""
+    """Samples, and events as mappings, of the last interval of a trial while the forces were on."""
 
     samples: Samples
     events: Sequence[Mapping[str, Any]]
 
 
 class Stage(Protocol):
-    """What renders the trials. Each method raises HapticdError if it fails."""
+    """The renderer of trials. Each method raises HapticdError if it fails."""
 
     def describe(self) -> dict[str, Json]:
         """Return version, device, calibration and real-time rights, for session.json."""
@@ -81,13 +81,13 @@ class Stage(Protocol):
         """
 
     def enable(self) -> None:
-        """Restore what ruptured since `arm`, and fade the force in. Raises HapticdError if the scene has changed."""
+        """Restore ruptured membranes, and fade the force in. Raises HapticdError if the scene changed since `arm`."""
 
     def fade(self) -> None:
         """Fade the force out, and return when it is zero."""
 
     def mark(self, text: str, data: Json) -> None:
-        """Leave an event code in the telemetry."""
+        """Add an event code to the telemetry."""
 
     def recording(self, target: Path, notes: Mapping[str, Json]) -> AbstractContextManager[None]:
         """Record telemetry while the context lasts, into `target` if the stage keeps telemetry."""

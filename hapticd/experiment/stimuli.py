@@ -1,9 +1,8 @@
-"""A stimulus as a scene: the study's base configuration with the changes of condition, levels and procedure.
+"""The configuration of a stimulus: the study's base with the changes of condition, levels and procedure.
 
-Changes are applied as merge patches: that of the condition, then that of each factor in the order of the study, then
-that of a procedure's variable. `{place}` in a key or a text is replaced by the place of the stimulus. A material's name
-in the place of its keys, as in `materials.left: wood`, stands for the keys of that material, so that a scene need not
-name what it displays. A change of a shipped material's key starts from that material.
+The condition is applied first, then each factor in the order of the study, then a procedure's variable. `{place}` in a
+key or a text is replaced by the place of the stimulus. Names of materials, and changes of shipped materials, are
+explained in `key_paths`.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class Stimulus:
 
 
 class AdaptiveTrial(Protocol):
-    """The part of a planned trial that `at_level` needs."""
+    """The members of a planned trial that `at_level` needs."""
 
     @property
     def condition(self) -> str:
@@ -89,8 +88,7 @@ def document_of(
 ) -> dict[str, Json]:
     """Return the configuration of a stimulus: scene and materials as plain data.
 
-    `levels` are by the name of a factor or of one of the `variables`. Raises InvalidError as `with_patch` and
-    `with_value` do.
+    `levels` maps names of factors or of `variables` to levels. Raises InvalidError as `with_patch` and `with_value` do.
     """
     document = with_patch(study.base, _mapping(placed(study.conditions[condition].changes, place)))
     for name, factor in study.factors.items():
@@ -173,7 +171,7 @@ def checked(study: Study, stimulus: Stimulus) -> Stimulus:
 
 
 def document_with(study: Study, stimuli: Sequence[Stimulus]) -> dict[str, Json]:
-    """Return the configuration that presents these stimuli together: one stimulus in an interval, or all places."""
+    """Return the configuration that presents these stimuli: the one of an interval, or all that are side by side."""
     found: Json = dict(study.base)
     for stimulus in stimuli:
         found = merge_patch(found, dict(stimulus.changes))

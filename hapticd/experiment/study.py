@@ -66,7 +66,7 @@ def study_of_document(document: Document) -> Study:
 
 
 def _invalid(document: Document, faults: list[Fault], base: Document | None) -> InvalidError:
-    """Return an error with the place of each fault, which is in the base file if the fault is there."""
+    """Return an error with file and line of each fault, in the study or in its base file."""
     if base is None:
         return InvalidError(document.problem(path, text) for path, text in faults)
     return InvalidError(
@@ -76,7 +76,7 @@ def _invalid(document: Document, faults: list[Fault], base: Document | None) -> 
 
 
 def _with_base(document: Document, data: dict[str, Json]) -> tuple[dict[str, Json], Document | None]:
-    """Replace the name of a base by scene and materials. Returns the data, and the base file or None."""
+    """Replace the name of a base file by its scene and materials. Returns the data, and the base file or None."""
     given = data.get(_BASE_KEY)
     source: Document | None = None
     if isinstance(given, str):
@@ -100,7 +100,7 @@ def _with_base(document: Document, data: dict[str, Json]) -> tuple[dict[str, Jso
 
 
 def _path(where: str) -> Path:
-    """Return the path of the place `materials.NAME` of an error of `expanded`."""
+    """Convert `materials.NAME`, the place in an error of `expanded`, to a path."""
     section, _, name = where.partition(".")
     return section, name.strip('"')
 

@@ -154,9 +154,9 @@ class TextFront:
         with self._keys.single():
             while not stage.is_clear():
                 # The stage is not checked here: a fault stays latched until the forces are switched on.
-                said = self._next(None, time.monotonic() + CLEARANCE_POLL_S)
-                if isinstance(said, Command):
-                    return said
+                typed = self._next(None, time.monotonic() + CLEARANCE_POLL_S)
+                if isinstance(typed, Command):
+                    return typed
         return None
 
     def may_enable(self) -> Command | None:
@@ -183,9 +183,9 @@ class TextFront:
             case _:
                 return self._typed(shown, stage, deadline)
 
-    def feedback(self, told: str, right: str | None) -> None:
+    def feedback(self, text: str, right: str | None) -> None:
         """Print the feedback."""
-        self._say(told)
+        self._say(text)
 
     def not_done(self, trial: int, why: str) -> None:
         """Print why a motor task was not done."""
@@ -201,9 +201,9 @@ class TextFront:
         ends = time.monotonic() + least_s
         while (left_s := ends - time.monotonic()) > 0:
             text = f"{wording.duration(math.ceil(left_s))} left before you can continue."
-            said = self._wait_for_enter(text, until=ends)
-            if said is not None:
-                return said
+            typed = self._wait_for_enter(text, until=ends)
+            if typed is not None:
+                return typed
         return self._wait_for_enter("Press Enter to continue.")
 
     def paused(self) -> Command | None:
@@ -223,16 +223,16 @@ class TextFront:
         self._console.print(Markdown(text.strip()))
 
     def _wait_for_enter(self, text: str, stage: Stage | None = None, until: float = math.inf) -> Command | None:
-        said = self._wait_for_key(_ENTER_KEY, text, stage, until)
-        return said if isinstance(said, Command) else None
+        typed = self._wait_for_key(_ENTER_KEY, text, stage, until)
+        return typed if isinstance(typed, Command) else None
 
     def _wait_for_key(self, key: str, text: str, stage: Stage | None, deadline: float) -> Reply | Command:
         self._say(text)
         with self._keys.single():
-            while (said := self._next(stage, deadline)) is not None:
-                if isinstance(said, Command):
-                    return said
-                if said in (key, ""):
+            while (typed := self._next(stage, deadline)) is not None:
+                if isinstance(typed, Command):
+                    return typed
+                if typed in (key, ""):
                     return Reply(None)
         return Reply(None, timed_out=True)
 
@@ -243,39 +243,39 @@ class TextFront:
             self._say(f"  {answer.key or number}  {answer.label}")
         by_key |= {answer.key: answer.name for answer in answers if answer.key is not None}
         with self._keys.single():
-            while (said := self._next(stage, deadline)) is not None:
-                if isinstance(said, Command):
-                    return said
-                if said in by_key:
-                    return Reply(by_key[said])
-                self._say(f"{said or _ENTER_KEY}: invalid answer; must be one of {', '.join(by_key)}")
+            while (typed := self._next(stage, deadline)) is not None:
+                if isinstance(typed, Command):
+                    return typed
+                if typed in by_key:
+                    return Reply(by_key[typed])
+                self._say(f"{typed or _ENTER_KEY}: invalid answer; must be one of {', '.join(by_key)}")
         return Reply(None, timed_out=True)
 
     def _typed(self, shown: Shown, stage: Stage, deadline: float) -> Reply | Command:
         self._say(_INPUT_HINTS[shown.kind](shown))
-        while (said := self._next(stage, deadline, lines=True)) is not None:
-            if isinstance(said, Command):
-                return said
+        while (typed := self._next(stage, deadline, lines=True)) is not None:
+            if isinstance(typed, Command):
+                return typed
             try:
-                return Reply(typed_reply(shown, said))
+                return Reply(typed_reply(shown, typed))
             except ValueError as error:
                 self._say(str(error))
         return Reply(None, timed_out=True)
 
     def _next(self, stage: Stage | None, deadline: float, lines: bool = False) -> str | Command | None:
-        """Return the next key, line or command, or None at the deadline. Checks the stage, if given, while waiting."""
+        """Return the next key, line or command, or None at the deadline. Checks the stage meanwhile, if given."""
         while (left_s := deadline - time.monotonic()) > 0:
             read: Callable[[float], str | None] = self._keys.line if lines else self._keys.read
-            said = read(min(STAGE_CHECK_PERIOD_S, left_s))
-            if said is None:
+            typed = read(min(STAGE_CHECK_PERIOD_S, left_s))
+            if typed is None:
                 if stage is not None:
                     stage.check()
                 continue
-            if said == _ESCAPE_KEY or said.startswith("\x1b"):
+            if typed == _ESCAPE_KEY or typed.startswith("\x1b"):
                 return Command("abort")
-            if not said.startswith(":"):
-                return said
-            command = self._command(said)
+            if not typed.startswith(":"):
+                return typed
+            command = self._command(typed)
             if command is not None:
                 return command
         return None
@@ -303,4 +303,4 @@ _INPUT_HINTS: Final[dict[str, Callable[[Shown], str]]] = {
     "number": lambda shown: "Type a number, then Enter.",
     "text": lambda shown: "Type a text, then Enter.",
 }
-"""What is asked for, by kind of question with a typed answer."""
+"""Instruction for the input, by kind of question with a typed answer."""

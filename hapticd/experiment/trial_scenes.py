@@ -26,8 +26,8 @@ def configurations(study: Study, stimuli: Sequence[Stimulus], rig: Config | None
 def seen(study: Study, configs: Sequence[Config], stimuli: int) -> tuple[Seen, ...]:
     """Return the surface of each stimulus, in the order of presentation, without its material.
 
-    Surfaces side by side are the objects or patches named as the study's places. If there are too few, they are all
-    objects that can be touched, from left to right. Raises HapticdError if a stimulus has no surface.
+    Surfaces side by side are the objects or patches named as the study's places. If there are too few, all objects that
+    can be touched are used, from left to right. Raises HapticdError if a stimulus has no surface.
     """
     if study.trial.presentation == "places":
         found = list(_surfaces(configs[0]))

@@ -210,9 +210,9 @@ class ScriptedFront:
         self.shown.append(shown)
         return Reply(self.answers(shown))
 
-    def feedback(self, told: str, right: str | None) -> None:
+    def feedback(self, text: str, right: str | None) -> None:
         self.asked.append("feedback")
-        self.feedbacks.append(told)
+        self.feedbacks.append(text)
 
     def not_done(self, trial: int, why: str) -> None:
         self.feedbacks.append(f"{trial}: {why}")

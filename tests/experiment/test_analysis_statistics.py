@@ -230,5 +230,5 @@ def test_quartiles_and_ranks() -> None:
     assert ranks == {"a": 1.25, "b": 2.0, "c": 2.75}
     table = np.array([[ranking.index(item) + 1 for item in "abc"] for ranking in rankings])
     assert concordance == pytest.approx(stats.friedmanchisquare(*table.T).statistic / (4 * 2))
-    with pytest.raises(FitError, match="ranking 2 must hold each item"):
+    with pytest.raises(FitError, match="ranking 2 must contain each item"):
         mean_ranks([["a", "b"], ["a", "c"]])

@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats
 
-_MAX_NEWTON_ROUNDS: Final = 100
-"""Limit of the rounds of Newton's method; at the limit it is taken not to converge."""
+_MAX_NEWTON_ITERATIONS: Final = 100
+"""Largest number of iterations of Newton's method; then the fit fails."""
 _NORMAL_QUANTILE: Final = 1.959963984540054
 """Half width of a 95 % interval in standard errors, the normal quantile of 0.975."""
 
@@ -67,10 +67,10 @@ def bradley_terry(wins: npt.ArrayLike, ties: npt.ArrayLike | None = None, items:
 
 
 def _design(one: npt.NDArray[np.intp], other: npt.NDArray[np.intp], count: int, with_ties: bool) -> Floats:
-    """Return the design (outcomes, pairs, parameters) of the logarithm of each outcome's weight.
+    """Return the design matrix (outcomes, pairs, parameters) of the log weights of the outcomes.
 
-    A term that all outcomes of a pair share is omitted. The parameters are log s of all items except the last, which is
-    0, and with ties log v. There are 3 outcomes, without ties 2.
+    A term that is common to all outcomes of a pair is omitted. The parameters are log s of all items except the last,
+    which is 0, and with ties log v. There are 3 outcomes, or 2 without ties.
     """
     pairs = np.arange(len(one))
     design = np.zeros((3 if with_ties else 2, len(one), count + 1))
@@ -89,7 +89,7 @@ def _newton(design: Floats, tables: Floats) -> tuple[Floats, Floats, float]:
     parameters = np.zeros(design.shape[2])
     value = -np.inf
     step = np.zeros_like(parameters)
-    for _ in range(_MAX_NEWTON_ROUNDS):
+    for _ in range(_MAX_NEWTON_ITERATIONS):
         logits = design @ parameters
         logs = logits - np.logaddexp.reduce(logits, axis=0)
         reached = float(np.sum(counts * logs))

@@ -7,7 +7,7 @@ Information is in bits: T = sum of p(s, r) log2(p(s, r) / (p(s) p(r))) (Miller a
 
 where R is the number of different answers that were given, R_s that of answers to stimulus s, and n the number of
 trials (Panzeri and Treves, Network 7, 1996; if all answers are given to all stimuli it is Miller's
-(S - 1)(R - 1) / (2 n ln 2)). The corrected estimate is limited to between 0 and the entropy of the stimuli.
+(S - 1)(R - 1) / (2 n ln 2)). The corrected estimate is clipped to the range from 0 to the entropy of the stimuli.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class Confusion:
     stimuli: tuple[str, ...]
     answers: tuple[str, ...]
     counts: Ints
-    """Trials (stimuli, answers)."""
+    """Number of trials, shape (stimuli, answers)."""
 
     @property
     def percent(self) -> Floats:
-        """Percent of each stimulus's trials (stimuli, answers); NaN for a stimulus without trials."""
+        """Answers in percent of their stimulus's trials (stimuli, answers); NaN for a stimulus without trials."""
         total = self.counts.sum(axis=1, keepdims=True)
         return np.asarray(
             np.divide(100.0 * self.counts, total, out=np.full(self.counts.shape, np.nan), where=total > 0)
@@ -52,15 +52,15 @@ class Information:
 
     @property
     def relative(self) -> float:
-        """Corrected transfer over the entropy of the stimuli; NaN with one stimulus."""
+        """Corrected transfer divided by the entropy of the stimuli; NaN with one stimulus."""
         return self.corrected / self.stimuli if self.stimuli > 0 else float("nan")
 
 
 def confusion(shown: Sequence[str], answered: Sequence[str], order: Sequence[str] = ()) -> Confusion:
     """Return the confusion matrix of trials.
 
-    Stimuli and answers are sorted by `order`; others follow in the order of the trials. Raises FitError without trials,
-    and for lists of different lengths.
+    Stimuli and answers are sorted as in `order`; those that it lacks follow in the order of the trials. Raises FitError
+    without trials, and for lists of different lengths.
     """
     if len(shown) != len(answered) or not shown:
         raise FitError(f"a confusion matrix needs one answer per trial, has {len(answered)} for {len(shown)} trials")
@@ -72,7 +72,7 @@ def confusion(shown: Sequence[str], answered: Sequence[str], order: Sequence[str
 
 
 def information(counts: npt.ArrayLike) -> Information:
-    """Return the information transfer of counts (stimuli, answers). Raises FitError for negative or no counts."""
+    """Return the information transfer of counts (stimuli, answers). Raises FitError for invalid counts."""
     table = np.asarray(counts, dtype=float)
     total = table.sum()
     if table.ndim != 2 or not (table >= 0).all() or not total > 0:

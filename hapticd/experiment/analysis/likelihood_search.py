@@ -21,17 +21,17 @@ MAX_ESTIMATED_RATE: Final = 0.3
 _PRIOR_EXPONENT: Final = 9.0
 """Exponent of the prior Beta(1, 10): its logarithm is this times log(1 - rate)."""
 MAX_SEARCH_ROUNDS: Final = 60
-"""Most rounds of the search from a grid point."""
+"""Largest number of iterations of the search from a grid point."""
 MAX_RESAMPLE_ROUNDS: Final = 12
-"""Most rounds of the search for a resample, which begins at the fit and so near its end."""
+"""Largest number of iterations for a resample, whose search begins at the fit, near the maximum."""
 SEARCH_TOLERANCE: Final = 1e-11
 """The search ends if a step gains less log probability than this."""
 RESAMPLE_TOLERANCE: Final = 1e-6
-"""The tolerance for a resample; it is equivalent to 0.0014 standard errors."""
+"""Tolerance of the search for a resample, equivalent to 0.0014 standard errors."""
 _MIN_SEARCH_STEP: Final = 1e-7
 """The search ends if a step that gains nothing changes every parameter by less than this."""
 _MIN_POSITIVE: Final = 1e-12
-"""Lower bound of probabilities, and addition to the diagonal of the information; avoids log(0) and division by 0."""
+"""Lower bound of probabilities, also added to the diagonal of the information matrix. Avoids log(0) and 1 / 0."""
 _GRID_POINTS: Final = (25, 11)
 """Number of thresholds and of slopes of the initial grid."""
 _MIN_DAMPING, _MAX_DAMPING = 1e-9, 1e9
@@ -45,13 +45,13 @@ class Box:
     high: Floats
 
     @classmethod
-    def around(cls, places: Floats, guess: float | None, lapse: float | None) -> Box:
-        """Return the bounds for places of levels (k,) on the axis.
+    def around(cls, positions: Floats, guess: float | None, lapse: float | None) -> Box:
+        """Return the bounds for levels at `positions` (k,) on the axis.
 
-        The threshold is at most one range beyond the lowest or highest level. The slope is between 0.05 over the range
-        and 6 over the smallest distance of two levels, between which a logistic function then rises from 5 to 95 %.
+        The threshold is at most one range beyond the lowest or highest level. The slope is from 0.05 / range to 6 / d,
+        where d is the smallest distance of two levels: then a logistic function rises from 5 to 95 % within d.
         """
-        ordered = np.unique(places)
+        ordered = np.unique(positions)
         span, least = float(ordered[-1] - ordered[0]), float(np.diff(ordered).min())
         low = [ordered[0] - span, np.log(0.05 / span), *(0.0 if rate is None else rate for rate in (guess, lapse))]
         high = [
@@ -62,9 +62,9 @@ class Box:
         return cls(np.array(low), np.array(high))
 
 
-def modelled(shape: Shape, places: Floats, parameters: Floats, sign: float) -> Floats:
+def modelled(shape: Shape, positions: Floats, parameters: Floats, sign: float) -> Floats:
     """Return the probabilities (b, k) of positive answers for parameters (b, 4); sign -1 is a falling function."""
-    z = sign * (places - parameters[:, THRESHOLD, None]) * np.exp(parameters[:, SLOPE, None])
+    z = sign * (positions - parameters[:, THRESHOLD, None]) * np.exp(parameters[:, SLOPE, None])
     guess, lapse = parameters[:, GUESS, None], parameters[:, LAPSE, None]
     return np.asarray(guess + (1.0 - guess - lapse) * rise(shape, z))
 
@@ -77,7 +77,7 @@ def log_likelihood(positive: Floats, trials: Floats, probability: Floats) -> Flo
 
 def most_probable(
     shape: Shape,
-    places: Floats,
+    positions: Floats,
     positive: Floats,
     trials: Floats,
     box: Box,
@@ -86,20 +86,20 @@ def most_probable(
     tolerance: float = SEARCH_TOLERANCE,
     rounds: int = MAX_SEARCH_ROUNDS,
 ) -> Floats:
-    """Return the most probable parameters (b, 4) for answers (b, k) at places (k,) on the axis.
+    """Return the most probable parameters (b, 4) for answers (b, k) at `positions` (k,) on the axis.
 
     `positive` and `trials` (b, k) count positive and all answers. The search begins at `starts` (b, 4), by default at
     the best points of a grid. It ends if a step gains less than `tolerance` of log probability.
     """
-    found = _starts(shape, places, positive, trials, box, sign) if starts is None else starts.copy()
+    found = _starts(shape, positions, positive, trials, box, sign) if starts is None else starts.copy()
     damping = np.full(len(found), 1e-3)
-    best = _objective(shape, places, positive, trials, found, box, sign)
+    best = _objective(shape, positions, positive, trials, found, box, sign)
     left = np.arange(len(found))
     for _ in range(rounds):
         own, right, of = found[left], positive[left], trials[left]
-        step = _step(shape, places, right, of, own, box, sign, damping[left])
+        step = _step(shape, positions, right, of, own, box, sign, damping[left])
         moved = np.clip(own + step, box.low, box.high)
-        value = _objective(shape, places, right, of, moved, box, sign)
+        value = _objective(shape, positions, right, of, moved, box, sign)
         better = value >= best[left]
         gain, way = value - best[left], np.abs(moved - own).max(axis=1)
         found[left[better]], best[left[better]] = moved[better], value[better]
@@ -111,28 +111,28 @@ def most_probable(
     return found
 
 
-def _starts(shape: Shape, places: Floats, positive: Floats, trials: Floats, box: Box, sign: float) -> Floats:
+def _starts(shape: Shape, positions: Floats, positive: Floats, trials: Floats, box: Box, sign: float) -> Floats:
     inner = 0.25 * (box.high[THRESHOLD] - box.low[THRESHOLD])
     thresholds = np.linspace(box.low[THRESHOLD] + inner, box.high[THRESHOLD] - inner, _GRID_POINTS[0])
     slopes = np.linspace(box.low[SLOPE], box.high[SLOPE], _GRID_POINTS[1] + 2)[1:-1]
     rates = np.where(box.high[GUESS:] > box.low[GUESS:], 0.02, box.low[GUESS:])
     grid = np.array([(threshold, slope, *rates) for threshold in thresholds for slope in slopes])
-    bounded = np.clip(modelled(shape, places, grid, sign), _MIN_POSITIVE, 1.0 - _MIN_POSITIVE)
+    bounded = np.clip(modelled(shape, positions, grid, sign), _MIN_POSITIVE, 1.0 - _MIN_POSITIVE)
     scores = positive @ np.log(bounded).T + (trials - positive) @ np.log1p(-bounded).T
     return np.asarray(grid[np.argmax(scores, axis=1)])
 
 
 def _objective(
-    shape: Shape, places: Floats, positive: Floats, trials: Floats, parameters: Floats, box: Box, sign: float
+    shape: Shape, positions: Floats, positive: Floats, trials: Floats, parameters: Floats, box: Box, sign: float
 ) -> Floats:
     free = box.high[GUESS:] > box.low[GUESS:]
     prior = (_PRIOR_EXPONENT * np.log1p(-parameters[:, GUESS:]) * free).sum(axis=1)
-    return np.asarray(log_likelihood(positive, trials, modelled(shape, places, parameters, sign)) + prior)
+    return np.asarray(log_likelihood(positive, trials, modelled(shape, positions, parameters, sign)) + prior)
 
 
 def _step(
     shape: Shape,
-    places: Floats,
+    positions: Floats,
     positive: Floats,
     trials: Floats,
     parameters: Floats,
@@ -143,7 +143,7 @@ def _step(
     """Return the step (b, 4) of damped scoring, 0 for parameters that stay at a bound."""
     slope = np.exp(parameters[:, SLOPE, None])
     guess, lapse = parameters[:, GUESS, None], parameters[:, LAPSE, None]
-    z = sign * (places - parameters[:, THRESHOLD, None]) * slope
+    z = sign * (positions - parameters[:, THRESHOLD, None]) * slope
     share = rise(shape, z)
     probability = np.clip(guess + (1.0 - guess - lapse) * share, _MIN_POSITIVE, 1.0 - _MIN_POSITIVE)
     steep = (1.0 - guess - lapse) * density(shape, z)

@@ -17,12 +17,13 @@ class PairedComparison:
 
     participants: int
     difference: Estimate
-    """Mean difference, with Student's interval."""
+    """Mean difference, with the interval of Student's t."""
     standard_deviation: float
     """Standard deviation of the differences."""
     effect_size: Estimate
-    """Cohen's d_z, mean over standard deviation of the differences, with the interval of the noncentral t
-    distribution."""
+    """Cohen's d_z, the mean of the differences divided by their standard deviation, with the interval of the noncentral
+    t distribution.
+    """
     t: float
     """Statistic of the paired t test."""
     p_value: float

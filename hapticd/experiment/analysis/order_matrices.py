@@ -33,7 +33,7 @@ class OrderMatrix:
 
 
 def order_matrix(pairs: Iterable[tuple[str, str]], correct: Iterable[bool], items: Sequence[str]) -> OrderMatrix:
-    """Return the matrix of trials, with rows and columns in the order of `items`. Raises FitError for other items."""
+    """Return the matrix of trials, with rows and columns in the order of `items`. Raises FitError for unknown items."""
     places = {name: place for place, name in enumerate(items)}
     trials = np.zeros((len(places), len(places)), dtype=np.int64)
     right = np.zeros_like(trials)
@@ -47,10 +47,10 @@ def order_matrix(pairs: Iterable[tuple[str, str]], correct: Iterable[bool], item
 
 
 def rank_correlation(ours: npt.ArrayLike, published: npt.ArrayLike) -> tuple[float, int]:
-    """Return Spearman's rank correlation of two tables over the cells that are finite in both, and their number.
+    """Return Spearman's rank correlation over the cells that are finite in both tables, and their number.
 
-    The correlation is NaN for fewer than three cells, or if either table is constant in them. Raises FitError for
-    tables of different size.
+    The correlation is NaN for fewer than three cells, or if either table is constant in these cells. Raises FitError
+    for tables of different size.
     """
     one, other = np.asarray(ours, dtype=float).ravel(), np.asarray(published, dtype=float).ravel()
     if one.shape != other.shape:

@@ -38,15 +38,15 @@ def mean_of_each(values: Mapping[str, Sequence[float]]) -> dict[str, float]:
 def mean_ranks(rankings: Sequence[Sequence[str]]) -> tuple[dict[str, float], float]:
     """Return the mean rank of each item, 1 being first, and Kendall's coefficient of concordance W.
 
-    W is 0 without agreement and 1 if all rankings are equal. Raises FitError without rankings, and unless all hold the
-    same items, each once.
+    W is 0 without agreement and 1 if all rankings are equal. Raises FitError without rankings, or if they do not all
+    contain the same items, each once.
     """
     if not rankings or len(rankings[0]) < 2:
         raise FitError("mean ranks need at least one ranking of at least two items")
     items = sorted(rankings[0])
     for place, ranking in enumerate(rankings):
         if sorted(ranking) != items or len(set(ranking)) < len(ranking):
-            raise FitError(f"ranking {place + 1} must hold each item of the first one once: {', '.join(items)}")
+            raise FitError(f"ranking {place + 1} must contain each item of the first ranking once: {', '.join(items)}")
     ranks = np.array([[list(ranking).index(item) + 1 for item in items] for ranking in rankings], dtype=float)
     sums = ranks.sum(axis=0)
     count, raters = len(items), len(rankings)

@@ -9,7 +9,7 @@ Figures, in the unit of the level unless stated otherwise:
     threshold         level at z = 0: halfway from guess to 1 - lapse, for a Weibull function 1 - 1/e of the way
     pse               point of subjective equality: F = 1/2
     jnd               just noticeable difference: half the distance between F = 1/4 and F = 3/4
-    weber_fraction    jnd over the standard, or over the PSE without a standard; a ratio
+    weber_fraction    jnd / standard, or jnd / PSE if there is no standard; a ratio
     slope             as in psychometric_shapes, in the inverse unit of the axis
     guess, lapse      probabilities
 """
@@ -48,11 +48,13 @@ from hapticd.experiment.analysis.psychometric_shapes import (
 )
 
 PSYCHOMETRIC_FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slope", "guess", "lapse")
+"""Names of the figures of a fit, as listed above."""
 BOOTSTRAP_RESAMPLES: Final = 2000
 """Number of resamples for an interval."""
 _STEP_MARGIN: Final = 0.05
-"""A fitted F that is within this of 0 or 1 at every level is a step between two levels. Resampled answers would equal
-the original ones, and the interval of its threshold would have no width."""
+"""A fitted F within this distance of 0 or 1 at every level is a step. Resampled answers would equal the original ones,
+and the interval of the threshold would have no width.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,7 @@ class PsychometricFit:
         return float(_deviance(self, self.positive[None], self.parameters[None])[0])
 
     def undetermined(self, unit: str) -> str | None:
-        """Return why the answers do not determine the PSE and what would, or None if they do.
+        """Return why the answers do not determine the PSE and which answers would, or None if they do.
 
         `unit` is the unit of the levels, for the text.
         """
@@ -190,7 +192,7 @@ def goodness_of_fit(found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES
 
 
 def percentiles(spread: Floats, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
-    """Return the ends of the interval that holds the fraction `level` of resampled values (n,).
+    """Return the ends of the interval that contains the fraction `level` of resampled values (n,).
 
     They are interpolated order statistics at (n + 1) times the tail probabilities.
     """

@@ -37,13 +37,13 @@ def axis(levels: Floats, logarithmic: bool) -> Floats:
 
 
 def level(place: Floats, logarithmic: bool) -> Floats:
-    """Return the levels of places on the axis u; the inverse of `axis`."""
+    """Return the levels at positions on the axis u; the inverse of `axis`."""
     given = np.asarray(place, dtype=float)
     return np.exp(np.minimum(given, _MAX_EXPONENT)) if logarithmic else given
 
 
 def is_logarithmic(shape: Shape, logarithmic: bool) -> bool:
-    """Return whether the axis of a function is logarithmic, which that of a Weibull function always is."""
+    """Return whether the axis of a function is logarithmic; that of a Weibull function always is."""
     return logarithmic or shape == "weibull"
 
 
@@ -69,7 +69,7 @@ def density(shape: Shape, z: Floats) -> Floats:
 
 
 def inverse(shape: Shape, proportion: Floats | float) -> Floats:
-    """Return the z at which F(z) is `proportion`; infinite for 0 and 1, NaN outside of them."""
+    """Return the z at which F(z) is `proportion`; infinite for 0 and 1, NaN outside 0 to 1."""
     p = np.asarray(proportion, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         if shape == "logistic":

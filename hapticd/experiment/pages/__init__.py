@@ -3,13 +3,13 @@
 The session runs in a thread, as at a terminal; the pages run in the event loop of the main thread.
 
     process             starts both, waits for the end of the session, and closes everything
-    pages_front         front of the session: content of the pages, and messages from them
-    screens             content of the participant's page, without what a participant must not know
+    pages_front         the front of the session: content of the pages, and messages from them
+    screens             content of the participant's page
     console             content of the experimenter's page
-    presence            whether a page is open and responds
+    presence            detects whether a page is open and responds
     participant_page    methods of the participant's page, and the stylus that it draws
-    stylus              where the stylus is drawn: never below a surface
+    stylus              position at which the stylus is drawn: never below a surface
     experimenter_page   methods of the experimenter's page
 
-`static/` holds the files of both pages; they also use modules of hapticd/web/static.
+`static/` holds the files of both pages, which also use hapticd/web/static.
 """

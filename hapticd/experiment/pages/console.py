@@ -13,7 +13,7 @@ from hapticd.experiment.session_log import Record
 
 Doing: TypeAlias = Literal["begins", "reads", "armed", "withdraws", "felt", "rests", "paused", "over"]
 MAX_CONSOLE_LINES: Final = 200
-"""Number of the newest lines that the page shows."""
+"""Number of lines of the log that the page shows, the newest ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Console:
     trial: Watched | None = None
     phase: str = ""
     asked: str = ""
-    """The question in the participant's words."""
+    """Text of the question that the participant reads."""
     here: dict[str, bool] = field(default_factory=lambda: {"participant": False, "experimenter": False})
     auto: bool = False
     """Whether trials begin automatically."""

@@ -27,7 +27,7 @@ from hapticd.experiment.stage import Stage
 
 Who: TypeAlias = Literal["participant", "experimenter"]
 STAGE_CHECK_INTERVAL_S: Final = 0.5
-"""Time between two checks of the stage while a page is waited for."""
+"""Time between two checks of the stage while waiting for a page."""
 PAGES_SERVER_TIMEOUT_S: Final = 3.0
 """The server of the pages counts as stuck if it does not report for this time."""
 _WAIT_TEXT: Final = "Please wait for the experimenter."
@@ -83,7 +83,7 @@ class PagesFront:
 
     @property
     def screen(self) -> Screen:
-        """The screen of the participant's page; `least_s` of a break is the rest of its shortest duration."""
+        """The screen of the participant's page; `least_s` is the time until a break may end."""
         with self._lock:
             return {**self._screen, "least_s": self._left_s()} if self._console.doing == "rests" else self._screen
 
@@ -104,7 +104,7 @@ class PagesFront:
     def console(self) -> dict[str, Any]:
         """Return the content of the experimenter's page without the answers; `answers` is their number.
 
-        `least_s` is the shortest duration of a break, `left_s` the rest of it; outside of a break both are 0.
+        During a break `least_s` is its shortest duration, `left_s` the time until it may end. Otherwise both are 0.
         """
         with self._lock:
             rests = self._console.doing == "rests"
@@ -137,13 +137,13 @@ class PagesFront:
         self._inbox.put(_Continue(who, screen))
 
     def command(self, command: Command) -> None:
-        """Take a command of the experimenter, or the stop of either page (`abort`)."""
+        """Receive a command of the experimenter, or the stop of either page (`abort`)."""
         if command.kind == "abort":
             self._stopped.set()
         self._inbox.put(command)
 
     def answer(self, screen: int, value: object) -> None:
-        """Take the answer to a screen; one to an earlier screen has no effect. Raises ValueError for an invalid one."""
+        """Receive an answer. It has no effect if it is to an earlier screen. Raises ValueError if it is invalid."""
         with self._lock:
             shown, current = self._shown, self._screen
         if shown is None or current["screen"] != screen or current.get("question") is None:
@@ -158,14 +158,14 @@ class PagesFront:
             self._rows = rows_of(records, self._plan.trials)
         self._changed()
 
-    def over(self, told: str, participant: str, complete: bool) -> None:
+    def over(self, line: str, text: str, complete: bool) -> None:
         """Show that the session has ended, or will be continued later.
 
-        `told` is the line for the experimenter, `participant` the text for the participant. The feedback on the last
-        trial is added only if the session is complete.
+        `line` is shown to the experimenter, `text` to the participant. The feedback on the last trial is added only if
+        the session is complete.
         """
-        self._show(screens.over(f"{participant}\n\n{self._feedback if complete else ''}"), "over")
-        self.tell(told)
+        self._show(screens.over(f"{text}\n\n{self._feedback if complete else ''}"), "over")
+        self.tell(line)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
         """Show the instructions and wait for the experimenter."""
@@ -174,7 +174,7 @@ class PagesFront:
         return self._wait_to_continue("experimenter")
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
-        """Show the instructions of a phase, if any, and wait until one of the two continues."""
+        """Show the instructions of a phase, if any, and wait until participant or experimenter continues."""
         self._set(phase=phase)
         if instructions is None and phase == "test":
             return None
@@ -185,13 +185,15 @@ class PagesFront:
         """Show that a trial is ready, and wait until the experimenter enables the forces."""
         self._set(trial=watched, phase=shown.phase, asked=shown.text, done=shown.number - 1)
         # The feedback on the trial before is kept for the next screen: with automatic trials this screen is short.
-        screen = screens.trial(shown, interval=1, felt=False, asks=False, told=self._feedback)
+        screen = screens.trial(shown, interval=1, felt=False, asks=False, feedback=self._feedback)
         self._show(screen, "armed", "Enable the forces", shown)
         return self._wait_to_continue("experimenter", automatic=True)
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
         """Ask the participant to move the stylus out, and wait until the stage is clear."""
-        screen = screens.trial(shown, interval=interval, felt=False, asks=False, withdraws=True, told=self._feedback)
+        screen = screens.trial(
+            shown, interval=interval, felt=False, asks=False, withdraws=True, feedback=self._feedback
+        )
         self._show(screen, "withdraws", None, shown)
         while not stage.is_clear():
             message = (
@@ -220,16 +222,16 @@ class PagesFront:
         return Reply(None, timed_out=True) if message is None else message
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
-        """Show an answer that was saved on disk to the experimenter."""
+        """Show a saved answer to the experimenter."""
         row = Row(watched.index, watched.condition, watched.cell, watched.stimuli, answer, correct, response_s)
         with self._lock:
             self._rows.append(row)
             self._console.done += 1
         self._changed()
 
-    def feedback(self, told: str, right: str | None) -> None:
+    def feedback(self, text: str, right: str | None) -> None:
         """Keep the feedback on a trial for the next screen."""
-        self._feedback = told
+        self._feedback = text
 
     def not_done(self, trial: int, why: str) -> None:
         """Keep the reason why the trial begins again for the next screen, and show it to the experimenter."""
@@ -237,7 +239,7 @@ class PagesFront:
         self.tell(f"trial {trial} begins again: {why}")
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """Show a break, and wait until one of the two continues after its shortest duration."""
+        """Show a break; after its shortest duration wait until participant or experimenter continues."""
         if self._console.doing != "rests":
             self._least_s, self._until_s = least_s, time.monotonic() + least_s
             self._show(screens.read(text or "A break.", "Continue", least_s), "rests", "Continue")
@@ -273,7 +275,7 @@ class PagesFront:
                 setattr(self._console, name, value)
 
     def _show_felt(self, shown: Shown, interval: int, asks: bool) -> None:
-        """Show a trial while the forces are on; after a note the screen and its time limit remain."""
+        """Show a trial whose forces are on. After a note the screen and its time limit are unchanged."""
         screen = self._screen
         same = screen.get("felt") and (screen["interval"], screen["question"] is not None) == (interval, asks)
         if self._shown is shown and same:
@@ -281,11 +283,11 @@ class PagesFront:
         limit_s = shown.time_limit_s if asks else None
         self._until_s = math.inf if limit_s is None else time.monotonic() + limit_s
         feedback, self._feedback = self._feedback, ""
-        felt = screens.trial(shown, interval=interval, felt=True, asks=asks, left_s=limit_s, told=feedback)
+        felt = screens.trial(shown, interval=interval, felt=True, asks=asks, left_s=limit_s, feedback=feedback)
         self._show(felt, "felt", None, shown)
 
     def _show(self, screen: Screen, doing: Doing, goes_on: str | None = None, shown: Shown | None = None) -> None:
-        """Replace the screen; the new one has the next number."""
+        """Replace the screen. Its number increases by one."""
         with self._lock:
             self._console.screen += 1
             self._console.doing, self._console.goes_on = doing, goes_on
@@ -294,10 +296,7 @@ class PagesFront:
         self._changed()
 
     def server_runs(self) -> None:
-        """Take the report of the pages' server that it runs, a few times per second.
-
-        While the server is stuck, a stop would not be received.
-        """
+        """Note that the pages' server runs; called a few times per second. A stuck server would not receive a stop."""
         self._server_s = time.monotonic()
 
     def _missing(self) -> list[str]:
@@ -355,7 +354,7 @@ class PagesFront:
     def _wait(
         self, accept: Callable[[_PageMessage], Any], stage: Stage | None = None, deadline: float = math.inf
     ) -> Any | Command | None:
-        """Wait for a message to this screen; return the result of `accept`, a command, or at the deadline None.
+        """Wait for a message to this screen. Return the result of `accept`, a command, or None at the deadline.
 
         With a `stage` the forces are on: the stage is checked, and a closed page causes a pause.
         """
@@ -386,7 +385,7 @@ def _continued(message: _PageMessage, who: Sequence[Who]) -> bool | None:
 
 
 def _value_of(shown: Shown, value: object) -> str | float | None:
-    """Convert the answer of a page to the form of the data. Raises ValueError if it is invalid."""
+    """Convert the answer of a page to the answer in the data. Raises ValueError if it is invalid."""
     if shown.kind == "measure":
         return None
     if shown.kind == "choice":

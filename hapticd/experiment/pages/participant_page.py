@@ -1,10 +1,10 @@
-"""The methods of the participant's page, which receives only screens and where the stylus is drawn.
+"""The methods of the participant's page, which receives only screens and the position of the drawn stylus.
 
     participant.screen    {} -> {screen, notice, hand}: the current screen; a notice (a text, or ""); whether this page
                           moves the hand of the simulated joystick
     participant.beat      {}: heartbeat
     participant.go_on     {screen}: the button to continue was pressed on a screen
-    participant.answer    {screen, answer}: of a choice its index from 0, of a measure null, else a text or a number
+    participant.answer    {screen, answer}: index from 0 of a choice, null for a measure, else a text or a number
     participant.stop      {}: end the session
 
 Of the daemon's methods it may call `set_forces` (to switch off, since it never has a lease) and, with the simulated
@@ -31,7 +31,7 @@ STOP_METHODS: Final = frozenset(("set_forces",))
 HAND_METHODS: Final = frozenset(("stream_target",))
 """Methods of the daemon that the page may also call with the simulated joystick."""
 STYLUS_TOPIC: Final = "stylus"
-"""Topic of the messages [x, y], the place in m at which the stylus is drawn."""
+"""Topic of the messages [x, y]: the position in m at which the stylus is drawn."""
 
 
 def screen_number(params: Mapping[str, object]) -> int:
@@ -87,13 +87,13 @@ def methods(front: PagesFront, presence: Presence, hand: bool) -> dict[str, Meth
 
 
 class StylusRelay:
-    """A receiver of the daemon's states that sends the pages where to draw the stylus."""
+    """Receives the daemon's states, and sends the pages the position at which to draw the stylus."""
 
     def __init__(self, front: PagesFront, pages: Callable[[], Iterable[Page]]) -> None:
         self._front, self._pages = front, pages
 
     def telemetry(self, topic: str, message: bytes) -> None:
-        """Send the place of the stylus for a state of the daemon."""
+        """Send the position of the stylus for a state of the daemon."""
         state = cast("dict[str, Any]", cast("list[Any]", messages.decode_trusted(message))[1])
         x, y = state["position_m"]
         at = drawn_at((x, y), bool(state["flags"] & Flag.CONTACT), self._front.surfaces)

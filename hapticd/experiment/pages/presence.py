@@ -19,7 +19,7 @@ _SWEEP_INTERVAL_S: Final = 0.25
 
 
 class Presence:
-    """The presence of the pages of one kind. It belongs to the event loop."""
+    """The presence of the pages of one kind. Use it in the event loop only."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class Presence:
         return bool(self._heard)
 
     def follow(self, page: Page) -> bool:
-        """Make a page leave when it is closed. Returns False if that was already done."""
+        """Remove a page when it is closed. Returns False if the page was already followed."""
         if page in self._followed:
             return False
         self._followed.add(page)

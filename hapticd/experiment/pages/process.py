@@ -1,4 +1,4 @@
-"""A session in the browser from start to end: two ports, and the session in a thread."""
+"""A session in the browser: two ports for the pages, and a thread for the session."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ STATIC_FOLDER: Final = Path(__file__).parent / "static"
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The options of the command."""
+    """The options of a session in the browser."""
 
     place: RuntimePaths
     simulated: bool
@@ -67,7 +67,7 @@ def run(options: Options, front: PagesFront, news: News, session: Callable[[], i
 
 
 class News:
-    """A notifier from any thread to the event loop that the content of a page has changed; the front's `changed`."""
+    """Notifies the event loop, from any thread, that the content of a page has changed."""
 
     def __init__(self) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -79,7 +79,7 @@ class News:
             self._loop.call_soon_threadsafe(self._event.set)
 
     async def listened(self, send: Callable[[], None]) -> None:
-        """Call `send` once, and after each change or several changes, until cancelled."""
+        """Call `send` once, and again after one or more changes, until cancelled."""
         self._loop, self._event = asyncio.get_running_loop(), asyncio.Event()
         try:
             while True:
@@ -184,7 +184,7 @@ def _add_routes(pages: Pages, app: Any) -> None:
 
 
 def _in_thread(loop: asyncio.AbstractEventLoop, session: Callable[[], int]) -> asyncio.Future[int]:
-    """Run the session in a separate thread, since it would block a thread of a pool; return its future result."""
+    """Run the session in a separate thread, as it would block a thread of a pool. Return a future of its result."""
     done: asyncio.Future[int] = loop.create_future()
 
     def settle(code: int | None, error: BaseException | None) -> None:

@@ -1,9 +1,10 @@
-"""The screens of the participant's page, without what a participant must not know.
+"""The screens of the participant's page.
 
-A screen is a map with `kind` and `screen`. `screen` is its number; messages from the page that refer to it repeat it.
+A screen is a mapping with `kind` and `screen`. `screen` is its number; messages from the page that refer to it repeat
+it.
 
     read    html; go_on: label of the button, or null; least_s: time in s until the button works
-    wait    html: a text while the experimenter is waited for
+    wait    html: a text while the participant waits for the experimenter
     trial   number, total, at_most, phase, surfaces, stimuli, in_places, interval; felt: whether the forces are on;
             withdraws: whether the handle must be moved out before the forces are enabled; `told`: feedback;
             question, null before it is asked: kind, html, answers, low, high, step, ends, most_characters, left_s
@@ -44,7 +45,7 @@ def read(markdown: str, go_on: str | None, least_s: float = 0.0) -> Screen:
 
 
 def wait(markdown: str) -> Screen:
-    """Return a screen with a text while the experimenter is waited for."""
+    """Return a screen with a text for a participant who waits for the experimenter."""
     return {"kind": "wait", "html": html(markdown)}
 
 
@@ -61,12 +62,12 @@ def trial(
     asks: bool,
     withdraws: bool = False,
     left_s: float | None = None,
-    told: str = "",
+    feedback: str = "",
 ) -> Screen:
     """Return the screen of a trial.
 
     `interval` counts from 1. `felt` is whether the forces are on, `asks` whether the question is shown, `withdraws`
-    whether the handle is behind a surface. `left_s` is the remaining time, `told` the feedback of the trial before.
+    whether the handle is behind a surface. `left_s` is the remaining time, `feedback` that on the previous trial.
     """
     return {
         "kind": "trial",
@@ -83,7 +84,7 @@ def trial(
         ],
         "felt": felt,
         "withdraws": withdraws,
-        "told": told,
+        "told": feedback,
         "question": _question(shown, left_s) if asks else None,
     }
 

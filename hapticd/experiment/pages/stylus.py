@@ -1,6 +1,6 @@
-"""The place at which the stylus is drawn, which must not reveal the material.
+"""The position at which the stylus is drawn, which must not reveal the material.
 
-The depth of the handle in a surface depends on its stiffness. So a stylus that touches a surface is drawn on it.
+The depth of the handle in a surface depends on the stiffness. So a stylus that touches a surface is drawn on it.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from hapticd.experiment.front import Seen
 
 
 def drawn_at(position_m: tuple[float, float], touches: bool, surfaces: Sequence[Seen]) -> tuple[float, float]:
-    """Return the place in m at which to draw a handle at `position_m`: on the surface that it is below.
+    """Return the position in m at which to draw a handle at `position_m`: on the surface that it is below.
 
-    Of several surfaces it is the one nearest along the surface. Beyond the end of a surface and at the side of a box
+    Of several surfaces, the nearest one along the surface is used. Beyond the end of a surface and at the side of a box
     the stylus is drawn at the same height, so that no depth is ever visible. A handle that touches nothing is drawn at
     its position, also behind a punctured membrane.
     """

@@ -40,7 +40,7 @@ class HandParameters:
     tremor_m: float = 40e-6
     """RMS of the tremor on each axis."""
     reaction_s: float = 0.16
-    """Median time from a felt event to the begin of a movement."""
+    """Median time from a felt event to the start of a movement."""
 
 
 class Hand:
@@ -63,7 +63,7 @@ class Hand:
                 (0.08, at, -depth),
                 (0.15, at, HOVER_HEIGHT_M),
             ]
-        return self._way(surface, points)
+        return self._waypoints(surface, points)
 
     def strokes(self, surface: Seen, count: int = 2) -> Waypoints:
         """Return waypoints (n, 3) of strokes to and fro over a surface."""
@@ -78,13 +78,13 @@ class Hand:
             speed, depth = self._varied(given.stroke_speed_m_per_s), self._varied(given.depth_m)
             points.append((2.0 * reach / speed, side * reach, -depth))
         points.append((0.15, side * reach, HOVER_HEIGHT_M))
-        return self._way(surface, points)
+        return self._waypoints(surface, points)
 
     def press(self, surface: Seen) -> Waypoints:
         """Return waypoints (n, 3) of a slow press far into a surface."""
         speed = self._varied(self.parameters.press_speed_m_per_s)
         deep = 0.05
-        return self._way(
+        return self._waypoints(
             surface, [(0.2, 0.0, HOVER_HEIGHT_M), ((HOVER_HEIGHT_M + deep) / speed, 0.0, -deep)], smooth=False
         )
 
@@ -99,8 +99,8 @@ class Hand:
         (x, y), (n_x, n_y) = surface.point_m, surface.normal
         out = np.array([x + HOVER_HEIGHT_M * n_x, y + HOVER_HEIGHT_M * n_y])
         times = np.arange(WAYPOINT_INTERVAL_S, 0.4, WAYPOINT_INTERVAL_S)
-        share = _smooth(times / times[-1])[:, None]
-        return np.column_stack((at_s + times, here + share * (out - here)))
+        fraction = _smooth(times / times[-1])[:, None]
+        return np.column_stack((at_s + times, here + fraction * (out - here)))
 
     def reaction_s(self) -> float:
         """Draw the time in s from a felt event to the movement that responds to it."""
@@ -112,10 +112,11 @@ class Hand:
     def _near(self, surface: Seen) -> float:
         return float(self._chance.uniform(-1.0, 1.0)) * 0.3 * min(surface.half_m, 0.02)
 
-    def _way(self, surface: Seen, points: Sequence[tuple[float, float, float]], smooth: bool = True) -> Waypoints:
+    def _waypoints(self, surface: Seen, points: Sequence[tuple[float, float, float]], smooth: bool = True) -> Waypoints:
         """Return waypoints (n, 3) through points [duration, along, height], beginning above the middle.
 
-        Each point is reached after its duration. Between two points the speed is smooth, or constant.
+        Each point is reached after its duration. Speed is smooth between two points, but constant on the way down and
+        without `smooth`.
         """
         at = (0.0, HOVER_HEIGHT_M)
         parts, begun = [], 0.0
@@ -123,10 +124,10 @@ class Hand:
             steps = max(1, round(duration / WAYPOINT_INTERVAL_S))
             times = np.arange(1, steps + 1) / steps
             # A motion down onto a surface has constant speed: a hand does not brake before a tap.
-            share = _smooth(times) if smooth and height >= at[1] else times
+            fraction = _smooth(times) if smooth and height >= at[1] else times
             parts.append(
                 np.column_stack(
-                    (begun + duration * times, at[0] + share * (along - at[0]), at[1] + share * (height - at[1]))
+                    (begun + duration * times, at[0] + fraction * (along - at[0]), at[1] + fraction * (height - at[1]))
                 )
             )
             at, begun = (along, height), begun + duration
@@ -145,6 +146,6 @@ class Hand:
         return np.asarray(self.parameters.tremor_m * 0.5 * np.sin(angle).sum(axis=1))
 
 
-def _smooth(share: Waypoints) -> Waypoints:
-    """Return the course of a minimum-jerk motion (Flash and Hogan, J. Neurosci. 5, 1985)."""
-    return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+def _smooth(times: Waypoints) -> Waypoints:
+    """Return the path of a minimum-jerk motion, 0 to 1, at `times` 0 to 1 (Flash and Hogan, J. Neurosci. 5, 1985)."""
+    return times**3 * (10.0 - 15.0 * times + 6.0 * times**2)

@@ -3,12 +3,12 @@
 The felt force is the commanded force_n within TOUCH_BAND_HZ; divided by the moving mass it is the handle's vibration.
 Three features are computed from it. Each is a logarithm, so that internal noise is a Weber fraction:
 
-    hardness   rate of change of the force after an onset over the speed of the approach: the rate-hardness of Lawrence,
+    hardness   rate of change of the force after an onset / speed of the approach: the rate-hardness of Lawrence,
                Pao, Dougherty, Salada and Pavlou, IEEE Trans. Robotics and Automation 16, 2000
     fineness   periods of the felt force per metre along the surface
     loudness   root mean square of the felt force
 
-Noise of standard deviation `noise` is added to each feature of each place. Two places are judged the same if their
+Noise of standard deviation `noise` is added to each feature of each stimulus. Two stimuli are judged the same if their
 features differ by less than `criterion`.
 """
 
@@ -33,17 +33,17 @@ TOUCH_BAND_HZ: Final = (20.0, 1000.0)
 MIN_FELT_FORCE_N: Final = 0.05
 """Smallest felt force, at which a contact begins."""
 TAP_WINDOW_S: Final = 0.02
-"""Time after an onset in which a tap is judged."""
+"""Time after an onset from which the hardness of a tap is computed."""
 RUPTURE_FORCE_DROP_N: Final = 0.4
-"""A fall of the force by this within TAP_WINDOW_S is felt as a rupture."""
+"""A fall of the force by at least this much within TAP_WINDOW_S is felt as a rupture."""
 _MIN_LOG_ARGUMENT: Final = 1e-6
 """Lower bound of values before their logarithm or reciprocal, against infinities."""
 _CELLS_PER_M: Final = 20_000.0
 """Resolution of the force profile along a surface."""
 _MIN_PROFILE_CELLS: Final = 64
-"""A shorter stroke yields no profile."""
+"""Smallest number of visited cells from which a profile is computed."""
 _FINENESS_RANGE_PER_M: Final = (60.0, 1500.0)
-"""Spatial frequencies among which the fineness is searched; the lowest also stands for a surface without texture."""
+"""Range of spatial frequencies for the fineness. A surface without texture has the lowest one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class ObserverParameters:
 
 
 class Observer:
-    """An observer that answers by a feature of each place."""
+    """An observer that answers by one feature of each stimulus."""
 
     def __init__(self, chance: np.random.Generator, parameters: ObserverParameters | None = None) -> None:
         self._chance = chance
@@ -70,12 +70,12 @@ class Observer:
         self._learned: dict[str, list[float]] = {}
 
     def percept(self, feature: Feature, felt: Samples, surface: Seen) -> float:
-        """Return a feature of the samples felt at one place, with the noise of one judgement."""
+        """Return a feature of the samples felt at one stimulus, with noise."""
         found = FEATURE_FUNCTIONS[feature](felt, surface)
         return found + self._parameters.noise * float(self._chance.standard_normal())
 
     def compare(self, percepts: list[float], answers: tuple[Choice, ...]) -> str:
-        """Return the answer for the place with the largest percept, or the answer that the places are the same."""
+        """Return the answer for the stimulus with the largest percept, or the answer that the stimuli are the same."""
         by_meaning = {answer.means: answer.name for answer in answers}
         order = np.argsort(percepts)
         if "same" in by_meaning and percepts[order[-1]] - percepts[order[-2]] < self._parameters.criterion:
@@ -88,7 +88,7 @@ class Observer:
         return ">".join(POSITION_NAMES[int(at)] for at in np.argsort(percepts)[::-1])
 
     def identify(self, percept: float, answers: tuple[Choice, ...]) -> str:
-        """Return the answer whose learned percepts are nearest, or a guess if none was learned."""
+        """Return the answer with the nearest learned percepts, or a guess if none was learned."""
         known = {answer.name: self._learned[answer.name] for answer in answers if answer.name in self._learned}
         if not known:
             return self.guess(answers)
@@ -111,10 +111,11 @@ class Observer:
 
 
 POSITION_NAMES: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
+"""Names of positions in the order of presentation."""
 
 
 def banded(signal: Floats, period_s: float) -> Floats:
-    """Return a signal (n,) or (n, k) in TOUCH_BAND_HZ, filtered by second order at both ends without delay."""
+    """Return a signal (n,) or (n, k) in TOUCH_BAND_HZ, by a zero-phase filter of second order at both ends."""
     frequency = np.fft.rfftfreq(len(signal), period_s)
     low, high = TOUCH_BAND_HZ
     with np.errstate(divide="ignore"):
@@ -188,7 +189,7 @@ def fineness(felt: Samples, surface: Seen) -> float:
 def _power_along(cell: npt.NDArray[np.int64], force: Floats, count: int) -> Floats:
     """Return the power spectrum (count,) of a force (n, 2) over the cells (n,) along a surface, summed over both axes.
 
-    It is padded for a linear autocorrelation, and zero for fewer cells than _MIN_PROFILE_CELLS.
+    The force is padded for a linear autocorrelation. For fewer cells than _MIN_PROFILE_CELLS the result is 0.
     """
     size = 2 * (count - 1)
     times = np.bincount(cell, minlength=1)
@@ -212,6 +213,7 @@ def loudness(felt: Samples, surface: Seen) -> float:
 
 
 FEATURE_FUNCTIONS: Final = {"hardness": hardness, "fineness": fineness, "loudness": loudness}
+"""Functions that compute the features, by feature."""
 
 
 def rupture_felt_s(felt: Samples, surface: Seen) -> float | None:

@@ -23,13 +23,13 @@ Task: TypeAlias = Literal["tap", "stroke", "press"]
 FEATURE_OF_TASK: Final[dict[Task, Feature]] = {"tap": "hardness", "stroke": "fineness", "press": "loudness"}
 """The feature by which the observer answers in each task."""
 _MIN_REACTION_TIME_S: Final = 0.03
-"""Lower bound of the drawn reaction time, for the nerves to conduct."""
+"""Lower bound of the drawn reaction time, due to the conduction time of nerves."""
 
 
 def task_of(plan: Plan) -> Task:
     """Return the task of a study, the same for all trials.
 
-    It is to press if the motion is measured, to stroke if the first trial has a texture, and otherwise to tap.
+    The task is `press` if the motion is measured, `stroke` if the first trial has a texture, otherwise `tap`.
     """
     if isinstance(plan.study.asked, MeasureQuestion):
         return "press"
@@ -95,7 +95,7 @@ class SimulatedFront:
     def not_done(self, trial: int, why: str) -> None:
         """Ignore that a motor task was not done."""
 
-    def feedback(self, told: str, right: str | None) -> None:
+    def feedback(self, text: str, right: str | None) -> None:
         """Learn the correct answer."""
         if right is not None and len(self._percepts) == 1:
             self._observer.learn(self._percepts[0], right)

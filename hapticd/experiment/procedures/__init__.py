@@ -1,4 +1,4 @@
-"""Procedures: choose the level of each trial, and estimate the threshold from the answers.
+"""Procedures that choose the level of each trial and estimate the threshold from the answers.
 
 procedure         interface and base class of all procedures; answers, states and estimates
 posterior         posteriors on a grid, for staircase and quest_plus

@@ -1,4 +1,4 @@
-"""The method of constant stimuli: each of some levels equally often, in random order.
+"""The method of constant stimuli: each level equally often, in random order.
 
 The order consists of blocks that contain each level once, shuffled, so that practice and fatigue affect all levels
 equally.

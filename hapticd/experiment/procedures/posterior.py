@@ -14,7 +14,7 @@ import numpy as np
 from hapticd.experiment.analysis.psychometric_shapes import Floats
 
 POSTERIOR_INTERVAL_LEVEL: Final = 0.95
-"""Probability of the intervals, as is usual."""
+"""Probability that an interval contains, by convention."""
 
 
 def updated(posterior: Floats, likelihood: Floats) -> Floats:

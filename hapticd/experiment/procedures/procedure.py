@@ -59,7 +59,7 @@ class Procedure(Protocol):
 
     @classmethod
     def restored(cls, state: Json) -> Self:
-        """Return the procedure of a state. Raises ProcedureError or InvalidError for an invalid one."""
+        """Restore a procedure from its state. Raises ProcedureError or InvalidError for an invalid one."""
 
     def estimate(self) -> Estimate:
         """Return the estimated threshold. Raises ProcedureError without answers."""
@@ -99,7 +99,7 @@ P = TypeVar("P", bound=Parameters)
 
 
 class BaseProcedure(ABC, Generic[P]):
-    """The base of all procedures, whose state is their parameters and answers."""
+    """The base class of all procedures. Their state consists of parameters and answers."""
 
     PARAMETERS: ClassVar[type[Any]]
     """Model of the parameters."""
@@ -113,7 +113,7 @@ class BaseProcedure(ABC, Generic[P]):
         """Return the next level, None if the procedure has ended."""
 
     def answer(self, level: float, positive: bool) -> None:
-        """Take the answer to a level. Raises ProcedureError if the level is not the next one, or at the end."""
+        """Take the answer to a level. Raises ProcedureError if the level is not the next one, or after the end."""
         self._take(self._due(level), positive)
 
     def state(self) -> Json:
@@ -125,7 +125,7 @@ class BaseProcedure(ABC, Generic[P]):
 
     @classmethod
     def restored(cls, state: Json) -> Self:
-        """Return the procedure of a state. Raises ProcedureError or InvalidError for an invalid one."""
+        """Restore a procedure from its state. Raises ProcedureError or InvalidError for an invalid one."""
         parameters, answers = answers_of(state)
         made = cls(cls.PARAMETERS.model_validate(parameters))
         for each in answers:
@@ -133,7 +133,7 @@ class BaseProcedure(ABC, Generic[P]):
         return made
 
     def _due(self, given: float) -> float:
-        """Return the expected level. Raises ProcedureError if the given one is another."""
+        """Return the expected level. Raises ProcedureError if the given one differs."""
         return check_level(given, self.level())
 
     @abstractmethod

@@ -80,7 +80,7 @@ class QuestPlusParameters(CheckedTogether):
     thresholds: Values | None = None
     """Thresholds of the grid; None uses the levels."""
     slopes: Values
-    """Slopes as in psychometric_shapes: the exponent of a Weibull function, else 1 over the spread on the axis."""
+    """Slopes as in psychometric_shapes: the exponent of a Weibull function, else 1 / (spread on the axis)."""
     guesses: Annotated[tuple[Proportion, ...], Field(min_length=1, max_length=100, strict=False)] = (0.0,)
     lapses: Annotated[tuple[Proportion, ...], Field(min_length=1, max_length=100, strict=False)] = (0.02,)
     shape: Shape = "weibull"

@@ -44,7 +44,7 @@ _THRESHOLD_COUNT: Final = 121
 _SLOPE_COUNT: Final = 15
 """Number of slopes of the grid."""
 _MAX_SPREAD_FRACTION: Final = 0.4
-"""Largest spread of a function as a fraction of the visited range, plus one step; the smallest is a quarter of a step.
+"""The largest spread of the grid is one step plus this fraction of the visited range; the smallest is step / 4.
 
 A staircase on a wider function visits a wider range. In simulations 95 % intervals then cover 93 to 97 %.
 """
@@ -65,16 +65,16 @@ class StaircaseParameters(CheckedTogether):
     steps: Annotated[
         tuple[Annotated[float, Field(gt=0, le=1e9)], ...], Field(min_length=1, max_length=64, strict=False)
     ]
-    """Steps by the number of reversals until then; the last one is used to the end."""
+    """Steps. Each reversal changes to the next one; the last is used to the end."""
     axis: Literal["linear", "logarithmic"] = "linear"
     harder: Literal["lower", "higher"] = "lower"
     """Whether lower or higher levels are harder."""
     reversals: Annotated[int, Field(ge=2, le=1000)] = 12
-    """Number of reversals after which the staircase ends."""
+    """The staircase ends after this many reversals."""
     trials: Annotated[int, Field(ge=1, le=10000)] = 100
-    """Number of answers after which the staircase ends."""
+    """The staircase ends after this many answers."""
     discard: Annotated[int, Field(ge=0, le=999)] = 4
-    """Number of first reversals that the mean of the reversals excludes."""
+    """Number of first reversals excluded from their mean."""
     guess: Proportion = 0.0
     """Probability of a positive answer far below threshold."""
     shape: Shape = "logistic"
