@@ -17,10 +17,10 @@ from hapticd.base.errors import collapse_whitespace
 from hapticd.hid.plan import DeviceError, Plan
 
 PERMISSION_HINT: Final = (
-    "install systemd/70-hapticd.rules into /etc/udev/rules.d and plug it in again, or run as its owner"
+    "install systemd/70-hapticd.rules into /etc/udev/rules.d and plug the device in again, or run as the node's owner"
 )
 MAX_REPORT_BYTES: Final = 4096
-"""The longest input report that is read; those of joysticks are far shorter."""
+"""Longest input report that is read, in bytes; joysticks send far shorter ones."""
 
 
 class Device(Protocol):
@@ -32,7 +32,7 @@ class Device(Protocol):
         ...
 
     def fileno(self) -> int:
-        """Return a descriptor that reads an input report or writes an output report at a time; valid until `close`."""
+        """Return a file descriptor, valid until `close`: one read or write transfers one input or output report."""
         ...
 
     def write(self, report: bytes) -> None:
@@ -65,7 +65,7 @@ class Driver(Protocol):
 
 
 def arrived_reports(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
-    """Yield the input reports of a device that arrive within a time, in s; if it is 0, those that are queued.
+    """Yield the input reports of a device that arrive within `within_s`; if it is 0, those that are queued.
 
     Raises DeviceError if the device is gone.
     """
