@@ -25,9 +25,9 @@ Besides that:
     offload             assigns device effects to modes
     stopper             a record and a command that stop a device whose daemon was killed
     claim               keeps other programs off a device
-    device_texts        texts about devices, which clients print, too; imports nothing heavy
+    device_texts        texts about devices, which clients print, too
 
-C does the work of every few milliseconds: csrc/device/hd_hid_reader.c and hd_hid_writer.c, behind hd_hid_mailboxes.c.
+C reads positions and writes forces: csrc/device/hd_hid_reader.c and hd_hid_writer.c.
 
 Questions, and where to begin:
 

@@ -35,7 +35,7 @@ REBIND_TIMEOUT_S: Final = 5.0
 _UDEVADM_TIMEOUT_S: Final = 5.0
 """Time limit of a command of udev."""
 _ACL_ATTRIBUTE: Final = "system.posix_acl_access"
-"""The extended attribute with the access list, by which udev opens a node to the user at the seat."""
+"""The access list by which udev opens a node to the user at the seat."""
 _HIDDEN_BY_RULE: Final = ": only root may open its event nodes already, because of a line in 70-hapticd.rules"
 
 Write = Callable[[Path, str], None]
@@ -70,7 +70,7 @@ class Claims:
         return [name for name in named if self._device(name).exists()]
 
     def claim(self, found: Found) -> str:
-        """Keep other programs off a device, and return its new driver. Raises HapticdError, one line."""
+        """Keep other programs off a device, and return its new driver. Raises HapticdError."""
         name, claimed = self._name(found), self.names()
         if name in claimed:
             raise HapticdError(f"{found} is already claimed; `hapticd devices release {found.path}` releases it")
@@ -82,7 +82,7 @@ class Claims:
         return driver
 
     def release(self, found: Found) -> str:
-        """Allow other programs to use a device again, and return its new driver. Raises HapticdError, one line."""
+        """Allow other programs to use a device again, and return its new driver. Raises HapticdError."""
         name, claimed = self._name(found), self.names()
         if name not in claimed:
             raise HapticdError(f"{found} is not claimed{_HIDDEN_BY_RULE if self._is_root_only(name) else ''}")

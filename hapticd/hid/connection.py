@@ -1,8 +1,7 @@
 """The connection to a device: sets it up, passes it to C, recovers it after a reset, and reconnects it after a loss.
 
-A thread does this while the daemon runs. Positions are read and forces written by C's reader and writer threads
-(csrc/device/hd_hid_reader.c and hd_hid_writer.c), for which the servo does not wait. While the device is lost, this
-thread tries to connect it every `RECONNECT_INTERVAL_S`. The scene is kept.
+A thread does this while the daemon runs. C's reader and writer threads read positions and write forces; the servo waits
+for neither thread. While the device is lost, this thread tries to connect it every `RECONNECT_INTERVAL_S`.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ class Opened:
 
 
 Source = Callable[[], Opened]
-"""Function that finds and opens the device. Raises HapticdError, one line, if it cannot."""
+"""Function that finds and opens the device. Raises HapticdError if it cannot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +129,7 @@ class Connection:
     # ---- Life ------------------------------------------------------------------------------------------------------
 
     def open(self) -> tuple[Plan, Link]:
-        """Connect the device for the first time. Raises HapticdError, one line, if that fails."""
+        """Connect the device for the first time. Raises HapticdError if that fails."""
         live = self._connect()
         return live.plan, live.link
 

@@ -120,12 +120,12 @@ class HidrawDevice:
         return self._fd
 
     def write(self, report: bytes) -> None:
-        """Send an output report, its id first, and wait until it is sent."""
+        """Send an output report."""
         if self._hidapi.write(report) != len(report):
             raise DeviceError(f"{self._path}: cannot send output report {report[0]}: {_last_error(self._hidapi)}")
 
     def send_feature(self, report: bytes) -> None:
-        """Send a feature report, its id first."""
+        """Send a feature report."""
         if self._hidapi.send_feature_report(report) != len(report):
             raise DeviceError(f"{self._path}: cannot send feature report {report[0]}: {_last_error(self._hidapi)}")
 

@@ -1,4 +1,4 @@
-"""Texts for users about device effects and about devices that do not report resets. Imports nothing heavy."""
+"""Texts for users about device effects and about devices that do not report resets."""
 
 from collections.abc import Mapping
 

@@ -46,7 +46,7 @@ class Found:
     out_interval_s: float | None
     """Interval of the USB interrupt endpoint for output reports; None if there is no such endpoint."""
     permission: Literal["ok", "denied", "absent"]
-    """Whether this process may open the node ("ok", "denied"); "absent" if the node does not exist."""
+    """Whether this process may open the node, or "absent" if it does not exist."""
     hid_name: str = ""
     """Name of the device in /sys/bus/hid/devices."""
     port: str = ""

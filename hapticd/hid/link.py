@@ -1,9 +1,9 @@
 """The rate at which a device accepts forces, and the interval at which its effects are restored.
 
-Another program (a game, through the kernel's driver) may reset the device and upload its own effect under the Effect
-Block Index of one of hapticd's. A device that reports which effects play shows this. To any other device all parameters
-of hapticd's effects are sent repeatedly: magnitude and start with every renewal; direction, type, gain, duration and
-envelope by the messages `restore` of the plan. In each pass, C's writer sends the forces and at most one of these.
+Another program may reset the device and upload its own effect under the Effect Block Index of one of hapticd's. A
+device that reports which effects play shows this. To any other device all parameters of hapticd's effects are sent
+repeatedly: magnitude and start with every renewal; direction, type, gain, duration and envelope by the messages
+`restore` of the plan.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _MEASUREMENT_TIMEOUT_S: Final = 0.05
 class Link:
     """Limits of the rate at which a device accepts forces, each None if it is not known.
 
-    A force may need several reports, so the rate of forces may be lower than that of reports.
+    A force may consist of several reports.
     """
 
     endpoint_hz: float | None

@@ -2,9 +2,9 @@
 
 A periodic effect of the PID class, here a sine, has a period and an envelope of straight lines: it begins with the
 attack level, has the magnitude after the attack time, and reaches the fade level during the fade time, which ends with
-the effect. Levels are absolute, as the magnitude is (as in DirectInput's DIENVELOPE and Linux' struct ff_envelope).
-Times are integer counts of the device's unit. For each choice of times, non-negative least squares give the levels; the
-choice with the smallest error is the nearest effect.
+the effect. Levels are absolute, as in DirectInput's DIENVELOPE and Linux' struct ff_envelope. Times are integer counts
+of the device's unit. For each choice of times, non-negative least squares give the levels; the choice with the smallest
+error is the nearest effect.
 """
 
 from __future__ import annotations

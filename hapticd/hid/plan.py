@@ -138,8 +138,8 @@ class PlayingBits:
     indices: tuple[int, ...]
     """Effect Block Indices of hapticd's effects."""
     proof: int
-    """Number of renewals, longer than an effect's duration, over which effects must be reported as playing, to prove
-    that the device reports restarts by renewals, and so that an effect that stops is lost."""
+    """If an effect is reported as playing over this many renewals, which outlast it, the device reports renewals, and
+    each loss that it reports counts; otherwise only the first one does."""
 
 
 @dataclass(frozen=True, slots=True)

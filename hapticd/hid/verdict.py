@@ -39,7 +39,7 @@ class Verdict:
     """The plan, assuming that the device can create all wanted effects and numbers them from the first Effect Block
     Index on; None if it cannot be driven."""
     why_not: str | None
-    """Why it cannot be driven, in one line; None if it can be driven."""
+    """Why it cannot be driven; None if it can."""
 
     @property
     def drivable(self) -> bool:
@@ -81,7 +81,7 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
             raise DeviceError(f"its report descriptor has no {', no '.join(layout.missing)}")
         driver = PidDriver(layout, hid)
         first, last = layout.effect_indices or (1, 1)
-        # If the device has no room for the first way, set-up tries the next one; so all plans are checked.
+        # If the device has no room for the first scheme, set-up tries the next one; so all plans are checked.
         plans = [
             _checked(plan_of(layout, hid, scheme, range(first, last + 1)[: 1 if scheme in ("one", "polar") else 2]))
             for scheme in schemes_of(layout, hid)

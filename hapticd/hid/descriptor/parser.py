@@ -5,7 +5,7 @@ does not define them are skipped or accepted here, too, and listed in `Descripto
 ambiguous, the parser does what Linux does (drivers/hid/hid-core.c), because Linux has parsed the descriptor before:
 
 - Minima are signed numbers. A maximum is signed if its minimum is negative, else unsigned: `15 00 25 FF` is 0 to 255.
-  This is decided at the main item, so the order of the two items does not matter.
+  This is decided at the main item.
 - A usage of one or two bytes has the usage page that is current at its item. If another page is current at the main
   item, that page replaces those of the usages, from the last one back to the first that already has it.
 - Usages are assigned to the elements of a field in the order of their items, single usages and ranges alike. If there

@@ -166,7 +166,7 @@ class PidDriver:
     def _add_periodic_effects(self, device: Device, plan: Plan, max_effects: int | None) -> Plan:
         """Create as many periodic effects as there is room for, and return the plan with them.
 
-        `max_effects` is the number of effects that the device plays at a time; None if it is not known.
+        `max_effects` is the result of `_effects_in_pool`.
         """
         layout, problem = self._layout, "the device has no room for another effect"
         constant, made = len(self._indices), list[int]()

@@ -249,10 +249,7 @@ def _state_bits(layout: Layout) -> tuple[StateBit, ...]:
 
 
 def _playing_bits(layout: Layout, indices: Sequence[int], proof: int) -> PlayingBits | None:
-    """Return the fields of PID State that report which effects play; None if absent or too small for the indices.
-
-    `proof` is described in PlayingBits.
-    """
+    """Return the fields of PID State that report which effects play; None if absent or too small for the indices."""
     state = layout.pid_state
     if state is None or state.effect_index is None or state.effect_playing is None:
         return None

@@ -1,8 +1,4 @@
-"""Encodes the reports for a device of the PID class, from the layout of its descriptor.
-
-Directions are integer counts, so a force along one axis may also act along the other; `leak_share` returns by how much,
-and `force_factors` corrects it.
-"""
+"""Encodes the reports for a device of the PID class, from the layout of its descriptor."""
 
 from __future__ import annotations
 
