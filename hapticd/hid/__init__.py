@@ -36,8 +36,7 @@ Questions, and where to begin:
     How is an effect uploaded?
         drivers/pid (_create, _create_constant_forces), encoded by drivers/pid_reports.
     What happens to an effect when the cable is pulled?
-        The device loses it with its power. C ends the reader and writer threads, and the servo reports the fault
-        `device`.
+        The device loses it with its power. C ends the reader and writer threads; the servo reports the fault `device`.
         connection disconnects (_lose, _disconnect; offload offers no effects then), and creates the effects again when
         the device is back (_connect). On a device that still has power, effects end after their finite duration.
     What if another program resets the device, or changes an effect?

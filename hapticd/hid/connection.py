@@ -161,7 +161,7 @@ class Connection:
         self._disconnect(orderly=True)
 
     def suspect(self) -> None:
-        """Have the device set up again, because it may have lost its effects, for example in a suspend."""
+        """Have the device set up again, because it may have lost its effects in a suspend."""
         lib.hd_hid_suspect(self.hid)
 
     def status(self) -> dict[str, object]:

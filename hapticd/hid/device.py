@@ -85,7 +85,7 @@ def arrived_reports(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
 class HidrawDevice:
     """A hidraw node, locked against other daemons.
 
-    The constructor raises DeviceError if the node is absent or busy, or may not be opened.
+    Raises DeviceError if the node is absent or busy, or may not be opened.
     """
 
     def __init__(self, path: str) -> None:
@@ -138,7 +138,7 @@ class HidrawDevice:
             raise DeviceError(f"{self._path}: cannot get feature report {report_id}: {reason}") from None
 
     def listen(self, timeout_s: float) -> bytes:
-        """Return the next input report from the queue of hidapi; empty if none arrives within the time."""
+        """Return the next input report; empty if none arrives within the time."""
         try:
             return bytes(self._hidapi.read(MAX_REPORT_BYTES, max(1, round(1e3 * timeout_s))))
         except OSError:

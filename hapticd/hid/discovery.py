@@ -42,9 +42,9 @@ class Found:
     driver: str
     descriptor: bytes
     in_interval_s: float | None
-    """Interval of the USB interrupt endpoint for input reports; None if there is no such endpoint."""
+    """Interval of the USB interrupt endpoint for input reports; None without one."""
     out_interval_s: float | None
-    """Interval of the USB interrupt endpoint for output reports; None if there is no such endpoint."""
+    """Interval of the USB interrupt endpoint for output reports; None without one."""
     permission: Literal["ok", "denied", "absent"]
     """Whether this process may open the node, or "absent" if it does not exist."""
     hid_name: str = ""
@@ -67,10 +67,10 @@ class Found:
 
     @property
     def resets_seen(self) -> bool | None:
-        """Whether it has the report PID State with the effects that play, so that resets by other programs are noticed.
+        """Whether its PID State report contains the effects that play, so that a reset by another program is noticed.
 
-        None if it cannot be driven, or has no effects because `device.hid.report` describes its reports. A device may
-        have PID State in its descriptor and never send it.
+        None if it cannot be driven, or has no effects (vendor reports). A device may declare PID State in its
+        descriptor and never send it.
         """
         plan = self.verdict.plan
         return None if plan is None or plan.foreign_s is None else plan.effects is not None

@@ -52,7 +52,7 @@ class Link:
         )
 
     def carried_hz(self, servo_hz: float) -> float | None:
-        """Return the rate of forces that reach the device, if it is below the servo's rate `servo_hz`; else None."""
+        """Return the rate of forces that reach the device; None if it is not below the servo's rate."""
         rate_hz = self.rate_hz
         return None if rate_hz is None or rate_hz >= servo_hz else rate_hz
 

@@ -27,13 +27,13 @@ MAX_EFFECT_S: Final = 0.1
 COMPARED_DECAY_TIMES: Final = 6.0
 """Effect and mode are compared over this many decay times of the mode."""
 TRIED_TIMES: Final = 50
-"""Number of values, about, that are tried for each time of the envelope; if it has fewer counts, all are tried."""
+"""About this many values are tried for each time of the envelope; all, if it has fewer counts."""
 _SAMPLES_PER_CYCLE: Final = 24
 """Effect and mode are compared at this many samples per cycle, within the two limits below."""
 _MIN_COMPARED_SAMPLES: Final = 3000
 _MAX_COMPARED_SAMPLES: Final = 200_000
 _LEVEL_SUBSETS: Final = tuple(chain.from_iterable(combinations(range(3), size) for size in (1, 2, 3)))
-"""The sets of levels that are not zero, each of which `_non_negative_levels` tries: 0 attack, 1 magnitude, 2 fade."""
+"""Sets of levels that may be above zero: 0 attack level, 1 magnitude, 2 fade level."""
 
 _Floats = npt.NDArray[np.float64]
 
@@ -78,7 +78,7 @@ class _TriedTimes(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def nearest_effect(mode: Mode, numbers: Numbers) -> NearestEffect | None:
-    """Return the effect nearest to a mode, among those that a device with these fields can play; None without any."""
+    """Return the nearest effect to a mode that a device with these fields can play; None if it can play no effect."""
     times = _tried_times(min(COMPARED_DECAY_TIMES * mode.decay_time_s, MAX_EFFECT_S), numbers)
     if not len(times.end_s):
         return None
@@ -122,7 +122,7 @@ def streamed_error(mode: Mode, carried_hz: float) -> float:
 
 
 def _tried_counts(scale: Scale, longest_s: float) -> npt.NDArray[np.int64]:
-    """Return about TRIED_TIMES evenly spaced counts for times from 0 to `longest`, in s."""
+    """Return about TRIED_TIMES evenly spaced counts for times from 0 to `longest_s`."""
     first, last = scale.counts(0.0), scale.counts(longest_s)
     return np.arange(first, last + 1, max(1, round((last - first) / TRIED_TIMES)))
 

@@ -86,8 +86,8 @@ class Offload:
     def attach(self, periodic: Periodic | None, problem: str) -> None:
         """Use the effects of a new connection; without effects, `problem` says why.
 
-        The first device with effects determines the nearest effects of all modes. A later device whose effects have
-        other fields or another number plays no effects.
+        The first device with effects determines the effects of all modes. A later device plays effects only if it has
+        as many, with the same fields.
         """
         with self._lock:
             known = self._periodic
@@ -110,7 +110,7 @@ class Offload:
     # ---- The thread that changes the scene -----------------------------------------------------------------------
 
     def set_carried(self, carried_hz: float) -> None:
-        """Set the rate of streamed forces, in Hz. A mode is streamed if its streamed error is the smaller one."""
+        """Set the rate of streamed forces, in Hz, on which the error of a streamed mode depends."""
         self._carried_hz = carried_hz
 
     def take(self, mode: Mode) -> EffectUse | None:

@@ -24,7 +24,7 @@ STILL_AXIS_M_PER_COUNT: Final = 1e-15
 
 
 class DeviceError(HapticdError):
-    """Error for a device that cannot be driven; its text is one line: which device, why, and what would be right."""
+    """Error for a device that cannot be driven; its text is one line."""
 
 
 class UndrivableError(DeviceError):
@@ -138,8 +138,8 @@ class PlayingBits:
     indices: tuple[int, ...]
     """Effect Block Indices of hapticd's effects."""
     proof: int
-    """If an effect is reported as playing over this many renewals, which outlast it, the device reports renewals, and
-    each loss that it reports counts; otherwise only the first one does."""
+    """If an effect is reported as playing over this many renewals, which outlast it, each reported loss of an effect
+    counts; otherwise only the first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,8 +231,7 @@ class Plan:
     """Interval between two messages of `restore`."""
     foreign_s: float | None = None
     """The longest time, in s, that another program's effect can replace hapticd's, if the device does not report which
-    effects play. Drivers compute it from the renewals, then `link.plan_paced_for_link` includes the link. None without
-    effects."""
+    effects play. Before `link.plan_paced_for_link` it includes the renewals only. None without effects."""
     write_interval_s: float = 0.0
     """Shortest interval between two output reports; 0 means as fast as the device accepts them."""
     periodic: Periodic | None = None

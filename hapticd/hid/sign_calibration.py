@@ -32,7 +32,7 @@ MIN_MOTION_SHARE: Final = 0.02
 SUFFICIENT_MOTION_SHARE: Final = 0.2
 """A push ends early once the handle has moved by this fraction of its half travel."""
 MIN_MOTION_RATIO: Final = 2.0
-"""The handle must move at least this factor farther along one axis than along the other; else the axis is not clear."""
+"""The axis of a motion is clear if the motions along both axes have at least this ratio."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from typing import Final
 from hapticd.base.core import SignsProblem, SignsState, lib
 
 PULSE_FORCE_SHARE: Final = 0.1
-"""Force of a pulse, as a fraction of the device's largest force; the same as the limit of a calibration."""
+"""Force of a pulse, as a fraction of the device's largest force."""
 MIN_PULSE_MOTION_SHARE: Final = 0.005
 """Smallest motion that counts, as a fraction of the handle's half travel."""
 PULSE_END_MOTION_SHARE: Final = 0.1

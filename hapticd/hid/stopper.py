@@ -212,10 +212,7 @@ def _check_identity(record: Record, found: Identity | None) -> None:
 
 
 def _lock(fd: int, what: str, until_s: float) -> None:
-    """Lock the device against daemons; wait until the kernel has removed the process of a killed daemon.
-
-    Raises HapticdError if a daemon holds the lock until `until_s`.
-    """
+    """Lock the device, once the kernel has removed a killed daemon. Raises HapticdError after `until_s`."""
     while True:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -98,7 +98,7 @@ class Repeats:
     ) -> None:
         """Call `log` now, or later with the sum of all calls of this kind until then, if it is then the newest.
 
-        `amounts` are added up by their names. `longest_s` is the longest interval between two lines of this kind.
+        `amounts` are added up by their names. `longest_s` is the longest interval between two lines.
         """
         with self._lock:
             now_s = self._now_s()

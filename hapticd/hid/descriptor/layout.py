@@ -68,9 +68,9 @@ LOAD_STATUS_USAGES: Final = {"success": 0x8C, "full": 0x8D, "error": 0x8E}
 # ---- How a field is found --------------------------------------------------------------------------------------------
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
-"""The longest report that can be driven, in bytes with its id."""
+"""The longest report that is used, in bytes with its id."""
 MAX_FIELD_BITS: Final = 32
-"""The widest field that can be driven."""
+"""The widest field that is used."""
 
 
 @dataclass(slots=True)
@@ -105,7 +105,7 @@ class Group:
         return None
 
     def accept(self, field: Field, name: str, fault: str | None) -> bool:
-        """Return True if `fault` is None; otherwise note it as a problem of the field and return False."""
+        """Return whether `fault` is None; if it is not, note it as a problem of the field."""
         if fault is not None:
             kind = self.fields[0].kind
             self.problems.append(f"{kind} report {field.report_id}, bit {field.bit_offset} ({name}): {fault}")
@@ -208,7 +208,7 @@ class OneOf:
         return group.choice(self.usages)
 
     def lacking(self, found: object) -> list[str]:
-        """Return the names of the required entries that the result of `find` lacks, or the choice's if it is None."""
+        """Return the names of the required entries that `found` lacks; if it is None, that of the choice."""
         if found is None and self.name:
             return [self.name]
         return [name for entry, name in self.needed if not isinstance(found, Choice) or entry not in found.entries]
@@ -580,7 +580,7 @@ class _LayoutFinder:
         return sorted(groups.values(), key=lambda group: group.root != self._root)
 
     def _put(self, groups: dict[tuple[int, int], Group], key: tuple[int, int], field: ReportField) -> None:
-        """Add the field to its group; if it has no report id although other reports have one, note a problem."""
+        """Add the field to its group; note a problem if only other reports have an id."""
         if field.report_id == 0 and self._descriptor.numbered(field.kind):
             self._problems.append(
                 f"{field.kind} report without an id, bit {field.bit_offset}: other {field.kind} reports have an id"

@@ -51,7 +51,7 @@ _MAX_LISTED_SKIPS: Final = 16
 
 
 class DescriptorError(HapticdError):
-    """Error for an invalid report descriptor; its text names the byte at which the item begins, and the reason."""
+    """Error for an invalid report descriptor; its text names the byte at which the item begins."""
 
 
 class ReportKind(enum.StrEnum):

@@ -1,7 +1,7 @@
 """Set-up of devices of the PID class. pid_plan.py plans what is sent after it, pid_reports.py encodes reports.
 
 A set-up resets the device, enables its actuators, sets its gain, creates the effects, and starts them with a force of
-zero. If the device has no room for two effects, one effect with a direction is used.
+zero.
 
 The feature report PID Pool contains how many effects the device plays at a time. It is read once in a set-up, after the
 reset and before the first effect is created, because some firmware frees every effect when it is read. It is optional:
@@ -108,9 +108,9 @@ class PidDriver:
         _send(device, gain_report(layout, self._hid))
 
     def _effects_in_pool(self, device: Device) -> int | None:
-        """Return how many effects the device plays at a time, as PID Pool reports; None if unknown or not needed.
+        """Return how many effects the device plays at a time; None if this is not known, or one effect is enough.
 
-        It is needed if more than one effect is wanted. Must be called before the first effect is created.
+        Must be called before the first effect is created.
         """
         pool = None if "no_pid_pool" in self._hid.quirks else self._layout.pool
         several = len(effects_of(self._schemes[0], self._hid)) > 1
@@ -241,7 +241,7 @@ def _load_status(load: BlockLoad, answer: bytes, device: Device) -> str | None:
 
 
 def _warn_once(text: str) -> None:
-    """Log a warning; if it repeats, because the device is connected again and again, log sums."""
+    """Log a warning, and sums of it if the device is connected repeatedly."""
     _repeats.line(text, logging.WARNING, text)
 
 

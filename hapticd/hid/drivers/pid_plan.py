@@ -8,8 +8,8 @@ A force is exerted by constant-force effects, in one of these schemes:
   room for one effect only.
 
 Effects have a finite duration and are renewed in time, so that a daemon that is stopped or killed leaves no force. A
-direction is that from which a force comes, clockwise from "north", which is away from the user, as in the
-specification and in Linux; `device.hid.force_axes` describes devices that deviate from this.
+direction is where a force comes from, clockwise from "north", which is away from the user, as in the specification and
+in Linux; `device.hid.force_axes` describes devices that deviate from this.
 """
 
 from __future__ import annotations
@@ -178,10 +178,7 @@ def plan_of(layout: Layout, hid: Hid, scheme: Scheme, indices: Sequence[int]) ->
 
 
 def _force_factors(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
-    """Return two factors for each effect: its magnitude is the sum of both force components times these factors.
-
-    The first factor is that of the component along the effect's axis.
-    """
+    """Return for each effect the factors of the force along its axis and along the other axis in its magnitude."""
     set_effect = layout.set_effect
     assert set_effect is not None
     angle = angle_of(set_effect)
