@@ -15,11 +15,11 @@ from hapticd.hid.discovery import Found, event_nodes, is_open_to_others, is_sele
 _UDEV_RULE_FILE: Final = "70-hapticd.rules"
 _UDEV_RULE_FOLDERS: Final = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
 _MAX_LISTED_NAMES: Final = 4
-"""Programs or event nodes that one line of output lists at most."""
+"""A line of output lists at most this many programs or event nodes."""
 
 
 def _evaluated_devices(machine: Machine, needs: Needs) -> list[Found]:
-    """Return the HID devices; with a configured joystick, each is evaluated by that configuration."""
+    """Return the HID devices, evaluated by the configuration of the joystick if there is one."""
     devices = machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
     return devices if needs.device is None else [device.evaluated_by(needs.device) for device in devices]
 
@@ -49,15 +49,15 @@ def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
             if meant or not device.lacks_forces:
                 yield Finding("joystick", "fail" if meant else "warn", f"{name} cannot be driven: {why_not}")
         elif device.permission == "ok":
-            yield ok("joystick", f"{name} may be driven from here")
+            yield ok("joystick", f"this user may drive {name}")
         elif device.permission == "absent":
             yield fail("joystick", f"{name}: the node does not exist", "check that udev is running")
         elif _service_may_open(machine, device):
-            yield ok("joystick", f"{name} may be driven by the service, not from here")
+            yield ok("joystick", f"the service may drive {name}, this user may not")
         else:
             verdict: Verdict = "fail" if needs.device is not None else "warn"
-            todo = "`hapticd install-service` installs the udev rule; then plug it in again"
-            yield Finding("joystick", verdict, f"{name} may not be driven from here", todo)
+            todo = "`hapticd install-service` installs the udev rule; then plug the device in again"
+            yield Finding("joystick", verdict, f"this user may not drive {name}", todo)
 
 
 def _node_path(device: Found) -> str:
@@ -100,7 +100,7 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
         holders = sorted({name for path in (node, *events) for name in users.get(path, ())})
         if holders:
             what = f"{node} or its event nodes are open in {', '.join(holders[:_MAX_LISTED_NAMES])}{blind}"
-            yield warn("competitors", what, "end them: an effect that they upload resets the joystick")
+            yield warn("competitors", what, "end these programs: an effect that they upload resets the joystick")
         if loose and _kernel_offers_effects(machine, f"{sysfs}/input"):
             offered = f"the kernel's own driver offers effects of {node} to other programs"
             todo = f"`hapticd devices claim {node}` hides these nodes, and so does a line in {_UDEV_RULE_FILE}"
@@ -113,7 +113,7 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def _node_users(machine: Machine) -> tuple[dict[str, set[str]], int]:
-    """Return the processes by the files that they have open, except hapticd's, and the number that cannot be read."""
+    """Return the names of the processes, except hapticd's, by open file, and the number of unreadable processes."""
     users: dict[str, set[str]] = {}
     hidden = 0
     for pid in machine.names("/proc", r"\d+"):

@@ -30,7 +30,7 @@ Verdict = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of output: the name of the check, its verdict, what was found, and what to do about it."""
+    """One line of output: the name of the check, its verdict, what it found, and what to do about it."""
 
     name: str
     verdict: Verdict
@@ -56,9 +56,9 @@ def fail(name: str, what: str, todo: str) -> Finding:
     return Finding(name, "fail", what, todo)
 
 
-def unknown(name: str, where: str) -> Finding:
-    """Return a warning that a check could not find out what it needs; `where` says which source is missing."""
-    return Finding(name, "warn", f"not known: {where}")
+def unknown(name: str, why: str) -> Finding:
+    """Return a warning that a check has no result; `why` says which source is missing."""
+    return Finding(name, "warn", f"not known: {why}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class Needs:
     """The configuration of the HID joystick; None if the configuration drives no HID joystick."""
 
     def verdict_without_realtime(self) -> Verdict:
-        """Return the verdict of a check that finds that real-time scheduling is unavailable."""
+        """Return the verdict of a check by which real-time scheduling is unavailable."""
         return {"required": "fail", "preferred": "warn", "off": "ok"}[self.realtime]  # type: ignore[return-value]
 
 
@@ -136,7 +136,7 @@ class Machine:
     """Lists HID devices, given the folders /sys/class/hidraw and /dev."""
 
     def path(self, name: str) -> Path:
-        """Return where a file of the machine is below the root, given its absolute name."""
+        """Return the path below `root` of the file that has this absolute path on the machine."""
         return self.root / name.lstrip("/")
 
     def text(self, name: str) -> str | None:

@@ -23,10 +23,10 @@ _FAST_CLOCK_SOURCES: Final = (
     "timebase",
     "riscv_clocksource",
 )
-"""Clock sources of the kernel that are read in nanoseconds, without a trap or an I/O port."""
+"""Clock sources of the kernel that take only nanoseconds to read, without a trap or an I/O port."""
 
 _MIN_REALTIME_SHARE: Final = 0.5
-"""Fraction of the time that the kernel must grant to real-time tasks; below it there is a warning."""
+"""There is a warning if the kernel grants real-time tasks less than this fraction of the time."""
 _CAP_IPC_LOCK: Final = 14
 _CAP_SYS_NICE: Final = 23
 """Numbers of the capabilities in linux/capability.h."""
@@ -192,7 +192,7 @@ def isolation(machine: Machine, needs: Needs) -> Iterator[Finding]:
         yield fail("processor", f"{name} does not exist: online are {online}", "set servo.cpu to one of these")
     elif needs.cpu not in parse_cpu_list(allowed) | parse_cpu_list(isolated):
         todo = "set servo.cpu to one of these, or allow the processor in the control group (cpuset.cpus)"
-        yield fail("processor", f"{name} is not allowed here: {allowed} are", todo)
+        yield fail("processor", f"{name} is not allowed here; allowed are {allowed}", todo)
     elif needs.cpu in parse_cpu_list(isolated):
         ticks = parse_cpu_list(machine.text(f"{_CPU_FOLDER}/nohz_full") or "")
         quiet = "" if needs.cpu in ticks else "; the scheduler's tick still interrupts it (see nohz_full)"

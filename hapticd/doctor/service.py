@@ -18,7 +18,7 @@ _JOURNAL_HINT = "journalctl -u hapticd shows why"
 
 
 def configuration(chosen: ConfigFiles) -> tuple[Config, Finding]:
-    """Return the configuration and its finding; if it has a mistake, the built-in configuration and a failure."""
+    """Return the configuration and its finding; after an error, the built-in configuration and a failure."""
     from hapticd.config.configuration import chosen_config, default_config
 
     try:
@@ -55,7 +55,7 @@ def unit(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def daemon(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Check whether a daemon answers, its version, the rights that it was refused, and its faults."""
+    """Check whether a daemon answers, its version, its missing real-time rights, and its faults."""
     try:
         status = machine.daemon()
     except HapticdError as error:
@@ -73,7 +73,7 @@ def daemon(machine: Machine, needs: Needs) -> Iterator[Finding]:
     granted, connection, faults = (status.get(name) for name in ("realtime", "connection", "faults"))
     missing = granted.get("missing") if isinstance(granted, Mapping) else None
     if isinstance(missing, list) and missing:
-        yield warn("daemon", f"it was not granted: {'; '.join(map(str, missing))}", "see the lines above")
+        yield warn("daemon", f"the daemon was not granted: {'; '.join(map(str, missing))}", "see the lines above")
     if isinstance(connection, Mapping) and connection.get("resets_seen") is False:
         yield warn("daemon", *unseen_reset_text(str(connection["path"]), connection.get("foreign_effect_s")))
     if isinstance(faults, list) and faults:

@@ -15,7 +15,7 @@ From a plugged-in device to a force, in this order:
     device              access to an open device: output reports, feature reports, input reports
     replay              a recording that is played as a device
     connection          the thread that sets up a device, recovers it after a reset, and reconnects it after a loss
-    link                the rate of forces, and how often effects are restored at that rate
+    link                the rate at which the device accepts forces, and the interval at which effects are restored
 
 Besides that:
 
@@ -25,9 +25,9 @@ Besides that:
     offload             assigns device effects to modes
     stopper             a record and a command that stop a device whose daemon was killed
     claim               keeps other programs off a device
-    device_texts        texts about devices that clients print, too; imports nothing heavy
+    device_texts        texts about devices, which clients print, too
 
-What happens every few milliseconds is in C: csrc/device/hd_hid_reader.c and hd_hid_writer.c, behind hd_hid_mailboxes.c.
+C reads positions and writes forces: csrc/device/hd_hid_reader.c and hd_hid_writer.c.
 
 Questions, and where to begin:
 
@@ -36,11 +36,11 @@ Questions, and where to begin:
     How is an effect uploaded?
         drivers/pid (_create, _create_constant_forces), encoded by drivers/pid_reports.
     What happens to an effect when the cable is pulled?
-        The device loses it with its power. C ends reader and writer, and the servo reports the fault `device`.
+        The device loses it with its power. C ends the reader and writer threads; the servo reports the fault `device`.
         connection disconnects (_lose, _disconnect; offload offers no effects then), and creates the effects again when
         the device is back (_connect). On a device that still has power, effects end after their finite duration.
     What if another program resets the device, or changes an effect?
-        connection (_recover); where the device does not report it, link (paced).
+        connection (_recover); if the device does not report it, link (plan_paced_for_link).
     What if the daemon is killed?
-        stopper; in a fault of the process csrc/device/hd_last_report.c.
+        stopper; after a crash of the process, such as SIGSEGV, csrc/device/hd_last_report.c.
 """

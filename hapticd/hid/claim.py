@@ -6,8 +6,8 @@ claimed in three steps:
 
 1. A udev rule below /run, for this device only, gives these nodes to root; it lasts until a reboot.
 2. The device is unbound from its driver. Programs that have one of its nodes open lose it.
-3. The device is bound to hid-generic, or, if a vendor's driver claims it, to that driver. The nodes are created again,
-   hidden from the start.
+3. The device is bound to hid-generic, or, if a vendor's driver claims it, to that driver. This creates the nodes again,
+   open to root only from the start.
 
 To release a device, the rule is removed, and the device is bound again to the driver that the kernel chooses.
 """
@@ -31,11 +31,11 @@ CLAIM_RULES_PATH: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
 """Sorts after 70-uaccess, which tags joysticks for the user at the seat, and before 73-seat-late, which applies it."""
 GENERIC_DRIVER: Final = "hid-generic"
 REBIND_TIMEOUT_S: Final = 5.0
-"""A device must have its hidraw node again this long after it was bound."""
+"""After a device was bound to a driver, its hidraw node must exist within this time."""
 _UDEVADM_TIMEOUT_S: Final = 5.0
 """Time limit of a command of udev."""
 _ACL_ATTRIBUTE: Final = "system.posix_acl_access"
-"""The extended attribute by which udev gives a node to the user at the seat."""
+"""The access list by which udev opens a node to the user at the seat."""
 _HIDDEN_BY_RULE: Final = ": only root may open its event nodes already, because of a line in 70-hapticd.rules"
 
 Write = Callable[[Path, str], None]
@@ -56,7 +56,7 @@ class Claims:
     def __init__(
         self, root: Path = Path("/"), write: Write = _write, run: Callable[[Sequence[str]], None] = _run
     ) -> None:
-        """Access the machine below `root`. `write` writes a file of sysfs, `run` executes a command of udev."""
+        """Use the files below `root`. `write` writes a file of sysfs, `run` executes a command of udev."""
         self._root, self._write, self._run = root, write, run
         self._rules = root / CLAIM_RULES_PATH
 
@@ -70,11 +70,11 @@ class Claims:
         return [name for name in named if self._device(name).exists()]
 
     def claim(self, found: Found) -> str:
-        """Keep other programs off a device, and return its new driver. Raises HapticdError, one line."""
+        """Keep other programs off a device, and return its new driver. Raises HapticdError."""
         name, claimed = self._name(found), self.names()
         if name in claimed:
             raise HapticdError(f"{found} is already claimed; `hapticd devices release {found.path}` releases it")
-        if self._is_ruled(name):
+        if self._is_root_only(name):
             raise HapticdError(f"{found}{_HIDDEN_BY_RULE}")
         driver = self._rebind(found, claimed, [*claimed, name], GENERIC_DRIVER)
         for node in self.nodes(name):
@@ -82,10 +82,10 @@ class Claims:
         return driver
 
     def release(self, found: Found) -> str:
-        """Allow other programs to use a device again, and return its new driver. Raises HapticdError, one line."""
+        """Allow other programs to use a device again, and return its new driver. Raises HapticdError."""
         name, claimed = self._name(found), self.names()
         if name not in claimed:
-            raise HapticdError(f"{found} is not claimed{_HIDDEN_BY_RULE if self._is_ruled(name) else ''}")
+            raise HapticdError(f"{found} is not claimed{_HIDDEN_BY_RULE if self._is_root_only(name) else ''}")
         return self._rebind(found, claimed, [other for other in claimed if other != name], None)
 
     def nodes(self, name: str) -> list[Path]:
@@ -122,15 +122,15 @@ class Claims:
         if (self._root / "run/udev/control").exists():
             self._run(["udevadm", "control", "--reload"])
 
-    def _is_ruled(self, name: str) -> bool:
-        """Return whether only root may open the nodes of a device that is not claimed."""
+    def _is_root_only(self, name: str) -> bool:
+        """Return whether only root may open the event and joystick nodes of a device."""
         nodes = self.nodes(name)
         return bool(nodes) and not any(map(is_open_to_others, nodes))
 
     def _rebind(self, found: Found, before: Sequence[str], after: Sequence[str], driver: str | None) -> str:
-        """Bind a device to another driver, with the rules of the devices `after`, and return the driver's name.
+        """Write the rules of the devices `after`, bind a device to another driver, and return the driver's name.
 
-        If that fails, the rules are again those of `before`. A `driver` of None lets the kernel choose.
+        If that fails, the rules of the devices `before` are restored. If `driver` is None, the kernel chooses.
         """
         name = found.hid_name
         try:
@@ -170,7 +170,7 @@ def _rule(name: str) -> str:
 
 
 def _hide(node: Path) -> None:
-    """Apply the rule to a node, in case udev does not run or created the node before it read the rule."""
+    """Let only root open a node, in case udev does not run or created the node before it read the rule."""
     with contextlib.suppress(FileNotFoundError):
         with contextlib.suppress(OSError):
             os.removexattr(node, _ACL_ATTRIBUTE)

@@ -1,8 +1,7 @@
 """The connection to a device: sets it up, passes it to C, recovers it after a reset, and reconnects it after a loss.
 
-A thread does this while the daemon runs. What happens every few milliseconds is done by C's reader and writer threads
-(csrc/device/hd_hid_reader.c and hd_hid_writer.c); the servo waits for neither. While the device is lost, the thread
-tries to connect it every `RECONNECT_INTERVAL_S`. The scene stays.
+A thread does this while the daemon runs. C's reader and writer threads read positions and write forces; the servo waits
+for neither thread. While the device is lost, this thread tries to connect it every `RECONNECT_INTERVAL_S`.
 """
 
 from __future__ import annotations
@@ -30,24 +29,24 @@ RECONNECT_INTERVAL_S: Final = 0.25
 READY_TIMEOUT_S: Final = 0.25
 """After a device was set up again, its actuators must be on within this time."""
 READY_POLL_INTERVAL_S: Final = 0.02
-"""Interval of the checks whether the actuators are on; reports about the set-up itself may take as long to arrive."""
+"""Interval of the checks whether the actuators are on. The first check waits as long for reports about the set-up."""
 FIRST_REPORTS_TIMEOUT_S: Final = 0.15
 """A device that sends the same input report twice within this time reports steadily.
 
-`start` waits as long for the first position."""
+`start` waits at most this time for the first position."""
 PLAYING_REPORT_TIMEOUT_S: Final = 1.0
-"""A device whose PID State has a field for it must report within this time that an effect plays."""
+"""A device whose PID State has the field Effect Playing must report within this time that an effect plays."""
 STOP_TIMEOUT_S: Final = 2.0
 """At its end the daemon waits at most this long for a set-up in progress."""
 _RATE_INTERVAL_S: Final = 1.0
-"""The rates of reports and forces are averaged over this time."""
+"""The rates of reports and forces are averaged over about this time."""
 
 _log = logging.getLogger("hapticd")
 
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """An open device, and how it is driven."""
+    """An open device with its driver and the properties of its reports."""
 
     device: Device
     driver: Driver
@@ -55,15 +54,15 @@ class Opened:
     out_interval_s: float | None = None
     """Interval of the endpoint for output reports; None if it is not known."""
     on_change: bool | None = None
-    """Whether the device reports only changes; None if this is found out from its reports."""
+    """Whether the device reports only changes; None if `_connect` has to find this out from its reports."""
     measure: bool = True
-    """Whether the time that output reports take is measured."""
+    """Whether to measure how long output reports take."""
     identity: str = ""
     """Text that distinguishes the device from others."""
 
 
 Source = Callable[[], Opened]
-"""Function that finds and opens the device. Raises HapticdError, one line, if it cannot."""
+"""Function that finds and opens the device. Raises HapticdError if it cannot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +73,7 @@ class _LiveConnection:
     plan: Plan
     link: Link
     since_s: float
-    """When it was connected, as time.monotonic() measures."""
+    """Value of time.monotonic() at which it was connected."""
 
     def resets_seen(self, has_played: bool) -> bool | None:
         """Return whether a reset by another program would be noticed.
@@ -91,7 +90,7 @@ class _LiveConnection:
 class Connection:
     """The connection to one device, including recovery and reconnection.
 
-    `open`, `start` and `stop` are for one thread, `status` and `suspect` for any.
+    One thread calls `open`, `start` and `stop`; any thread may call `status` and `suspect`.
     """
 
     def __init__(
@@ -99,8 +98,8 @@ class Connection:
     ) -> None:
         """Create a connection that is not open yet.
 
-        `priority` is the SCHED_FIFO priority of C's threads, 0 for none. `stop_file` receives the reports that stop the
-        device. `check` checks the signs of each device before its first force; None trusts them.
+        `priority` is the SCHED_FIFO priority of C's threads, 0 for none. The reports that stop the device are written
+        to `stop_file`. `check` checks the signs of each device before its first force; None trusts them.
         """
         made = lib.hd_hid_new()
         if made == ffi.NULL:
@@ -130,12 +129,12 @@ class Connection:
     # ---- Life ------------------------------------------------------------------------------------------------------
 
     def open(self) -> tuple[Plan, Link]:
-        """Connect the device for the first time. Raises HapticdError, one line, if that fails."""
+        """Connect the device for the first time. Raises HapticdError if that fails."""
         live = self._connect()
         return live.plan, live.link
 
     def start(self) -> None:
-        """Start the thread that maintains the connection, after the first position or a short time."""
+        """Wait at most FIRST_REPORTS_TIMEOUT_S for the first position, then start the thread of the connection."""
         deadline = time.monotonic() + FIRST_REPORTS_TIMEOUT_S
         while not self._raw().positions and time.monotonic() < deadline and not self._stop.wait(0.002):
             pass
@@ -162,7 +161,7 @@ class Connection:
         self._disconnect(orderly=True)
 
     def suspect(self) -> None:
-        """Have the device set up again, because it may have lost its effects, for example in a suspend."""
+        """Have the device set up again, because it may have lost its effects in a suspend."""
         lib.hd_hid_suspect(self.hid)
 
     def status(self) -> dict[str, object]:
@@ -222,7 +221,7 @@ class Connection:
             self._count()
 
     def _try(self, work: Callable[[], object]) -> None:
-        """Call `work`. An error ends the connection; each reason is logged once."""
+        """Call `work`. An error ends the connection; an error that repeats is logged once."""
         try:
             work()
         except HapticdError as error:
@@ -313,8 +312,8 @@ class Connection:
     def _recover(self) -> None:
         """Set up a device again that was reset.
 
-        If its effects get the same Effect Block Indices, C keeps the connection, and the servo notices only that forces
-        did not arrive. The set-up is repeated as long as the device keeps its actuators off.
+        If the plan is the same, with the same Effect Block Indices, C keeps the connection, and only the forces in
+        between are lost. The set-up is repeated as long as the device keeps its actuators off.
         """
         live = self._live
         assert live is not None
@@ -352,7 +351,7 @@ class Connection:
         return raw
 
     def _count(self) -> None:
-        """Measure the rates of reports and forces, in Hz, over the last second or more."""
+        """Measure the rates of reports and forces, in Hz, if the last measurement is old enough."""
         raw, now = self._raw(), time.monotonic()
         if self._counted is None:
             self._counted = (now, raw.reports, raw.forces)

@@ -17,10 +17,10 @@ from hapticd.base.errors import collapse_whitespace
 from hapticd.hid.plan import DeviceError, Plan
 
 PERMISSION_HINT: Final = (
-    "install systemd/70-hapticd.rules into /etc/udev/rules.d and plug it in again, or run as its owner"
+    "install systemd/70-hapticd.rules into /etc/udev/rules.d and plug the device in again, or run as the node's owner"
 )
 MAX_REPORT_BYTES: Final = 4096
-"""The longest input report that is read; those of joysticks are far shorter."""
+"""Longest input report that is read, in bytes; joysticks send far shorter ones."""
 
 
 class Device(Protocol):
@@ -32,7 +32,7 @@ class Device(Protocol):
         ...
 
     def fileno(self) -> int:
-        """Return a descriptor that reads an input report or writes an output report at a time; valid until `close`."""
+        """Return a file descriptor, valid until `close`: one read or write transfers one input or output report."""
         ...
 
     def write(self, report: bytes) -> None:
@@ -65,7 +65,7 @@ class Driver(Protocol):
 
 
 def arrived_reports(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
-    """Yield the input reports of a device that arrive within a time, in s; if it is 0, those that are queued.
+    """Yield the input reports of a device that arrive within `within_s`; if it is 0, those that are queued.
 
     Raises DeviceError if the device is gone.
     """
@@ -85,7 +85,7 @@ def arrived_reports(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
 class HidrawDevice:
     """A hidraw node, locked against other daemons.
 
-    The constructor raises DeviceError if the node is absent or busy, or may not be opened.
+    Raises DeviceError if the node is absent or busy, or may not be opened.
     """
 
     def __init__(self, path: str) -> None:
@@ -120,12 +120,12 @@ class HidrawDevice:
         return self._fd
 
     def write(self, report: bytes) -> None:
-        """Send an output report, its id first, and wait until it is sent."""
+        """Send an output report."""
         if self._hidapi.write(report) != len(report):
             raise DeviceError(f"{self._path}: cannot send output report {report[0]}: {_last_error(self._hidapi)}")
 
     def send_feature(self, report: bytes) -> None:
-        """Send a feature report, its id first."""
+        """Send a feature report."""
         if self._hidapi.send_feature_report(report) != len(report):
             raise DeviceError(f"{self._path}: cannot send feature report {report[0]}: {_last_error(self._hidapi)}")
 
@@ -138,7 +138,7 @@ class HidrawDevice:
             raise DeviceError(f"{self._path}: cannot get feature report {report_id}: {reason}") from None
 
     def listen(self, timeout_s: float) -> bytes:
-        """Return the next input report from the queue of hidapi; empty if none arrives within the time."""
+        """Return the next input report; empty if none arrives within the time."""
         try:
             return bytes(self._hidapi.read(MAX_REPORT_BYTES, max(1, round(1e3 * timeout_s))))
         except OSError:

@@ -1,10 +1,10 @@
-"""Texts for users about device effects and about devices that do not report resets. Imports nothing heavy."""
+"""Texts for users about device effects and about devices that do not report resets."""
 
 from collections.abc import Mapping
 
 
 def offload_text(outcome: Mapping[str, object]) -> str:
-    """Return the text for a tap or rupture that the device plays, or why it is streamed.
+    """Return a line that says whether the device plays a tap or rupture, and if not, why it is streamed.
 
     `outcome` is an element of `offload` in the protocol's status.
     """

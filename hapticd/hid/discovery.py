@@ -25,7 +25,7 @@ DEV_FOLDER: Final = Path("/dev")
 _BUS_NAMES: Final = {3: "USB", 5: "Bluetooth", 6: "virtual", 24: "I2C"}
 """Names of the buses by their numbers in linux/input.h."""
 _MAX_REASONS: Final = 3
-"""An error explains at most this many devices that cannot be driven."""
+"""An error gives the reasons of at most this many devices that cannot be driven."""
 _LIST_HINT: Final = "`hapticd devices` lists the HID devices"
 
 
@@ -42,17 +42,17 @@ class Found:
     driver: str
     descriptor: bytes
     in_interval_s: float | None
-    """Interval of the USB interrupt endpoint for input reports; None if there is no such endpoint."""
+    """Interval of the USB interrupt endpoint for input reports; None without one."""
     out_interval_s: float | None
-    """Interval of the USB interrupt endpoint for output reports; None if there is no such endpoint."""
+    """Interval of the USB interrupt endpoint for output reports; None without one."""
     permission: Literal["ok", "denied", "absent"]
-    """Whether this process may open the node, or the node is absent."""
+    """Whether this process may open the node, or "absent" if it does not exist."""
     hid_name: str = ""
     """Name of the device in /sys/bus/hid/devices."""
     port: str = ""
     """The port that it is plugged into, as HID_PHYS names it."""
     hid: Hid = field(default=Hid(), kw_only=True)
-    """The configuration that the verdict holds for."""
+    """The configuration for which the verdict holds."""
     verdict: Verdict = field(init=False, repr=False, compare=False)
     """Whether and how the device can be driven."""
 
@@ -69,7 +69,7 @@ class Found:
     def resets_seen(self) -> bool | None:
         """Whether its PID State report contains the effects that play, so that a reset by another program is noticed.
 
-        None if it cannot be driven or has no effects (device.hid.report). A device may have the report in its
+        None if it cannot be driven, or has no effects (vendor reports). A device may declare PID State in its
         descriptor and never send it.
         """
         plan = self.verdict.plan
@@ -90,7 +90,7 @@ class Found:
         return layout is None or layout.constant_force is None
 
     def evaluated_by(self, hid: Hid) -> Found:
-        """Return the same device with its verdict for `hid`, if that configuration selects it."""
+        """Return the same device with its verdict for `hid`; unchanged if that configuration does not select it."""
         return replace(self, hid=hid) if hid != self.hid and is_selected(hid, self) else self
 
     def to_dict(self) -> dict[str, object]:

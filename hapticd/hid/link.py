@@ -1,9 +1,9 @@
-"""The rate at which a device accepts forces, and how often its effects are restored at that rate.
+"""The rate at which a device accepts forces, and the interval at which its effects are restored.
 
-Another program (a game, through the kernel's driver) may reset the device and upload its own effect under the Effect
-Block Index of one of hapticd's. A device that reports which effects play shows this. To any other device all parameters
-of hapticd's effects are sent repeatedly: magnitude and start with every renewal; direction, type, gain, duration and
-envelope by the messages `restore` of the plan, one report after the forces of a pass.
+Another program may reset the device and upload its own effect under the Effect Block Index of one of hapticd's. A
+device that reports which effects play shows this. To any other device all parameters of hapticd's effects are sent
+repeatedly: magnitude and start with every renewal; direction, type, gain, duration and envelope by the messages
+`restore` of the plan.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ MAX_FOREIGN_EFFECT_S: Final = 0.1
 MAX_RESTORE_SHARE: Final = 1 / 3
 """Largest share of the link's reports that is spent on restoring effects."""
 WRITER_DELAY_S: Final = 0.005
-"""Added to each bound, because the operating system may delay the writer thread by this time."""
+"""Added to `foreign_s`, because the operating system may delay the writer thread by this time."""
 _MAX_MEASURED_FORCES: Final = 8
-"""Number of forces whose time is measured."""
+"""Largest number of forces that are sent to measure their time."""
 _MEASUREMENT_TIMEOUT_S: Final = 0.05
 """The measurement ends after this time, even if fewer forces were sent."""
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """Limits of the rate at which a device accepts forces; None if a limit is not known.
+    """Limits of the rate at which a device accepts forces, each None if it is not known.
 
-    A force may need several reports.
+    A force may consist of several reports.
     """
 
     endpoint_hz: float | None
@@ -52,7 +52,7 @@ class Link:
         )
 
     def carried_hz(self, servo_hz: float) -> float | None:
-        """Return the rate of forces that reach the device at this rate of the servo; None if all of them do."""
+        """Return the rate of forces that reach the device; None if it is not below the servo's rate."""
         rate_hz = self.rate_hz
         return None if rate_hz is None or rate_hz >= servo_hz else rate_hz
 

@@ -1,10 +1,10 @@
 """Finds the device effect that is nearest to a mode.
 
-A periodic effect of the PID class, here a sine, has a period and an envelope of straight lines: from the attack level
-to the magnitude during the attack time, and from there to the fade level during the fade time, at the end of the
-effect's duration. Levels are absolute, as the magnitude is (as in DirectInput's DIENVELOPE and Linux' struct
-ff_envelope). Times are integer counts of the device's unit. For each choice of times, non-negative least squares give
-the levels; the choice with the smallest error is the nearest effect.
+A periodic effect of the PID class, here a sine, has a period and an envelope of straight lines: it begins with the
+attack level, has the magnitude after the attack time, and reaches the fade level during the fade time, which ends with
+the effect. Levels are absolute, as in DirectInput's DIENVELOPE and Linux' struct ff_envelope. Times are integer counts
+of the device's unit. For each choice of times, non-negative least squares give the levels; the choice with the smallest
+error is the nearest effect.
 """
 
 from __future__ import annotations
@@ -23,23 +23,24 @@ from hapticd.hid.plan import Numbers, Scale
 from hapticd.rendering.displayability import DISPLAYABLE_RATE_FRACTION
 
 MAX_EFFECT_S: Final = 0.1
-"""Longest duration of an effect: if the daemon is killed, only the duration ends it."""
+"""Longest duration of an effect. If the daemon is killed, nothing else ends the effect."""
 COMPARED_DECAY_TIMES: Final = 6.0
 """Effect and mode are compared over this many decay times of the mode."""
 TRIED_TIMES: Final = 50
-"""Each time of the envelope is tried at about this many values, or at every count if there are fewer."""
-_MIN_COMPARED_SAMPLES: Final = 3000
+"""About this many values are tried for each time of the envelope; all, if it has fewer counts."""
 _SAMPLES_PER_CYCLE: Final = 24
+"""Effect and mode are compared at this many samples per cycle, within the two limits below."""
+_MIN_COMPARED_SAMPLES: Final = 3000
 _MAX_COMPARED_SAMPLES: Final = 200_000
-"""Effect and mode are compared at this many samples at least, at this many per cycle, and at this many at most."""
 _LEVEL_SUBSETS: Final = tuple(chain.from_iterable(combinations(range(3), size) for size in (1, 2, 3)))
+"""Sets of levels that may be above zero: 0 attack level, 1 magnitude, 2 fade level."""
 
 _Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class NearestEffect:
-    """The nearest effect to a mode with a coefficient of 1 N: times in counts of the device, levels in N."""
+    """The nearest effect to a mode whose coefficient is 1 N: times in counts of the device, levels in N."""
 
     period: int
     duration: int
@@ -109,10 +110,10 @@ def nearest_effect(mode: Mode, numbers: Numbers) -> NearestEffect | None:
 
 
 def streamed_error(mode: Mode, carried_hz: float) -> float:
-    """Return the relative RMS error of a mode that is streamed, that is, held constant during each frame of the link.
+    """Return the relative RMS error of a mode that is streamed: its force is held constant between two forces.
 
-    It is sqrt(2 - 2 sin(h) / h) with h = w / (2 rate), the error of a steady sine after its delay is removed. Above 0.4
-    of the rate, where the mode is muted or replaced, it is 1.
+    It is sqrt(2 - 2 sin(h) / h) with h = w / (2 rate) and the mode's angular frequency w, the error of a steady sine
+    after its delay is removed. For a frequency above 0.4 of the rate, which is muted or replaced, it is 1.
     """
     if mode.frequency_hz > DISPLAYABLE_RATE_FRACTION * carried_hz:
         return 1.0
@@ -120,14 +121,14 @@ def streamed_error(mode: Mode, carried_hz: float) -> float:
     return math.sqrt(max(0.0, 2.0 - 2.0 * math.sin(half) / half))
 
 
-def _multiples(scale: Scale, longest: float) -> npt.NDArray[np.int64]:
-    """Return about TRIED_TIMES evenly spaced counts for times from 0 to `longest`, in s."""
-    first, last = scale.counts(0.0), scale.counts(longest)
+def _tried_counts(scale: Scale, longest_s: float) -> npt.NDArray[np.int64]:
+    """Return about TRIED_TIMES evenly spaced counts for times from 0 to `longest_s`."""
+    first, last = scale.counts(0.0), scale.counts(longest_s)
     return np.arange(first, last + 1, max(1, round((last - first) / TRIED_TIMES)))
 
 
-def _tried_times(longest: float, numbers: Numbers) -> _TriedTimes:
-    durations, attacks = _multiples(numbers.duration, longest), _multiples(numbers.attack_time, longest)
+def _tried_times(longest_s: float, numbers: Numbers) -> _TriedTimes:
+    durations, attacks = _tried_counts(numbers.duration, longest_s), _tried_counts(numbers.attack_time, longest_s)
     duration, attack = (grid.ravel() for grid in np.meshgrid(durations, attacks, indexing="ij"))
     end_s, attack_s = numbers.duration.quantity(duration), numbers.attack_time.quantity(attack)
     fade_time = numbers.fade_time
@@ -135,16 +136,18 @@ def _tried_times(longest: float, numbers: Numbers) -> _TriedTimes:
     counts = np.floor((end_s - attack_s) * fade_time.counts_per_unit + fade_time.zero_counts + 1e-6)
     fade = np.clip(counts, fade_time.least - 1, fade_time.most).astype(np.int64)
     fade_from_s = np.maximum(end_s - fade_time.quantity(fade), attack_s)
-    sound = (end_s > 0.0) & (attack_s >= 0.0) & (attack_s < end_s) & (fade >= fade_time.least)
-    return _TriedTimes(duration[sound], attack[sound], fade[sound], attack_s[sound], fade_from_s[sound], end_s[sound])
+    is_valid = (end_s > 0.0) & (attack_s >= 0.0) & (attack_s < end_s) & (fade >= fade_time.least)
+    return _TriedTimes(
+        duration[is_valid], attack[is_valid], fade[is_valid], attack_s[is_valid], fade_from_s[is_valid], end_s[is_valid]
+    )
 
 
 def _products(mode: Mode, period_s: float, times: _TriedTimes) -> tuple[_Floats, _Floats, float]:
-    """Return the normal equations for the levels of n envelopes, as means over the compared time.
+    """Return the normal equations for the levels of n envelopes.
 
-    The three basis functions are the contributions of attack level, magnitude and fade level. Returned are their inner
-    products with each other [n][3][3] and with the mode [n][3], and the mode's with itself. Each inner product over a
-    segment of the envelope is a difference of cumulative sums.
+    The three basis functions are the contributions of attack level, magnitude and fade level. The results are their
+    Gram matrix [n][3][3], their inner products with the mode [n][3], and the mode's mean square, all as means over the
+    compared time. The inner product over a segment of the envelope is a difference of cumulative sums.
     """
     span_s = COMPARED_DECAY_TIMES * mode.decay_time_s
     cycles = span_s * max(mode.frequency_hz, 1.0 / period_s)
@@ -182,7 +185,7 @@ def _products(mode: Mode, period_s: float, times: _TriedTimes) -> tuple[_Floats,
 
 
 def _non_negative_levels(gram: _Floats, product: _Floats) -> _Floats:
-    """Return the non-negative least-squares levels [n][3]: the best feasible solution with some of the levels zero."""
+    """Return the levels [n][3] by non-negative least squares: the best valid solution of all `_LEVEL_SUBSETS`."""
     best, gained = np.zeros_like(product), np.zeros(len(product))
     for subset in _LEVEL_SUBSETS:
         rows = list(subset)
@@ -200,7 +203,7 @@ def _non_negative_levels(gram: _Floats, product: _Floats) -> _Floats:
 
 
 def _rounded_levels(levels: _Floats, numbers: Numbers) -> _Floats:
-    """Return the levels rounded to the device's counts for the strongest possible strike; weaker ones are coarser."""
+    """Return the levels, rounded as the device's counts of the strongest possible strike round them."""
     full_n = max_coefficient_n(float(levels.max()), numbers)
     scales = (numbers.attack_level, numbers.magnitude, numbers.fade_level)
     shown = [scale.quantity(scale.counts(level * full_n)) for scale, level in zip(scales, levels, strict=True)]
@@ -208,7 +211,7 @@ def _rounded_levels(levels: _Floats, numbers: Numbers) -> _Floats:
 
 
 def max_coefficient_n(peak: float, numbers: Numbers) -> float:
-    """Return the largest coefficient, in N, for which every field can hold the level `peak` times the coefficient."""
+    """Return the largest coefficient, in N, for which every level's field can hold `peak` times the coefficient."""
     return min(scale.largest for scale in (numbers.attack_level, numbers.magnitude, numbers.fade_level)) / max(
         peak, 1e-9
     )

@@ -1,7 +1,7 @@
 """Assigns device effects to modes, and reports for each tap and rupture whether the device plays it.
 
 nearest_effect.py finds the nearest effect to a mode. Two threads use `Offload`: the one that changes the scene, and the
-one that maintains the connection.
+connection's.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MAX_EFFECT_ERROR: Final = 0.2
 
 
 class EffectUse(NamedTuple):
-    """The device effect that is played in place of a mode, as the mode's record refers to it."""
+    """The device effect that is played in place of a mode."""
 
     id: int
     peak: float
@@ -35,7 +35,7 @@ class EffectUse(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Offloaded:
-    """Whether and how the device plays a tap or a rupture. Without an effect its properties are not known (None)."""
+    """Whether and how the device plays a tap or a rupture. Unknown properties of its effect are None."""
 
     material: str
     mode: str
@@ -53,13 +53,14 @@ class Offloaded:
 class _AssignedEffect:
     id: int
     place: int
+    """Index of the device's effect in `Periodic.blocks`."""
     effect: NearestEffect
 
 
 class Offload:
     """The device effects of one connection, and the modes that they are assigned to.
 
-    A mode keeps its effect while it is used, and afterwards until another mode needs the place.
+    A mode keeps its effect while it is used, and afterwards until another mode needs it.
     """
 
     def __init__(self, hid: CData) -> None:
@@ -85,8 +86,8 @@ class Offload:
     def attach(self, periodic: Periodic | None, problem: str) -> None:
         """Use the effects of a new connection; without effects, `problem` says why.
 
-        The first device with effects determines the effects of all modes. A later device with other properties plays
-        none.
+        The first device with effects determines the effects of all modes. A later device plays effects only if it has
+        as many, with the same fields.
         """
         with self._lock:
             known = self._periodic
@@ -109,7 +110,7 @@ class Offload:
     # ---- The thread that changes the scene -----------------------------------------------------------------------
 
     def set_carried(self, carried_hz: float) -> None:
-        """Set the rate of streamed forces, in Hz, that the effects are compared with."""
+        """Set the rate of streamed forces, in Hz, on which the error of a streamed mode depends."""
         self._carried_hz = carried_hz
 
     def take(self, mode: Mode) -> EffectUse | None:
@@ -145,7 +146,7 @@ class Offload:
             return None if held is None else held.effect.frequency_hz
 
     def outcomes(self, materials: Mapping[str, Material]) -> list[Offloaded]:
-        """Return for each tap and rupture of these materials whether the device plays it. All must be in use."""
+        """Return for each tap and rupture of these materials, all registered by `take`, whether the device plays it."""
         found: list[Offloaded] = []
         for name, material in materials.items():
             if material.tap is not None:
@@ -261,9 +262,9 @@ def _for_c(held: _AssignedEffect, periodic: Periodic) -> dict[str, object]:
 
 
 def effect_messages(shape: NearestEffect, periodic: Periodic, place: int) -> tuple[Message, ...]:
-    """Return Set Effect, Set Envelope, Set Periodic and the start (Effect Operation) of one of the device's effects.
+    """Return Set Effect, Set Envelope, Set Periodic and the start (Effect Operation) of the device's effect `place`.
 
-    The force of these messages is the mode's coefficient as a vector.
+    These messages take the mode's coefficient, as a vector, as their force.
     """
     numbers, block = periodic.numbers, periodic.blocks[place]
     effect, envelope, period = bytearray(block.set_effect.data), bytearray(block.envelope), bytearray(block.periodic)

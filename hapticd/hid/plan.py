@@ -1,8 +1,8 @@
 """The plan of a connection as data: the fields of positions in input reports, and the reports that carry a force.
 
 A driver makes the plan (drivers/pid.py, drivers/vendor.py), which is passed to C as `struct hd_hid_plan`;
-csrc/api/hd_api_device.h describes each member. Reports are bytes with the report id first, 0 if reports have no ids;
-bits are counted from the byte after the id.
+csrc/api/hd_api_device.h describes each member. Reports are bytes that begin with the report id, or with 0 if reports
+have no ids; bits are counted from the next byte.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ STILL_AXIS_M_PER_COUNT: Final = 1e-15
 
 
 class DeviceError(HapticdError):
-    """Error for a device that cannot be driven; its text is one line: which device, why, and what would be right."""
+    """Error for a device that cannot be driven; its text is one line."""
 
 
 class UndrivableError(DeviceError):
-    """Error for a connected device that no plan can be made for, so that trying again is useless."""
+    """Error for a connected device for which no plan can be made, so that trying again is useless."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bits:
-    """A bit field of a report; its offset counts from the lowest bit of the byte after the report id."""
+    """A bit field of a report; its offset is counted from the lowest bit of the byte after the report id."""
 
     bit_offset: int
     bit_size: int
@@ -85,9 +85,9 @@ class AxisPlan:
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A number in a message: quantity * counts_per_unit + zero_counts, rounded, and limited to least .. most.
+    """A number in a message: quantity * counts_per_unit + zero_counts, rounded, and limited to `least` to `most`.
 
-    If the quantity is the force along one axis, the other axis's force times `counts_per_other_n` is added.
+    If the quantity is the force along one axis, the force along the other axis times `counts_per_other_n` is added.
     """
 
     bits: Bits
@@ -138,12 +138,13 @@ class PlayingBits:
     indices: tuple[int, ...]
     """Effect Block Indices of hapticd's effects."""
     proof: int
-    """Number of renewals that together take longer than the duration of an effect."""
+    """If an effect is reported as playing over this many renewals, which outlast it, each reported loss of an effect
+    counts; otherwise only the first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The scale of a field of a report: counts = quantity * counts_per_unit + zero_counts, within least .. most."""
+    """The scale of a field of a report: quantity * counts_per_unit + zero_counts, limited to `least` to `most`."""
 
     bits: Bits
     counts_per_unit: float
@@ -158,7 +159,7 @@ class Scale:
 
     @property
     def largest(self) -> float:
-        """The quantity of the largest count."""
+        """The quantity at the largest count."""
         return self.quantity(self.most)
 
     def counts(self, quantity: float) -> int:
@@ -166,7 +167,7 @@ class Scale:
         return min(max(round(quantity * self.counts_per_unit + self.zero_counts), self.least), self.most)
 
     def quantity(self, counts: Counts) -> Counts:
-        """Return the quantity of a count, or of each element of an array."""
+        """Return the quantity that a count stands for, or each count of an array."""
         return (counts - self.zero_counts) / self.counts_per_unit
 
 
@@ -229,21 +230,21 @@ class Plan:
     restore_s: float = 0.04
     """Interval between two messages of `restore`."""
     foreign_s: float | None = None
-    """The longest time, in s, that another program's effect can replace hapticd's, if the device does not report it. It
-    follows from the renewals until `link.plan_paced_for_link` includes the link. None without effects."""
+    """The longest time, in s, that another program's effect can replace hapticd's, if the device does not report which
+    effects play. Before `link.plan_paced_for_link` it includes the renewals only. None without effects."""
     write_interval_s: float = 0.0
     """Shortest interval between two output reports; 0 means as fast as the device accepts them."""
     periodic: Periodic | None = None
     no_periodic: str = "the device has no periodic effects"
-    """Why there is no `periodic`."""
+    """Why `periodic` is None."""
     leak: float = 0.0
-    """Largest part of a force that acts at right angles to it, because a direction is an integer number of counts."""
+    """Largest fraction of a force that acts at right angles to it, because directions are rounded to counts."""
     signs: Signs | None = None
     """The check of signs before the first force of the scene; None if the signs are trusted."""
 
     @property
     def resolution_m(self) -> float:
-        """The resolution of positions in m; the larger one of the two axes."""
+        """The position step of one count, in m, of the coarser axis."""
         return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
 
     @property
@@ -264,7 +265,7 @@ class Plan:
 
     @property
     def force_steps_n(self) -> tuple[float, float]:
-        """The resolution of a force along x and along y in N; 0 if no message carries it."""
+        """The force steps of one count along x and along y, in N; 0 if no message contains that force."""
         values = [value for message in self.force for value in message.values]
         x, y = (
             max((1.0 / abs(value.counts_per_unit) for value in values if value.quantity in quantities), default=0.0)

@@ -27,7 +27,7 @@ from hapticd.hid.device import MAX_REPORT_BYTES, arrived_reports
 from hapticd.hid.plan import DeviceError
 
 RECORDING_VERSION: Final = 1
-"""Version of the format."""
+"""Version of the format, in `recording`."""
 _HEADER_MEMBERS: Final = ("recording", "name", "vendor", "product", "descriptor")
 """Members of the first line, all required."""
 MIN_ROUND_PAUSE_S: Final = 1e-3
@@ -43,7 +43,7 @@ class Recording:
     product: int
     descriptor: bytes
     reports: tuple[tuple[float, bytes], ...]
-    """Ascending times from the beginning, in s, each with the report as hidraw returns it."""
+    """Pairs of the time since the beginning, in s, ascending, and the report as hidraw returns it."""
 
     @property
     def on_change(self) -> bool:
@@ -144,7 +144,7 @@ class ReplayDevice:
         return self._replay.path
 
     def fileno(self) -> int:
-        """Return a descriptor that reads the recording's input reports, and discards output reports."""
+        """Return a file descriptor that reads the recording's input reports, and discards what is written."""
         return self._ours.fileno()
 
     def write(self, report: bytes) -> None:
@@ -162,7 +162,7 @@ class ReplayDevice:
         raise DeviceError(f"{self.path}: a recording has no feature report {report_id}")
 
     def listen(self, timeout_s: float) -> bytes:
-        """Return b"": whether a recording contains steady reports is known from `Recording.on_change`."""
+        """Return b"": `Recording.on_change` knows whether reports are steady."""
         return b""
 
     def close(self) -> None:

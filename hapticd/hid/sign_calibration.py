@@ -1,7 +1,7 @@
-"""Finds the axis and the sign of a device's forces: small forces along each axis, while nobody holds the handle.
+"""Finds the axis and the sign of a device's forces by small pushes along each axis, while nobody holds the handle.
 
-Each push rises over a ramp and is held; it ends early once the handle has clearly moved. At the end of a calibration,
-also by an error, the force is zero and the effects are stopped.
+The force of each push rises over a ramp and is held; a push ends early once the handle has clearly moved. At the end of
+a calibration, and after an error, the force is zero and the effects are stopped.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ PUSH_PAUSE_S: Final = 0.5
 PUSH_STEP_S: Final = 0.01
 """Interval between two forces."""
 MIN_MOTION_SHARE: Final = 0.02
-"""A motion by less than this fraction of the handle's half travel counts as none."""
+"""Smallest motion that counts, as a fraction of the handle's half travel."""
 SUFFICIENT_MOTION_SHARE: Final = 0.2
 """A push ends early once the handle has moved by this fraction of its half travel."""
 MIN_MOTION_RATIO: Final = 2.0
-"""The handle must move this many times as far along one axis as along the other, or the result is not clear."""
+"""The axis of a motion is clear if the motions along both axes have at least this ratio."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,10 @@ class _Pusher:
                     self.position_m[place] = (axis.bits.get(data) - axis.zero_counts) * axis.m_per_count
 
     def push(self, along: int, force_n: float, half_m: float) -> tuple[float, float]:
-        """Push the handle along an axis (0 or 1) and return its motion along x and y, in m."""
+        """Push the handle along the device's axis 0 or 1, and return its motion along x and y, in m.
+
+        `half_m` is the handle's half travel.
+        """
         start = self._now()
         while self._now() - start < PUSH_PAUSE_S:
             self.put(0.0, 0.0)
@@ -104,7 +107,7 @@ class _Pusher:
         return moved
 
     def sent(self) -> str:
-        """Return the reports of the last push and, before them, those of its effects, in hex, ids first."""
+        """Return in hex, ids first, the reports that set up and start the effects, then those of the last push."""
         before = [message.at_rest() for message in (*self._plan.restore, *self._plan.renew)]
         return ", ".join(report.hex(" ") for report in (*before, *self._sent))
 
@@ -120,8 +123,8 @@ def calibrate(
 ) -> Calibration:
     """Push the handle along each axis in both directions, and find the force axes from its motion; takes about 5 s.
 
-    `driver` and `hid` must not correct the force axes. Raises DeviceError if the handle did not move, if the result is
-    not clear, or if the device is gone; ValueError if the force exceeds MAX_FORCE_SHARE of the full force.
+    `driver` and `hid` must have the default `force_axes`. Raises DeviceError if the handle did not move, if the result
+    is not clear, or if the device is gone; ValueError if the force exceeds MAX_FORCE_SHARE of the full force.
     """
     if not 0.0 < force_n <= MAX_FORCE_SHARE * hid.full_scale_force_n * (1 + 1e-9):
         limit_n = MAX_FORCE_SHARE * hid.full_scale_force_n
@@ -151,7 +154,7 @@ def calibrate(
 
 
 def _single_axis_hint(moved: dict[str, tuple[float, float]]) -> str:
-    """Return the hint for a device, such as a wheel, that has two axes in its descriptor and only a motor for x."""
+    """Return a hint for devices, such as wheels, with two axes in the descriptor and a motor for x only."""
     x, y = moved["x"]
     if "y" not in moved or abs(x) < MIN_MOTION_RATIO * abs(y):
         return ""
@@ -163,22 +166,22 @@ def _single_axis_hint(moved: dict[str, tuple[float, float]]) -> str:
 
 def _force_axes_of(moved: dict[str, tuple[float, float]]) -> ForceAxes:
     """Return the force axes for these motions. Raises DeviceError if they are not clear."""
-    ways = {}
+    moves = {}
     for name, (x, y) in moved.items():
         if max(abs(x), abs(y)) < MIN_MOTION_RATIO * min(abs(x), abs(y)):
             raise DeviceError(
                 f"the device's {name} axis moved the handle by {1e3 * x:.1f} mm along x and {1e3 * y:.1f} mm along y: "
                 "the axis is not clear; do not touch the handle"
             )
-        ways[name] = ("x", x) if abs(x) > abs(y) else ("y", y)
-    if len(ways) == 2 and ways["x"][0] == ways["y"][0]:
-        raise DeviceError(f"both of the device's axes moved the handle along {ways['x'][0]}; do not touch the handle")
-    signs: dict[str, Literal[1, -1]] = {name: 1 if way[1] > 0 else -1 for name, way in ways.items()}
-    return ForceAxes(x=ForceAxis(sign=signs["x"]), y=ForceAxis(sign=signs.get("y", 1)), swap=ways["x"][0] == "y")
+        moves[name] = ("x", x) if abs(x) > abs(y) else ("y", y)
+    if len(moves) == 2 and moves["x"][0] == moves["y"][0]:
+        raise DeviceError(f"both of the device's axes moved the handle along {moves['x'][0]}; do not touch the handle")
+    signs: dict[str, Literal[1, -1]] = {name: 1 if move[1] > 0 else -1 for name, move in moves.items()}
+    return ForceAxes(x=ForceAxis(sign=signs["x"]), y=ForceAxis(sign=signs.get("y", 1)), swap=moves["x"][0] == "y")
 
 
 def _send_rest(device: Device, plan: Plan) -> None:
-    """Send a force of zero and the end of every effect, and ignore errors of the device."""
+    """Send a force of zero, stop every effect, and ignore errors of the device."""
     for report in (*(message.at_rest() for message in plan.force), *(message.data for message in plan.stop)):
         with suppress(DeviceError):
             device.write(report)

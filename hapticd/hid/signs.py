@@ -1,4 +1,4 @@
-"""Parameters and reports of the check of signs before the first force of the scene (csrc/device/hd_signs.h)."""
+"""Parameters, status and log of the check of signs before the first force of the scene (csrc/device/hd_signs.h)."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Final
 from hapticd.base.core import SignsProblem, SignsState, lib
 
 PULSE_FORCE_SHARE: Final = 0.1
-"""Force of a pulse, as a fraction of the device's largest force; the same as the limit of a calibration."""
+"""Force of a pulse, as a fraction of the device's largest force."""
 MIN_PULSE_MOTION_SHARE: Final = 0.005
-"""A motion by less than this fraction of the handle's half travel counts as none."""
+"""Smallest motion that counts, as a fraction of the handle's half travel."""
 PULSE_END_MOTION_SHARE: Final = 0.1
 """A pulse ends early once the handle has moved by this fraction of its half travel."""
 _MIN_MOTION_ENCODER_STEPS: Final = 2.0
-"""A motion by fewer steps of the encoder counts as none."""
+"""Smallest motion that counts, in steps of the encoder."""
 _PROBLEM_TEXTS: Final[dict[SignsProblem, str]] = {
     SignsProblem.REVERSED: "a force along {axis} moves the handle the other way",
     SignsProblem.SWAPPED: "a force along {axis} moves the handle along {other}",
@@ -42,7 +42,7 @@ class Signs:
     force_n: float
     """Force of a pulse."""
     least_m: float
-    """A shorter motion counts as none."""
+    """Smallest motion that counts."""
     enough_m: float
     """A pulse ends early after this motion."""
 
@@ -51,7 +51,7 @@ class Check:
     """The parameters of the check for each device that is connected."""
 
     def __init__(self, travel_m: float, full_scale_force_n: float) -> None:
-        """Create the check for a handle with half the travel `travel_m` and the largest force `full_scale_force_n`."""
+        """Create the check; `travel_m` is half the handle's travel, `full_scale_force_n` the device's largest force."""
         self._travel_m, self._force_n = travel_m, PULSE_FORCE_SHARE * full_scale_force_n
         self._numbers: dict[str, int] = {}
 
@@ -86,12 +86,12 @@ class SignsStatus:
 
     @property
     def holds_back(self) -> bool:
-        """Whether forces are on but the scene is held back until the check has ended."""
+        """Whether forces are on, but those of the scene are not sent until the check has ended."""
         return self.state in (SignsState.CHECKING, SignsState.WAITING)
 
     @property
     def seen(self) -> str | None:
-        """What is wrong or prevents the check; None if nothing does."""
+        """A text that says what is wrong with the signs or prevents the check; None without a problem."""
         seen = _PROBLEM_TEXTS.get(self.problem)
         return None if seen is None else seen.format(axis=self.axis, other="y" if self.axis == "x" else "x")
 
@@ -121,13 +121,13 @@ class SignsStatus:
 
 
 class SignsLog:
-    """Logs the result of the check, and what it waits for; the same line is not logged twice in succession."""
+    """Logs the result of the check, and what prevents it; the same state is not logged twice in succession."""
 
     def __init__(self) -> None:
         self._last: SignsStatus | None = None
 
     def note(self, status: SignsStatus) -> None:
-        """Log the present state of the check, if it differs from the last one that was logged."""
+        """Log the present state of the check, if it differs from the state that was logged last."""
         line = status.line()
         if status == self._last or (line is None and status.state != SignsState.RIGHT):
             return

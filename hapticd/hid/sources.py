@@ -21,7 +21,7 @@ def source_of(device: DeviceConfig) -> Source:
 
 
 def open_hid(hid: Hid) -> Opened:
-    """Open the device that the configuration selects. Raises DeviceError, one line."""
+    """Open the device that the configuration selects. Raises DeviceError."""
     found = choose(hid, find())
     driver, _ = found.verdict.driver_and_plan()
     on_change = True if "reports_on_change" in hid.quirks else False if "reports_steadily" in hid.quirks else None

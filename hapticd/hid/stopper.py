@@ -1,4 +1,4 @@
-"""Stops a device whose daemon did not: `hapticd stop-device`, which systemd runs after every end of the daemon.
+"""`hapticd stop-device` stops a device that its daemon left running; systemd runs it after every end of the daemon.
 
 Before a daemon sends forces to a real device, it writes a record into its runtime directory: the device's node, its
 identity, and the reports that set its force to zero and stop its effects. The daemon removes the record when it has
@@ -33,14 +33,14 @@ _RECORD_VERSION: Final = 1
 _MAX_RECORD_BYTES: Final = 1 << 16
 """A larger file cannot be a record."""
 _IDENTITY_KEYS: Final = ("HID_ID", "HID_NAME", "HID_PHYS", "HID_UNIQ")
-"""The members of the uevent in sysfs that identify a device."""
+"""The keys of a device's uevent in sysfs that identify it."""
 _GONE_ERRNOS: Final = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
 """Errors of a device that was unplugged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The identity of a hidraw node: its device number, and its device's members of the uevent in sysfs."""
+    """The identity of a hidraw node: its device number, and the part of its uevent that identifies the device."""
 
     major: int
     minor: int
@@ -149,13 +149,13 @@ def stop_device(
     *,
     sysfs: Path = SYSFS_ROOT,
     deadline_s: float = STOP_DEADLINE_S,
-    opened: Callable[[Record], int] | None = None,
+    open_node: Callable[[Record], int] | None = None,
     write: Callable[[int, bytes], int] = os.write,
 ) -> str | None:
     """Send the reports of the record at `path`, remove the record, and return what was done, in one line.
 
-    Returns None if no record exists. `opened`, if given, opens the node instead of this module's checks; `write` writes
-    a report. Raises HapticdError if the device may still push.
+    Returns None if no record exists. `open_node`, if given, opens the node without a check of its identity; `write`
+    writes a report. Raises HapticdError if the device may still push.
     """
     record = load(path)
     if record is None:
@@ -163,7 +163,7 @@ def stop_device(
     until_s = time.monotonic() + deadline_s
     what = f"{record.path} ({record.identity})"
     try:
-        fd = opened(record) if opened is not None else _open(record, sysfs)
+        fd = open_node(record) if open_node is not None else _open(record, sysfs)
     except _DeviceAbsentError as error:
         path.unlink(missing_ok=True)
         return f"{what}: {error}"
@@ -178,8 +178,8 @@ def stop_device(
             return f"{what}: {error}"
     path.unlink(missing_ok=True)
     count = len(record.zero) + len(record.stop)
-    said = f"; {len(refused)} of {count} reports were refused: {refused[0]}" if refused else f", {count} reports"
-    return f"{what}: force zero, effects stopped{said}"
+    suffix = f"; {len(refused)} of {count} reports were refused: {refused[0]}" if refused else f", {count} reports"
+    return f"{what}: force zero, effects stopped{suffix}"
 
 
 class _DeviceAbsentError(Exception):
@@ -212,7 +212,7 @@ def _check_identity(record: Record, found: Identity | None) -> None:
 
 
 def _lock(fd: int, what: str, until_s: float) -> None:
-    """Lock the device against daemons. The lock of a killed daemon ends when the kernel has removed its process."""
+    """Lock the device, once the kernel has removed a killed daemon. Raises HapticdError after `until_s`."""
     while True:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,7 +1,7 @@
 """Decides whether a device can be driven, from its report descriptor and the configuration.
 
-The daemon, `hapticd devices`, `devices parse`, `doctor` and `check` all use this decision, so that they agree. A device
-that can be driven may still refuse to create an effect during set-up, which its descriptor does not show.
+The daemon, `hapticd devices`, `devices parse`, `doctor` and `check` all use this decision, so that they agree. The
+descriptor does not show everything: a device that can be driven may refuse to create an effect during set-up.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from hapticd.hid.descriptor.layout import SKIPPED_ITEM_PREFIX, Layout, layout_of
 from hapticd.hid.descriptor.parser import DescriptorError, parse
 from hapticd.hid.device import Driver
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.drivers.pid_plan import plan_of, ways_of
+from hapticd.hid.drivers.pid_plan import plan_of, schemes_of
 from hapticd.hid.drivers.vendor import VendorDriver
 from hapticd.hid.drivers.vendor import plan_of as vendor_plan_of
 from hapticd.hid.plan import DeviceError, Plan, UndrivableError
 
 _MAX_POSITION_STEP_M = 1.0
-"""The servo accepts no coarser positions."""
+"""Largest position step of one count that the servo accepts."""
 _MAX_LISTED_PROBLEMS = 3
 """An error lists at most this many fields that cannot be used."""
 
@@ -39,7 +39,7 @@ class Verdict:
     """The plan, assuming that the device can create all wanted effects and numbers them from the first Effect Block
     Index on; None if it cannot be driven."""
     why_not: str | None
-    """Why it cannot be driven, in one line; None if it can be driven."""
+    """Why it cannot be driven; None if it can."""
 
     @property
     def drivable(self) -> bool:
@@ -81,10 +81,10 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
             raise DeviceError(f"its report descriptor has no {', no '.join(layout.missing)}")
         driver = PidDriver(layout, hid)
         first, last = layout.effect_indices or (1, 1)
-        # If the device has no room for the first way, set-up tries the next one; so all plans are checked.
+        # If the device has no room for the first scheme, set-up tries the next one; so all plans are checked.
         plans = [
-            _checked(plan_of(layout, hid, way, range(first, last + 1)[: 1 if way in ("one", "polar") else 2]))
-            for way in ways_of(layout, hid)
+            _checked(plan_of(layout, hid, scheme, range(first, last + 1)[: 1 if scheme in ("one", "polar") else 2]))
+            for scheme in schemes_of(layout, hid)
         ]
         return Verdict(layout, problem, driver, plans[0], None)
     except DeviceError as error:
@@ -95,7 +95,7 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
 
 
 def _unused_fields_text(layout: Layout) -> str:
-    """Return a text about fields that exist but cannot be used, since one of them may be the cause."""
+    """Return a text that lists fields that exist but cannot be used, since one of them may be the cause."""
     fields = [problem for problem in layout.problems if not problem.startswith(SKIPPED_ITEM_PREFIX)]
     if not fields:
         return ""

@@ -15,6 +15,6 @@ Questions, and where to begin:
         paths (runtime_paths).
     Why is a daemon refused as the second one?
         paths (owned).
-    Why is a line of the log missing, or a sum?
-        repeated_lines (Repeats); which events are logged: journal (EventLog).
+    Why is a line of the log missing, or replaced by a sum?
+        repeated_lines (Repeats); for the events that are logged, journal (EventLog).
 """

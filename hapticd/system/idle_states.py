@@ -37,7 +37,7 @@ class IdleStateLock:
             self._fd = fd
 
     def release(self) -> None:
-        """Withdraw the request by closing the file; does nothing if it is not held."""
+        """Withdraw the request by closing the file, if it is held."""
         if self._fd is not None:
             os.close(self._fd)
             self._fd = None

@@ -38,9 +38,9 @@ _log = logging.getLogger("hapticd")
 def attached(level: str = "info", environ: Mapping[str, str] = os.environ) -> Iterator[None]:
     """Write the log to stderr while the context lasts.
 
-    `level`, one of LOG_LEVELS, is the least important level of hapticd's lines that is written. Lines of libraries are
-    written from warnings on. A line begins with the time of day, and with the date if stderr is not a terminal; if
-    stderr is the journal, which adds the time itself, with the priority.
+    `level`, one of LOG_LEVELS, is the least important level of hapticd's lines that is written. Libraries' lines are
+    written if they are warnings or errors. A line begins with the time, and the date if stderr is not a terminal; if
+    stderr is the journal, which adds them, a line begins with its priority.
     """
     handler = logging.StreamHandler(sys.stderr)
     if is_stderr_stream(environ.get("JOURNAL_STREAM", "")):
@@ -82,12 +82,12 @@ class _LineQueue(QueueHandler):
             self._lost += 1
 
     def end(self) -> None:
-        """End the writing thread after the lines of the queue; if the queue is full, it ends with the process."""
+        """End the writing thread when it has written the queue; if the queue is full, it ends with the process."""
         with suppress(Full):
             self._waiting.put_nowait(None)
 
     def write(self) -> None:
-        """Write the lines of the queue until `end` is called. It runs in the thread."""
+        """Write the lines of the queue, in the writing thread, until `end` is called."""
         while (record := self._waiting.get()) is not None:
             self._handler.handle(record)
             if self._lost:
@@ -157,7 +157,7 @@ def _number(event: Mapping[str, object], name: str) -> float:
 class EventLog:
     """Logs faults, overruns, lost devices and similar events; repeated ones are summed up (repeated_lines.py).
 
-    With level DEBUG every event is also logged as it comes.
+    At level DEBUG every event is also logged when it arrives.
     """
 
     def __init__(

@@ -57,7 +57,7 @@ def watchdog_s() -> float | None:
 class Watch:
     """Feeds the watchdog while the servo ticks, and updates the status line.
 
-    The thread that the watchdog supervises calls it often.
+    The thread that the watchdog supervises calls the object often.
     """
 
     def __init__(self, poll: Callable[[], tuple[int, str]], now: Callable[[], float] = time.monotonic) -> None:
@@ -71,7 +71,7 @@ class Watch:
         self._due_s = now() + self._every_s
 
     def __call__(self) -> None:
-        """Feed the watchdog and send the status line, if the interval has passed and they have changed."""
+        """At each interval, feed the watchdog if the servo has ticked, and send the status line if it has changed."""
         if not self._on or self._now() < self._due_s:
             return
         self._due_s = self._now() + self._every_s

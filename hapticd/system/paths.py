@@ -1,4 +1,4 @@
-"""The runtime directory, in which a daemon and its clients meet: its place, its file names, and its ownership.
+"""The runtime directory, in which a daemon and its clients meet: its path, its file names, and its ownership.
 
 The directory is the one that was given, else `$HAPTICD_RUNTIME_DIR`, else `$RUNTIME_DIRECTORY` (set by systemd), else
 `$XDG_RUNTIME_DIR/hapticd`, else `/tmp/hapticd-UID`. Only the directory's owner can put sockets into it, so a client
@@ -77,7 +77,7 @@ class RuntimePaths:
 def runtime_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:
     """Return the files of a runtime directory, by default of the one that the environment selects.
 
-    Raises HapticdError if the path of a socket would be too long or is not UTF-8.
+    Raises HapticdError if the path of a socket would be too long or not UTF-8.
     """
     environ = os.environ
     # systemd separates several directories by colons; the first is the runtime directory.
@@ -123,9 +123,9 @@ def check_directory(paths: RuntimePaths) -> None:
 def daemon_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:
     """Return the files that a client connects to.
 
-    A directory that was given, or that the environment names, is not checked: that of a system daemon belongs to the
-    daemon's user. The directory below /tmp could have been created by any user: raises HapticdError unless it belongs
-    to this user.
+    A directory that was given, or that the environment names, is not checked, because a system daemon's directory
+    belongs to the daemon's user. Any user could have created the directory below /tmp: raises HapticdError unless it
+    belongs to this user.
     """
     paths = runtime_paths(directory)
     named = directory or any(map(os.environ.get, ("HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR")))

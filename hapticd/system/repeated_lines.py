@@ -86,7 +86,7 @@ class Repeats:
         self._kinds: dict[str, _Kind] = {}
 
     def line(self, kind: str, level: int, text: str, longest_s: float = MAX_REPEAT_INTERVAL_S) -> None:
-        """Log `text` now, or later together with the number of lines of this kind; the newest text is shown."""
+        """Log `text` now, or later with the number of lines of this kind until then, if it is then the newest."""
         self.note(kind, lambda since: _log.log(level, "%s%s", text, since.more), longest_s=longest_s)
 
     def note(
@@ -96,9 +96,9 @@ class Repeats:
         amounts: Mapping[str, int] | None = None,
         longest_s: float = MAX_REPEAT_INTERVAL_S,
     ) -> None:
-        """Call `log` now, or later with the sum of all calls of this kind until then; the newest `log` is called.
+        """Call `log` now, or later with the sum of all calls of this kind until then, if it is then the newest.
 
-        `amounts` are added up by their names.
+        `amounts` are added up by their names. `longest_s` is the longest interval between two lines.
         """
         with self._lock:
             now_s = self._now_s()

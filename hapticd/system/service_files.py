@@ -46,7 +46,7 @@ class Installation:
         return Installation(path, tuple(sorted(outer)))
 
     def adapted(self, unit: str) -> str:
-        """Return a unit's text with this executable, and with read-only mounts of folders that its sandbox hides."""
+        """Return a unit's text with this executable, and with read-only mounts of the folders that it would hide."""
         unit = unit.replace(f"={_UNIT_EXECUTABLE} ", f"={unit_word(self.executable)} ")
         hidden = [one for one in self.folders if any(one.is_relative_to(place) for place in _HIDDEN_FOLDERS)]
         if not hidden:
@@ -74,10 +74,10 @@ def run(action: Action, installation: Installation, root: Path | None = None, dr
         words = ["sh", str(folder / "install.sh"), action]
         done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        said = collapse_whitespace(done.stderr) or f"exit code {done.returncode}"
-        may_not = "Permission denied" in said and not action.endswith("user")
+        problem = collapse_whitespace(done.stderr) or f"exit code {done.returncode}"
+        may_not = "Permission denied" in problem and not action.endswith("user")
         hint = "; run it as root, or install it for your user only with --user" if may_not else ""
-        raise HapticdError(f"{said}{hint}")
+        raise HapticdError(f"{problem}{hint}")
     return done.stdout.splitlines()
 
 

@@ -14,7 +14,7 @@ _OTHERS_READ_BITS: Final = stat.S_IRWXO | stat.S_IXGRP
 """Bits of the mode that a secret file must not have; its group may read it."""
 
 
-def read_trusted(path: str | os.PathLike[str], most: int, *, secret: bool = False) -> bytes:
+def read_trusted(path: str | os.PathLike[str], max_bytes: int, *, secret: bool = False) -> bytes:
     """Return the bytes of a regular file, at most `most` + 1, so that the caller notices a larger file.
 
     The file must belong to root or to the user of this process, and no other user may write to it. A `secret` file may
@@ -39,6 +39,6 @@ def read_trusted(path: str | os.PathLike[str], most: int, *, secret: bool = Fals
                 raise HapticdError(
                     f"{name}: other users may read it (mode {mode:04o}): chmod 600, or 640 for a service's group"
                 )
-            return file.read(most + 1)
+            return file.read(max_bytes + 1)
     except OSError as error:
         raise HapticdError(f"{name}: cannot be read: {error.strerror}") from None

@@ -242,7 +242,7 @@ def test_lists_of_processors(text: str, wanted: set[int]) -> None:
         (3, {f"{CPU}/online": "0-3\n", f"{CPU}/isolated": "3\n", f"{CPU}/nohz_full": "3\n"}, "ok"),
         (2, {f"{CPU}/online": "0-3\n", f"{CPU}/isolated": "3\n"}, "warn"),
         (7, {f"{CPU}/online": "0-3\n"}, "fail processor 7"),
-        (5, {f"{CPU}/online": "0-7\n"}, "fail processor 5 (servo.cpu) is not allowed here: 0-3"),
+        (5, {f"{CPU}/online": "0-7\n"}, "fail processor 5 (servo.cpu) is not allowed here; allowed are 0-3"),
     ],
 )
 def test_isolation(tmp_path: Path, cpu: int | None, files: dict[str, str], verdict: str) -> None:
@@ -325,7 +325,7 @@ def test_no_joystick(tmp_path: Path) -> None:
 def test_a_joystick_that_may_be_driven(tmp_path: Path) -> None:
     joystick(tmp_path)
     process(tmp_path, 77, "bash", "/dev/pts/0")
-    assert reported(tmp_path, devices.permissions) == "ok Stick at /dev/hidraw0 may be driven from here -> "
+    assert reported(tmp_path, devices.permissions) == "ok this user may drive Stick at /dev/hidraw0 -> "
     assert reported(tmp_path, devices.rule).startswith("warn 70-hapticd.rules is not installed")
     put(tmp_path, {"etc/udev/rules.d/70-hapticd.rules": ""})
     assert reported(tmp_path, devices.rule) == "ok /etc/udev/rules.d/70-hapticd.rules -> "
@@ -347,7 +347,7 @@ def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
     }
     mine = Needs(device=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
     other = Needs(device=Hid.model_validate({"vendor": 0x45E, "product": 0x1C, "report": report}))
-    assert reported(tmp_path, devices.permissions, needs=mine) == "ok Stick at /dev/hidraw0 may be driven from here -> "
+    assert reported(tmp_path, devices.permissions, needs=mine) == "ok this user may drive Stick at /dev/hidraw0 -> "
     assert reported(tmp_path, devices.competitors, needs=mine) == "ok no other program uses /dev/hidraw0 -> "
     missing = "warn no force-feedback joystick that the configuration describes is connected; there are 1 other"
     assert reported(tmp_path, devices.permissions, needs=other).startswith(missing)
@@ -381,7 +381,7 @@ def test_a_joystick_without_permission(tmp_path: Path) -> None:
     assert reported(tmp_path, devices.permissions, needs=Needs(device=Hid()), **how).startswith("fail")
     put(tmp_path, {"etc/systemd/system/hapticd.service": ""})
     how["group"] = lambda gid: "input"
-    assert reported(tmp_path, devices.permissions, **how).startswith("ok Stick at /dev/hidraw0 may be")
+    assert reported(tmp_path, devices.permissions, **how).startswith("ok the service may drive Stick at")
     how["group"] = lambda gid: "video"
     assert reported(tmp_path, devices.permissions, **how).startswith("warn")
 
@@ -452,7 +452,7 @@ def test_the_daemon(tmp_path: Path) -> None:
     )
     status |= {"faults": ["device"], "realtime": {"missing": ["SCHED_FIFO priority 80: not permitted"]}}
     said = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
-    assert "warn it was not granted: SCHED_FIFO priority 80" in said
+    assert "warn the daemon was not granted: SCHED_FIFO priority 80" in said
     assert "warn a fault holds the forces off: device" in said
     status["connection"] = {"path": "/dev/hidraw3", "resets_seen": False, "foreign_effect_s": 0.0957}
     said = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")

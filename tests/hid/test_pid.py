@@ -16,7 +16,7 @@ from hapticd.config.hid import Hid
 from hapticd.hid.descriptor.layout import Layout, layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.drivers.pid_plan import ways_of
+from hapticd.hid.drivers.pid_plan import schemes_of
 from hapticd.hid.plan import DeviceError, Plan
 from tests.support.hid_descriptors import Joystick
 from tests.support.hid_device import FakePid, number
@@ -310,7 +310,7 @@ def test_axes_that_a_force_cannot_tell_apart() -> None:
     layout = layout_of(parse(bytes(Joystick(force_axes=(), direction_bits=0))))
     assert layout.usable
     with pytest.raises(DeviceError) as caught:
-        ways_of(layout, hid())
+        schemes_of(layout, hid())
     assert "neither Direction nor Axes Enable" in str(caught.value)
 
 
@@ -366,7 +366,7 @@ def layout_like(like: Joystick | None = None) -> Layout:
 def test_a_magnitude_that_does_not_say_which_count_is_no_force_is_refused() -> None:
     layout = layout_like(Joystick(is_magnitude_signed=False))
     force = layout.constant_force
-    assert force is not None and ways_of(layout, hid())
+    assert force is not None and schemes_of(layout, hid())
     below = replace(force, magnitude=replace(force.magnitude, physical_min=-10000, physical_max=10000))
     with pytest.raises(DeviceError, match="count for a force of zero is not clear"):
         PidDriver(replace(layout, constant_force=below), hid())
@@ -377,10 +377,10 @@ def test_directions_that_are_parts_of_a_vector_are_not_taken_for_angles() -> Non
     to = layout.set_effect
     assert to is not None
     vector = replace(layout, set_effect=replace(to, is_direction_cartesian=True))
-    assert ways_of(vector, hid()) == ("two",)
+    assert schemes_of(vector, hid()) == ("two",)
     signless = replace(vector, constant_force=layout_like(Joystick(is_magnitude_signed=False)).constant_force)
     with pytest.raises(DeviceError, match="magnitudes without a sign, and no angle"):
-        ways_of(signless, hid())
+        schemes_of(signless, hid())
 
 
 @pytest.mark.parametrize("directions", [1, 2, 3])

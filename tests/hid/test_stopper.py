@@ -174,7 +174,7 @@ def refuses(*refused: bytes) -> dict[str, Any]:
             raise OSError(errno.EPIPE, "Broken pipe")
         return len(report)
 
-    return {"opened": lambda record: os.open(os.devnull, os.O_RDWR), "write": write}
+    return {"open_node": lambda record: os.open(os.devnull, os.O_RDWR), "write": write}
 
 
 @pytest.mark.parametrize(
@@ -222,7 +222,7 @@ def test_a_device_that_cannot_be_opened_may_still_push(tmp_path: Path) -> None:
         raise OSError(errno.EACCES, "Permission denied")
 
     with pytest.raises(HapticdError, match="cannot open it: Permission denied; it may still push"):
-        stop_device(path, opened=refused)
+        stop_device(path, open_node=refused)
     assert path.exists()
 
 
@@ -358,7 +358,7 @@ def test_the_record_of_a_joystick_stops_it(tmp_path: Path, monkeypatch: pytest.M
     for effect in again.effects.values():
         effect.magnitude = 5000
     assert again.force() != (0.0, 0.0)
-    assert "force zero" in str(stop_device(kept, opened=lambda record: os.dup(again.ours.fileno())))
+    assert "force zero" in str(stop_device(kept, open_node=lambda record: os.dup(again.ours.fileno())))
     again.wait(lambda: not again.enabled)
     assert again.force() == (0.0, 0.0)
     assert not again.effects

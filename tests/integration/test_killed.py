@@ -139,7 +139,7 @@ def set_up(stick: FakePid) -> None:
 
 def stopped(stick: FakePid, record: Path) -> str | None:
     """What `hapticd stop-device` does; the joystick is at rest then, whatever it was before."""
-    said = stop_device(record, opened=lambda record: os.dup(stick.ours.fileno()))
+    said = stop_device(record, open_node=lambda record: os.dup(stick.ours.fileno()))
     if said is not None:
         stick.wait(lambda: not stick.effects and not stick.enabled)
     return said

@@ -1,7 +1,7 @@
-"""One field of a report: its place, its range and its unit, and whether its range suits its purpose.
+"""One field of a report: its offset, its range and its unit, and whether its range suits its purpose.
 
 layout.py refuses a range that is empty or does not fit into the field's bits. The checks in this module find ranges
-that are useless for other reasons: force in one direction only, too few counts, durations that cannot be renewed.
+that are useless for other reasons: force in one direction only, too few counts, too short or too long durations.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from dataclasses import dataclass
 from typing import Final
 
 MIN_MAGNITUDE_COUNTS: Final = 8
-"""A magnitude must have this many counts from zero to full force."""
+"""Least number of counts that a magnitude must have from zero to full force."""
 MIN_AXIS_COUNTS: Final = 32
-"""An axis must have this many counts from one end to the other."""
+"""Least number of counts that an axis must have from one end to the other."""
 MIN_COUNTS_PER_TURN: Final = 32
-"""A direction must have this many counts per turn; its error is then at most 6 degrees."""
+"""Least number of counts per turn that a direction must have; its error is then at most 6 degrees."""
 MIN_EFFECT_DURATION_S: Final = 0.005
 """An effect with a shorter duration cannot be renewed in time."""
 MAX_EFFECT_DURATION_S: Final = 1.0
-"""An effect with a longer duration, unless it is configured, would push long after the daemon was killed."""
+"""Longest duration, unless a longer one is configured: the effects of a killed daemon push for their duration."""
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of a report, with one element; bits are counted from the byte after the report id.
+    """A field of a report that holds one number; bits are counted from the byte after the report id.
 
     `logical_min` and `logical_max` always fit into `bit_size` bits.
     """
@@ -49,7 +49,7 @@ class Field:
         return self.logical_min < 0
 
     def counts_when_on(self) -> int | None:
-        """Return the count that sets a flag; None if its range allows none.
+        """Return the count that sets a flag; None if its range has no such count.
 
         A single bit can always be set: some devices declare the range 0 to 0, and Linux sets the bit nevertheless.
         """
@@ -69,18 +69,18 @@ class Field:
         return step * 10.0**self.unit_exponent
 
     def counts_per_turn(self) -> float:
-        """Return the counts of a full turn of a field that holds a direction.
+        """Return the counts of a full turn, for a field that holds a direction.
 
-        They follow from the unit (degrees 0x14, radians 0x12) if the physical range is then one turn within 10 %.
-        Otherwise the range counts as one turn, as in Linux: many descriptors reset the unit before the field.
+        They follow from the unit (degrees 0x14, radians 0x12), if the physical range in this unit is within 10 % of one
+        turn. Otherwise the range counts as one turn, as in Linux: many descriptors reset the unit before the field.
         """
         return (self.logical_max - self.logical_min) / (self._turns() or 1.0)
 
     def counts_at_north(self) -> float:
-        """Return the count for an angle of zero of a field that holds a direction.
+        """Return the count for an angle of zero, for a field that holds a direction.
 
-        It is the count where the physical value is zero, if the physical range is one turn by its unit or 360 times a
-        power of ten. Otherwise it is the count zero, or the count of the range that is nearest to zero.
+        If the physical range is within 10 % of one turn in its unit, or of 360 times a power of ten, it is the count
+        whose physical value is zero. Otherwise it is the count of the range that is nearest to zero.
         """
         span = self.physical_max - self.physical_min
         is_turn = self._turns() is not None or any(0.9 <= span / (360.0 * 10**tens) <= 1.1 for tens in range(5))
@@ -89,7 +89,7 @@ class Field:
         return min(max(0, self.logical_min), self.logical_max)
 
     def _turns(self) -> float | None:
-        """Return the physical range in turns, if its unit is an angle and it is within 10 % of one turn; else None."""
+        """Return the physical range in turns; None if its unit is not an angle or it is not near one turn."""
         per_turn = {0x14: 360.0, 0x12: 2 * math.pi}.get(self.unit)
         if per_turn is None or not -12 <= self.unit_exponent <= 7:
             return None
@@ -110,7 +110,7 @@ class Choice:
     """A choice among named entries, for example among the commands of Device Control."""
 
     kind: str
-    """Either "array": one field holds the value of the entry; or "bits": each entry has a bit, and the others are 0."""
+    """"array": one field holds the value of the entry; "bits": each entry has its own field."""
     entries: Mapping[str, Entry]
 
 

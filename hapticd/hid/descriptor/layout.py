@@ -3,15 +3,15 @@
 Usages and names of reports are those of "Device Class Definition for Physical Interface Devices" 1.0. Everything else
 comes from the descriptor: report ids, sizes, offsets, ranges, and whether commands are an array or bits.
 
-The classes of the reports define how they are found. Each member has a type (`Field`, `Choice`; with None it is
-optional) and a rule (`Number`, `OneOf`, `Computed`). `_PID_REPORTS` names the collection of each report. To read
-another field, add a member to its report.
+Each report has a class, whose annotations define how its fields are found: the type of a member is `Field` or
+`Choice`, with None if it is optional, and its rule is a `Number`, a `OneOf` or a `Computed`. `_PID_REPORTS` lists the
+usages of each report's collection. To read another field, add a member to its report.
 
-Fields are searched in a `Group`: the fields of one report in one collection. A field that exists but cannot be used is
-noted as a problem of the group. Rules for descriptors that deviate from the specification:
+A rule searches a `Group`: the fields of one report in one collection. A field that exists but cannot be used is noted
+as a problem of the group. Rules for descriptors that deviate from the specification:
 
 - A physical range that was declared for an earlier field with another logical range is ignored, and the logical range
-  is used. Otherwise a duration could become minutes.
+  is used.
 - If the logical range of a field exceeds its bits, a field with a scale (axes, magnitudes) is refused, because its
   scale is not known. The range of any other field is limited to its bits.
 - A report is identified by the collection around its fields, and its fields must share one report id. If a report
@@ -68,9 +68,9 @@ LOAD_STATUS_USAGES: Final = {"success": 0x8C, "full": 0x8D, "error": 0x8E}
 # ---- How a field is found --------------------------------------------------------------------------------------------
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
-"""The longest report that can be driven, in bytes with its id."""
+"""The longest report that is used, in bytes with its id."""
 MAX_FIELD_BITS: Final = 32
-"""The widest field that can be driven."""
+"""The widest field that is used."""
 
 
 @dataclass(slots=True)
@@ -85,9 +85,9 @@ class Group:
     problems: list[str] = dataclasses.field(default_factory=list)
 
     def every(self, usage: int, inside: int | None = None) -> Iterator[tuple[ReportField, int]]:
-        """Yield the fields with an element of this usage (page << 16 | usage), data before constants.
+        """Yield the fields with an element of this usage (page << 16 | usage), and the index of that element.
 
-        Each comes with the index of the element. `inside` restricts them to a collection of this usage.
+        Constant fields come last. `inside` restricts the fields to a collection of this usage.
         """
         for constant in (False, True):
             for field in self.fields:
@@ -97,7 +97,7 @@ class Group:
                         yield field, index
 
     def number(self, usage: int, scaled: bool) -> Field | None:
-        """Return the first variable field of this usage that can be used; None if there is no such field."""
+        """Return the first usable variable field that has this usage; None if there is no such field."""
         for field, index in self.every(usage if usage >> 16 else PID_PAGE | usage):
             found = self.element(field, index, scaled) if field.is_variable and not _is_fixed(field) else None
             if found is not None:
@@ -105,7 +105,7 @@ class Group:
         return None
 
     def accept(self, field: Field, name: str, fault: str | None) -> bool:
-        """Return whether `fault` is unset; otherwise note it as a problem of the field."""
+        """Return whether `fault` is None; if it is not, note it as a problem of the field."""
         if fault is not None:
             kind = self.fields[0].kind
             self.problems.append(f"{kind} report {field.report_id}, bit {field.bit_offset} ({name}): {fault}")
@@ -138,7 +138,7 @@ class Group:
         return Field(field.report_id, offset, size, low, high, *physical, field.unit, field.unit_exponent)
 
     def choice(self, names: Mapping[str, int]) -> Choice | None:
-        """Return the choice among named usages: from the first array that has one of them, or else from single bits."""
+        """Return the choice among named usages: from the first array that has one of them, or else from flags."""
         for field in self.fields:
             if field.is_variable or _is_fixed(field):
                 continue
@@ -173,24 +173,24 @@ def _is_fixed(field: ReportField) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """Rule for a number: the first field of a usage that can be used. A usage without a page is on the PID page."""
+    """Rule for a number: the first usable field that has the usage. A usage without a page is on the PID page."""
 
     name: str
     usage: int
     scaled: bool = False
-    """Whether the field has a scale, which its logical range defines."""
+    """Whether the field has a scale, which its logical range must define."""
     fault: Callable[[Field], str | None] | None = None
-    """An additional check of the range."""
+    """An additional check of the range, which returns what is wrong with it."""
 
     def find(self, group: Group) -> Field | None:
-        """Return the field; None if the group has no such field."""
+        """Return the field; None if the group has no usable one."""
         found = group.number(self.usage, self.scaled)
         if found is None or self.fault is None or group.accept(found, self.name, self.fault(found)):
             return found
         return None
 
     def lacking(self, found: object) -> list[str]:
-        """Return the names of what is missing in the result of `find`."""
+        """Return [the name of the field] if `find` returned None, else []."""
         return [self.name] if found is None else []
 
 
@@ -208,7 +208,7 @@ class OneOf:
         return group.choice(self.usages)
 
     def lacking(self, found: object) -> list[str]:
-        """Return the names of what is missing in the result of `find`."""
+        """Return the names of the required entries that `found` lacks; if it is None, that of the choice."""
         if found is None and self.name:
             return [self.name]
         return [name for entry, name in self.needed if not isinstance(found, Choice) or entry not in found.entries]
@@ -216,7 +216,7 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """Rule for a value that is neither a number nor a choice; it may be empty."""
+    """Rule for a value that a function finds; it may be empty."""
 
     find: Callable[[Group], object]
 
@@ -225,7 +225,7 @@ class Computed:
         return []
 
 
-Row: TypeAlias = Number | OneOf | Computed
+FieldRule: TypeAlias = Number | OneOf | Computed
 
 
 # ---- The report descriptor -------------------------------------------------------------------------------------------
@@ -249,9 +249,9 @@ def _axes_enable(group: Group) -> dict[str, Field]:
     enable = {}
     for name, usage in AXIS_USAGES.items():
         for field, index in group.every(DESKTOP_PAGE | usage, PID_PAGE | 0x55):
-            place = group.element(field, index, scaled=False) if field.is_variable else None
-            if place is not None and not field.is_constant and place.counts_when_on() is not None:
-                enable[name] = place
+            element = group.element(field, index, scaled=False) if field.is_variable else None
+            if element is not None and not field.is_constant and element.counts_when_on() is not None:
+                enable[name] = element
                 break
     return enable
 
@@ -262,9 +262,9 @@ def _directions(group: Group) -> Iterator[tuple[list[Field], bool]]:
         # Its elements may have any usage: axes, or instances of the page Ordinals.
         inside = field.within(PID_PAGE | 0x57) or field.index_of(PID_PAGE | 0x57) is not None
         if inside and field.is_variable and not field.is_constant and field.usages:
-            places = [group.element(field, index, scaled=True) for index in range(min(field.count, len(AXIS_USAGES)))]
+            elements = [group.element(field, index, scaled=True) for index in range(min(field.count, len(AXIS_USAGES)))]
             is_vector = field.logical_min < 0 and field.usage_at(0) in _VECTOR_USAGES
-            found = [place for place in places if place is not None] if all(places) else []
+            found = [element for element in elements if element is not None] if all(elements) else []
             if found and (is_vector or group.accept(found[0], "Direction", angle_fault(found[0]))):
                 yield found, is_vector
 
@@ -295,7 +295,7 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A report of which every required field was found."""
+    """A report whose required fields were all found."""
 
     report_id: int
     report_bytes: int
@@ -371,7 +371,7 @@ class BlockLoad(Report):
 
     effect_index: _EffectIndex
     status: Annotated[Choice | None, OneOf("", LOAD_STATUS_USAGES, (("success", "Block Load Success"),))]
-    """Block Load Status; None if it cannot report success: then the index shows whether the effect was created."""
+    """Block Load Status; None if it cannot report success. Then an index of 0 means that no effect was created."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -425,7 +425,7 @@ class SetEnvelope(Report):
 
 @dataclass(frozen=True, slots=True)
 class _ReportRule:
-    """Rule for a report: fields of this kind in a collection with one of these usages."""
+    """Rule for a report: its class, its kind, and the usages (PID page) that its collection may have."""
 
     name: str
     kind: ReportKind
@@ -456,7 +456,7 @@ class Layout:
     """The reports and axes of a descriptor. If it is `usable`, all required reports are present."""
 
     missing: tuple[str, ...]
-    """What is missing for a constant force: reports by their names in the specification, or "report: field"."""
+    """Reports that a constant force needs and that are missing, named as in the specification; or "report: field"."""
     problems: tuple[str, ...]
     """Fields that exist but cannot be used, and why."""
     input: Mapping[str, Axis]
@@ -487,7 +487,7 @@ class Layout:
 
 
 def layout_of(descriptor: Descriptor) -> Layout:
-    """Find the reports and axes of a descriptor. What is absent is listed in `missing`; it raises no error."""
+    """Find the reports and axes of a descriptor. Missing reports are listed in `missing`; no error is raised."""
     return _LayoutFinder(descriptor).layout()
 
 
@@ -495,38 +495,38 @@ def layout_of(descriptor: Descriptor) -> Layout:
 
 
 @cache
-def _rows(report: Callable[..., Report]) -> tuple[dict[str, Row], dict[str, Row]]:
-    """Return the rules of the required and of the optional fields of a report, by their names."""
-    needed: dict[str, Row] = {}
-    others: dict[str, Row] = {}
+def _field_rules(report: Callable[..., Report]) -> tuple[dict[str, FieldRule], dict[str, FieldRule]]:
+    """Return two maps from the names of a report's fields to their rules: required and optional fields."""
+    needed: dict[str, FieldRule] = {}
+    others: dict[str, FieldRule] = {}
     for name, hint in get_type_hints(report, include_extras=True).items():
-        for row in getattr(hint, "__metadata__", ()):
-            is_needed = not isinstance(row, Computed) and NoneType not in get_args(hint.__origin__)
-            (needed if is_needed else others)[name] = row
+        for field_rule in getattr(hint, "__metadata__", ()):
+            is_needed = not isinstance(field_rule, Computed) and NoneType not in get_args(hint.__origin__)
+            (needed if is_needed else others)[name] = field_rule
     return needed, others
 
 
 def _find_report(group: Group, rule: _ReportRule) -> tuple[Report | None, list[str]]:
     """Return the report; if a required field is missing, None and the names of the missing fields."""
-    needed, others = _rows(rule.report)
+    needed, others = _field_rules(rule.report)
     found: dict[str, Any] = {}
     # Numbers before choices, because problems are listed in this order.
-    for name, row in sorted(needed.items(), key=lambda named: isinstance(named[1], OneOf)):
-        found[name] = row.find(group)
-        if not rule.is_needed and row.lacking(found[name]):
+    for name, field_rule in sorted(needed.items(), key=lambda named: isinstance(named[1], OneOf)):
+        found[name] = field_rule.find(group)
+        if not rule.is_needed and field_rule.lacking(found[name]):
             return None, []
-    lacking = [part for name, row in needed.items() for part in row.lacking(found[name])]
+    lacking = [part for name, field_rule in needed.items() for part in field_rule.lacking(found[name])]
     if lacking:
         return None, lacking
-    for name, row in others.items():
-        found[name] = row.find(group)
-        if row.lacking(found[name]):
+    for name, field_rule in others.items():
+        found[name] = field_rule.find(group)
+        if field_rule.lacking(found[name]):
             found[name] = None
     return rule.report(report_id=group.report_id, report_bytes=group.report_bytes, **found), []
 
 
 class _LayoutFinder:
-    """Searches one descriptor, and collects what is missing and which fields cannot be used."""
+    """Searches one descriptor, and collects missing reports and unusable fields."""
 
     def __init__(self, descriptor: Descriptor) -> None:
         self._descriptor = descriptor
@@ -556,7 +556,7 @@ class _LayoutFinder:
         return Layout(missing=missing, problems=problems, input=axes, effect_indices=indices, **found)
 
     def _report(self, rule: _ReportRule) -> Report | None:
-        """Return the first complete report; without one, note what is missing if the report is required."""
+        """Return the first complete report. Without one, if it is required, note which fields are missing."""
         lacking: list[str] = []
         for group in self._groups(rule):
             found, absent = _find_report(group, rule)
@@ -571,7 +571,7 @@ class _LayoutFinder:
         return None
 
     def _groups(self, rule: _ReportRule) -> list[Group]:
-        """Return the groups that may hold a report, preferably of the outermost collection of Set Constant Force."""
+        """Return the groups that may hold a report, those in the outermost collection of Set Constant Force first."""
         groups: dict[tuple[int, int], Group] = {}
         for usage in rule.usages:
             for around, field in self._within.get(PID_PAGE | usage, ()):
@@ -580,7 +580,7 @@ class _LayoutFinder:
         return sorted(groups.values(), key=lambda group: group.root != self._root)
 
     def _put(self, groups: dict[tuple[int, int], Group], key: tuple[int, int], field: ReportField) -> None:
-        """Add the field to its group, unless its report cannot be identified."""
+        """Add the field to its group; note a problem if only other reports have an id."""
         if field.report_id == 0 and self._descriptor.numbered(field.kind):
             self._problems.append(
                 f"{field.kind} report without an id, bit {field.bit_offset}: other {field.kind} reports have an id"
@@ -595,8 +595,8 @@ class _LayoutFinder:
     def _axes(self) -> dict[str, Axis]:
         """Return the absolute axes in the input reports of joysticks and similar devices.
 
-        If several reports have axes, one with both X and Y is preferred, in the outermost collection of Set Constant
-        Force if possible. Axes that it lacks come from the other reports.
+        If several reports have an axis, reports in the outermost collection of Set Constant Force are preferred, then
+        reports with both X and Y.
         """
         groups: dict[tuple[int, int], Group] = {}
         for field in self._descriptor.fields:
@@ -612,9 +612,9 @@ class _LayoutFinder:
         for group in groups.values():
             axes = {}
             for name, usage in AXIS_USAGES.items():
-                place = Number(name.capitalize(), DESKTOP_PAGE | usage, scaled=True, fault=axis_fault).find(group)
-                if place is not None:
-                    axes[name] = Axis(name, group.report_bytes, place)
+                element = Number(name.capitalize(), DESKTOP_PAGE | usage, scaled=True, fault=axis_fault).find(group)
+                if element is not None:
+                    axes[name] = Axis(name, group.report_bytes, element)
             self._problems += group.problems
             found.append((group.root != self._root, not {"x", "y"} <= set(axes), axes))
         found.sort(key=lambda entry: entry[:2])
@@ -625,7 +625,7 @@ class _LayoutFinder:
 
 
 def _common_indices(fields: Iterable[Field]) -> tuple[int, int] | None:
-    """Return the first and the last Effect Block Index that all fields can hold; 0 means no effect."""
+    """Return the first and the last Effect Block Index, from 1, that all fields can hold; None if no index fits."""
     fields = tuple(fields)
     first = max((field.logical_min for field in fields), default=0)
     last = min((field.logical_max for field in fields), default=0)

@@ -5,19 +5,20 @@ does not define them are skipped or accepted here, too, and listed in `Descripto
 ambiguous, the parser does what Linux does (drivers/hid/hid-core.c), because Linux has parsed the descriptor before:
 
 - Minima are signed numbers. A maximum is signed if its minimum is negative, else unsigned: `15 00 25 FF` is 0 to 255.
-  This is decided at the main item, so the order of the two items does not matter.
-- A usage of one or two bytes has the usage page that is current at its item. If the page changes between the last usage
-  and the main item, the new page applies to that usage, and to those before it back to one that already has this page.
+  This is decided at the main item.
+- A usage of one or two bytes has the usage page that is current at its item. If another page is current at the main
+  item, that page replaces those of the usages, from the last one back to the first that already has it.
 - Usages are assigned to the elements of a field in the order of their items, single usages and ranges alike. If there
   are fewer usages than elements, the last usage repeats; surplus usages are ignored.
-- Of the usages between delimiters only the first, the preferred one, is used.
+- Only the first usage between delimiters, the preferred one, is used.
 - A collection has the first of the usages before it.
-- A unit exponent of 8 to 15 is a negative nibble. A physical range of 0 to 0 is absent, and the logical range is used.
+- A unit exponent of 8 to 15 is a negative nibble. A physical range of 0 to 0 is unset: the logical range is used.
 
-Skipped are reserved items (type 3), unknown local items, unknown main items (they end the local state as any main item
-does), long items (the specification defines none; Linux refuses them), and usage ranges that lack an end, end before
-they begin or cross a page. Of a usage page the lowest 16 bits are used. A set of alternative usages that is open at a
-main item ends there. Unknown global items are errors, as in Linux. Zero bytes after the last collection are padding.
+The parser skips reserved items (type 3), unknown local items, unknown main items (which reset the local state, as any
+main item does), long items (the specification defines none; Linux refuses them), and usage ranges that lack an end, end
+before they begin or cross a page. Only the lowest 16 bits of a usage page are used. A set of alternative usages that is
+open at a main item ends there. Unknown global items are errors, as in Linux. Zero bytes after the last collection are
+padding.
 """
 
 from __future__ import annotations
@@ -46,11 +47,11 @@ IS_RELATIVE: Final = 0x04
 
 _LONG_ITEM_PREFIX: Final = 0xFE
 _MAX_LISTED_SKIPS: Final = 16
-"""`Descriptor.skipped` lists at most this many items, and the number of the others."""
+"""`Descriptor.skipped` lists at most this many items; a last line counts the others."""
 
 
 class DescriptorError(HapticdError):
-    """Error for an invalid report descriptor; its text names the byte at which the item begins, and the reason."""
+    """Error for an invalid report descriptor; its text names the byte at which the item begins."""
 
 
 class ReportKind(enum.StrEnum):
@@ -63,7 +64,7 @@ class ReportKind(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """A collection. `number` counts collections in the order in which they open, so two of the same usage differ."""
+    """A collection. `number` is unique: it counts the collections of a descriptor in the order in which they open."""
 
     number: int
     usage: int
@@ -108,7 +109,7 @@ class ReportField:
     unit_exponent: int
     flags: int
     path: tuple[Collection, ...]
-    """The collections around it, the outermost first."""
+    """The collections that contain the field, the outermost first."""
 
     @property
     def is_constant(self) -> bool:
@@ -174,7 +175,7 @@ class Descriptor:
 
 @dataclass(slots=True)
 class _ItemData:
-    """The data of an item; the main item decides whether they are signed."""
+    """The data of an item; whether they are signed is decided at the main item that uses them."""
 
     raw: int = 0
     size: int = 0
@@ -204,7 +205,7 @@ class _Globals:
 
 @dataclass(slots=True)
 class _Usage:
-    """A usage or a range of usages with its page; `page` has no value (None) if the item itself includes the page."""
+    """A usage or a range of usages. If the item itself includes the page, `page` is None."""
 
     first: int
     last: int
@@ -408,7 +409,7 @@ class _Parser:
         local.has_preferred = local.in_set
 
     def _end_locals(self, at: int) -> None:
-        """Apply the current usage page to the usages before the main item at this byte."""
+        """Complete the usages before the main item at this byte: apply the current usage page to them."""
         local = self._local
         if local.minimum is not None or local.maximum is not None:
             self._skip(at, "Usage Minimum", "a range without one of its ends: skipped")

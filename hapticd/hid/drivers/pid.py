@@ -1,7 +1,7 @@
-"""Set-up of devices of the PID class. pid_plan.py makes the plan for the time after it, pid_reports.py encodes reports.
+"""Set-up of devices of the PID class. pid_plan.py plans what is sent after it, pid_reports.py encodes reports.
 
 A set-up resets the device, enables its actuators, sets its gain, creates the effects, and starts them with a force of
-zero. If the device has no room for two effects, one effect with a direction is used.
+zero.
 
 The feature report PID Pool contains how many effects the device plays at a time. It is read once in a set-up, after the
 reset and before the first effect is created, because some firmware frees every effect when it is read. It is optional:
@@ -23,14 +23,14 @@ from hapticd.hid.descriptor.fields import Field
 from hapticd.hid.descriptor.layout import BlockLoad, Layout
 from hapticd.hid.device import Device
 from hapticd.hid.drivers.pid_plan import (
-    Way,
+    Scheme,
     axes_of,
     effects_of,
     periodic_of,
     periodic_problem,
     plan_of,
+    schemes_of,
     stop_messages,
-    ways_of,
 )
 from hapticd.hid.drivers.pid_reports import (
     ReportWriter,
@@ -50,7 +50,7 @@ MAX_BLOCK_LOAD_READS: Final = 30
 BLOCK_LOAD_READ_INTERVAL_S: Final = 0.01
 """While an effect is not loaded, PID Block Load is read at this interval, at most MAX_BLOCK_LOAD_READS times."""
 POOL_REREAD_DELAY_S: Final = 0.05
-"""If PID Pool contains 1 or 0 effects, it is read once more after this time."""
+"""If PID Pool reports 1 or 0 effects, it is read once more after this time."""
 
 _log = logging.getLogger("hapticd")
 _repeats = Repeats()
@@ -71,7 +71,7 @@ class PidDriver:
         """Create a driver. Raises DeviceError if the descriptor lacks what the configuration needs."""
         self._layout = layout
         self._hid = hid
-        self._ways = ways_of(layout, hid)
+        self._schemes = schemes_of(layout, hid)
         self._indices: list[int] = []
         axes_of(layout, hid)
         duration_of(layout, hid)
@@ -79,21 +79,21 @@ class PidDriver:
     def set_up(self, device: Device) -> Plan:
         """Reset and enable the device, create its effects, start them with a force of zero, and return the plan."""
         self._prepare(device)
-        ways, most = self._ways, self._effects_in_pool(device)
-        needed = len(effects_of(ways[0], self._hid))
-        if most is not None and most < needed:
-            other = "one effect with direction is used" if len(ways) > 1 else "PID Block Load decides"
-            _warn_once(f"{device.path}: plays {most} effect at a time, {needed} are needed; {other}")
-            ways = ways[1:] or ways
-        for way in ways:
+        schemes, max_effects = self._schemes, self._effects_in_pool(device)
+        needed = len(effects_of(schemes[0], self._hid))
+        if max_effects is not None and max_effects < needed:
+            other = "one effect with direction is used" if len(schemes) > 1 else "PID Block Load decides"
+            _warn_once(f"{device.path}: plays {max_effects} effect at a time, {needed} are needed; {other}")
+            schemes = schemes[1:] or schemes
+        for scheme in schemes:
             try:
-                return self._set_up(device, way, most)
+                return self._set_up(device, scheme, max_effects)
             except _FullError as error:
-                if way == ways[-1]:
+                if scheme == schemes[-1]:
                     raise
                 _log.warning("%s; one effect with direction is used", error)
                 self._prepare(device)
-        raise AssertionError("there is always a way")
+        raise AssertionError("there is always a scheme")
 
     def _prepare(self, device: Device) -> None:
         """Reset the device, free its effects, enable its actuators, and set its gain to the maximum."""
@@ -108,67 +108,70 @@ class PidDriver:
         _send(device, gain_report(layout, self._hid))
 
     def _effects_in_pool(self, device: Device) -> int | None:
-        """Return the number of effects in PID Pool, if more than one effect is wanted; None if it is not known.
+        """Return how many effects the device plays at a time; None if this is not known, or one effect is enough.
 
         Must be called before the first effect is created.
         """
         pool = None if "no_pid_pool" in self._hid.quirks else self._layout.pool
-        several = len(effects_of(self._ways[0], self._hid)) > 1
+        several = len(effects_of(self._schemes[0], self._hid)) > 1
         wanted = several or periodic_problem(self._layout, self._hid) is None
         if not wanted or pool is None or pool.simultaneous_effects_max is None:
             return None
-        most = 0
+        max_effects = 0
         for attempt in range(2):
             if attempt:
                 time.sleep(POOL_REREAD_DELAY_S)
             try:
                 answer = _get_feature(device, pool.report_id, pool.report_bytes, "PID Pool")
-                most = _number_in(answer, pool.simultaneous_effects_max, "PID Pool", device)
+                max_effects = _number_in(answer, pool.simultaneous_effects_max, "PID Pool", device)
             except DeviceError as error:
                 _warn_once(f"{error}; PID Block Load decides how many effects there are")
                 return None
-            if most > 1:
+            if max_effects > 1:
                 break
-        return most if most > 0 else None
+        return max_effects if max_effects > 0 else None
 
-    def _set_up(self, device: Device, way: Way, most: int | None) -> Plan:
-        plan = self._create_constant_forces(device, way)
+    def _set_up(self, device: Device, scheme: Scheme, max_effects: int | None) -> Plan:
+        plan = self._create_constant_forces(device, scheme)
         problem = periodic_problem(self._layout, self._hid)
         if problem is not None:
             return replace(plan, no_periodic=problem)
         try:
-            return self._add_periodic_effects(device, plan, most)
+            return self._add_periodic_effects(device, plan, max_effects)
         except DeviceError as error:
             # Periodic effects are optional, constant forces are required and may have been lost: create them again.
             _free_effects(self._layout, device, self._indices)
             _log.warning("%s; no effects are played by the device", error)
             self._prepare(device)
-            return replace(self._create_constant_forces(device, way), no_periodic=str(error))
+            return replace(self._create_constant_forces(device, scheme), no_periodic=str(error))
 
-    def _create_constant_forces(self, device: Device, way: Way) -> Plan:
+    def _create_constant_forces(self, device: Device, scheme: Scheme) -> Plan:
         """Create and start the constant forces, and return their plan."""
         layout, indices = self._layout, list[int]()
         try:
-            for effect in effects_of(way, self._hid):
+            for effect in effects_of(scheme, self._hid):
                 index = self._create(device)
                 if index in indices:
                     raise DeviceError(f"{device.path}: PID Block Load returns Effect Block Index {index} twice")
                 indices.append(index)
-                device.write(set_effect_report(layout, self._hid, index, effect if way != "polar" else None))
+                device.write(set_effect_report(layout, self._hid, index, effect if scheme != "polar" else None))
                 device.write(constant_force_report(layout, index).at_rest())
                 device.write(operation_report(layout, index, "start").data)
         except DeviceError:
             _free_effects(layout, device, indices)
             raise
         self._indices = list(indices)
-        return plan_of(layout, self._hid, way, indices)
+        return plan_of(layout, self._hid, scheme, indices)
 
-    def _add_periodic_effects(self, device: Device, plan: Plan, room: int | None) -> Plan:
-        """Create as many periodic effects as there is room for, and return the plan with them."""
+    def _add_periodic_effects(self, device: Device, plan: Plan, max_effects: int | None) -> Plan:
+        """Create as many periodic effects as there is room for, and return the plan with them.
+
+        `max_effects` is the result of `_effects_in_pool`.
+        """
         layout, problem = self._layout, "the device has no room for another effect"
         constant, made = len(self._indices), list[int]()
         try:
-            while len(made) < min(lib.HD_DEVICE_EFFECTS, (room or constant + lib.HD_DEVICE_EFFECTS) - constant):
+            while len(made) < min(lib.HD_DEVICE_EFFECTS, (max_effects or constant + lib.HD_DEVICE_EFFECTS) - constant):
                 index = self._create(device, "sine")
                 if index in self._indices:
                     raise DeviceError(f"{device.path}: PID Block Load returns Effect Block Index {index} twice")
@@ -238,7 +241,7 @@ def _load_status(load: BlockLoad, answer: bytes, device: Device) -> str | None:
 
 
 def _warn_once(text: str) -> None:
-    """Log a warning, and sums of repeated ones, for a device that is connected repeatedly."""
+    """Log a warning, and sums of it if the device is connected repeatedly."""
     _repeats.line(text, logging.WARNING, text)
 
 

@@ -1,9 +1,9 @@
 """Plan of a device of the PID class, made from the layout of its descriptor.
 
-A force is exerted by constant forces, in one of these ways:
+A force is exerted by constant-force effects, in one of these schemes:
 
-- Two effects, one for each axis, with signed magnitudes. A component that did not change costs no report, unless the
-  directions are not exactly along the axes (`pid_reports.force_components`).
+- Two effects, one for each axis, with signed magnitudes. If the component along one axis does not change, its report is
+  not sent, unless the directions are not exactly along the axes (`pid_reports.force_factors`).
 - One effect, for which magnitude and direction are sent. It is used if magnitudes have no sign, or if the device has
   room for one effect only.
 
@@ -31,7 +31,7 @@ from hapticd.hid.drivers.pid_reports import (
     control_report,
     duration_of,
     envelope_report,
-    force_components,
+    force_factors,
     gain_report,
     has_one_axis,
     has_vector,
@@ -58,18 +58,18 @@ from hapticd.hid.plan import (
 )
 
 MAX_RENEW_WITHOUT_RESTORE_S: Final = 0.05
-"""Messages that are renewed at this interval or a shorter one need not be restored in addition."""
+"""Messages that are sent with renewals at this interval or a shorter one are left out of `Plan.restore`."""
 
-Way = Literal["two", "polar", "one", "sides"]
-"""two: one effect for each axis; polar: one effect with a direction; one: one effect for a device with one axis; sides:
-two effects for a device with one axis, one for each direction."""
-
-
-# ---- Ways and axes ---------------------------------------------------------------------------------------------------
+Scheme = Literal["two", "polar", "one", "sides"]
+"""The effects that exert a force. On a device with two axes: "two", one for each axis, or "polar", one effect with a
+direction. On a device with one axis: "one", one effect, or "sides", one for each direction."""
 
 
-def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
-    """Return the ways in which a force can be exerted, the best first. Raises DeviceError if there is no way."""
+# ---- Schemes and axes ------------------------------------------------------------------------------------------------
+
+
+def schemes_of(layout: Layout, hid: Hid) -> tuple[Scheme, ...]:
+    """Return the schemes in which a force can be exerted, the best first. Raises DeviceError without one."""
     effect, force = layout.set_effect, layout.constant_force
     assert effect is not None and force is not None
     shared = shared_report_problem(layout)
@@ -90,12 +90,12 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
         if angle is not None and room:
             return ("sides",)
         raise DeviceError("the device has magnitudes without a sign, and no field for the direction of a force")
-    ways: list[Way] = []
+    schemes: list[Scheme] = []
     if signed and room and (angle is not None or both):
-        ways.append("two")
+        schemes.append("two")
     if angle is not None:
-        ways.append("polar")
-    if not ways:
+        schemes.append("polar")
+    if not schemes:
         if not both:
             lacks = "and neither Direction nor Axes Enable to distinguish them in a force"
         elif signed:
@@ -103,7 +103,7 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
         else:
             lacks = "magnitudes without a sign, and no angle for the direction of a force"
         raise DeviceError(f"the device has two axes, {lacks}")
-    return tuple(ways)
+    return tuple(schemes)
 
 
 def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
@@ -125,13 +125,13 @@ def _axis(layout: Layout, axis: HandleAxis, name: str, hid: Hid) -> AxisPlan:
     return AxisPlan(bits_of(field), field.report_id, middle, axis.sign * hid.travel_m / half)
 
 
-def effects_of(way: Way, hid: Hid) -> tuple[Effect, ...]:
-    """Return the effects that exert a force in this way."""
+def effects_of(scheme: Scheme, hid: Hid) -> tuple[Effect, ...]:
+    """Return the effects that exert a force in this scheme."""
     axes, swap = hid.force_axes, hid.force_axes.swap
     along_x, along_y = (HidQuantity.Y, HidQuantity.X) if swap else (HidQuantity.X, HidQuantity.Y)
     # A force to the right comes from the left, one away from the user from the user.
     right, away = 0.75, 0.5
-    match way:
+    match scheme:
         case "two":
             return (Effect("x", right, along_x, axes.x.sign), Effect("y", away, along_y, axes.y.sign))
         case "polar":
@@ -146,14 +146,14 @@ def effects_of(way: Way, hid: Hid) -> tuple[Effect, ...]:
 # ---- The plan --------------------------------------------------------------------------------------------------------
 
 
-def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
+def plan_of(layout: Layout, hid: Hid, scheme: Scheme, indices: Sequence[int]) -> Plan:
     """Return the plan for effects with these Effect Block Indices."""
     x, y = axes_of(layout, hid)
-    effects = effects_of(way, hid)
+    effects = effects_of(scheme, hid)
     # The direction is sent before the magnitude, so that a new magnitude never acts along the old direction.
-    force = [polar_effect_report(layout, hid, indices[0])] if way == "polar" else []
-    for effect, index, part in zip(effects, indices, _force_components(layout, effects), strict=True):
-        force.append(constant_force_report(layout, index, effect, hid, part))
+    force = [polar_effect_report(layout, hid, indices[0])] if scheme == "polar" else []
+    for effect, index, factors in zip(effects, indices, _force_factors(layout, effects), strict=True):
+        force.append(constant_force_report(layout, index, effect, hid, factors))
     infinite = "infinite_duration" in hid.quirks
     _, duration_s = duration_of(layout, hid)
     renew_s = hid.renew_s if infinite else min(hid.renew_s, 0.5 * duration_s)
@@ -163,7 +163,7 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         y=y,
         force=tuple(force),
         renew=tuple(operation_report(layout, index, "start") for index in indices),
-        restore=tuple(_restore_messages(layout, hid, way, indices, renew_s)),
+        restore=tuple(_restore_messages(layout, hid, scheme, indices, renew_s)),
         stop=stop_messages(layout, indices),
         # Most devices report that an effect plays when it starts. The set-up started it before reports were read, so
         # the effects are stopped once; the first renewal starts them again at once.
@@ -173,24 +173,24 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         renew_s=renew_s,
         foreign_s=renew_s if renew_s <= MAX_RENEW_WITHOUT_RESTORE_S else 0.0,
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
-        leak=_leak_of(layout) if way == "polar" else 0.0,
+        leak=_leak_of(layout) if scheme == "polar" else 0.0,
     )
 
 
-def _force_components(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
-    """Return for each effect which shares of the force along its axis and of the other one its magnitude contains."""
-    to = layout.set_effect
-    assert to is not None
-    angle = angle_of(to)
+def _force_factors(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
+    """Return for each effect the factors of the force along its axis and along the other axis in its magnitude."""
+    set_effect = layout.set_effect
+    assert set_effect is not None
+    angle = angle_of(set_effect)
     straight = [(1.0, 0.0)] * len(effects)
     if (
         len({effect.axis for effect in effects}) < 2
         or angle is None
-        or not all(is_by_angle(to, one) for one in effects)
+        or not all(is_by_angle(set_effect, one) for one in effects)
     ):
         return straight
     sign = effects[0].sign * effects[1].sign
-    shown = force_components(angle, effects[0].from_turns, effects[1].from_turns)
+    shown = force_factors(angle, effects[0].from_turns, effects[1].from_turns)
     return [(along, other * sign) for along, other in shown]
 
 
@@ -200,18 +200,20 @@ def _leak_of(layout: Layout) -> float:
     return 0.0 if angle is None else leak_share(angle)
 
 
-def _restore_messages(layout: Layout, hid: Hid, way: Way, indices: Sequence[int], renew_s: float) -> Iterator[Message]:
-    """Yield the messages that restore an effect which another program changed, except those renewed often enough."""
-    effects = effects_of(way, hid)
-    for effect, index, part in zip(effects, indices, _force_components(layout, effects), strict=True):
-        if way != "polar":
+def _restore_messages(
+    layout: Layout, hid: Hid, scheme: Scheme, indices: Sequence[int], renew_s: float
+) -> Iterator[Message]:
+    """Yield messages that restore effects which another program changed, except those renewed often enough."""
+    effects = effects_of(scheme, hid)
+    for effect, index, factors in zip(effects, indices, _force_factors(layout, effects), strict=True):
+        if scheme != "polar":
             yield Message(set_effect_report(layout, hid, index, effect))
         elif renew_s > MAX_RENEW_WITHOUT_RESTORE_S:
             yield polar_effect_report(layout, hid, index)
         if layout.set_envelope is not None:
             yield Message(envelope_report(layout.set_envelope, index))
         if renew_s > MAX_RENEW_WITHOUT_RESTORE_S:
-            yield constant_force_report(layout, index, effect, hid, part)
+            yield constant_force_report(layout, index, effect, hid, factors)
             yield operation_report(layout, index, "start")
     gain = gain_report(layout, hid)
     if gain is not None:
@@ -244,7 +246,7 @@ def _state_bits(layout: Layout) -> tuple[StateBit, ...]:
 
 
 def _playing_bits(layout: Layout, indices: Sequence[int], proof: int) -> PlayingBits | None:
-    """Return the fields of PID State for the effects that play; None if they are absent or cannot hold the indices."""
+    """Return the fields of PID State that report which effects play; None if absent or too small for the indices."""
     state = layout.pid_state
     if state is None or state.effect_index is None or state.effect_playing is None:
         return None

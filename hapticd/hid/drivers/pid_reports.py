@@ -1,7 +1,4 @@
-"""Encodes the reports for a device of the PID class, from the layout of its descriptor.
-
-Directions are integer counts, so a force along one axis may also act along the other; this module computes by how much.
-"""
+"""Encodes the reports for a device of the PID class, from the layout of its descriptor."""
 
 from __future__ import annotations
 
@@ -16,14 +13,14 @@ from hapticd.hid.descriptor.layout import Layout, Report, SetEffect, SetEnvelope
 from hapticd.hid.plan import Bits, DeviceError, Message, Scale, Value
 
 _MIN_DIRECTION_SINE: Final = 0.5
-"""Two directions distinguish the axes if the sine of the angle between them is at least this."""
+"""`force_factors` needs two directions with at least this sine of the angle between them; else it corrects nothing."""
 
 
 # ---- Directions ------------------------------------------------------------------------------------------------------
 
 
 def angle_of(effect: SetEffect) -> Field | None:
-    """Return the direction's field for an angle; None if there is no direction, or it is a vector."""
+    """Return the field for the angle of the direction; None if there is no direction, or it is a vector."""
     return None if effect.is_direction_cartesian or not effect.direction else effect.direction[0]
 
 
@@ -33,7 +30,7 @@ def has_vector(effect: SetEffect) -> bool:
 
 
 def has_one_axis(layout: Layout, hid: Hid) -> bool:
-    """Return whether the device exerts forces along one axis only, such as a wheel with pedals and without Y."""
+    """Return whether the device exerts forces along one axis only, for example a wheel."""
     assert layout.set_effect is not None
     no_y = hid.axes.y.usage == "Y" and "y" not in layout.input
     return no_y or len(layout.input) == 1 or len(layout.set_effect.axes_enable) == 1
@@ -43,7 +40,7 @@ def enabled_for(effect: SetEffect, axes: HandleAxes, axis: Literal["x", "y"]) ->
     """Return the axis to enable for a force along the device's first (x) or second axis (y).
 
     The two axes are X and Y if the device has both, else those of the handle, else the device's axes in their order.
-    On a device with one axis it is that axis, whatever its name.
+    On a device with one axis, the result is that axis.
     """
     known = effect.axes_enable
     handle = (axes.x.usage.lower(), axes.y.usage.lower())
@@ -60,10 +57,10 @@ def counts_of(angle: Field, turns: float) -> float:
 
 
 def direction_transform(axes: ForceAxes) -> tuple[int, float]:
-    """Return slope and offset of the device's direction: it is slope * d + offset for a direction of d turns.
+    """Return slope and offset: for a force of direction d, in turns, the device needs the direction slope * d + offset.
 
-    A direction is an angle from +y towards +x. A negative sign of x turns d into -d, a negative sign of y turns d into
-    1/2 - d, and swapped axes turn d into 1/4 - d. The swap is applied first.
+    A direction is an angle from +y towards +x. A negative sign of x maps d to -d, a negative sign of y maps d to
+    1/2 - d, and swapped axes map d to 1/4 - d. The swap is applied first.
     """
     slope, offset = (-1, 0.25) if axes.swap else (1, 0.0)
     if axes.x.sign < 0:
@@ -73,13 +70,13 @@ def direction_transform(axes: ForceAxes) -> tuple[int, float]:
     return slope, offset
 
 
-def force_components(angle: Field, x_turns: float, y_turns: float) -> list[tuple[float, float]]:
-    """Return the shares by which the magnitudes of two effects contain the forces along their axes.
+def force_factors(angle: Field, x_turns: float, y_turns: float) -> list[tuple[float, float]]:
+    """Return two factors for the effect of x, then for that of y, with which both together exert exactly the force.
 
-    For the effect of x and then for that of y: its share of the force along its axis, and of the force along the other.
-    With these shares both effects together push exactly along an axis. With 255 counts per turn, no count is a right
-    angle, and a single effect for one axis would push along the other with up to 1.2 % of its force. `x_turns` and
-    `y_turns` are the directions of the effects.
+    The magnitude of an effect is the first factor times the force along its axis, plus the second factor times the
+    force along the other axis. The factors correct the rounding of the directions `x_turns` and `y_turns`: with 255
+    counts per turn, no count is a right angle, and an effect for one axis pushes along the other with up to 1.2 % of
+    its force.
     """
     x_x, x_y = _push_vector(angle, x_turns)
     y_x, y_y = _push_vector(angle, y_turns)
@@ -90,7 +87,7 @@ def force_components(angle: Field, x_turns: float, y_turns: float) -> list[tuple
 
 
 def leak_share(angle: Field) -> float:
-    """Return the largest part of a force that acts at right angles to it, if its direction is half a count off."""
+    """Return the largest fraction of a force that acts at right angles to it, if its direction is half a count off."""
     per_turn = angle.counts_per_turn()
     return math.sin(math.pi / per_turn) if per_turn > 2.0 else 1.0
 
@@ -109,23 +106,23 @@ def _push_vector(angle: Field, turns: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A constant force: its axis, the direction its force comes from in turns, and the quantity of its magnitude."""
+    """A constant force: its axis, the direction from which it comes, in turns, and the quantity of its magnitude."""
 
     axis: Literal["x", "y"]
     from_turns: float
     quantity: HidQuantity
     sign: int
     needs_angle: bool = False
-    """Whether an enabled axis would not define the direction, because magnitudes have no sign."""
+    """Whether the direction must be an angle: without signed magnitudes, an enabled axis does not define it."""
 
 
 class ReportWriter:
     """Writes a report field by field into `data`, its id first."""
 
-    def __init__(self, to: Report) -> None:
-        """Begin a report of zeros."""
-        self.data = bytearray(to.report_bytes + (to.report_id == 0))
-        self.data[0] = to.report_id
+    def __init__(self, fields: Report) -> None:
+        """Begin a report with the id and the length of `fields`, filled with zeros."""
+        self.data = bytearray(fields.report_bytes + (fields.report_id == 0))
+        self.data[0] = fields.report_id
 
     def put(self, field: Field | None, counts: float) -> None:
         """Write counts, rounded and limited to the field's range; does nothing without a field."""
@@ -151,57 +148,57 @@ class ReportWriter:
 def set_effect_report(
     layout: Layout, hid: Hid, index: int, effect: Effect | None, kind: str = "constant_force"
 ) -> bytes:
-    """Return Set Effect; without `effect` its direction is sent later. `kind` is a key of EFFECT_TYPE_USAGES."""
-    to = layout.set_effect
-    assert to is not None
-    report = ReportWriter(to)
-    report.put(to.effect_index, index)
-    report.choose(to.effect_type, kind)
+    """Return Set Effect; if `effect` is None, without a direction. `kind` is a key of EFFECT_TYPE_USAGES."""
+    fields = layout.set_effect
+    assert fields is not None
+    report = ReportWriter(fields)
+    report.put(fields.effect_index, index)
+    report.choose(fields.effect_type, kind)
     if "infinite_duration" in hid.quirks:
-        report.fill(to.duration)
+        report.fill(fields.duration)
     else:
-        report.put(to.duration, duration_of(layout, hid)[0])
-    for absent in (to.trigger_repeat_interval, to.sample_period, to.start_delay):
+        report.put(fields.duration, duration_of(layout, hid)[0])
+    for absent in (fields.trigger_repeat_interval, fields.sample_period, fields.start_delay):
         report.put(absent, 0)
-    if to.gain is not None:
-        report.put(to.gain, to.gain.logical_max)
-    report.fill(to.trigger_button)
-    _put_direction(report, to, hid, effect)
+    if fields.gain is not None:
+        report.put(fields.gain, fields.gain.logical_max)
+    report.fill(fields.trigger_button)
+    _put_direction(report, fields, hid, effect)
     return bytes(report.data)
 
 
-def _put_direction(report: ReportWriter, to: SetEffect, hid: Hid, effect: Effect | None) -> None:
+def _put_direction(report: ReportWriter, fields: SetEffect, hid: Hid, effect: Effect | None) -> None:
     """Write the direction of an effect: as an angle if the device accepts it, else as the enabled axes."""
-    angle, by_angle = angle_of(to), is_by_angle(to, effect)
+    angle, by_angle = angle_of(fields), is_by_angle(fields, effect)
     if by_angle:
-        report.flag(to.direction_enable)
+        report.flag(fields.direction_enable)
         if effect is not None:
             assert angle is not None
             report.put(angle, counts_of(angle, effect.from_turns))
     elif angle is not None and effect is not None:
         # Without Direction Enable there is one direction for each axis. Firmware that uses it as a factor exerts no
         # force along x if it is 0.
-        for field in to.direction:
+        for field in fields.direction:
             report.put(field, counts_of(field, effect.from_turns))
-    elif to.is_direction_cartesian and effect is not None:
-        for name, field in zip(("x", "y"), to.direction, strict=False):
+    elif fields.is_direction_cartesian and effect is not None:
+        for name, field in zip(("x", "y"), fields.direction, strict=False):
             report.put(field, field.logical_max if name == effect.axis else 0)
-        report.flag(to.direction_enable, not to.axes_enable)
-    if not by_angle or to.direction_enable is None:
-        for name, field in to.axes_enable.items():
-            report.flag(field, effect is None or name == enabled_for(to, hid.axes, effect.axis))
+        report.flag(fields.direction_enable, not fields.axes_enable)
+    if not by_angle or fields.direction_enable is None:
+        for name, field in fields.axes_enable.items():
+            report.flag(field, effect is None or name == enabled_for(fields, hid.axes, effect.axis))
 
 
-def is_by_angle(to: SetEffect, effect: Effect | None) -> bool:
+def is_by_angle(fields: SetEffect, effect: Effect | None) -> bool:
     """Return whether an effect's direction is an angle, rather than the enabled axes."""
     needed = effect is None or effect.needs_angle
-    return angle_of(to) is not None and (to.direction_enable is not None or not to.axes_enable or needed)
+    return angle_of(fields) is not None and (fields.direction_enable is not None or not fields.axes_enable or needed)
 
 
 def duration_of(layout: Layout, hid: Hid) -> tuple[int, float]:
     """Return the duration of an effect in counts, and in s as the device interprets these counts.
 
-    With the quirk infinite_duration it is the configured one. Raises DeviceError if no duration is suitable.
+    With the quirk infinite_duration, the time is the configured one. Raises DeviceError if no duration is suitable.
     """
     assert layout.set_effect is not None
     field = layout.set_effect.duration
@@ -218,43 +215,43 @@ def duration_of(layout: Layout, hid: Hid) -> tuple[int, float]:
 
 def operation_report(layout: Layout, index: int, name: str) -> Message:
     """Return Effect Operation; `name` is a key of OPERATION_USAGES."""
-    to = layout.effect_operation
-    assert to is not None
-    report = ReportWriter(to)
-    report.put(to.effect_index, index)
-    report.choose(to.operation, name)
-    report.put(to.loop_count, 1)
+    fields = layout.effect_operation
+    assert fields is not None
+    report = ReportWriter(fields)
+    report.put(fields.effect_index, index)
+    report.choose(fields.operation, name)
+    report.put(fields.loop_count, 1)
     return Message(bytes(report.data))
 
 
 def block_free_report(layout: Layout, index: int) -> Message | None:
     """Return PID Block Free; None if the device has no such report, or it cannot hold this index."""
-    to = layout.block_free
-    if to is None or not to.effect_index.logical_min <= index <= to.effect_index.logical_max:
+    fields = layout.block_free
+    if fields is None or not fields.effect_index.logical_min <= index <= fields.effect_index.logical_max:
         return None
-    report = ReportWriter(to)
-    report.put(to.effect_index, index)
+    report = ReportWriter(fields)
+    report.put(fields.effect_index, index)
     return Message(bytes(report.data))
 
 
 def control_report(layout: Layout, name: str) -> bytes | None:
     """Return a command of Device Control; None if the device lacks the command."""
-    to = layout.device_control
-    assert to is not None
-    if name not in to.command.entries:
+    fields = layout.device_control
+    assert fields is not None
+    if name not in fields.command.entries:
         return None
-    report = ReportWriter(to)
-    report.choose(to.command, name)
+    report = ReportWriter(fields)
+    report.choose(fields.command, name)
     return bytes(report.data)
 
 
 def gain_report(layout: Layout, hid: Hid) -> bytes | None:
     """Return Device Gain at its maximum; None if the device has no such report, or does not accept it."""
-    to = layout.device_gain
-    if to is None or "no_device_gain" in hid.quirks:
+    fields = layout.device_gain
+    if fields is None or "no_device_gain" in hid.quirks:
         return None
-    report = ReportWriter(to)
-    report.put(to.gain, to.gain.logical_max)
+    report = ReportWriter(fields)
+    report.put(fields.gain, fields.gain.logical_max)
     return bytes(report.data)
 
 
@@ -263,11 +260,11 @@ def constant_force_report(
     index: int,
     effect: Effect | None = None,
     hid: Hid | None = None,
-    part: tuple[float, float] = (1.0, 0.0),
+    factors: tuple[float, float] = (1.0, 0.0),
 ) -> Message:
-    """Return Set Constant Force of an effect; without `effect` for a force of zero.
+    """Return Set Constant Force of an effect; if `effect` is None, for a force of zero.
 
-    `part` has the shares of the force along the effect's axis, and along the other one, in the magnitude.
+    `factors` are those of the force along the effect's axis and of the force along the other axis (`force_factors`).
     """
     force = layout.constant_force
     assert force is not None
@@ -279,7 +276,7 @@ def constant_force_report(
         return Message(bytes(report.data))
     scale = level_scale(field, hid)
     least = max(field.logical_min, -field.logical_max) if field.is_signed else scale.zero_counts
-    along, other = (effect.sign * scale.counts_per_unit * share for share in part)
+    along, other = (effect.sign * scale.counts_per_unit * factor for factor in factors)
     value = Value(scale.bits, effect.quantity, along, scale.zero_counts, least, field.logical_max, other)
     return Message(bytes(report.data), (value,))
 
@@ -304,17 +301,17 @@ def polar_effect_report(layout: Layout, hid: Hid, index: int, kind: str = "const
     return Message(set_effect_report(layout, hid, index, None, kind), (value,))
 
 
-def envelope_report(to: SetEnvelope, index: int) -> bytes:
+def envelope_report(fields: SetEnvelope, index: int) -> bytes:
     """Return Set Envelope of an effect, with times and levels of zero."""
-    report = ReportWriter(to)
-    report.put(to.effect_index, index)
+    report = ReportWriter(fields)
+    report.put(fields.effect_index, index)
     return bytes(report.data)
 
 
 def shared_report_problem(layout: Layout, *, with_periodic: bool = False) -> str | None:
-    """Return which output reports share an id, so that sending one sets the others to zero; None if no two do.
+    """Return an error if output reports share an id, so that sending one sets the others to zero; else None.
 
-    `with_periodic` includes the reports of periodic effects.
+    `with_periodic` includes the report Set Periodic.
     """
     sent = {
         "Set Effect": layout.set_effect,
@@ -353,5 +350,5 @@ def level_scale(field: Field, hid: Hid) -> Scale:
 
 
 def bits_of(field: Field) -> Bits:
-    """Return the bit field of a field."""
+    """Return offset, size and sign of a field."""
     return Bits(field.bit_offset, field.bit_size, field.is_signed)
