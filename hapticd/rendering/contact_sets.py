@@ -1,8 +1,8 @@
 """Contact sets: which surfaces of a scene can be touched at the same time, and how stable each such set is.
 
 The analysis reads the arrays of the compiled table. The region of a surface is where a probe can touch it. For a wall
-it is a strip below the surface, as deep as the force limit presses; for a membrane a strip around it; for a box or a
-disc all of its area. Two surfaces act together if their regions meet.
+it is a strip below the surface, as deep as the force limit lets the probe go; for a membrane a strip around it; for a
+box or a disc all of its area. Two surfaces act together if their regions meet.
 
 A contact set is a pair that meets plus all surfaces that meet both, or a surface that meets none. All surfaces that a
 probe touches at once lie within one of the sets. If there are too many pairs to compare, all surfaces form one set. A
@@ -39,7 +39,7 @@ MAX_COMPARED_PAIRS: Final = 500_000
 MAX_COMPARED_TRIPLES: Final = 2_000_000
 """Above this number of triples all surfaces form one contact set."""
 MAX_SEARCHED_SETS: Final = 400
-"""Number of the worst sets among which different ones are searched."""
+"""Number of sets, the worst first, that are searched for distinct ones."""
 MAX_REPORTED_SETS: Final = 20
 """Number of sets that are reported one by one."""
 MAX_STABILITY_LINES: Final = 5
@@ -180,8 +180,8 @@ def _contributions(surfaces: SurfaceTable, properties: SurfaceProperties, loop: 
             matrix(properties.damping, properties.drag),
             0.5 * loop.encoder_step_m * noise(properties.normal_noise, properties.tangent_noise),
             loop.speed_step_m_per_s * noise(properties.normal_speed_noise, properties.tangent_speed_noise),
-            0.5 * properties.rubbed[:, None],
-            2.0 * properties.rubbed_damping[:, None],
+            0.5 * properties.friction_per_depth[:, None],
+            2.0 * properties.friction_per_speed[:, None],
         ),
         axis=1,
     )
@@ -198,7 +198,7 @@ _SlotsOfSet: TypeAlias = Callable[[int], tuple[int, ...]]
 
 
 def _sets_of(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _SlotsOfSet]:
-    """Return the sums of the sets that the surfaces `which` form, (n, _SUM_COLUMNS), and a function for members."""
+    """Return the sums of the sets that the surfaces `which` form, (n, _SUM_COLUMNS), and a function for their slots."""
     reached = which[regions.reachable[which]]
     far = which[~regions.reachable[which]]
     if len(reached) == 0:
@@ -369,7 +369,7 @@ class ContactSets:
 def safe_around(surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> bool:
     """Return whether every contact set that contains one of these surfaces is safe.
 
-    Without surfaces, return whether the fields alone are.
+    Without surfaces, return whether the fields alone are safe.
     """
     if not slots:
         return bool(ContactSets(surfaces.of(np.zeros(0, np.int64)), loop).safe.all())
