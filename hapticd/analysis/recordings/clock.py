@@ -47,7 +47,7 @@ MAX_UNIFORM_DEVIATION_PERIODS: Final = 1e-3
 MAX_JITTER_PERIODS: Final = 0.5
 """A larger deviation from a uniform clock, in periods, means lost or doubled samples."""
 MAX_RATE_MISMATCH: Final = 0.02
-"""Largest relative difference between two statements of the rate that may still mean the same rate."""
+"""Largest relative difference between a given and a measured rate that are taken as the same."""
 MIN_SAMPLES_PER_GAP: Final = 50
 """A recording may have one gap per this many samples; a short one may have three."""
 
