@@ -130,7 +130,7 @@ def check(config: Config) -> Report:
     refused = rate_faults(scene.objects, materials, output)
     found_warnings: list[Problem] = []
     if not refused:
-        # A sound that the actuator slows is reported once, as a problem of the actuator.
+        # A vibration that the actuator attenuates is reported once, as a problem of the actuator.
         found_warnings += lag_warnings(shown, output)
         slowed = {problem.where for problem in found_warnings}
         others = [*warnings(scene.objects, materials, output)]
@@ -213,7 +213,7 @@ def _device(config: Config) -> _Device:
             return _Device(
                 f"a recording: {error}", _STEP_UNKNOWN_TEXT, undrivable=(Problem("device.replay", str(error)),)
             )
-        return _Device("a recording that no force moves", "a recording has no loop")
+        return _Device("a recording, which forces do not move", "a recording does not react to forces")
     hid = device.hid
     handle = "" if device.handle is not None else "; device.handle is not set"
     away = _Device(

@@ -157,7 +157,7 @@ class _Grid:
     def __init__(self, mode: Mode, rate_hz: float) -> None:
         high = ERROR_BAND_RATE_FRACTION * rate_hz
         low = min(ERROR_BAND_LOW_HZ, mode.frequency_hz / 2, high / 2)
-        # Linear steps resolve truncated ends, geometric steps the device, `near` the peak of a mode that decays slowly.
+        # Linear steps resolve the cut end of a mode, geometric steps the device, `near` the peak of a slow decay.
         width = mode.decay_rate_per_s / (2 * math.pi)
         reach = math.asinh(high / width)
         near = mode.frequency_hz + width * np.sinh(np.linspace(-reach, reach, 201))
@@ -474,7 +474,7 @@ def tuned_shapes(
 ) -> list[tuple[Shape, Shape]]:
     """Return shapes_of for each of `modes`, which change gradually from one to the next.
 
-    All share the pole of one tail, or none has a tail; none has kicks. So their gains change gradually, too.
+    All share the pole of one tail, or none has a tail; none has kicks.
     """
     if compensation == "mass":
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
@@ -482,7 +482,7 @@ def tuned_shapes(
     tails = _tails(modes[len(modes) // 2], rate_hz)
     loads = (load, load.free) if best_in_contact else (load.free, load)
     first, second = ([_Band(mode, dynamics, rate_hz, each, tails) for mode in modes] for each in loads)
-    # With each of the two tails, and without a tail by two gains.
+    # Designs with each of the two tails, and without a tail with either of two gains.
     designs: list[Callable[[_Band], Shape]] = [
         *(partial(_Band.with_tail, tail=tail) for tail in tails),
         _Band.by_hold_gain,

@@ -111,8 +111,8 @@ def touched_by(material: Material, use: Use) -> Touched:
 def struck_shapes(mode: Mode, output: Output, touched: Touched = NO_SURFACE) -> tuple[Shape, Shape] | None:
     """Return the shapes of a strike of a mode that the rate can carry: without a surface, and against `touched`.
 
-    The second is for a strike along the normal, with DEFAULT_SURFACE_N_PER_M if there is no surface. The core
-    interpolates between both by the stiffness that acts along the strike. Returns None without compensation.
+    The second is for a strike along the normal, with DEFAULT_SURFACE_N_PER_M if there is no surface. Returns None
+    without compensation.
     """
     if output.compensation == "off":
         return None
@@ -311,7 +311,7 @@ def _stochastic_warnings(name: str, texture: Stochastic, output: Output) -> Iter
     shown = stochastic_filter(*pair, output.rate_hz)
     if not shown.met(*pair):
         problem = (
-            f"a peak of {_hz(pair[0])} and a mean of {_hz(pair[1])} are not met at a rate of {_hz(output.rate_hz)}; "
+            f"a peak of {_hz(pair[0])} and a mean of {_hz(pair[1])} cannot both be reached at {_hz(output.rate_hz)}; "
             f"shown are {_hz(shown.peak_hz)} and {_hz(shown.mean_hz)}"
         )
         yield _texture_problem(name, "mean_hz", problem)

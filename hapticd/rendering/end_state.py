@@ -1,4 +1,4 @@
-"""How a simulated motion ends: at rest, or in a cycle that lasts for ever.
+"""How a simulated motion ends: at rest, or in a lasting cycle.
 
 A falling energy proves nothing, as the energy of a motion that approaches a limit cycle falls, too. So the energy is
 followed in windows of half a second until the handle rests, or until the energy no longer changes over hundreds of

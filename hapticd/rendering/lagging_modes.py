@@ -96,9 +96,9 @@ def _remedies(mode: Mode, output: Output, touched: Touched) -> Iterator[str]:
                 yield f"compensation: full would show {100 * abs(part):.3g} %"
     bandwidth_hz = _needed_hz(mode, output, touched)
     if bandwidth_hz is None:
-        yield f"no bandwidth up to {_hz(MAX_BANDWIDTH_HZ)} would do"
+        yield f"no bandwidth up to {_hz(MAX_BANDWIDTH_HZ)} would suffice"
     else:
-        yield f"an actuator of {_hz(bandwidth_hz)} would do"
+        yield f"an actuator of {_hz(bandwidth_hz)} would suffice"
 
 
 def _needed_hz(mode: Mode, output: Output, touched: Touched) -> float | None:

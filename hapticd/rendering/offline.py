@@ -179,7 +179,7 @@ class _Recorder:
 class Rerun:
     """Renders recorded ticks of a servo again from the inputs in their samples; the scene may change between ticks.
 
-    Contacts, modes and punctures persist from tick to tick, as in the servo. `restart` clears them.
+    Contacts, modes and punctures persist from tick to tick, as in the servo.
     """
 
     def __init__(self, output: Output, slots: int) -> None:

@@ -179,13 +179,13 @@ class Sweep:
 
     def _play_bursts(self, reach_m: float, force_n: float, frequencies: Iterator[float]) -> None:
         """Play bursts; one at FIRST_BURST_HZ and `force_n` has moved the handle by `reach_m` before."""
-        # The aim of a burst is 0.4 of the middle third.
+        # A burst should move the handle by 0.4 of the middle third.
         allowed = 0.4 * MAX_TRAVEL_FRACTION * self._travel_m
         # The resonance of a held handle determines its mass: bursts above 5 Hz are played twice.
         twice_hz = 5.0 if self._held else 20.0
         before = FIRST_BURST_HZ
         for frequency in frequencies:
-            # The motion of a mass; spring and friction reduce it. The force at most doubles from burst to burst.
+            # Expected motion of a mass; spring and friction reduce it. The force at most doubles from burst to burst.
             likely = max(reach_m, 1e-9) * (before / frequency) ** 2
             force_n = min(self._max_n, force_n * min(2.0, allowed / likely))
             force_n = max(force_n, 0.02 * self._max_n)

@@ -6,7 +6,7 @@
     pieces[]     pieces of walls with patches, one wall after the other; a piece is an interval of one material
     noises[]     noises of materials, each at its index; `numbers` holds their filters
 
-The compiler rewrites only what changed, so an update of one object costs the same in a large scene as in a small one.
+An update of one object costs the same in a large scene as in a small one.
 The lowest free index is used first, so arrays are no longer than the largest scene needed. All input is validated
 before.
 """
