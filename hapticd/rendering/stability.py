@@ -8,8 +8,8 @@ extend Colgate and Schenkel (1997), Abbott and Okamura (2005) and Diolaiti et al
     quantisation   noise(K, D, encoder, actuator) <= c   per axis; c is the handle's own dry friction
     eigenvalues    spectral radius < 1                   of the exact sampled loop with the configured hand
 
-`reach` is half a period plus the age of positions, for a plain loop T/2 + t_d. The first two conditions together prove
-that a contact comes to rest in every passive hand, and imply the third. All quantities are SI.
+`reach` is T/2 + t_d with a constant period T and age t_d of positions; `echo` is 1 with exact positions. The first two
+conditions together prove that a contact comes to rest in every passive hand, and imply the third.
 """
 
 from __future__ import annotations
