@@ -41,7 +41,7 @@ class UnitError(FitError):
 
 
 def require_scipy(what: str = "fitting recordings") -> None:
-    """Raise HapticdError if scipy is missing; `what` names its user in the message."""
+    """Raise HapticdError if scipy is missing; `what` names the feature that needs it."""
     try:
         import scipy  # noqa: F401
     except ImportError:

@@ -197,7 +197,7 @@ class _Grid:
         return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
 
     def count(self, pole: complex, onset: float) -> int:
-        """Return the number of ticks up to five time constants, the first of them `onset` periods after the onset."""
+        """Return the number of ticks within five time constants of an onset `onset` periods before the first tick."""
         first_s = onset * self.period_s
         return math.floor((_MODE_TIME_CONSTANTS / -pole.real - first_s) / self.period_s + 1e-9) + 1
 
@@ -268,7 +268,7 @@ class _Band:
     def columns(self, poles: Sequence[complex], onset: float = 0.0) -> list[_Floats]:
         """Return the accelerations for Im(exp(p t)) and Re(exp(p t)) of each pole.
 
-        The ticks end five time constants after the onset; the first of them is `onset` periods after it.
+        The ticks end five time constants after the onset, which is `onset` periods before the first tick.
         """
         found = []
         for pole in poles:
@@ -499,7 +499,7 @@ def tuned_shapes(
 def peak_between(one: Shape, other: Shape) -> float:
     """Return the ratio of the peak half way between two shapes to the mean of their peaks.
 
-    Half way are the mean of the gains and the mean of the modes' poles.
+    The shape half way has the means of the gains and of the modes' poles.
     """
     mode = Ringing((one.mode.pole + other.mode.pole) / 2, (one.mode.gain + other.mode.gain) / 2)
     tail = None

@@ -236,7 +236,7 @@ def material_warnings(name: str, material: Material, output: Output) -> list[Pro
 
 
 def materials_in(objects: Mapping[str, SceneObject], materials: Mapping[str, Material]) -> dict[str, Material]:
-    """Return the materials that these objects have, in the order of `materials`."""
+    """Return the materials that these objects use, in the order of `materials`."""
     used = used_materials(objects.values())
     return {name: material for name, material in materials.items() if name in used}
 

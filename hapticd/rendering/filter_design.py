@@ -9,8 +9,8 @@ v_0 .. v_p (Gray and Markel, "A normalized digital filter structure", IEEE Trans
 
 so A = A_p = 1 + sum a_i z^-i, and in time x[n] = e[n] - sum a_i x[n-i]. The signals B_m / sqrt(E_m) are orthonormal for
 white input of unit power, so the output has unit power when the squares of the taps add up to one. Without taps v = (1,
-0, ..., 0), the all-pole filter. The filter is stable if all reflection coefficients are in (-1, 1). So is every convex
-mean of such coefficients, which is why filters are blended linearly in them.
+0, ..., 0), the all-pole filter. The filter is stable if all reflection coefficients are in (-1, 1). Convex means of
+such coefficients are in it, too, so filters are blended linearly in them.
 
 Frequencies of the design are angles w in (0, pi), and their map y = 1 - cos w = 2 sin^2(w/2), in which the power of any
 filter of order p is a ratio of polynomials of degree p at most.

@@ -181,7 +181,7 @@ def _symmetrised_norm(held: list[Fraction], acts: dict[Fraction, Fraction], patt
 
 
 def _schur_bound(held: list[Fraction], acts: dict[Fraction, Fraction]) -> float:
-    """Return half the longest time from a measurement to the first force that is measured after its force has ended."""
+    """Return half the longest time from a measurement until another acts that was taken after its force ended."""
     measured = [acts[time] for time in held]
     worst = Fraction(0)
     for place, after in enumerate(held[1:]):

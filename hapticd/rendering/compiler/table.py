@@ -6,9 +6,8 @@
     pieces[]     pieces of walls with patches, one wall after the other; a piece is an interval of one material
     noises[]     noises of materials, each at its index; `numbers` holds their filters
 
-An update of one object costs the same in a large scene as in a small one.
-The lowest free index is used first, so arrays are no longer than the largest scene needed. All input is validated
-before.
+An update of one object costs the same in a large scene as in a small one. The lowest free index is used first, so
+arrays are no longer than the largest scene needed. All input has been validated.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ MAX_BRAKED_MOMENTUM_PART: Final = 0.1
 """Largest fraction of the handle's momentum that the passivity controller removes in a period."""
 
 _PERIOD_TOLERANCE: Final = 1e-6
-"""An age is rounded up to periods only if it exceeds their number by more than this fraction of a period."""
+"""Ages are rounded up to periods, except those that exceed an integer by at most this fraction of a period."""
 _NO_FIELD: Final = (0.0,) * 4
 """The contribution of an object that is not a field."""
 _QUANTA_PER_UNIT: Final = 1 << 1074
