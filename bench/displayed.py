@@ -76,7 +76,7 @@ def tapped(
         "device": {"handle": handle, "grip": hand, "compensation": compensation, "max_force_n": 100},
         "materials": {"it": {"stiffness_n_per_m": stiffness_n_per_m, "tap": tap}},
     }
-    return tap_force(load_config(config), "it", 1 / 64, int(LASTING_S * rate_hz), part=part)[:, 1]
+    return tap_force(load_config(config), "it", 1 / 64, int(LASTING_S * rate_hz), onset_periods=part)[:, 1]
 
 
 def moved_error(

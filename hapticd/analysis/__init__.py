@@ -4,14 +4,14 @@
     calibration/  `hapticd calibrate`: mass and damping of handle and hand; `hapticd verify`: error of the display
     recordings/   recordings of surfaces in SI units on one clock, with their faults
     statistics    least squares with intervals, robust regression
-    drawing       what every figure and page of results shares: matplotlib, SVG in a page, labels
+    drawing       helpers of all figures and result pages: matplotlib, SVG in a page, labels
 
 Questions, and where to begin:
 
     Where do the results of `hapticd check` come from?
-        check (check); its figures are those of rendering: displayability, lagging_modes, driven_hand, scene_stability.
+        check (check); its numbers come from rendering: displayability, lagging_modes, driven_hand, scene_stability.
     How are mass and damping of a handle found?
         calibration/handle (calibrate); the fit itself is calibration/fit.
     Why is a recording of a surface refused?
-        recordings/clock and the reader of its format; fit/recording makes one refusal of it.
+        recordings/clock and recordings/files find the fault; fit/recording reports it as one error.
 """

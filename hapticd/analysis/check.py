@@ -54,8 +54,8 @@ _LINK_UNKNOWN_TEXT: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Sound:
-    """A mode, the waveform or the texture of a material, as written and as displayed."""
+class Vibration:
+    """A mode, the waveform or the texture of a material, as configured and as displayed."""
 
     use: Use
     frequency_hz: float
@@ -70,12 +70,12 @@ class Sound:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A material of the library, whether the scene uses it, and its sounds."""
+    """A material of the library, whether the scene uses it, and its vibrations (`sounds`)."""
 
     name: str
     used: bool
     stiffness_n_per_m: float
-    sounds: tuple[Sound, ...]
+    sounds: tuple[Vibration, ...]
     verdict: Mapping[str, str]
     """Quality of each fit by its kind: good, fair or poor; empty if the material was not fitted."""
 
@@ -94,7 +94,7 @@ class Report:
     undisplayable: tuple[Problem, ...]
     warnings: tuple[Problem, ...]
     notes: tuple[Problem, ...]
-    """Properties that may surprise but are no faults."""
+    """Remarks that do not count as faults."""
 
     @property
     def encoder_step_m(self) -> float | None:
@@ -130,7 +130,7 @@ def check(config: Config) -> Report:
     refused = rate_faults(scene.objects, materials, output)
     found_warnings: list[Problem] = []
     if not refused:
-        # A sound that the actuator slows is reported once, as a problem of the actuator.
+        # A vibration that the actuator attenuates is reported once, as a problem of the actuator.
         found_warnings += lag_warnings(shown, output)
         slowed = {problem.where for problem in found_warnings}
         others = [*warnings(scene.objects, materials, output)]
@@ -191,14 +191,14 @@ class _Device(NamedTuple):
 
     words: str
     unknown: str | None = None
-    """Why the stability is unknown; None if there is a loop."""
+    """The reason why the stability is unknown; None if `loop` is set."""
     loop: Loop | None = None
     link_hz: float | None = None
     """Forces per second that the link carries, None if that is unknown."""
     undrivable: tuple[Problem, ...] = ()
     """Problems of a connected device that keep the daemon from starting."""
     notes: tuple[Problem, ...] = ()
-    """Notes on what is assumed of the device."""
+    """Assumptions about the device that the report mentions."""
 
 
 def _device(config: Config) -> _Device:
@@ -213,7 +213,7 @@ def _device(config: Config) -> _Device:
             return _Device(
                 f"a recording: {error}", _STEP_UNKNOWN_TEXT, undrivable=(Problem("device.replay", str(error)),)
             )
-        return _Device("a recording that no force moves", "a recording has no loop")
+        return _Device("a recording, which forces do not move", "a recording does not react to forces")
     hid = device.hid
     handle = "" if device.handle is not None else "; device.handle is not set"
     away = _Device(
@@ -248,19 +248,21 @@ def _device(config: Config) -> _Device:
 
 def _checked(name: str, material: Material, used: bool, output: Output) -> Checked:
     fits = {kind: verdict.quality for kind, verdict in material.fitted.items()}
-    return Checked(name, used, material.stiffness_n_per_m, tuple(_sounds(material, output)), fits)
+    return Checked(name, used, material.stiffness_n_per_m, tuple(_vibrations(material, output)), fits)
 
 
-def _sounds(material: Material, output: Output) -> Iterator[Sound]:
+def _vibrations(material: Material, output: Output) -> Iterator[Vibration]:
     waveform, texture = waveform_of(material), material.texture
     if waveform is not None:
-        yield _waveform_sound(waveform, output)
+        yield _waveform_vibration(waveform, output)
     for use, mode in modes_of(material):
         shown, _ = displayed_mode(mode, output)
-        yield Sound(use, mode.frequency_hz, None if shown is None else shown.frequency_hz, strike_error(mode, output))
+        yield Vibration(
+            use, mode.frequency_hz, None if shown is None else shown.frequency_hz, strike_error(mode, output)
+        )
     if isinstance(texture, Stochastic):
         pair = displayed_pair(texture, output)
-        yield Sound("texture", texture.peak_hz, None if pair is None else pair[0], None)
+        yield Vibration("texture", texture.peak_hz, None if pair is None else pair[0], None)
     elif isinstance(texture, Autoregressive):
         # The peak of the loudest model; at a rate too low for it, that of the resampled model.
         loudest = max(texture.models, key=lambda model: model.level(reflection_of(model.coefficients)))
@@ -268,14 +270,14 @@ def _sounds(material: Material, output: Output) -> Iterator[Sound]:
         peak_hz = shown_hz = peak_of(reflection, texture.rate_hz)
         if peak_hz >= output.rate_hz / 2:
             shown_hz = peak_of(resampled(reflection, texture.rate_hz, output.rate_hz).reflection, output.rate_hz)
-        yield Sound("texture", peak_hz, shown_hz, None)
+        yield Vibration("texture", peak_hz, shown_hz, None)
 
 
-def _waveform_sound(waveform: Waveform, output: Output) -> Sound:
+def _waveform_vibration(waveform: Waveform, output: Output) -> Vibration:
     middle_hz, rate_hz = waveform.curve.middle_hz, displayed_wave_rate(waveform, output)
     if rate_hz is None:
-        return Sound("tap", middle_hz, None, None)
+        return Vibration("tap", middle_hz, None, None)
     error = None
     if rate_hz == waveform.rate_hz and output.dynamics is not None and output.actuator is None:
         error = waveform_error(waveform, output.dynamics, output.carried_hz, output.effective_mass_kg)
-    return Sound("tap", middle_hz, middle_hz * rate_hz / waveform.rate_hz, error)
+    return Vibration("tap", middle_hz, middle_hz * rate_hz / waveform.rate_hz, error)

@@ -30,7 +30,7 @@ _TEXT_COLOR_SETTINGS: Final = (
 
 
 def require_matplotlib(what: str, extra: str) -> None:
-    """Raise HapticdError if matplotlib is missing; `what`, such as "the report", names what needs it."""
+    """Raise HapticdError if matplotlib is missing; `what` names the feature that needs it, such as "the report"."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:

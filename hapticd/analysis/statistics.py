@@ -1,9 +1,10 @@
 """Least squares with intervals, for points of unequal errors with additional scatter; and robust regression.
 
-The variance of a point is its known measurement variance plus a scatter of all points, equal or in known ratios. The
-scatter is chosen so that the weighted sum of squares equals its degrees of freedom (Paule and Mandel, "Consensus values
-and weighting factors", 1982), and is 0 if the sum is smaller without scatter. Intervals are Student's t scaled by the
-weighted squares (Hartung and Knapp, 2001). With equal measurement variances this is ordinary least squares.
+The variance of a point is its known measurement variance plus that of a scatter, which is equal for all points or in
+known ratios. The scatter is chosen so that the weighted sum of squares equals its degrees of freedom (Paule and Mandel,
+"Consensus values and weighting factors", 1982), and is 0 if the sum is smaller without scatter. Intervals are Student's
+t scaled by the weighted squares (Hartung and Knapp, 2001). With equal measurement variances this is ordinary least
+squares.
 
 The robust regression is Tukey's bisquare M-estimate; its intervals hold even if the scales of the errors are wrong.
 """
@@ -24,7 +25,7 @@ from hapticd.base.yaml_source import Json
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 CONFIDENCE_LEVEL: Final = 0.95
-"""Level of all intervals, as is usual."""
+"""Confidence level of all intervals."""
 TUKEY_TUNING: Final = 4.685
 """Residual, in standard deviations, beyond which a point has no weight; the efficiency for normal errors is 95 %."""
 MAX_REWEIGHTING_ROUNDS: Final = 60
@@ -40,7 +41,7 @@ class UnitError(FitError):
 
 
 def require_scipy(what: str = "fitting recordings") -> None:
-    """Raise HapticdError if scipy is missing; `what` names in the message what needs it."""
+    """Raise HapticdError if scipy is missing; `what` names the feature that needs it."""
     try:
         import scipy  # noqa: F401
     except ImportError:
@@ -245,9 +246,9 @@ def robust(columns: Floats, y: Floats, shifts: Floats | None = None, grows: bool
     """Fit y (n,) by columns (n, k) with Tukey's bisquare M-estimate, started from Huber's.
 
     The scale of the errors is equal for all points, or, with `grows`, a + b |modelled y|, with a and b from the
-    absolute residuals. Intervals are Huber's (1981) sandwich with residuals enlarged for their leverage (MacKinnon and
-    White, 1985), so that wrong scales do not invalidate them. `shifts` (m, n) are m errors of one standard deviation
-    each that all points share. Raises FitError if there are not more points than columns.
+    absolute residuals. Intervals are from Huber's (1981) sandwich estimate with residuals enlarged for their leverage
+    (MacKinnon and White, 1985), so that wrong scales do not invalidate them. `shifts` (m, n) are the changes of y by
+    one standard deviation of each of m systematic errors. Raises FitError if there are not more points than columns.
     """
     count, unknowns = columns.shape
     if count <= unknowns:
@@ -294,7 +295,7 @@ def robust(columns: Floats, y: Floats, shifts: Floats | None = None, grows: bool
 
 
 def _spread(off: Floats, count: int, unknowns: int) -> float:
-    """Return the standard deviation by the median of the absolute residuals, corrected for the number of unknowns."""
+    """Return the standard deviation from the median absolute residual, corrected for the number of unknowns."""
     usual = 1.4826 * float(np.median(np.abs(off))) * math.sqrt(count / (count - unknowns))
     return usual or float(np.sqrt(np.mean(off**2))) or 1.0
 
@@ -302,7 +303,7 @@ def _spread(off: Floats, count: int, unknowns: int) -> float:
 def _scales(off: Floats, modelled: Floats, unknowns: int) -> Floats:
     """Return the scale a + b |modelled| of every point's error (n,).
 
-    a and b are at least 0, and no scale is below 0.2 times the median.
+    a and b are at least 0, and no scale is below 0.2 times the median scale.
     """
     count = len(off)
     usual = _spread(off, count, unknowns)

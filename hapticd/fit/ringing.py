@@ -171,7 +171,7 @@ class _Search:
                 turned = np.exp(pole * ringing)
                 found.append((turned, ringing * turned, pole * turned))
             else:
-                found.append(self._sensor.answer(complex(pole), ringing))
+                found.append(self._sensor.response(complex(pole), ringing))
         return first, found
 
     def _solved(self, place: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -69,7 +69,7 @@ class Stylus:
         pole = complex(-mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
         heard = np.zeros(len(time_s))
         after = time_s > 0
-        heard[after] = self.sensor.answer(pole, time_s[after])[0].imag
+        heard[after] = self.sensor.response(pole, time_s[after])[0].imag
         return heard
 
     def recorded(self, clean: Floats, random: np.random.Generator) -> Floats:

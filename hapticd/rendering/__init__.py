@@ -6,13 +6,13 @@ Compiling:
     compensation        forces of a strike that make handle and hand accelerate as the material says
     filter_design       filters for coloured noise
     resampling          textures identified at one rate, as models for the servo's
-    device_output       what rendering needs to know of the device: how forces reach it, and what closes its loop
+    device_output       properties of the device for rendering: how forces reach it, and the closed loop around it
     joystick            the simulated joystick and its operator as C objects
 
 What can be displayed:
 
-    displayability      what of scene and materials is muted, lowered, refused or displayed with a deviation
-    undisplayable_text  a vibration that the rate cannot carry, and its sentence; fast to import
+    displayability      vibrations that are muted, lowered, refused or displayed with a deviation
+    undisplayable_text  a vibration that the rate cannot carry, and the text that reports it; fast to import
     lagging_modes       modes for which the actuator is too slow
     end_state           how a simulated motion ends: at rest, or in a cycle
     driven_hand         whether a texture keeps a light hand moving
@@ -21,11 +21,11 @@ What can be displayed:
 
 Stability:
 
-    scene_stability     the stability of a scene as it is reported
+    scene_stability     the reported stability of a scene
     contact_sets        which surfaces can be touched together, and how stable each set is
     stability           whether the loop of tick, device and hand is stable: margins of stiffness
-    stability_remedy    what to lower so that a set is safe
-    stability_text      the sentences on a scene's stability
+    stability_remedy    stiffnesses to lower so that a set is safe
+    stability_text      the report on a scene's stability in words
     surface_table       the part of a compiled table that the analysis reads
     surface_properties  upper bounds of the stiffness, damping and noise of surfaces
     surface_margins     the margin of each surface alone, in microseconds
@@ -39,9 +39,9 @@ Questions, and where to begin:
 
     How does a scene become a table?
         compiler/table (Compiler).
-    How does `frequency_hz` become what a tick advances?
+    How does `frequency_hz` become the recursion of a tick?
         config/modes (ModeKeys.mode) computes 2 pi f, compiler/material_record finds the mode of a tap or groove,
-        compiler/mode_record computes the rotor of one period, which csrc/tick/hd_mode.c advances.
+        compiler/mode_record computes the complex factor of one period, by which csrc/tick/hd_mode.c multiplies.
     Why is a mode silent, or lower than it should be?
         displayability (displayed_mode) decides; undisplayable() lists the result.
     Why is a scene called unsafe?

@@ -13,8 +13,8 @@ The device, which was at rest, also answers with a transient. `compensation: ful
 decaying pole, and finds both complex amplitudes by least squares over the band in which the error is reported. At the
 onset it may also correct the first HD_KICKS samples one by one; such a correction is called a kick.
 
-A surface in contact acts on the handle, too. Its stiffness and damping, sampled and held as every force, are part of
-the device. The actuator delays all these forces by its lag.
+A surface in contact acts on the handle, too. Its stiffness and damping, sampled and held like every force, are added to
+those of the device. The actuator delays all these forces by its lag.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ from hapticd.config.dynamics import Dynamics
 from hapticd.config.modes import Mode
 
 ERROR_BAND_LOW_HZ: Final = 30.0
-"""Lower end of the band in which the displayed error is reported. Below it the hand moves by intention."""
+"""Lower end of the band in which the displayed error is reported. Intended movements of the hand lie below it."""
 ERROR_BAND_RATE_FRACTION: Final = 0.4
 """Upper end of the band in which the displayed error is reported, as a fraction of the rate."""
 MAX_STRIKE_FORCE_RATIO: Final = 2.0
-"""Largest force of a strike, in units of (m + m_h) A. A larger one is scaled down to it."""
+"""Largest force of a strike, in units of (m + m_h) A with the mode's amplitude A. A larger one is scaled down to it."""
 MAX_TAIL_EXTENSION_S: Final = 0.05
 """Longest time by which a tail may outlast its mode."""
 MIN_TAIL_ERROR_REDUCTION: Final = 0.005
-"""A tail costs an active mode, so it is used only if it lowers the displayed error by at least this part."""
+"""A tail costs as much time as a mode. It is used only if it lowers the displayed error by more than this."""
 MIN_KICK_RATE_FRACTION: Final = 0.05
 """Lowest frequency of a mode that gets kicks, as a fraction of the rate. The first samples of slower ones are small."""
 MIN_KICK_ERROR_REDUCTION: Final = 0.01
-"""Kicks are used only if they lower the displayed error, RMS over all onsets, by at least this."""
+"""Kicks are used only if they lower the displayed error, RMS over all onsets, by more than this."""
 
 _ONSET_FRACTIONS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Onsets over which kicks are designed, in periods before the first tick."""
+"""Onsets for which kicks are designed, in periods before the first tick."""
 _MODE_TIME_CONSTANTS: Final = 5.0
 """A mode ends five time constants after its last strike."""
 _PEAK_GRID_SAMPLES: Final = 512
@@ -62,12 +62,12 @@ _Floats: TypeAlias = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What a strike acts on in addition to handle and hand: the surface along its direction, and the actuator."""
+    """Dynamics in addition to handle and hand: the surface along the direction of the strike, and the actuator."""
 
     stiffness_n_per_m: float = 0.0
     damping_n_s_per_m: float = 0.0
     age_s: float = 0.0
-    """Time from a position to the moment at which the surface's force for it acts."""
+    """Time from the measurement of a position until the surface force computed from it acts."""
     actuator: Actuator | None = None
 
     @property
@@ -80,7 +80,7 @@ class Load:
         return np.ones_like(s) if self.actuator is None else self.actuator.response(s)
 
     def surface(self, s: _Complex, period_s: float) -> _Complex:
-        """Return the dynamic stiffness of the surface at `s`, minus force over position, N/m.
+        """Return the dynamic stiffness of the surface at `s`: -force/position, N/m.
 
         The position is sampled, damping uses its difference over a period, and the force is held for a period.
         """
@@ -110,7 +110,7 @@ class Ringing:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The force of a strike that begins at a tick, in units of (m + m_h) A."""
+    """Waveform of the force of a strike that begins at a tick, in units of (m + m_h) A with the mode's amplitude A."""
 
     mode: Ringing
     tail: Ringing | None
@@ -118,11 +118,11 @@ class Shape:
     """Upper bound of the samples' magnitude, for any onset between two ticks."""
     peak_time_s: float
     error: float
-    """Displayed error: RMS of the handle's acceleration minus the mode, over the RMS of the mode, in the band."""
+    """Displayed error in the band: RMS of (handle's acceleration - mode), divided by the RMS of the mode."""
     limited: bool
-    """Whether its peak would have exceeded MAX_STRIKE_FORCE_RATIO, to which it was scaled down."""
+    """Whether the force was scaled down because its peak exceeded MAX_STRIKE_FORCE_RATIO."""
     kicks: tuple[tuple[float, float], ...] = ()
-    """Corrections (c, d) of the first samples, one each: c + d x for an onset x periods before the first one."""
+    """For each of the first samples (c, d): c + d x is added to it if the onset is x periods before the first one."""
 
 
 def pole_of(mode: Mode) -> complex:
@@ -131,13 +131,13 @@ def pole_of(mode: Mode) -> complex:
 
 
 def hold_gain(pole: complex, period_s: float) -> complex:
-    """Return p T / (1 - exp(-p T)), the gain that compensates a force's being held for a period."""
+    """Return p T / (1 - exp(-p T)), the gain that compensates the hold of a force for a period."""
     turned = cmath.exp(pole * period_s)  # at most 1, whereas exp(-p T) may overflow
     return pole * period_s * turned / (turned - 1)
 
 
 def pole_gain(mode: Mode, dynamics: Dynamics, period_s: float, load: Load = NO_LOAD) -> complex:
-    """Return C of the module's equation over (m + m_h), with the surface and the lag of `load`."""
+    """Return C/(m + m_h) with C of the module's equation, with the surface and the lag of `load`."""
     p = pole_of(mode)
     at = np.array([p], np.complex128)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -151,13 +151,13 @@ def pole_gain(mode: Mode, dynamics: Dynamics, period_s: float, load: Load = NO_L
 class _Grid:
     """Frequencies that sample the error band of one mode, with cached spectra of sampled decaying poles.
 
-    `weight` is the square root of the quadrature weights, so that a norm of weighted spectra is an RMS over the band.
+    `weight` is the square root of the quadrature weights, so the norm of a weighted spectrum is its RMS over the band.
     """
 
     def __init__(self, mode: Mode, rate_hz: float) -> None:
         high = ERROR_BAND_RATE_FRACTION * rate_hz
         low = min(ERROR_BAND_LOW_HZ, mode.frequency_hz / 2, high / 2)
-        # Linear steps resolve truncated ends, geometric steps the device, `near` the peak of a mode that decays slowly.
+        # Linear steps resolve the cut end of a mode, geometric steps the device, `near` the peak of a slow decay.
         width = mode.decay_rate_per_s / (2 * math.pi)
         reach = math.asinh(high / width)
         near = mode.frequency_hz + width * np.sinh(np.linspace(-reach, reach, 201))
@@ -171,20 +171,20 @@ class _Grid:
         self.s: _Complex = np.asarray(2j * np.pi * frequency, np.complex128)
         self.period_s = 1 / rate_hz
         p = pole_of(mode)
-        self.wanted: _Complex = self.weight * p.imag / ((self.s - p) * (self.s - p.conjugate()))
-        self.wanted_norm = float(np.linalg.norm(self.wanted))
+        self.target: _Complex = self.weight * p.imag / ((self.s - p) * (self.s - p.conjugate()))
+        self.target_norm = float(np.linalg.norm(self.target))
         self._pairs: dict[tuple[complex, int], tuple[_Complex, _Complex]] = {}
         self._below: dict[complex, _Complex] = {}
 
     @cached_property
-    def late(self) -> list[_Complex]:
-        """exp(-s k T) of each of the first samples, which a kick may correct."""
+    def kick_spectra(self) -> list[_Complex]:
+        """Spectra exp(-s k T) of unit kicks at each of the first samples."""
         return [np.exp(-self.s * k * self.period_s) for k in range(MAX_CORRECTED_SAMPLES)]
 
     @cached_property
-    def early(self) -> list[_Complex]:
+    def onset_spectra(self) -> list[_Complex]:
         """Weighted spectra of the mode for each of _ONSET_FRACTIONS, with the first tick as time 0."""
-        return [self.wanted * np.exp(self.s * part * self.period_s) for part in _ONSET_FRACTIONS]
+        return [self.target * np.exp(self.s * onset * self.period_s) for onset in _ONSET_FRACTIONS]
 
     def response(self, dynamics: Dynamics, load: Load) -> _Complex:
         """Return the weighted response of the device's acceleration to sampled forces in units of (m + m_h)."""
@@ -196,10 +196,10 @@ class _Grid:
             hold = hold * load.lag(self.s)
         return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
 
-    def count(self, pole: complex, part: float) -> int:
-        """Return the number of ticks up to five time constants, the first of them `part` periods after the onset."""
-        late_s = part * self.period_s
-        return math.floor((_MODE_TIME_CONSTANTS / -pole.real - late_s) / self.period_s + 1e-9) + 1
+    def count(self, pole: complex, onset: float) -> int:
+        """Return the number of ticks within five time constants of an onset `onset` periods before the first tick."""
+        first_s = onset * self.period_s
+        return math.floor((_MODE_TIME_CONSTANTS / -pole.real - first_s) / self.period_s + 1e-9) + 1
 
     def pair(self, pole: complex, count: int) -> tuple[_Complex, _Complex]:
         """Return the spectra of Im(exp(p t)) and Re(exp(p t)), sampled at `count` ticks."""
@@ -227,7 +227,7 @@ def _grid(mode: Mode, rate_hz: float) -> _Grid:
 class _Band:
     """Acceleration of one device for a struck mode and possible tails, with the first tick as time 0.
 
-    All weighted spectra lie in a space of few dimensions. Vectors are coordinates in an orthonormal base of it, which
+    All weighted spectra lie in a space of few dimensions. Vectors are coordinates in an orthonormal basis of it, which
     preserves norms and least squares. Onsets differ only in the target spectrum and in the number of ticks.
     """
 
@@ -240,47 +240,47 @@ class _Band:
         tails: Sequence[complex] = (),
         with_onsets: bool = False,
     ) -> None:
-        """Compute the base; `with_onsets` includes onsets anywhere between two ticks, and kicks."""
+        """Compute the basis; `with_onsets` includes kicks and all onsets of _ONSET_FRACTIONS."""
         grid = self._grid = _grid(mode, rate_hz)
         self._made_for = mode, dynamics, load
         self._pole = pole_of(mode)
         response = grid.response(dynamics, load)
-        self._parts = _ONSET_FRACTIONS if with_onsets else _ONSET_FRACTIONS[:1]
-        self._rung: dict[tuple[complex, int], int] = {}
+        self._onsets = _ONSET_FRACTIONS if with_onsets else _ONSET_FRACTIONS[:1]
+        self._decays: dict[tuple[complex, int], int] = {}
         spectra: list[_Complex] = []
         for pole in (self._pole, *tails):
-            for count in sorted({grid.count(pole, part) for part in self._parts}):
-                self._rung[pole, count] = len(spectra)
+            for count in sorted({grid.count(pole, onset) for onset in self._onsets}):
+                self._decays[pole, count] = len(spectra)
                 spectra += [response * each for each in grid.pair(pole, count)]
         self._kicks = len(spectra)
         if with_onsets:
-            spectra += [response * each for each in grid.late]
-        self._wanted = len(spectra)
-        spectra += [grid.wanted] if not with_onsets else grid.early
+            spectra += [response * each for each in grid.kick_spectra]
+        self._targets = len(spectra)
+        spectra += [grid.target] if not with_onsets else grid.onset_spectra
         matrix = np.array(spectra)
         stacked = np.concatenate((matrix.real, matrix.imag), axis=1).T
         self._base: _Floats = np.asarray(np.linalg.qr(stacked, mode="r"), np.float64)
 
-    def wanted(self, part: float = 0.0) -> _Floats:
-        """Return the acceleration of the mode for an onset `part` periods before the first tick."""
-        return np.asarray(self._base[:, self._wanted + self._parts.index(part)], np.float64)
+    def target(self, onset: float = 0.0) -> _Floats:
+        """Return the acceleration of the mode for an onset `onset` periods before the first tick."""
+        return np.asarray(self._base[:, self._targets + self._onsets.index(onset)], np.float64)
 
-    def columns(self, poles: Sequence[complex], part: float = 0.0) -> list[_Floats]:
+    def columns(self, poles: Sequence[complex], onset: float = 0.0) -> list[_Floats]:
         """Return the accelerations for Im(exp(p t)) and Re(exp(p t)) of each pole.
 
-        The ticks end five time constants after the onset; the first of them is `part` periods after it.
+        The ticks end five time constants after the onset, which is `onset` periods before the first tick.
         """
         found = []
         for pole in poles:
-            at = self._rung[pole, self._grid.count(pole, part)]
-            begun = cmath.exp(pole * part * self._grid.period_s)
+            at = self._decays[pole, self._grid.count(pole, onset)]
+            begun = cmath.exp(pole * onset * self._grid.period_s)
             sine, cosine = self._base[:, at], self._base[:, at + 1]
             found += [begun.real * sine + begun.imag * cosine, begun.real * cosine - begun.imag * sine]
         return found
 
-    def error(self, columns: list[_Floats], gains: _Floats, part: float = 0.0) -> float:
-        """Return the displayed error of `gains`, which hold Re and Im of each pole in turn."""
-        return float(np.linalg.norm(gains @ np.array(columns) - self.wanted(part))) / self._grid.wanted_norm
+    def error(self, columns: list[_Floats], gains: _Floats, onset: float = 0.0) -> float:
+        """Return the displayed error of `gains`, the real and imaginary part for each pole in turn."""
+        return float(np.linalg.norm(gains @ np.array(columns) - self.target(onset))) / self._grid.target_norm
 
     def shape(self, poles: Sequence[complex], gains: _Floats) -> Shape:
         """Return the shape with these poles and gains, scaled down to MAX_STRIKE_FORCE_RATIO where necessary."""
@@ -317,7 +317,7 @@ class _Band:
     def with_tail(self, tail: complex) -> Shape:
         """Return the shape of the mode and this tail, with gains found together by least squares."""
         poles = [self._pole, tail]
-        gains = np.linalg.lstsq(np.array(self.columns(poles)).T, self.wanted(), rcond=None)[0]
+        gains = np.linalg.lstsq(np.array(self.columns(poles)).T, self.target(), rcond=None)[0]
         return self.shape(poles, np.asarray(gains, np.float64))
 
     def with_kicks(self, tail: complex, kicks: _Floats | None = None) -> tuple[Shape, float]:
@@ -326,22 +326,22 @@ class _Band:
         All gains are fitted together by least squares over these onsets; if `kicks` is given, mode and tail only.
         """
         poles = [self._pole, tail]
-        rung = [np.array(self.columns(poles, part)).T for part in _ONSET_FRACTIONS]
-        # Two columns for each of the first samples: c (factor 1) and d (factor `part`).
-        late = [self._base[:, self._kicks + k] for k in range(MAX_CORRECTED_SAMPLES)]
-        kicked = [np.array([scale * each for each in late for scale in (1.0, part)]).T for part in _ONSET_FRACTIONS]
-        wanted = np.concatenate([self.wanted(part) for part in _ONSET_FRACTIONS])
-        columns = [np.hstack(pair) for pair in zip(rung, kicked, strict=True)]
+        decays = [np.array(self.columns(poles, onset)).T for onset in _ONSET_FRACTIONS]
+        # Two columns for each of the first samples: c (factor 1) and d (factor `onset`).
+        units = [self._base[:, self._kicks + k] for k in range(MAX_CORRECTED_SAMPLES)]
+        kicked = [np.array([scale * each for each in units for scale in (1.0, onset)]).T for onset in _ONSET_FRACTIONS]
+        target = np.concatenate([self.target(onset) for onset in _ONSET_FRACTIONS])
+        columns = [np.hstack(pair) for pair in zip(decays, kicked, strict=True)]
         if kicks is None:
-            found: _Floats = np.asarray(np.linalg.lstsq(np.vstack(columns), wanted, rcond=None)[0], np.float64)
+            found: _Floats = np.asarray(np.linalg.lstsq(np.vstack(columns), target, rcond=None)[0], np.float64)
         else:
             fixed = np.concatenate([each @ kicks for each in kicked])
-            own = np.linalg.lstsq(np.vstack(rung), wanted - fixed, rcond=None)[0]
+            own = np.linalg.lstsq(np.vstack(decays), target - fixed, rcond=None)[0]
             found = np.concatenate((own, kicks))
         shape = self.shape(poles, found[:4])
         pairs = found[4:].reshape(-1, 2)
         peak = shape.peak + float(max(np.abs(pairs[:, 0]).max(), np.abs(pairs.sum(1)).max()))
-        errors = [self.error(list(each.T), found, part) for each, part in zip(columns, _ONSET_FRACTIONS, strict=True)]
+        errors = [self.error(list(each.T), found, onset) for each, onset in zip(columns, _ONSET_FRACTIONS, strict=True)]
         kicked_pairs = tuple((float(c), float(d)) for c, d in pairs)
         shape = replace(shape, peak=peak, error=errors[0], limited=peak > MAX_STRIKE_FORCE_RATIO, kicks=kicked_pairs)
         return shape, _root_mean_square(errors)
@@ -351,7 +351,7 @@ class _Band:
         sounding = [shape.mode] if shape.tail is None else [shape.mode, shape.tail]
         poles = [each.pole for each in sounding]
         gains = np.array([x for each in sounding for x in (each.gain.real, each.gain.imag)])
-        return _root_mean_square([self.error(self.columns(poles, part), gains, part) for part in _ONSET_FRACTIONS])
+        return _root_mean_square([self.error(self.columns(poles, onset), gains, onset) for onset in _ONSET_FRACTIONS])
 
 
 def _root_mean_square(errors: list[float]) -> float:
@@ -361,7 +361,7 @@ def _root_mean_square(errors: list[float]) -> float:
 def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
     """Return an upper bound of the magnitude over all times, and the time at which it is nearly reached.
 
-    Between samples at a distance h, a function exceeds the larger one by at most h^2/8 times its largest curvature.
+    Between two samples at a distance h, a function exceeds the larger sample by at most h^2/8 times its curvature.
     """
     sounding = [mode] if tail is None else [mode, tail]
     highest, where, begin = 0.0, 0.0, 0.0
@@ -400,24 +400,23 @@ def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, loa
     `shape` begins at a tick.
     """
     grid = _grid(mode, rate_hz)
-    struck = np.zeros_like(grid.wanted)
+    struck = np.zeros_like(grid.target)
     for ringing in (shape.mode, shape.tail):
         if ringing is not None:
             one, other = grid.pair(ringing.pole, grid.count(ringing.pole, 0.0))
             struck = struck + ringing.gain.real * one + ringing.gain.imag * other
-    for late, (kick, _) in zip(grid.late, shape.kicks, strict=False):
-        struck = struck + kick * late
-    return complex(np.vdot(grid.wanted, grid.response(dynamics, load) * struck)) / grid.wanted_norm**2
+    for spectrum, (kick, _) in zip(grid.kick_spectra, shape.kicks, strict=False):
+        struck = struck + kick * spectrum
+    return complex(np.vdot(grid.target, grid.response(dynamics, load) * struck)) / grid.target_norm**2
 
 
 @lru_cache(maxsize=4096)
 def shape_of(
     mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load = NO_LOAD
 ) -> Shape:
-    """Return the shape that is struck for a mode that the rate can carry.
+    """Return the shape of a strike of a mode that the rate can carry.
 
-    `rate_hz` is how often the force changes at the device. The result is deterministic; `full` takes some
-    milliseconds.
+    `rate_hz` is how often the force changes at the device. `full` takes some milliseconds.
     """
     if compensation == "mass":
         return _Band(mode, dynamics, rate_hz, load).by_hold_gain()
@@ -444,7 +443,7 @@ def shapes_of(
     load: Load,
     best_in_contact: bool,
 ) -> tuple[Shape, Shape]:
-    """Return the shapes that are struck without a surface and against the surface of `load`, with the same poles.
+    """Return the shapes of a strike without a surface and against the surface of `load`, with the same poles.
 
     The poles are those that are best against the surface if `best_in_contact`, otherwise those that are best without
     one. C is linear in the stiffness of the surface, so the core interpolates linearly between the two shapes.
@@ -475,7 +474,7 @@ def tuned_shapes(
 ) -> list[tuple[Shape, Shape]]:
     """Return shapes_of for each of `modes`, which change gradually from one to the next.
 
-    All share the pole of one tail, or none has a tail; none has kicks. So their gains change gradually, too.
+    All share the pole of one tail, or none has a tail; none has kicks.
     """
     if compensation == "mass":
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
@@ -483,7 +482,7 @@ def tuned_shapes(
     tails = _tails(modes[len(modes) // 2], rate_hz)
     loads = (load, load.free) if best_in_contact else (load.free, load)
     first, second = ([_Band(mode, dynamics, rate_hz, each, tails) for mode in modes] for each in loads)
-    # With each of the two tails, and without a tail by two gains.
+    # Designs with each of the two tails, and without a tail with either of two gains.
     designs: list[Callable[[_Band], Shape]] = [
         *(partial(_Band.with_tail, tail=tail) for tail in tails),
         _Band.by_hold_gain,
@@ -498,9 +497,9 @@ def tuned_shapes(
 
 
 def peak_between(one: Shape, other: Shape) -> float:
-    """Return the peak half way between two shapes, over the mean of their peaks.
+    """Return the ratio of the peak half way between two shapes to the mean of their peaks.
 
-    Half way means the mean of the gains, at the mean of the modes' poles.
+    The shape half way has the means of the gains and of the modes' poles.
     """
     mode = Ringing((one.mode.pole + other.mode.pole) / 2, (one.mode.gain + other.mode.gain) / 2)
     tail = None

@@ -1,8 +1,8 @@
 """Contact sets: which surfaces of a scene can be touched at the same time, and how stable each such set is.
 
 The analysis reads the arrays of the compiled table. The region of a surface is where a probe can touch it. For a wall
-it is a strip below the surface, as deep as the force limit presses; for a membrane a strip around it; for a box or a
-disc all of its area. Two surfaces act together if their regions meet.
+it is a strip below the surface, as deep as the force limit lets the probe go; for a membrane a strip around it; for a
+box or a disc all of its area. Two surfaces act together if their regions meet.
 
 A contact set is a pair that meets plus all surfaces that meet both, or a surface that meets none. All surfaces that a
 probe touches at once lie within one of the sets. If there are too many pairs to compare, all surfaces form one set. A
@@ -39,7 +39,7 @@ MAX_COMPARED_PAIRS: Final = 500_000
 MAX_COMPARED_TRIPLES: Final = 2_000_000
 """Above this number of triples all surfaces form one contact set."""
 MAX_SEARCHED_SETS: Final = 400
-"""Number of the worst sets among which different ones are searched."""
+"""Number of sets, the worst first, that are searched for distinct ones."""
 MAX_REPORTED_SETS: Final = 20
 """Number of sets that are reported one by one."""
 MAX_STABILITY_LINES: Final = 5
@@ -180,8 +180,8 @@ def _contributions(surfaces: SurfaceTable, properties: SurfaceProperties, loop: 
             matrix(properties.damping, properties.drag),
             0.5 * loop.encoder_step_m * noise(properties.normal_noise, properties.tangent_noise),
             loop.speed_step_m_per_s * noise(properties.normal_speed_noise, properties.tangent_speed_noise),
-            0.5 * properties.rubbed[:, None],
-            2.0 * properties.rubbed_damping[:, None],
+            0.5 * properties.friction_per_depth[:, None],
+            2.0 * properties.friction_per_speed[:, None],
         ),
         axis=1,
     )
@@ -194,15 +194,15 @@ def _largest_eigenvalue(rows: Floats) -> Floats:
 
 
 _SlotsOfSet: TypeAlias = Callable[[int], tuple[int, ...]]
-"""Returns the slots of the set at a place, in ascending order."""
+"""Returns the slots of the set with a number from 0, in ascending order."""
 
 
 def _sets_of(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _SlotsOfSet]:
-    """Return the sums of the sets that the surfaces `which` form, (n, _SUM_COLUMNS), and a function for members."""
+    """Return the sums of the sets that the surfaces `which` form, (n, _SUM_COLUMNS), and a function for their slots."""
     reached = which[regions.reachable[which]]
     far = which[~regions.reachable[which]]
     if len(reached) == 0:
-        return np.asarray(rows[far]), lambda place: (int(far[place]),)
+        return np.asarray(rows[far]), lambda number: (int(far[number]),)
     pairs = _overlapping_boxes(regions, reached)
     if pairs is not None:
         meets = _meet(regions, *pairs)
@@ -210,7 +210,7 @@ def _sets_of(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _Slo
         if found is not None:
             return found
     sums = np.concatenate((rows[reached].sum(axis=0, keepdims=True), rows[far]))
-    return sums, lambda place: tuple(reached.tolist()) if place == 0 else (int(far[place - 1]),)
+    return sums, lambda number: tuple(reached.tolist()) if number == 0 else (int(far[number - 1]),)
 
 
 def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _SlotsOfSet] | None:
@@ -236,10 +236,10 @@ def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _Sl
         common = known[np.minimum(np.searchsorted(known, sought), len(known) - 1)] == sought
         np.add.at(sums, pair[common], rows[third[common]])
 
-    def members(place: int) -> tuple[int, ...]:
-        if place >= len(a):
-            return (int(alone[place - len(a)]),)
-        one, two = int(a[place]), int(b[place])
+    def members(number: int) -> tuple[int, ...]:
+        if number >= len(a):
+            return (int(alone[number - len(a)]),)
+        one, two = int(a[number]), int(b[number])
         met = [set(others[starts[slot] : starts[slot + 1]].tolist()) for slot in (one, two)]
         return tuple(sorted({one, two} | (met[0] & met[1])))
 
@@ -266,7 +266,7 @@ class ContactSets:
             sums, self._members = _sets_of(rows, _regions(surfaces, properties, loop), which)
             sums = sums + base
         else:
-            sums, self._members = (base[None] if self.fields else np.zeros((0, _SUM_COLUMNS))), lambda place: ()
+            sums, self._members = (base[None] if self.fields else np.zeros((0, _SUM_COLUMNS))), lambda number: ()
         self._sums = sums
         self.stiffness_n_per_m = _largest_eigenvalue(sums[:, :3])
         """(n,): largest eigenvalue of each set's stiffness."""
@@ -295,21 +295,21 @@ class ContactSets:
     def __len__(self) -> int:
         return len(self._sums)
 
-    def members(self, place: int) -> tuple[int, ...]:
+    def members(self, number: int) -> tuple[int, ...]:
         """Return the slots of a set, in ascending order."""
-        return self._members(place)
+        return self._members(number)
 
-    def matrices(self, place: int) -> tuple[Floats, Floats]:
+    def matrices(self, number: int) -> tuple[Floats, Floats]:
         """Return stiffness and damping of a set, (2, 2) each, as spectral_radius takes them."""
-        row = self._sums[place : place + 1]
+        row = self._sums[number : number + 1]
         return _matrices(row[:, :3])[0], _matrices(row[:, 3:6])[0]
 
-    def factors(self, place: int) -> dict[Limit, float]:
+    def factors(self, number: int) -> dict[Limit, float]:
         """Return the factor by which the stiffness of a set may grow, for each condition."""
-        return {"passivity": float(self._passivity_factor[place]), "quantisation": float(self._noise_factor[place])}
+        return {"passivity": float(self._passivity_factor[number]), "quantisation": float(self._noise_factor[number])}
 
     def worst(self, most: int, *, unsafe: bool) -> list[tuple[tuple[int, ...], int]]:
-        """Return slots and place of up to `most` different sets, those nearest to their limits first.
+        """Return slots and number of up to `most` distinct sets, those nearest to their limits first.
 
         They are sorted by margin without damping, margin, and stiffness. `unsafe` omits sets that are proved safe.
         """
@@ -317,20 +317,20 @@ class ContactSets:
         if unsafe:
             order = order[~self.safe[order]]
         found: dict[tuple[int, ...], int] = {}
-        for place in order[:MAX_SEARCHED_SETS].tolist():
+        for number in order[:MAX_SEARCHED_SETS].tolist():
             if len(found) == most:
                 break
-            found.setdefault(self._members(place), place)
+            found.setdefault(self._members(number), number)
         return list(found.items())
 
     def margins(self, chosen: Sequence[tuple[tuple[str, ...], int]]) -> list[Margin]:
-        """Return the margins of sets, given as names and place."""
+        """Return the margins of sets, given as names of objects and number of the set."""
         if not chosen:
             return []
-        places = [place for _, place in chosen]
+        numbers = [number for _, number in chosen]
         # Equal sets are computed once. A passive set does not grow: the search starts at its passivity factor.
         alike, which = np.unique(
-            np.column_stack((self._sums[places, :6], np.minimum(self._passivity_factor[places], 1e9))),
+            np.column_stack((self._sums[numbers, :6], np.minimum(self._passivity_factor[numbers], 1e9))),
             axis=0,
             return_inverse=True,
         )
@@ -339,21 +339,21 @@ class ContactSets:
         free = spectral_radius(stiffness, damping, self._loop.without_hand())[which]
         held = held_factor(stiffness, damping, self._loop, alike[:, 6])[which]
         found = []
-        for index, (names, place) in enumerate(chosen):
-            size, factor = float(self.stiffness_n_per_m[place]), float(self.factor[place])
+        for index, (names, number) in enumerate(chosen):
+            size, factor = float(self.stiffness_n_per_m[number]), float(self.factor[number])
             limited: Limit = (
-                "passivity" if self._passivity_factor[place] <= self._noise_factor[place] else "quantisation"
+                "passivity" if self._passivity_factor[number] <= self._noise_factor[number] else "quantisation"
             )
             if radius[index] > MAX_STABLE_RADIUS:
                 limited = "eigenvalues"
-            verdict: Verdict = "safe" if self.safe[place] else "unproved"
-            if max(radius[index], free[index]) > MAX_STABLE_RADIUS or not self._noise_held[place]:
+            verdict: Verdict = "safe" if self.safe[number] else "unproved"
+            if max(radius[index], free[index]) > MAX_STABLE_RADIUS or not self._noise_held[number]:
                 verdict = "unsafe"
             found.append(
                 Margin(
                     objects=names,
                     stiffness_n_per_m=size,
-                    damping_n_s_per_m=float(self.damping_n_s_per_m[place]),
+                    damping_n_s_per_m=float(self.damping_n_s_per_m[number]),
                     limit_n_per_m=factor * size if size > 0.0 else 0.0,
                     held_limit_n_per_m=float(held[index]) * size if size > 0.0 else math.inf,
                     margin=factor,
@@ -369,7 +369,7 @@ class ContactSets:
 def safe_around(surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> bool:
     """Return whether every contact set that contains one of these surfaces is safe.
 
-    Without surfaces, return whether the fields alone are.
+    Without surfaces, return whether the fields alone are safe.
     """
     if not slots:
         return bool(ContactSets(surfaces.of(np.zeros(0, np.int64)), loop).safe.all())
@@ -380,7 +380,7 @@ def safe_around(surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> boo
         every = np.union1d(own, b[_meet(_regions(surfaces, properties_of(surfaces), loop), a, b)])
     sets = ContactSets(surfaces.of(every), loop)
     wanted = set(np.searchsorted(every, own).tolist())
-    return all(wanted.isdisjoint(sets.members(place)) for place in np.flatnonzero(~sets.safe).tolist())
+    return all(wanted.isdisjoint(sets.members(number)) for number in np.flatnonzero(~sets.safe).tolist())
 
 
 def _matrices(rows: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""What rendering needs to know of a configuration's device: how forces reach it, and what closes the loop."""
+"""Properties of a configuration's device for rendering: how forces reach it, and the closed loop around it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hapticd.config.dynamics import Dynamics
 from hapticd.rendering.stability import Loop, Timing, timing
 
 UNKNOWN_HANDLE: Final = "device.handle is not given; it needs mass_kg, damping_n_s_per_m and friction_n"
-"""Why the stability of a real joystick is not known."""
+"""The reason for which the stability of a real joystick is unknown."""
 
 
 @dataclass(frozen=True, slots=True)

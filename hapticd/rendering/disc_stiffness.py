@@ -1,4 +1,4 @@
-"""Upper bounds of a disc's stiffness along its radius and around it, down to the depth of a firm press.
+"""Upper bounds of a disc's radial and tangential stiffness, down to the depth of a firm press.
 
 The proxy moves R/r as far as a probe at radius r, and friction and grooves fade out towards the centre
 (docs/adr/0027). With friction or shaped grooves, the second derivatives, in polar coordinates, of
@@ -37,7 +37,7 @@ class RoundProperties(NamedTuple):
     """Stiffness around the disc."""
     spring: Floats
     """The part of `tangent` that is friction's spring."""
-    rubbed: Floats
+    friction_per_m: Floats
     """Change of the friction force per metre along the radius."""
 
 
@@ -84,5 +84,5 @@ def round_properties(radius_m: Floats, materials: npt.NDArray[np.void], press_n:
         normal=normal.max(axis=1),
         tangent=(around + own).max(axis=1),
         spring=own.max(axis=1),
-        rubbed=(mu * normal * lever).max(axis=1),
+        friction_per_m=(mu * normal * lever).max(axis=1),
     )

@@ -1,8 +1,8 @@
-"""What of a scene and its materials this device and rate can display, and how the rest is displayed.
+"""Which vibrations of a scene a device and rate can display, and how the others are displayed.
 
 A vibration that the rate cannot carry is muted or lowered in frequency. `displayed_mode`, `displayed_wave_rate` and
-`displayed_pair` decide how. Three functions report: `undisplayable` what is muted or lowered; `rate_faults` what is
-refused; `warnings` what is displayed with a deviation. Places are those of a configuration file:
+`displayed_pair` decide how. Three functions report: `undisplayable` vibrations that are muted or lowered; `rate_faults`
+those that are refused; `warnings` those that are displayed with a deviation. Places are those of a configuration file:
 `materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
 """
 
@@ -31,9 +31,9 @@ from hapticd.rendering.undisplayable_text import Undisplayable, Use
 DISPLAYABLE_RATE_FRACTION: Final = 0.4
 """Highest displayable frequency, as a fraction of the rate of servo or link, whichever is lower."""
 DEFAULT_SURFACE_N_PER_M: Final = 800.0
-"""Stiffness of the surface, as of the shipped materials, for which modes without an own surface are compensated."""
+"""Surface stiffness for which modes without a surface are compensated, typical of the shipped materials."""
 MIN_NORMAL_STIFFNESS_PART: Final = 0.5
-"""A strike along which at least this part of the surface's stiffness acts is compensated best in contact."""
+"""If at least this fraction of the surface's stiffness acts along a strike, it is compensated best in contact."""
 FAST_STROKE_M_PER_S: Final = 0.5
 """Speed of a fast stroke, at which a groove's shape should last at least two ticks."""
 MAX_POWER_LOSS: Final = 0.01
@@ -79,22 +79,22 @@ class Touched:
 
     stiffness_n_per_m: float = 0.0
     damping_n_s_per_m: float = 0.0
-    across: float = 1.0
-    """Part of stiffness and damping that acts along the strike: (n . d)^2 of the normal n and the direction d."""
+    strike_fraction: float = 1.0
+    """Fraction of stiffness and damping that acts along the strike: (n . d)^2 with the normal n and the direction d."""
 
     @property
-    def met_n_per_m(self) -> float:
+    def design_n_per_m(self) -> float:
         """The stiffness for which a mode is compensated: the surface's, or DEFAULT_SURFACE_N_PER_M without one."""
         return self.stiffness_n_per_m or DEFAULT_SURFACE_N_PER_M
 
     def load(self, output: Output) -> Load:
         """Return the load on a strike against this surface."""
-        return Load(self.met_n_per_m, self.damping_n_s_per_m, output.age_s, output.actuator)
+        return Load(self.design_n_per_m, self.damping_n_s_per_m, output.age_s, output.actuator)
 
     @property
     def best_in_contact(self) -> bool:
-        """Whether a mode is compensated best in contact with the surface, rather than without it."""
-        return self.stiffness_n_per_m > 0.0 and self.across >= MIN_NORMAL_STIFFNESS_PART
+        """Whether the compensation is designed for contact with the surface, rather than without it."""
+        return self.stiffness_n_per_m > 0.0 and self.strike_fraction >= MIN_NORMAL_STIFFNESS_PART
 
 
 NO_SURFACE: Final = Touched()
@@ -109,10 +109,10 @@ def touched_by(material: Material, use: Use) -> Touched:
 
 
 def struck_shapes(mode: Mode, output: Output, touched: Touched = NO_SURFACE) -> tuple[Shape, Shape] | None:
-    """Return the shapes in which a mode that the rate can carry is struck: without a surface, and against this one.
+    """Return the shapes of a strike of a mode that the rate can carry: without a surface, and against `touched`.
 
-    The second is for a strike along the normal, of DEFAULT_SURFACE_N_PER_M if there is no surface. The core
-    interpolates between both by the stiffness that acts along the strike. Returns None if nothing is compensated.
+    The second is for a strike along the normal, with DEFAULT_SURFACE_N_PER_M if there is no surface. Returns None
+    without compensation.
     """
     if output.compensation == "off":
         return None
@@ -129,8 +129,8 @@ def waveform_of(material: Material) -> Waveform | None:
 def displayed_wave_rate(waveform: Waveform, output: Output) -> float | None:
     """Return the samples per second at which a waveform is played, or None if it is muted.
 
-    That is its own rate if half of its energy lies below 0.4 of the rate of servo or link, whichever is lower.
-    Otherwise it is muted, or slowed down until half of its energy does.
+    The waveform keeps its rate if half of its energy lies below 0.4 of the rate of servo or link, whichever is lower.
+    Otherwise it is muted, or slowed down until that holds.
     """
     highest, middle = DISPLAYABLE_RATE_FRACTION * output.carried_hz, waveform.curve.middle_hz
     if middle <= highest:
@@ -152,7 +152,7 @@ def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] |
 
 
 def modes_of(material: Material) -> list[tuple[Use, Mode]]:
-    """Return the modes of a material, and what strikes them."""
+    """Return the modes of a material, each with its use."""
     modes: tuple[tuple[Use, Mode | None], ...] = (
         *(("tap", mode) for mode in (() if material.tap is None else material.tap.modes)),
         ("second", None if material.tap is None or material.tap.second is None else material.tap.second.mode),
@@ -190,7 +190,7 @@ def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Und
 
 
 def rate_faults(objects: Mapping[str, SceneObject], materials: Mapping[str, Material], output: Output) -> list[Problem]:
-    """Return the faults of the materials in use that must be refused, because no signal of this rate can have them."""
+    """Return a fault for each frequency of the materials in use that is not below half the rate."""
     return [
         fault
         for name, material in materials_in(objects, materials).items()
@@ -212,7 +212,7 @@ def material_rate_faults(name: str, material: Material, output: Output) -> list[
 
 
 def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Material], output: Output) -> list[Problem]:
-    """Return what of the scene is displayed with a deviation, and how."""
+    """Return a warning for each part of the scene that is displayed with a deviation."""
     found: list[Problem] = []
     for name, material in materials_in(objects, materials).items():
         found += material_warnings(name, material, output)
@@ -236,7 +236,7 @@ def material_warnings(name: str, material: Material, output: Output) -> list[Pro
 
 
 def materials_in(objects: Mapping[str, SceneObject], materials: Mapping[str, Material]) -> dict[str, Material]:
-    """Return those of the materials that these objects are made of, in their order."""
+    """Return the materials that these objects use, in the order of `materials`."""
     used = used_materials(objects.values())
     return {name: material for name, material in materials.items() if name in used}
 
@@ -311,7 +311,7 @@ def _stochastic_warnings(name: str, texture: Stochastic, output: Output) -> Iter
     shown = stochastic_filter(*pair, output.rate_hz)
     if not shown.met(*pair):
         problem = (
-            f"a peak of {_hz(pair[0])} and a mean of {_hz(pair[1])} are not met at a rate of {_hz(output.rate_hz)}; "
+            f"a peak of {_hz(pair[0])} and a mean of {_hz(pair[1])} cannot both be reached at {_hz(output.rate_hz)}; "
             f"shown are {_hz(shown.peak_hz)} and {_hz(shown.mean_hz)}"
         )
         yield _texture_problem(name, "mean_hz", problem)
@@ -332,8 +332,8 @@ def _above_problem(above: float, output: Output) -> str:
 def _losses(texture: Autoregressive, rate_hz: float, carried_hz: float) -> list[list[float]]:
     """Return what each model loses at a rate, as three lists with an entry for each model.
 
-    They are the fraction of power cut off, the error of the spectrum in dB, and the fraction of power above what the
-    link carries, if that is the lower rate.
+    They are the fraction of power cut off, the error of the spectrum in dB, and the fraction of power above 0.4 of the
+    link's rate, if that is the lower rate.
     """
     shown = [resampled(reflection_of(model.coefficients), texture.rate_hz, rate_hz) for model in texture.models]
     limit_hz = DISPLAYABLE_RATE_FRACTION * carried_hz if carried_hz < rate_hz else math.inf

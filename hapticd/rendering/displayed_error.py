@@ -4,9 +4,9 @@ The device is linear (hapticd.config.dynamics): (m + m_h) x'' + (b + b_h) x' + k
 the time between two samples. Those of a device are exact differences of its velocity, those of a mode the integral of
 its closed form.
 
-The displayed error is the RMS of the difference from the target over the RMS of the target, both limited to a band, 30
-Hz to 0.4 of the rate. It begins at the onset. A delay of link or report shifts the force without changing its shape. A
-measurement therefore takes the time at which the force begins at the device as the onset.
+The displayed error is the RMS of the difference from the target, divided by the RMS of the target, both limited to a
+band, 30 Hz to 0.4 of the rate. It begins at the onset. A delay of link or report shifts the force without changing its
+shape. A measurement therefore takes the time at which the force begins at the device as the onset.
 """
 
 from __future__ import annotations
@@ -94,11 +94,11 @@ def band_error(
     low_hz: float = ERROR_BAND_LOW_HZ,
     high_hz: float | None = None,
 ) -> float:
-    """Return the RMS of (measured - reference) over the RMS of reference, both limited to low_hz to high_hz.
+    """Return RMS(measured - reference) / RMS(reference), both limited to low_hz to high_hz.
 
-    Both are (n,), in the same unit, and begin at the onset; they are 0 before and after. `high_hz` is 0.4 of the
-    sample rate by default. The band is cut in the spectrum: by Parseval's theorem the squares of its lines
-    (band_lines) sum up to the energy. No filter adds ringing or phase.
+    Both are (n,), in the same unit, and begin at the onset; they are 0 before and after. `high_hz` is 0.4 of the sample
+    rate by default. The band is cut in the spectrum: by Parseval's theorem the squares of its lines (band_lines) sum up
+    to the energy.
 
     Raises ValueError for arrays of other shapes, a band without lines, or a reference without energy in it.
     """

@@ -2,8 +2,8 @@
 
 A strike acts along the motion and grows with speed and force, so each groove adds energy. If the hand dissipates less,
 it keeps moving from groove to groove. Noise grows with speed, too: with a large gain it moves the hand, whose motion
-sustains the noise. Spring, damper, friction, texture and the force limit have no closed form together, so the check
-runs the servo's own tick with the simulated joystick, in a few milliseconds a run.
+sustains the noise. The check runs the servo's own tick with the simulated joystick, which takes a few milliseconds a
+run.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CHECKED_SPEEDS_M_PER_S: Final = (0.05, 0.1, 0.2, 0.5)
 CHECKED_FORCES_N: Final = (0.3, 1.0)
 """Forces with which the hand presses in these strokes."""
 CHECKED_DAMPING_PART: Final = 0.8
-"""Part of the hand's damping that is simulated. The margin is for hands that another motion would set off."""
+"""Fraction of the hand's damping in the simulation: a margin, as other motions may drive the hand more."""
 _STROKE_LENGTH_M: Final = 0.02
 """Length of a stroke."""
 _MAX_PRESS_DEPTH_M: Final = 0.4
@@ -37,7 +37,7 @@ _MAX_SETTLING_S: Final = 20.0
 _OBSERVED_END_S: Final = 1.0
 """Time at the end of a run in which strikes and noise are counted."""
 _MAX_RESIDUAL_NOISE_PART: Final = 0.05
-"""Noise that stays above this part of its largest force is sustained by the hand that it moves."""
+"""Noise is sustained by the hand's motion if its force stays above this fraction of its largest."""
 
 
 def driven_hand_warnings(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Problem]:

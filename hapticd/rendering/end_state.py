@@ -1,4 +1,4 @@
-"""How a simulated motion ends: at rest, or in a cycle that lasts for ever.
+"""How a simulated motion ends: at rest, or in a lasting cycle.
 
 A falling energy proves nothing, as the energy of a motion that approaches a limit cycle falls, too. So the energy is
 followed in windows of half a second until the handle rests, or until the energy no longer changes over hundreds of
@@ -28,9 +28,9 @@ REST_SPEED_M_PER_S: Final = 1e-7
 FIRST_COMPARISON_WINDOWS: Final = 64
 """Energies are compared after this number of windows, and each time that their number has doubled."""
 MAX_CYCLE_ENERGY_DEVIATION: Final = 0.01
-"""In a regular cycle the energy of no window deviates from the mean by more than this part."""
+"""In a regular cycle the energy of no window deviates from the mean by more than this fraction."""
 MIN_ENERGY_TREND: Final = 0.1
-"""Change of the energy in the last quarter of the time, as a part, beyond which an irregular motion grows or falls."""
+"""An irregular motion grows or falls if its energy changes by this fraction in the last quarter of the time."""
 WAIT_AFTER_MOTION_S: Final = 0.2
 """Time from the hand's last waypoint to the beginning of the analysis."""
 
@@ -92,14 +92,14 @@ def end_state(advance: Callable[[float], npt.NDArray[np.float64]], longest_s: fl
 
 
 def _log_energy_change(energies: list[float]) -> float:
-    """Return the logarithm of the energy in the fourth quarter of the time over that in the third."""
+    """Return the logarithm of the ratio of the energies in the fourth and the third quarter of the time."""
     quarter = max(1, len(energies) // 4)
     third, fourth = (math.fsum(energies[-end : len(energies) - end + quarter]) for end in (2 * quarter, quarter))
     return math.log(max(fourth, 1e-300) / max(third, 1e-300))
 
 
 def _decays_slowly(energies: list[float]) -> bool:
-    """Return whether the energy falls in each eighth of the last half, finally at 75 % or more of the first rate."""
+    """Return whether the energy falls in each eighth of the last half, in the end at 75 % of the first rate or more."""
     eighth = max(1, len(energies) // 8)
     means = [math.fsum(energies[len(energies) - k * eighth :][:eighth]) for k in (4, 3, 2, 1)]
     falls = np.diff(np.log(np.maximum(means, 1e-300)))

@@ -8,9 +8,9 @@ v_0 .. v_p (Gray and Markel, "A normalized digital filter structure", IEEE Trans
     H = sqrt(E_p) / A_p * sum over m of v_m B_m / sqrt(E_m)
 
 so A = A_p = 1 + sum a_i z^-i, and in time x[n] = e[n] - sum a_i x[n-i]. The signals B_m / sqrt(E_m) are orthonormal for
-white input of unit power, so the output has unit power when the squares of the taps add up to one. Without taps the
-output is v = (1, 0, ..., 0), the all-pole filter. Whatever moves a reflection coefficient within (-1, 1) keeps the
-filter stable, which is why blends are linear in them: a convex mean of numbers in (-1, 1) lies in (-1, 1).
+white input of unit power, so the output has unit power when the squares of the taps add up to one. Without taps v = (1,
+0, ..., 0), the all-pole filter. The filter is stable if all reflection coefficients are in (-1, 1). Convex means of
+such coefficients are in it, too, so filters are blended linearly in them.
 
 Frequencies of the design are angles w in (0, pi), and their map y = 1 - cos w = 2 sin^2(w/2), in which the power of any
 filter of order p is a ratio of polynomials of degree p at most.
@@ -39,9 +39,9 @@ MIN_BANDWIDTH_HZ: Final = 20.0
 _EDGE_RATE_FRACTION: Final = 5e-4
 """Peaks nearer than this fraction of the rate to 0 or to half the rate are moved to it."""
 _MIN_HALF_BANDWIDTH_RAD: Final = 2e-4
-"""Half the smallest half-power bandwidth, in radians: keeps pole radii at 0.9999 and below."""
+"""Half the smallest half-power bandwidth, in radians; it keeps pole radii at 0.9999 and below."""
 _END_DIP_RATIO: Final = 0.25
-"""An end of the spectrum may have at most 1/(1 + this) of the peak's power, so that the peak is 1 dB above it."""
+"""The density at an end of the spectrum is at most 1/(1 + this) of the peak's, so that the peak is 1 dB above it."""
 
 _Rule: TypeAlias = tuple[Array, Array]
 _FINE_RULE: Final[_Rule] = np.polynomial.legendre.leggauss(12)
@@ -141,7 +141,7 @@ def panel_nodes(edges: Array, rule: _Rule) -> tuple[Array, Array]:
 def poles_of(reflection: Sequence[float]) -> ComplexArray:
     """Return the poles of a lattice, as eigenvalues of one step of it without input.
 
-    They are well-conditioned where the roots of A are not.
+    These are well-conditioned even if the roots of A are not.
     """
     state = np.eye(len(reflection))
     after = np.zeros_like(state)
@@ -220,10 +220,10 @@ def stochastic_filter(peak_hz: float, mean_hz: float, rate_hz: float) -> Filter:
 
 @dataclass(frozen=True, slots=True)
 class _Family:
-    """Spectra of one kind, with a size as the free parameter.
+    """Spectra of one shape, with the size of the peak as the free parameter.
 
     The size is the distance in y at which the power is halved, c = 1/size^2. Over a floor the size of the peak is
-    fixed, and the free parameter is the density of the floor over the peak's.
+    fixed, and the free parameter is the ratio of the floor's density to the peak's.
     """
 
     peak: float
@@ -236,7 +236,7 @@ class _Family:
     pole: bool
     """Whether there is a real pole."""
     floor: float
-    """If positive, there is a pair of zeros, and the peak has this size."""
+    """The size of the peak over a floor, with a pair of zeros; 0 without a floor."""
 
     @property
     def y_peak(self) -> float:
@@ -278,7 +278,7 @@ class _Family:
 def _inside(y: complex) -> complex:
     """Return the root z within the unit circle of (1 - z)(1 - 1/z) = 2y, the upper one of a pair.
 
-    1 - z keeps its precision.
+    1 - z is accurate even if it is small.
     """
     root = np.sqrt(y * (y - 2))
     z = 1 - min(y + root, y - root, key=lambda distance: abs(1 - distance))
@@ -293,7 +293,7 @@ def _design(peak: float, mean: float, narrowest: float) -> tuple[Reflection, tup
     near = min(peak, math.pi - peak)
 
     def size_of(half_bandwidth: float) -> float:
-        """Return the distance of y from y_peak at half a bandwidth from the peak (cos a - cos b as a product)."""
+        """Return |y - y_peak| at half a bandwidth from the peak (cos a - cos b as a product)."""
         return 2 * math.sin(half_bandwidth / 2) * math.sin(near + half_bandwidth / 2)
 
     least = max(min(narrowest, near / 8), _MIN_HALF_BANDWIDTH_RAD)

@@ -20,7 +20,7 @@ from hapticd.config.scene import SURFACE_MODELS, Box, Disc, Membrane, SceneObjec
 def new_sim(sim: Sim, rate_hz: float) -> CData:
     """Return a `struct hd_sim *` at rest, freed with the last reference to it.
 
-    Raises HapticdError if the parameters do not fit together.
+    Raises HapticdError if the parameters contradict each other.
     """
     made = lib.hd_sim_new(_sim_config(sim), 1.0 / rate_hz)
     if made == ffi.NULL:

@@ -1,8 +1,7 @@
-"""Modes for which the actuator is too slow: what it shows of each, and what would be sufficient.
+"""Modes for which the actuator is too slow: the part of each that it shows, and settings that would be sufficient.
 
-The shown part of a mode is the part of the waveform that the handle's acceleration contains (its projection on the
-waveform, 30 Hz to 0.4 of the rate), over the same with an ideal actuator. Amplitude and phase of this complex number
-are reported.
+The shown part of a mode is the complex projection of the handle's acceleration on the mode's waveform, 30 Hz to 0.4 of
+the rate, divided by the projection with an ideal actuator. Its amplitude and phase are reported.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import Touched, displayed_mode, mode_path, modes_of, struck_shapes, touched_by
 
 MAX_AMPLITUDE_ERROR: Final = 0.1
-"""A mode whose amplitude is shown to within this part is not reported: at order 1, up to half the bandwidth."""
+"""Error of the amplitude, as a fraction, that is not reported: with order 1, that of modes up to half the bandwidth."""
 _BANDWIDTH_SEARCH_FACTOR: Final = 1.5
 """Factor between the bandwidths that are tried."""
 _BANDWIDTH_BISECTIONS: Final = 3
 """Bisections of the interval in which the bandwidth becomes sufficient."""
 _UNKNOWN_HANDLE: Final = Dynamics(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Handle used if the device's is unknown. Strikes are not compensated then, and its mass cancels."""
+"""Handle used if the device's is unknown. Strikes are not compensated then, so its mass cancels."""
 
 
 def lag_warnings(materials: Mapping[str, Material], output: Output) -> list[Problem]:
@@ -41,7 +40,7 @@ def lag_warnings(materials: Mapping[str, Material], output: Output) -> list[Prob
 
 
 def shown_part(mode: Mode, output: Output, touched: Touched) -> complex:
-    """Return what is shown of a mode that the rate carries, over what an ideal actuator would show."""
+    """Return the shown part, as the module defines it, of a mode that the rate carries."""
     return _contained(mode, output, touched) / _contained(mode, replace(output, actuator=None), touched)
 
 
@@ -86,7 +85,7 @@ def _is_shown(part: complex) -> bool:
 
 
 def _remedies(mode: Mode, output: Output, touched: Touched) -> Iterator[str]:
-    """Yield what would show the mode to within MAX_AMPLITUDE_ERROR."""
+    """Yield changes, in words, each of which would show the mode to within MAX_AMPLITUDE_ERROR."""
     if output.compensation == "off":
         compensated = replace(output, compensation="full")
         if output.dynamics is None:
@@ -97,9 +96,9 @@ def _remedies(mode: Mode, output: Output, touched: Touched) -> Iterator[str]:
                 yield f"compensation: full would show {100 * abs(part):.3g} %"
     bandwidth_hz = _needed_hz(mode, output, touched)
     if bandwidth_hz is None:
-        yield f"no bandwidth up to {_hz(MAX_BANDWIDTH_HZ)} would do"
+        yield f"no bandwidth up to {_hz(MAX_BANDWIDTH_HZ)} would suffice"
     else:
-        yield f"an actuator of {_hz(bandwidth_hz)} would do"
+        yield f"an actuator of {_hz(bandwidth_hz)} would suffice"
 
 
 def _needed_hz(mode: Mode, output: Output, touched: Touched) -> float | None:

@@ -68,7 +68,7 @@ class Run:
     undisplayable: tuple[Undisplayable, ...]
     """Modes and texture peaks of the scene that this rate cannot carry."""
     warnings: tuple[Problem, ...]
-    """What of the scene is displayed with a deviation at this rate; in the closed loop also what may oscillate."""
+    """Deviations in the display of the scene at this rate; in the closed loop also contact sets that may oscillate."""
     rate_hz: float
     """Ticks per second."""
 
@@ -121,7 +121,7 @@ def new_state_of(slots: int) -> CData:
     """Return a `struct hd_state *` with room for `slots` objects, freed with the last reference to it."""
     state = lib.hd_state_new(max(1, slots))
     if state == ffi.NULL:
-        raise MemoryError("no memory for the state of a run")
+        raise MemoryError("not enough memory for the state of a run")
     return ffi.gc(state, lib.hd_state_free)
 
 
@@ -132,11 +132,11 @@ def new_world(table: CData) -> CData:
     """
     made = lib.hd_world_new()
     if made == ffi.NULL:
-        raise MemoryError("no memory for a world")
+        raise MemoryError("not enough memory for the scene of a run")
     world = ffi.gc(made, lib.hd_world_free)
     status = lib.hd_world_load(world, table)
     if status == Status.ERR_MEMORY:
-        raise MemoryError("no memory for a scene")
+        raise MemoryError("not enough memory for the table of a scene")
     if status != Status.OK:
         raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
     return world
@@ -150,7 +150,7 @@ def _rate(rate_hz: float) -> float:
 
 
 class _Recorder:
-    """Runs ticks in blocks, each with room for the events that its ticks can have, and collects these."""
+    """Runs ticks in blocks, each with room for all events that its ticks can have, and collects the events."""
 
     BLOCK_TICKS = 4096
     EVENTS_PER_TICK = 256
@@ -167,7 +167,7 @@ class _Recorder:
             part = slice(start, min(count, start + self.BLOCK_TICKS))
             status = block(part, self._room_pointer, len(self._room), self._count)
             if status == Status.ERR_MEMORY:
-                raise MemoryError("no memory for a run")
+                raise MemoryError("not enough memory for the events of a run")
             if status != Status.OK:
                 raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
             if self._count[0]:
@@ -179,7 +179,7 @@ class _Recorder:
 class Rerun:
     """Renders recorded ticks of a servo again from the inputs in their samples; the scene may change between ticks.
 
-    Contacts, modes and punctures persist from tick to tick, as in the servo. `restart` clears them.
+    Contacts, modes and punctures persist from tick to tick, as in the servo.
     """
 
     def __init__(self, output: Output, slots: int) -> None:
@@ -374,7 +374,7 @@ def render_run(
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
 ) -> Run:
-    """Return what `render` does, with the events."""
+    """Return the samples of `render`, and the events."""
     scene = CompiledScene(config, rate_hz)
     positions = _positions(position_m, "position_m")
     count = len(positions)
@@ -450,7 +450,9 @@ def _operator(
 ) -> Operator:
     if isinstance(waypoints, str | os.PathLike | Mapping):
         if interpolation is not None:
-            raise InvalidError([Problem("interpolation", "must be a key of the operator here, not an argument")])
+            raise InvalidError(
+                [Problem("interpolation", "must be a key of the operator given as waypoints, not an argument")]
+            )
         return parse_operator(waypoints) if isinstance(waypoints, Mapping) else load_operator(waypoints)
     points = _numbers(waypoints, "waypoints", 3).tolist()
     return parse_operator({"waypoints": points, "interpolation": interpolation or "linear"})

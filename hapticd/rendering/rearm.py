@@ -1,4 +1,4 @@
-"""The withdrawal after which a surface can be tapped again: `device.rearm_m` for a given noise and encoder step.
+"""`device.rearm_m`, the withdrawal after which a surface can be tapped again, for a given noise and encoder step.
 
 Noise is assumed Gaussian with standard deviation s, independent at each of r samples a second. A probe held at a
 height m above a surface taps falsely if one sample is h or more above the surface, which rearms it, and a later one is

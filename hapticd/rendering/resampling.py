@@ -25,9 +25,9 @@ MAX_RESAMPLING_ERROR_DB: Final = 0.5
 COMPARED_RANGE_DB: Final = 30.0
 """Range below its peak in which the spectrum of a model is compared."""
 _WHITE_NOISE_FRACTION: Final = 1e-7
-"""White power that is added before the prediction filter is computed, as a fraction, against rounding errors."""
+"""White noise added to the autocorrelation against rounding errors, as a fraction of the power."""
 _MIN_SKIRT_EXPONENT: Final = 12.0
-"""Beyond the band of a model that is shown at a higher rate, power falls at least with this power of the frequency."""
+"""Beyond the band of a model that is shown at a higher rate, power falls as 1/f to this exponent, or faster."""
 _MAX_SKIRT_POWER_FRACTION: Final = 0.05
 """Largest fraction of the power that may lie beyond the band of such a model."""
 _MAX_PLACED_POLES: Final = 4
@@ -35,7 +35,7 @@ _MAX_PLACED_POLES: Final = 4
 _MAX_REFINEMENTS: Final = 6
 """Largest number of fits with the same placed poles."""
 _STALLED_ERROR_RATIO: Final = 0.95
-"""A fit that leaves more than this fraction of the error before it is the last one."""
+"""Refinement ends when a fit leaves more than this fraction of the previous error."""
 
 
 class Resampled(NamedTuple):
@@ -58,10 +58,9 @@ def resampled(model: Reflection, from_rate_hz: float, to_rate_hz: float) -> Resa
     COMPARED_RANGE_DB below its peak. If no order reaches that, the one with the smallest error is used.
 
     At a higher rate the model is undefined beyond its band. There the target falls steeply from the band's edge. If
-    that fit is not accepted, it is refined in two ways. The power beyond the band, which is arbitrary, follows the
-    last fit as far as it stays below the edge's. As 32 lags of the new rate may be too short to resolve the model's
-    poles, its sharpest poles p are placed directly, at p^(from/to), and the recursion fits the rest. (Placing all
-    poles without a fit would keep the resonances, but not the levels between them.)
+    that fit is not accepted, it is refined in two ways. The power beyond the band, which is arbitrary, follows the last
+    fit, but stays below that at the edge. As 32 lags of the new rate may be too short to resolve the model's poles, its
+    sharpest poles p are placed directly, at p^(from/to), and the recursion fits the rest.
     """
     if from_rate_hz == to_rate_hz:
         return Resampled(model, 1.0, 0.0)
@@ -119,7 +118,7 @@ def _error_between(
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """A product of directly placed poles and a prediction filter, with its largest error and its power at the nodes."""
+    """An all-pole filter of placed poles and a predictor, with its largest error and its power at the nodes."""
 
     error_db: float
     placed: list[complex]

@@ -45,7 +45,7 @@ class Stability:
         }
 
     def problems(self) -> list[Problem]:
-        """Return a line for each of the first unsafe sets, and one for the number of the others."""
+        """Return a line for each of the first unsafe sets, and one with the number of all others."""
         harmful = self.harmful
         found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MAX_STABILITY_LINES]]
         if len(harmful) > MAX_STABILITY_LINES:

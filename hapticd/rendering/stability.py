@@ -8,8 +8,8 @@ extend Colgate and Schenkel (1997), Abbott and Okamura (2005) and Diolaiti et al
     quantisation   noise(K, D, encoder, actuator) <= c   per axis; c is the handle's own dry friction
     eigenvalues    spectral radius < 1                   of the exact sampled loop with the configured hand
 
-`reach` is half a period plus the age of positions, for a plain loop T/2 + t_d. The first two conditions together prove
-that a contact comes to rest in every passive hand, and imply the third. All quantities are SI.
+`reach` is T/2 + t_d with a constant period T and age t_d of positions; `echo` is 1 with exact positions. The first two
+conditions together prove that a contact comes to rest in every passive hand, and imply the third.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ Verdict: TypeAlias = Literal["safe", "unproved", "unsafe"]
 the noise of positions. unproved: neither, but not proved safe. safe: proved to come to rest in any passive hand."""
 
 SPEED_ESTIMATE_ERROR_GAIN: Final = 7.0 / 3.0
-"""Largest gain from errors of the estimator's lines to its speed, which it extrapolates by up to 2/3 of the change
-since the previous line: 1 + 2 * 2/3 (csrc/tick/hd_velocity.c)."""
+"""Largest gain of the velocity estimator from errors of its line fits to its speed. It extrapolates the speed by up to
+2/3 of the change since the previous line: 1 + 2 * 2/3 (csrc/tick/hd_velocity.c)."""
 WINDOW_MEAN_ENERGY_GAIN: Final = 2.0
-"""Largest energy of means over windows of changing length, over that of the averaged signal (Hardy)."""
+"""Largest ratio of the energy of means over windows of changing length to that of the averaged signal (Hardy)."""
 ASSUMED_PRESS_N: Final = 1.0
-"""Force under which groove flanks and ramps between materials are judged, as they stiffen with it."""
+"""Pressing force for which groove flanks and ramps between materials are judged; their stiffness grows with it."""
 WORST_NORMAL_FACTOR: Final = (1.0 + math.sqrt(2.0)) / 2.0
 """The largest |n_x| (|n_x| + |n_y|) of all unit vectors n."""
 
 _MAX_PATTERN_TICKS: Final = 128
-"""Longest repetition of measurements and forces, in ticks, for which `reach_s` is computed exactly."""
+"""Longest period of the pattern of measurements and forces, in ticks, for which `reach_s` is computed exactly."""
 _SAMPLED_TICKS: Final = 1000
-"""Ticks that are sampled if the repetition is longer."""
+"""Number of ticks that are sampled if the pattern is longer."""
 _MAX_DELAY_PERIODS: Final = 40
 """Largest delay in loop_matrix, in periods; a longer one is modelled with a longer period."""
 _MIN_SEARCHED_N_PER_M: Final = 0.1
@@ -53,7 +53,7 @@ _MIN_SEARCHED_N_PER_M: Final = 0.1
 _MAX_SEARCHED_N_PER_M: Final = 1e7
 """Largest stiffness that held_factor tries."""
 MAX_STABLE_RADIUS: Final = 1.0 + 1e-6
-"""Spectral radius above which a loop grows; less may be rounding, as a free handle has an eigenvalue of 1."""
+"""Spectral radius above which a loop counts as growing. A free handle has the eigenvalue 1, which may be rounded up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +65,10 @@ class Timing:
     delay_s: float
     """Mean age of a position at the time when its force begins to act."""
     reach_s: float
-    """Upper bound of the energy given to the hand per 1 N/m of stiffness, squared speed and time: half a period plus
-    the delay, if both are constant."""
+    """Damping of the handle (N s/m) that passivity needs per 1 N/m of stiffness: half a period plus the delay, if both
+    are constant."""
     echo: float
-    """The same bound for a damping of 1 N s/m: 1 if each position is used for as long as it is the newest."""
+    """The same per 1 N s/m of virtual damping: 1 if forces are held exactly as long as the interval of positions."""
     reading_s: float
     """Shortest time between two positions that are read."""
     gain: float = 1.0
@@ -95,12 +95,13 @@ def timing(
 ) -> Timing:
     """Return the timing of a servo at `rate_hz`, for a device like the simulated joystick.
 
-    Positions are measured every `report_interval_s` (0: at every tick) and can be read `report_delay_s` later. With
-    `frame_s`, forces act at multiples of it: at the `frames`-th one after their tick, of several forces the newest.
+    Positions are measured every `report_interval_s` (0: at every tick) and can be read `report_delay_s` later. If
+    `frame_s` is positive, a force acts at the `frames`-th multiple of `frame_s` after its tick; of several forces for
+    the same multiple, the newest acts.
 
-    If the intervals repeat within 128 ticks, `reach_s` is exact. It is the norm of the operator that maps a motion to
-    its displacement between a measurement and the end of its force: the largest eigenvalue of a matrix over one
-    repetition. Otherwise it is the larger bound of Schur's test.
+    If the pattern of measurements and forces repeats within 128 ticks, `reach_s` is exact: the norm of the operator
+    that maps a velocity to the displacement since the measurement, the largest eigenvalue of a matrix over one pattern.
+    Otherwise it is the bound of Schur's test, which is larger.
     """
     tick = Fraction(1)
     report = _ratio(report_interval_s * rate_hz) if report_interval_s > 0.0 else tick
@@ -144,7 +145,7 @@ def timing(
 
 
 def _ratio(value: float) -> Fraction:
-    """Return the simple ratio near a rounded quotient; otherwise the quotient itself, to 1e-6."""
+    """Return the ratio of small integers within 1e-9 of a value; without one, a ratio close to the value."""
     near = Fraction(value).limit_denominator(_MAX_PATTERN_TICKS)
     return near if abs(near - Fraction(value)) <= Fraction(1, 10**9) else Fraction(value).limit_denominator(10**6)
 
@@ -152,9 +153,9 @@ def _ratio(value: float) -> Fraction:
 def _symmetrised_norm(held: list[Fraction], acts: dict[Fraction, Fraction], pattern: Fraction) -> float:
     """Return the norm of the symmetrised operator v -> integral of v from s(t) to t, in ticks.
 
-    s(t) is the time of the measurement whose force acts at t. The kernel is constant between the times at which a
-    position is measured or begins to act, and periodic. As no entry is negative, its largest eigenvalue belongs to a
-    motion with the same period.
+    s(t) is the time of the measurement whose force acts at t. The kernel is periodic, and constant between the times at
+    which a position is measured or begins to act. As it is nowhere negative, its largest eigenvalue belongs to a motion
+    with the same period.
     """
     first = held[0]
     marks = sorted({(time - first) % pattern for time in (*held, *(acts[time] for time in held))})
@@ -180,7 +181,7 @@ def _symmetrised_norm(held: list[Fraction], acts: dict[Fraction, Fraction], patt
 
 
 def _schur_bound(held: list[Fraction], acts: dict[Fraction, Fraction]) -> float:
-    """Return half the longest time from a measurement to the action of the first one after its force ends."""
+    """Return half the longest time from a measurement until another acts that was taken after its force ended."""
     measured = [acts[time] for time in held]
     worst = Fraction(0)
     for place, after in enumerate(held[1:]):
@@ -205,7 +206,7 @@ class Loop:
 
     @property
     def lag(self) -> float:
-        """Part of reach_s that is delay rather than hold, 0 to 1."""
+        """Fraction of reach_s that is delay rather than hold, 0 to 1."""
         return max(0.0, 1.0 - 0.5 * self.timing.period_s / self.timing.reach_s)
 
     @property
@@ -220,7 +221,7 @@ class Loop:
 
     @property
     def damping_echo(self) -> float:
-        """Damping of the handle that virtual damping of 1 N s/m needs, the estimator's share included."""
+        """Damping that the handle needs per 1 N s/m of virtual damping, including the velocity estimator's error."""
         return self.timing.echo * (
             SPEED_ESTIMATE_ERROR_GAIN * WINDOW_MEAN_ENERGY_GAIN if self.encoder_step_m > 0.0 else 1.0
         )
@@ -255,8 +256,8 @@ class Margin:
     held_limit_n_per_m: float
     """Largest stiffness at which the loop with the configured hand does not grow; infinite above 1e7 N/m."""
     margin: float
-    """The set is safe in any hand up to this factor on all its stiffnesses, with unchanged damping. Infinite without
-    stiffness and faults, 0 if no factor is sufficient."""
+    """The set is safe in any hand up to this factor on all its stiffnesses, with unchanged damping. Infinite without a
+    limit, 0 if no factor is safe."""
     limited_by: Limit
     verdict: Verdict
     spectral_radius: float
@@ -264,7 +265,7 @@ class Margin:
     free_radius: float
     """Spectral radius with the handle released."""
     remedy: str = ""
-    """Keys to lower, and their values, so that the set is safe; empty if `limit_n_per_m` says it or nothing helps."""
+    """Keys to lower, and safe values; empty if `limit_n_per_m` is sufficient to know, or if nothing helps."""
 
     @property
     def safe(self) -> bool:
@@ -305,8 +306,8 @@ def limits(
 ) -> tuple[Floats, Floats]:
     """Return the factors on all stiffnesses up to which a set is passive and up to which friction absorbs its noise.
 
-    All arrays are (n,): stiffness and damping that count for passivity, the noise that grows with the stiffness, and
-    the noise that does not, both for the worse axis. A factor is infinite without a limit, and 0 if no stiffness is
+    All arrays are (n,): the stiffness and damping of the passivity condition, the noise that grows with the stiffness,
+    and the noise that does not, both for the worse axis. A factor is infinite without a limit, and 0 if no stiffness is
     safe.
     """
     b, c = loop.dynamics.handle_damping_n_s_per_m, loop.dynamics.friction_n / loop.timing.gain

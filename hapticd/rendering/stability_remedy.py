@@ -1,4 +1,4 @@
-"""What to lower so that a contact set is safe, found and checked with the analysis that judged it unsafe.
+"""Stiffnesses to lower so that a contact set is safe, found with the analysis that judged it unsafe.
 
 The curvature of groove flanks does not fall with the stiffness, and that of the ramps between patches rises where the
 wall is softer. A softer wall is also pressed deeper and may reach other objects. So a limit is not simply the margin
@@ -24,11 +24,11 @@ _MIN_STIFFNESS_FACTOR: Final = 1e-3
 _SEARCH_FACTOR_STEP: Final = 0.75
 """Ratio of the factors that are tried until one is safe."""
 _FACTOR_BISECTIONS: Final = 7
-"""Bisections between the safe factor that was found and the one before."""
+"""Number of bisections between the safe factor that was found and the previous, unsafe one."""
 _CHECKED_FACTOR_PARTS: Final = (1.0, 0.99, 0.9)
-"""A factor is reported if the set is safe with these parts of it, too."""
+"""A factor is reported only if the set is safe with each of these fractions of it."""
 MAX_SURFACES_JUDGED_TOGETHER: Final = 200
-"""In a scene with more surfaces a set is judged alone, without other surfaces that a softer wall would reach."""
+"""In a scene with more surfaces a set is judged alone, without surfaces that only a softer wall reaches."""
 _MAX_NAMED_MATERIALS: Final = 4
 """Number of materials that a remedy names."""
 
@@ -90,7 +90,7 @@ def _is_safe_near(
 def _largest_safe_factor(
     safe: Callable[[SurfaceTable], bool], with_factor: Callable[[float], SurfaceTable], top: float
 ) -> float:
-    """Return the largest factor below `top` that is safe, as are slightly smaller ones; 0 if none was found."""
+    """Return the largest factor up to `top` that, like slightly smaller ones, is safe; 0 if none was found."""
     low = high = top
     while not _is_safe_near(safe, with_factor, low):
         low, high = _SEARCH_FACTOR_STEP * low, low

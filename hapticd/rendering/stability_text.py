@@ -1,4 +1,4 @@
-"""A scene's stability in sentences: the result and what to do. The input is the map of `hapticd check --json`."""
+"""A scene's stability in sentences: results and remedies. The input is the map of `hapticd check --json`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final

@@ -1,8 +1,8 @@
-"""The margin of each surface of a compiled table alone, in microseconds for a surface.
+"""The margin of each surface alone, from a compiled table; it takes microseconds per surface.
 
-It is the factor that contact_sets.py finds for a set of this surface alone, without fields: up to which it is passive
-and the handle's dry friction absorbs the noise of encoder and actuator. `hapticd check` adds the effects of other
-surfaces and fields, the eigenvalues and the remedies.
+The margin is the factor on the stiffness up to which the surface is passive, and the handle's dry friction absorbs the
+noise of encoder and actuator. It equals that of contact_sets.py for a set of this surface alone, without fields.
+`hapticd check` adds the effects of other surfaces and fields, the eigenvalues and the remedies.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _WORST_NORMAL_COMPONENT: Final = math.sqrt(0.5 * WORST_NORMAL_FACTOR)
 
 
 class _KindMargins(NamedTuple):
-    """What surfaces of one kind have in common, independent of position and orientation."""
+    """Terms of the margin that all surfaces of one kind share, independent of position and orientation."""
 
     passive: float
     """Factor on the stiffness up to which it is passive."""
@@ -39,14 +39,14 @@ class _KindMargins(NamedTuple):
     """Noise along the normal that grows with the stiffness."""
     across_n: float
     """Noise along the surface that grows with the stiffness."""
-    still_along_n: float
+    constant_along_n: float
     """Noise along the normal that does not grow with the stiffness."""
-    still_across_n: float
+    constant_across_n: float
     """Noise along the surface that does not grow with the stiffness."""
 
 
 class SurfaceMargins:
-    """Computes margins, and caches what surfaces of one kind have in common.
+    """Computes margins, and caches the terms that all surfaces of one kind share.
 
     The cache is valid as long as the table's materials and pieces are unchanged.
     """
@@ -89,12 +89,14 @@ class SurfaceMargins:
             if common is None:
                 margins.append(math.inf)
                 continue
-            passive, along_n, across_n, still_along_n, still_across_n = common
+            passive, along_n, across_n, constant_along_n, constant_across_n = common
             size, quiet_n = x + y, self._quiet_n
             # Noise counts on the worse of the two axes.
             noise_n = size * max(along_n * x + across_n * y, along_n * y + across_n * x)
-            if still_along_n or still_across_n:
-                quiet_n -= size * max(still_along_n * x + still_across_n * y, still_along_n * y + still_across_n * x)
+            if constant_along_n or constant_across_n:
+                quiet_n -= size * max(
+                    constant_along_n * x + constant_across_n * y, constant_along_n * y + constant_across_n * x
+                )
             silent = 0.0 if quiet_n < 0.0 else quiet_n / noise_n if noise_n > 0.0 else math.inf
             margins.append(min(passive, silent))
         return margins
@@ -106,13 +108,13 @@ class SurfaceMargins:
         self._cache.clear()
 
     def _find(self, surfaces: SurfaceTable, missing: dict[_SurfaceKind, int]) -> None:
-        """Compute and cache what surfaces of these kinds have in common, from a slot of each."""
+        """Compute and cache the shared terms of these kinds, each from the slot of one surface."""
         loop = self.loop
         found = properties_of(surfaces.of(np.fromiter(missing.values(), np.int64, len(missing))))
         none = np.zeros(len(missing))
         passive, _ = limits(
-            np.maximum(found.normal, found.tangent) + 0.5 * loop.lag * found.rubbed,
-            np.maximum(found.damping, found.drag) + 2.0 * loop.late_periods * found.rubbed_damping,
+            np.maximum(found.normal, found.tangent) + 0.5 * loop.lag * found.friction_per_depth,
+            np.maximum(found.damping, found.drag) + 2.0 * loop.late_periods * found.friction_per_speed,
             none,
             none,
             loop,

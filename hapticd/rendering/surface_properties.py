@@ -25,9 +25,9 @@ class SurfaceProperties(NamedTuple):
     """Damping along the normal."""
     drag: Floats
     """Damping along the surface."""
-    rubbed: Floats
+    friction_per_depth: Floats
     """mu K: change of the friction force with the depth."""
-    rubbed_damping: Floats
+    friction_per_speed: Floats
     """mu D: change of the friction force with the approach speed."""
     normal_noise: Floats
     """Force along the normal per metre of position error."""
@@ -62,8 +62,8 @@ def _material_properties(materials: npt.NDArray[np.void]) -> SurfaceProperties:
         tangent=spring + flank,
         damping=damping,
         drag=drag,
-        rubbed=mu * normal,
-        rubbed_damping=mu * damping,
+        friction_per_depth=mu * normal,
+        friction_per_speed=mu * damping,
         normal_noise=normal,
         # Position and anchor both have the error, so the spring has twice; its longest stretch follows F_n.
         tangent_noise=2.0 * spring + flank + mu * normal,
@@ -86,8 +86,8 @@ def _put_discs(surfaces: SurfaceTable, properties: SurfaceProperties) -> None:
     found = round_properties(surfaces.objects["half_m"][discs, 0], materials[discs], ASSUMED_PRESS_N)
     properties.normal[discs] = properties.normal_noise[discs] = found.normal
     properties.tangent[discs] = found.tangent
-    properties.rubbed[discs] = found.rubbed
-    properties.tangent_noise[discs] = found.tangent + found.spring + found.rubbed
+    properties.friction_per_depth[discs] = found.friction_per_m
+    properties.tangent_noise[discs] = found.tangent + found.spring + found.friction_per_m
 
 
 def properties_of(surfaces: SurfaceTable) -> SurfaceProperties:

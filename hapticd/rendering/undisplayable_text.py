@@ -1,4 +1,4 @@
-"""A vibration that the rate cannot carry, and its sentence.
+"""A vibration that the rate cannot carry, and the text that reports it.
 
 The module imports only the standard library, so that `hapticd status` starts fast.
 """
@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Literal, TypeAlias
 
 Use: TypeAlias = Literal["tap", "second", "rupture", "groove", "texture"]
-"""What strikes a mode, or the texture that has a peak."""
+"""Use of a vibration in a material: the kind of strike of a mode, or a texture with a spectral peak."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +28,6 @@ class Undisplayable:
 
 
 def undisplayable_text(entry: Mapping[str, object]) -> str:
-    """Return the sentence for an `undisplayable` entry of the protocol."""
+    """Return the text for an `undisplayable` entry of the protocol."""
     shown = "silent" if entry["shown_hz"] is None else f"shown at {entry['shown_hz']:g} Hz"
     return f"{entry['mode']} of {entry['material']}, {entry['frequency_hz']:g} Hz: {shown}"

@@ -525,10 +525,10 @@ def test_a_sensor_answers_as_its_differential_equation_does(order: int) -> None:
     w = 2 * math.pi * 8000
     whole = signal.TransferFunction(w**2 * np.asarray(filters[0]), np.polymul(filters[1], [1, 2 * 0.1 * w, w**2]))
     _, answer, _ = signal.lsim(whole, np.exp(pole * time_s).imag, time_s)
-    value, by_pole, by_time = sensor.answer(pole, time_s)
+    value, by_pole, by_time = sensor.response(pole, time_s)
     assert value.imag == pytest.approx(answer, abs=1e-5)
     step = 0.01
-    slower, _, _ = sensor.answer(pole + step, time_s)
+    slower, _, _ = sensor.response(pole + step, time_s)
     assert by_pole == pytest.approx((slower - value) / step, rel=1e-4, abs=1e-9)
     assert by_time[1:-1] == pytest.approx((value[2:] - value[:-2]) * 2e6, rel=1e-3, abs=1.0)
 

@@ -173,7 +173,7 @@ def test_a_pair_that_is_not_met_is_named_as_shown() -> None:
     shown = stochastic_filter(300, 100, 1000)
     assert not shown.met(300, 100)
     assert told({**GRIT, "peak_hz": 300, "mean_hz": 100}, output()) == {
-        "mean_hz": "a peak of 300 Hz and a mean of 100 Hz are not met at a rate of 1000 Hz; "
+        "mean_hz": "a peak of 300 Hz and a mean of 100 Hz cannot both be reached at 1000 Hz; "
         f"shown are {shown.peak_hz:.4g} Hz and {shown.mean_hz:.4g} Hz"
     }
 

@@ -78,7 +78,9 @@ def test_what_is_told_is_what_the_handle_does(name: str, lag: dict[str, Any], co
 def test_what_would_be_right_is_right() -> None:
     report = checked({"m": tap_of("wood", 800)}, actuator={"bandwidth_hz": 60})
     remedy = told(report)["materials.m.tap"][8]
-    words = re.fullmatch(r"compensation: full would show ([\d.]+) %, or an actuator of ([\d.]+) Hz would do", remedy)
+    words = re.fullmatch(
+        r"compensation: full would show ([\d.]+) %, or an actuator of ([\d.]+) Hz would suffice", remedy
+    )
     assert words is not None and float(words[1]) == pytest.approx(100, abs=10)
     needed_hz = float(words[2]) * 1.0005  # four figures are told
     assert not told(checked({"m": tap_of("wood", 800)}, actuator={"bandwidth_hz": needed_hz}))

@@ -38,7 +38,7 @@ class Recording:
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate by the median of the intervals."""
+        """Sampling rate, from the median of the intervals."""
         return 1.0 / float(np.median(np.diff(self.time_s)))
 
     def at(self, time_s: npt.NDArray[np.floating]) -> Floats:
@@ -58,7 +58,9 @@ def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recordin
     check_name(name)
     try:
         table = TABLE_READERS[ending_of(name)](file_bytes(name, MAX_RECORDING_BYTES))
-        time_s, acceleration = table.read([table.place(COLUMN_OF["time"]), table.place(COLUMN_OF["acceleration"])])
+        time_s, acceleration = table.read(
+            [table.index_of(COLUMN_OF["time"]), table.index_of(COLUMN_OF["acceleration"])]
+        )
         check_columns({"time": time_s, "acceleration": acceleration})
     except ValueError as error:
         raise HapticdError(f"{name}: {error}") from None
@@ -100,12 +102,12 @@ def offset_of(recording: Recording, expected: Floats, rate_hz: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class AccelerometerResponse:
-    """The response of a handle by an accelerometer, relative to the fit."""
+    """The response of a handle as the accelerometer measured it, relative to the fit."""
 
     points: tuple[Point, ...]
-    """Measured over fitted response by frequency, divided by `scale`."""
+    """Ratio of the measured to the fitted response at each frequency, divided by `scale`."""
     scale: float
-    """Ratio of the accelerometer's numbers to the fitted accelerations, the median in SCALE_BAND_HZ."""
+    """Median ratio of the accelerometer's values to the fitted accelerations in SCALE_BAND_HZ."""
 
 
 def compare(record: Record, fit: Fit, recording: Recording) -> AccelerometerResponse:

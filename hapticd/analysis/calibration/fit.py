@@ -5,12 +5,12 @@ encoder and actuator:
 
     m x'' + b x' + c sign(x') + k x = F(t) + g,    observed with the delay d.
 
-It is exact between the periods and includes the rests of dry friction. A force that is held for longer than a period
-of the servo, as by a link, is modelled both as a staircase that changes with each report and as its running mean over
-the hold, which is equivalent below the staircase's rate; the better fit is kept. m, b, c, k and d hold for the entire
-drive. c and d belong to the device: the drive of a held handle takes them from the drive of the free one, because under
-a hand damping times delay looks like mass. Each burst has its own initial position, initial speed and constant force g
-(drift of the hand, weight).
+It is exact between the periods and includes the times at which dry friction holds the handle. A force that is held for
+longer than a period of the servo, as by a link, is modelled both as a staircase that changes with each report and as
+its running mean over the hold, which is equivalent below the staircase's rate; the better fit is kept. m, b, c, k and d
+hold for the entire drive. c and d belong to the device: the drive of a held handle takes them from the drive of the
+free one, because under a hand damping times delay looks like mass. Each burst has its own initial position, initial
+speed and constant force g (drift of the hand, weight).
 
 The fit is least squares over the positions by variable projection (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973):
 an outer fit of m, b, c, k and d, and an inner fit of each burst's start. Its residuals are the encoder's rounding and
@@ -90,7 +90,7 @@ class Fit:
         return (self.mass_kg, self.damping_n_s_per_m, self.friction_n, self.stiffness_n_per_m, self.delay_s)
 
     def response(self, frequency_hz: Floats) -> npt.NDArray[np.complex128]:
-        """Return the frequency response of the linear part, position over force, in m/N."""
+        """Return the frequency response position/force of the linear part, in m/N."""
         s = 2j * math.pi * frequency_hz
         return np.asarray(1.0 / (self.mass_kg * s**2 + self.damping_n_s_per_m * s + self.stiffness_n_per_m))
 
@@ -169,7 +169,7 @@ def tapered(time_s: npt.NDArray[np.floating], frequency_hz: float) -> npt.NDArra
 
 @dataclass(slots=True)
 class _Window:
-    """One burst: the force at each period, the periods `at` whose positions are fitted, and its fitted start."""
+    """One burst: the force at each period, the periods `at` whose positions `seen_m` are fitted, and its start."""
 
     frequency_hz: float
     force_n: Floats
@@ -253,7 +253,7 @@ class _Fitting:
     # ---- Model and residuals --------------------------------------------------------------------------------------
 
     def _model(self, values: Floats, start: Floats, window: _Window) -> tuple[Floats, Floats]:
-        """Return the modelled position and velocity for each fitted sample, which shows them one delay later."""
+        """Return the modelled position and velocity for each fitted sample, with the delay d."""
         moved = _motion(values, start, window.force_n, self._record.rate_hz)
         place = np.clip(window.at - values[_DELAY] / self._period_s, 0.0, len(moved) - 1.001)
         index = place.astype(np.int64)
@@ -266,7 +266,7 @@ class _Fitting:
         return position, moved[index, 1] + part * (moved[index + 1, 1] - moved[index, 1])
 
     def _start_slopes(self, values: Floats, start: Floats, window: _Window) -> Floats:
-        """Return the derivatives (n, 3) of the position by the burst's start."""
+        """Return the derivatives (n, 3) of the position with respect to the burst's start."""
         model, _ = self._model(values, start, window)
         scale = window.start_scale
         slopes = np.empty((len(model), 3))
@@ -303,9 +303,9 @@ class _Fitting:
         return np.concatenate(lefts)
 
     def _slopes(self, values: Floats) -> list[Floats]:
-        """Return for each burst the derivatives (n, 5) by m, b, c, k and d, times their scales.
+        """Return for each burst the derivatives (n, 5) with respect to m, b, c, k and d, times their scales.
 
-        They are projected onto the complement of the derivatives by the burst's start.
+        They are projected onto the orthogonal complement of _start_slopes.
         """
         scale = self._scale(values)
         found = []
@@ -324,7 +324,7 @@ class _Fitting:
         return found
 
     def _scale(self, values: Floats) -> Floats:
-        """Return the scale of a change of m, b, c, k and d."""
+        """Return the magnitude of a significant change of m, b, c, k and d."""
         force = float(np.abs(self._record.force_n).max())
         mass = values[_MASS]
         return np.array([mass, max(values[1], mass), max(values[2], 0.02 * force), max(values[3], 10 * mass), 1e-3])
@@ -372,7 +372,7 @@ class _Fitting:
         return self._residual(values)
 
     def _retry_starts(self) -> None:
-        """Fit each burst whose residual is above the usual one again from other initial speeds."""
+        """Fit bursts with a residual well above the median again, from other initial speeds."""
         found = [self._fit_start(self._values, window.start, window) for window in self._windows]
         usual = float(np.median([np.mean(left**2) for _, left in found]))
         for window, (start, left) in zip(self._windows, found, strict=True):

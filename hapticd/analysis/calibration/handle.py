@@ -23,13 +23,13 @@ from hapticd.config.configuration import Config
 from hapticd.rendering.rearm import Resting, at_rest
 
 MIN_DELAY_PER_LAG: Final = 0.9
-"""Lower bound of the fitted delay over the time constant of a first-order lag, as a fraction.
+"""Smallest ratio of the fitted delay to the time constant of a first-order lag that causes it.
 
 A lag also changes the shape of the response, so that the fitted delay is up to 7 % less than its time constant.
 """
 MIN_LAG_DAMPING_RATIO: Final = 0.36
-"""Damping ratio zeta from which on a second-order lag has at least the bandwidth of a first-order lag of equal delay:
-2 zeta r >= 1, where r is the bandwidth over the natural frequency."""
+"""Smallest damping ratio zeta with which a second-order lag has the bandwidth of a first-order lag of equal delay: 2
+zeta r >= 1, with the ratio r of bandwidth to natural frequency."""
 
 _MASS, _DAMPING, _FRICTION, _STIFFNESS, _DELAY = range(5)
 
@@ -175,9 +175,9 @@ def calibrate(
 ) -> Calibration:
     """Drive the handle free and held, and fit both drives.
 
-    `ask` is called before each drive, with True if the handle must be held; `progress` is called with an empty text
-    before it, to clear its line. `wide` drives up to the highest frequency of an accelerometer. Raises HapticdError if
-    the device cannot be driven. After an exception the force is zero.
+    `ask` is called before each drive, with True if the handle must be held. `progress` is called with each new state,
+    and with an empty text before `ask`. `wide` drives up to MAX_BURST_HZ. Raises HapticdError if the device cannot be
+    driven. After an exception the force is zero.
     """
     require_scipy("calibrating")
     device = config.device
@@ -199,7 +199,7 @@ def calibrate(
 
 
 def with_accelerometer(found: Calibration, path: str) -> Calibration:
-    """Add an accelerometer's recording of both drives to a calibration. Raises HapticdError if it lacks a drive."""
+    """Add an accelerometer's recording of both drives to a calibration. Raises HapticdError if a drive is missing."""
     recording = load_recording(path)
     free, held = (
         compare(record, each, recording) for record, each in zip(found.records, (found.free, found.held), strict=True)

@@ -1,7 +1,7 @@
 """Rigs: devices that strike modes and return the rendered samples.
 
 SimRig is the simulated joystick without clock, ServoRig a device at its servo. Both run the servo's tick over the scene
-of a configuration, have the same members, and raise HapticdError for what they cannot do:
+of a configuration, have the same members, and raise HapticdError if they fail:
 
 strike(mode, amplitude, direction)  strike a mode with a coefficient; return the first tick that renders it
 run(duration_s)                     run for a time; return the samples rendered in it, (n,) records of SAMPLE_DTYPE
@@ -32,11 +32,11 @@ SERVO_POLL_INTERVAL_S: Final = 0.005
 SERVO_STALL_TIMEOUT_S: Final = 1.0
 """A servo that yields no sample for this time has stopped."""
 SIGNS_CHECK_TIMEOUT_S: Final = 30.0
-"""Time that the user has to release the handle for the check of a device's signs."""
+"""Time in which the user must release the handle, so that the signs of the device can be checked."""
 
 
 class SimRig:
-    """The simulated joystick; every run is the same."""
+    """The simulated joystick; runs are deterministic."""
 
     def __init__(self, config: Config) -> None:
         scene = CompiledScene(config)
@@ -150,8 +150,8 @@ def rig_of(config: Config) -> Rig:
 def on_grid(samples: Samples, rate_hz: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Map samples to servo periods.
 
-    Returns the period of each sample, counted from the first one, (n,), and the sample whose force each period has,
-    (periods,). A period that the servo missed has the force of the one before.
+    Returns the period of each sample, counted from the first one, (n,), and for each period the index of the sample
+    whose force acts in it, (periods,). In a period that the servo missed, the previous force acts.
     """
     since_ns = samples["time_ns"] - samples["time_ns"][0]
     place = np.rint(since_ns * 1e-9 * rate_hz).astype(np.int64)

@@ -1,9 +1,9 @@
 """The drive of a calibration: bursts at one frequency each, from FIRST_BURST_HZ downwards, then upwards.
 
-A burst is a slowly decaying mode, struck in alternating directions. A soft spring, whose force is part of the recorded
-one, returns a free handle to the middle. The strength of each burst follows from the motion of the one before, so that
-the handle stays in the middle third of its travel. It is at most MAX_BURST_FORCE_FRACTION of the force limit, which
-leaves a reserve for the spring.
+A burst is a slowly decaying mode, struck in alternating directions. A soft spring returns a free handle to the middle;
+its force is recorded, too. The strength of each burst follows from the motion of the one before, so that the handle
+stays in the middle third of its travel. It is at most MAX_BURST_FORCE_FRACTION of the force limit, which leaves a
+reserve for the spring.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ CENTERING_SPRING: Final = Spring(kind="spring", center_m=(0.0, 0.0), stiffness_n
 FIRST_BURST_HZ: Final = 60.0
 """Frequency of the first burst, in the middle of the range."""
 MAX_BURST_HZ: Final = 1600.0
-"""Highest frequency of a drive with an accelerometer, as in the measurements of the paper."""
+"""Highest frequency of a drive with an accelerometer."""
 BURST_DECAYS: Final = 3.0
 """Length of a burst in decay times."""
 MAX_BURST_FORCE_FRACTION: Final = 0.8
 """Largest force of a burst as a fraction of the force limit; the rest is a reserve for the spring."""
 BURST_LEAD_TIME_S: Final = 0.06
-"""A burst is evaluated from this time before its begin, so that the delay of a device may be as long."""
+"""A burst is evaluated from this time before its begin, which is the longest delay that can be fitted."""
 FORCE_EXPIRY_TIME_S: Final = 0.03
 """A device may drop a force that is not renewed for this time."""
 DRIVE_REST_TIME_S: Final = 0.1
 """Time before and after the bursts."""
 RUN_CHUNK_TIME_S: Final = 0.02
-"""Longest time between two checks of where the handle is."""
+"""Longest time between two checks of the handle's position."""
 MAX_TRAVEL_FRACTION: Final = 1.0 / 3.0
-"""Fraction of the travel, about the middle, that the handle must not leave."""
+"""Fraction of the travel, about the middle, within which the handle must stay."""
 
 Floats = npt.NDArray[np.float64]
 Axis = Literal["x", "y"]
@@ -118,7 +118,7 @@ def travel_m(config: Config) -> float:
 class Sweep:
     """A drive along one axis of a rig.
 
-    It ends at `highest_hz`, or, without it, where the motion falls below a step of the encoder. `progress` is called
+    It ends at `highest_hz`, by default when the motion falls below a step of the encoder. `progress` is called
     with a text for each burst.
     """
 
@@ -178,14 +178,14 @@ class Sweep:
             frequency *= 1.25
 
     def _play_bursts(self, reach_m: float, force_n: float, frequencies: Iterator[float]) -> None:
-        """Play bursts at these frequencies, after one at FIRST_BURST_HZ with `force_n` that moved by `reach_m`."""
-        # The aim of a burst is 0.4 of the middle third.
+        """Play bursts; one at FIRST_BURST_HZ and `force_n` has moved the handle by `reach_m` before."""
+        # A burst should move the handle by 0.4 of the middle third.
         allowed = 0.4 * MAX_TRAVEL_FRACTION * self._travel_m
         # The resonance of a held handle determines its mass: bursts above 5 Hz are played twice.
         twice_hz = 5.0 if self._held else 20.0
         before = FIRST_BURST_HZ
         for frequency in frequencies:
-            # The motion of a mass; spring and friction reduce it. The force at most doubles from burst to burst.
+            # Expected motion of a mass; spring and friction reduce it. The force at most doubles from burst to burst.
             likely = max(reach_m, 1e-9) * (before / frequency) ** 2
             force_n = min(self._max_n, force_n * min(2.0, allowed / likely))
             force_n = max(force_n, 0.02 * self._max_n)
@@ -226,7 +226,7 @@ class Sweep:
     def _record(self) -> Record:
         """Return the record of all bursts until now.
 
-        Periods that the servo missed keep the force before them and have no position.
+        Periods that the servo missed keep the previous force and have no position.
         """
         samples = np.concatenate(self._taken)
         rate_hz = self._rig.rate_hz

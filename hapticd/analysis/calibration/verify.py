@@ -77,7 +77,7 @@ class Verdict:
     force_n: float
     """Largest commanded force."""
     error: float
-    """RMS of the difference over RMS of the library's waveform, in the band; 1 if nothing is displayed."""
+    """RMS of the difference, divided by the RMS of the library's waveform, in the band; 1 if nothing is displayed."""
     strength: float
     """Projection of the displayed acceleration on the library's waveform: 1 is ideal, less is too weak."""
 
@@ -278,18 +278,18 @@ def tap_force(
     count: int,
     *,
     axis: Axis = "y",
-    part: float = ONSET_LEAD_PERIODS,
+    onset_periods: float = ONSET_LEAD_PERIODS,
 ) -> Floats:
     """Return the vibration force of a tap on a wall of a material, (count, 2) in N, at the configuration's ticks.
 
-    The wall's normal is `axis`; the onset is `part` of a period before the first tick.
+    The wall's normal is `axis`; the onset is `onset_periods` periods before the first tick.
     """
     along = (1.0, 0.0) if axis == "x" else (0.0, 1.0)
     wall = Wall(kind="wall", point_m=(0.0, 0.0), normal=along, material=material)
     alone = config.model_copy(update={"scene": Scene(objects={"wall": wall})})
     step_m = speed_m_per_s / config.servo.rate_hz
-    path = np.full(count + 1, -part * step_m)
-    path[0] = (1.0 - part) * step_m
+    path = np.full(count + 1, -onset_periods * step_m)
+    path[0] = (1.0 - onset_periods) * step_m
     speeds = np.zeros(count + 1)
     speeds[:2] = -speed_m_per_s
     samples = render(alone, np.outer(path, along), velocity_m_per_s=np.outer(speeds, along))

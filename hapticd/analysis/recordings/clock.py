@@ -47,7 +47,7 @@ MAX_UNIFORM_DEVIATION_PERIODS: Final = 1e-3
 MAX_JITTER_PERIODS: Final = 0.5
 """A larger deviation from a uniform clock, in periods, means lost or doubled samples."""
 MAX_RATE_MISMATCH: Final = 0.02
-"""Largest relative difference between two statements of the rate that may still mean the same rate."""
+"""Largest relative difference between a given and a measured rate that are taken as the same."""
 MIN_SAMPLES_PER_GAP: Final = 50
 """A recording may have one gap per this many samples; a short one may have three."""
 
@@ -167,7 +167,7 @@ def _sample_numbers(time_s: Floats, rounding_s: float) -> tuple[npt.NDArray[np.i
     spread = 1.4826 * float(np.median(np.abs(steps - usual)))
     # A gap is an interval that exceeds the median by more than the scatter of all intervals explains.
     jumps = np.flatnonzero(steps > usual + max(MAX_JITTER_PERIODS * usual, 6.0 * spread) + rounding_s)
-    # One period for all stretches between the gaps, by least squares.
+    # One period for all intervals between the gaps, by least squares.
     along = square = 0.0
     for stretch in np.split(time_s, jumps + 1):
         at = np.arange(len(stretch)) - (len(stretch) - 1) / 2

@@ -34,7 +34,7 @@ _UNCLOSED_QUOTE_TEXT: Final = "is not a table of numbers: is a quotation mark no
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The columns of a file, whose numbers are read later."""
+    """The columns of a file, whose numbers are read on demand."""
 
     names: Sequence[str]
     """Names of the columns, in their order."""
@@ -46,9 +46,9 @@ class Table:
     others: Mapping[str, str] = field(default_factory=dict)
     """Other content by its name, with the reason why it is not a column, as the end of a sentence."""
     rounded: Callable[[int, Floats], float] = lambda which, values: 0.0
-    """Function that returns the rounding of a column's numbers by their data type, 0 if only the numbers show it."""
+    """Function that returns the rounding step of a column's data type, such as float32; 0 if it is unknown."""
 
-    def place(self, column: str | int) -> int:
+    def index_of(self, column: str | int) -> int:
         """Return the index of the column with this name, or this number from 1. Raises ValueError for others."""
         if isinstance(column, str) and column in self.names:
             if self.names.count(column) > 1:
@@ -140,12 +140,12 @@ def csv_table(content: bytes) -> Table:
         names.pop()
     return Table(
         [name or str(index + 1) for index, name in enumerate(names)],
-        lambda places: _csv_columns(text, first, delimiter, width, places),
+        lambda indices: _csv_columns(text, first, delimiter, width, indices),
         {index: unit for index, unit in enumerate(units) if unit},
     )
 
 
-def _csv_columns(text: str, first: int, delimiter: str, width: int, places: Sequence[int]) -> list[Floats]:
+def _csv_columns(text: str, first: int, delimiter: str, width: int, indices: Sequence[int]) -> list[Floats]:
     """Return the columns with these indices as numbers, from the lines beginning with number `first`."""
     try:
         import pandas
@@ -160,24 +160,24 @@ def _csv_columns(text: str, first: int, delimiter: str, width: int, places: Sequ
             header=None,
             names=range(width),
             index_col=False,
-            dtype=dict.fromkeys(places, np.float64),
+            dtype=dict.fromkeys(indices, np.float64),
             skipinitialspace=True,
             low_memory=False,
         )
     except ValueError:
-        raise ValueError(_csv_fault(text, first, delimiter, width, places) or _UNCLOSED_QUOTE_TEXT) from None
-    columns: list[Floats] = [frame[place].to_numpy(np.float64) for place in places]
+        raise ValueError(_csv_fault(text, first, delimiter, width, indices) or _UNCLOSED_QUOTE_TEXT) from None
+    columns: list[Floats] = [frame[index].to_numpy(np.float64) for index in indices]
     if len(frame) != body.strip("\n").count("\n") + 1:
-        raise ValueError(_csv_fault(text, first, delimiter, width, places) or _UNCLOSED_QUOTE_TEXT)
+        raise ValueError(_csv_fault(text, first, delimiter, width, indices) or _UNCLOSED_QUOTE_TEXT)
     # In a line with a cell too few the values are in the wrong columns, and the last cell is missing.
     if frame[width - 1].isna().any() or not all(np.isfinite(column).all() for column in columns):
-        fault = _csv_fault(text, first, delimiter, width, places)
+        fault = _csv_fault(text, first, delimiter, width, indices)
         if fault is not None:
             raise ValueError(fault)
     return columns
 
 
-def _csv_fault(text: str, first: int, delimiter: str, width: int, places: Sequence[int]) -> str | None:
+def _csv_fault(text: str, first: int, delimiter: str, width: int, indices: Sequence[int]) -> str | None:
     """Return the fault of the first line from which these columns cannot be read, or None."""
     for number, line in _lines(text):
         if number < first or line.lstrip().startswith("#"):
@@ -185,10 +185,10 @@ def _csv_fault(text: str, first: int, delimiter: str, width: int, places: Sequen
         cells = _cells(line, delimiter)
         if len(cells) != width:
             return f"line {number} must have {width} columns, has {len(cells)}"
-        for place in places:
-            value = _number(cells[place], delimiter)
+        for index in indices:
+            value = _number(cells[index], delimiter)
             if value is None or not np.isfinite(value):
-                return f"line {number} must hold numbers, holds {quoted(cells[place])} (a missing sample?)"
+                return f"line {number} must hold numbers, holds {quoted(cells[index])} (a missing sample?)"
     return None
 
 
@@ -279,13 +279,13 @@ def npz_table(content: bytes) -> Table:
         raise ValueError("rate_hz must be one number")
     arrays = list(columns.values())
 
-    def rounded(place: int, values: Floats) -> float:
-        kind = arrays[place].dtype
+    def rounded(index: int, values: Floats) -> float:
+        kind = arrays[index].dtype
         return float(np.spacing(np.abs(values).max(initial=0.0).astype(kind))) if kind.kind == "f" else 1.0
 
     return Table(
         list(columns),
-        lambda places: [np.array(arrays[place], dtype=np.float64) for place in places],
+        lambda indices: [np.array(arrays[index], dtype=np.float64) for index in indices],
         {},
         None if rate_hz is None else float(rate_hz[0]),
         others,
@@ -338,8 +338,8 @@ def wav_table(content: bytes) -> Table:
     if len(channels) > MAX_CHANNELS:
         raise ValueError(f"must have at most {MAX_CHANNELS} channels, has {len(channels)}")
 
-    def read(places: Sequence[int]) -> list[Floats]:
-        parts = [channels[place].astype(np.float64) for place in places]
+    def read(indices: Sequence[int]) -> list[Floats]:
+        parts = [channels[index].astype(np.float64) for index in indices]
         if samples.dtype.kind == "f":
             return parts
         # Samples of 8 bits are unsigned, with 128 for silence; scipy shifts 24 bits to the upper ones of 32.

@@ -50,7 +50,7 @@ class Sensor(Model):
             found += [2 * math.pi * self.filter_hz * cmath.exp(0.5j * math.pi * turn) for turn in turns]
         return tuple(found)
 
-    def answer(self, pole: complex, since_s: npt.NDArray[np.float64]) -> tuple[Complexes, Complexes, Complexes]:
+    def response(self, pole: complex, since_s: npt.NDArray[np.float64]) -> tuple[Complexes, Complexes, Complexes]:
         """Return y, dy/dp and dy/dt, each (n,), for p = `pole` in rad/s at the times `since_s` (n,) from 0 s."""
         poles = np.array(self.poles, dtype=np.complex128)
         gain = complex(np.prod(-poles / (pole - poles)))

@@ -1,4 +1,4 @@
-"""The record of a material in the table, and its numbers outside of the record."""
+"""The record of a material in the table, and its arrays in the table's `numbers`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import displayed_wave_rate, touched_by
 
 Numbers: TypeAlias = dict[str, npt.NDArray[np.float64]]
-"""Numbers of a material in the table, by the member of its record that holds their first index."""
+"""Arrays of a material in the table's `numbers`, by the member of its record that holds their first index."""
 
 _DEFAULT_AIM: Final = (1.0, 0.0)
 """Aim of a tap or a rupture unless another is given; the record's default in the core."""
@@ -42,9 +42,9 @@ def struck_modes(material: Material) -> Iterator[Mode]:
 def material_record(
     material: Material, noise_index: int, output: Output, effects: Mapping[Mode, Effect | None] = MappingProxyType({})
 ) -> tuple[CData, Numbers]:
-    """Return a `struct hd_material *` and the material's numbers, whose indices are not yet set in it.
+    """Return a `struct hd_material *` and the arrays for `numbers`, whose indices are not yet set in it.
 
-    `noise_index` is the index of its noise, if any. `effects` are what a device plays in place of modes.
+    `noise_index` is the index of its noise, if any. `effects` are the effects that a device plays in place of modes.
     """
     record, numbers = ffi.new("struct hd_material *"), Numbers()
     record.stiffness_n_per_m = material.stiffness_n_per_m

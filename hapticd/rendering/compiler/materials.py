@@ -1,4 +1,4 @@
-"""The materials of the objects of a scene: their records, their noises, and the numbers of both."""
+"""The materials of a scene's objects: their records, their noises, and the arrays of both in the table's `numbers`."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class Materials:
         self.changed = True
 
     def _release_record_parts(self, used: _Used) -> None:
-        """Release the numbers and effects of a material's record; its noise stays."""
+        """Release the arrays and effects of a material's record; its noise stays."""
         self._numbers_changed |= bool(used.numbers)
         for mode in used.struck:
             assert self._effects is not None
@@ -163,9 +163,9 @@ class Materials:
         return finish(design(texture, self.output)) if found is None else found
 
     def prepare(self, name: str, material: Material) -> Steps[None]:
-        """Compute in advance what is slow in a material that will be compiled under this name.
+        """Compute in advance the slow parts of a material that will be compiled under this name.
 
-        That is filters, with a pause after each, compensated shapes, and the spectrum of a waveform.
+        They are filters, with a pause after each, compensated shapes, and the spectrum of a waveform.
         """
         used = self._used.get(self._index.get(name, -1))
         if used is not None and used.material is material:
@@ -179,7 +179,7 @@ class Materials:
         yield
 
     def forget_prepared(self) -> None:
-        """Clear what was prepared, after a change or without one."""
+        """Discard the results of `prepare`, whether or not the change was made."""
         self._prepared = {}
 
     def changing(self, source: Mapping[str, Material]) -> list[str]:
@@ -205,7 +205,7 @@ class Materials:
         self.changed = self._numbers_changed = False
 
     def _rebuild_numbers(self) -> None:
-        """Rebuild all noises, and the numbers of noises and materials. A free noise index is silent."""
+        """Rebuild all noises and the array `numbers`. The noise at an unused index is silent."""
         self._noises = records(NOISE_DTYPE, self._noise_places.count)
         filters_by_noise = {used.noise: used.filters for used in self._used.values()}
         numbers: list[npt.NDArray[np.float64]] = []

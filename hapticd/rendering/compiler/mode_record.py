@@ -1,4 +1,4 @@
-"""The numbers of a mode in the table: its recursion at the rate, and the force with which it is struck."""
+"""The record of a mode in the table: its recursion at the rate, and the force of a strike."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import NO_SURFACE, Touched, displayed_mode, struck_shapes
 
 Effect: TypeAlias = tuple[int, float, float]
-"""What a device plays in place of a mode: its id, its largest level over the coefficient, and its duration, s."""
+"""Effect that a device plays in place of a mode: id, ratio of largest level to coefficient, duration in s."""
 
 _NO_TAIL: Final[tuple[float, ...]] = (0.0,) * 7
 """Members of `struct hd_mode` for a mode without a tail."""
 _NO_FREE: Final[tuple[float, ...]] = (0.0,) * 6
-"""Members of `struct hd_mode` for a mode that is not compensated."""
+"""Members of `struct hd_mode` for strikes without a surface, of a mode that is not compensated."""
 _NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * MAX_CORRECTED_SAMPLES), 0, 0)
 """Members of `struct hd_mode` for a mode without kicks."""
 
@@ -32,8 +32,8 @@ def mode_record(
 ) -> tuple[float | list[float], ...]:
     """Return the members of a `struct hd_mode`, in its order.
 
-    `amplitude_per_unit` (m/s^2 per unit of the excitation) is reported, `coefficient_per_unit` is struck. The
-    compensation is designed for the surface `touched`. The core adapts it to the surface in contact at the strike.
+    `amplitude_per_unit` (m/s^2 per unit of the excitation) is reported, `coefficient_per_unit` sets the force. The
+    compensation is designed for the surface `touched`; at a strike, the core adapts it to the surface in contact.
     """
     shown, factor = displayed_mode(mode, output)
     decay, omega = mode.decay_rate_per_s, mode.angular_frequency_rad_per_s
@@ -58,7 +58,7 @@ def mode_record(
         other, its_tail = untouched.mode.gain, 0j if untouched.tail is None else untouched.tail.gain
         if shape.kicks:
             kicks = ([number for pair in shape.kicks for number in pair], len(shape.kicks), 0)
-        free = (touched.met_n_per_m, untouched.peak, other.real, other.imag, its_tail.real, its_tail.imag)
+        free = (touched.design_n_per_m, untouched.peak, other.real, other.imag, its_tail.real, its_tail.imag)
     return (
         rotor.real,
         rotor.imag,

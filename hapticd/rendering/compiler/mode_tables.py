@@ -1,8 +1,8 @@
 """Modes of taps and grooves that depend on speed or force: the tables that a strike interpolates.
 
-Speed and force are known only at the strike, and the design of a compensated mode takes milliseconds. So modes are
-designed at nodes of the table's range when the scene is compiled, all with the pole of one tail, and a strike
-interpolates linearly between two nodes (csrc/scene/hd_table_numbers.h).
+The design of a compensated mode takes milliseconds. So modes are designed at nodes of the table's range when the scene
+is compiled, all with the pole of one tail. A strike interpolates linearly between two nodes
+(csrc/scene/hd_table_numbers.h).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hapticd.rendering.displayability import (
 GROOVE_NODES: Final = 17
 """Number of frequencies at which grooves are designed; at most HD_TUNE_NODES."""
 TAP_STEPS: Final = 16
-"""Approximate number of steps from the first speed of taps to the last; with the points at most HD_TUNE_NODES."""
+"""Approximate number of steps from the first tap speed to the last; the nodes must not exceed HD_TUNE_NODES."""
 _PEAK_COLUMN: Final = TUNE_NODE_NUMBERS - 2
 """Column of a node that holds the peak in contact; the peak without a surface follows."""
 
@@ -44,11 +44,11 @@ class TabledModes(NamedTuple):
     base: Mode
     """A displayable mode from which the values common to all strikes are taken."""
     tail: Ringing | None
-    """Tail of the compensation of all modes, with any gain."""
+    """Tail of the compensation of all modes; only its pole is used."""
     nodes: npt.NDArray[np.float64]
     """(n, HD_TUNE_NODE), or (0, HD_TUNE_NODE) without compensation."""
     numbers: npt.NDArray[np.float64]
-    """All numbers in the core's order, the nodes included."""
+    """All values, including the nodes, in the core's order."""
 
     def complete(self, record: CData, mode: CData, output: Output) -> None:
         """Put the values common to all strikes into a `struct hd_material` and into its `struct hd_mode` of `base`.
@@ -109,7 +109,7 @@ def tabled_tap(material: Material, output: Output) -> TabledModes | None:
 
 
 def _speeds(table: ModeTable) -> tuple[float, ...]:
-    """Return all points of the table, and about equal steps between them."""
+    """Return all speeds of the table, with about equal steps between them."""
     points = table.speeds_m_per_s
     span = points[-1] - points[0]
     found = [points[0]]
@@ -121,18 +121,18 @@ def _speeds(table: ModeTable) -> tuple[float, ...]:
 
 @lru_cache(maxsize=1024)
 def _nodes(
-    places: tuple[float, ...], modes: tuple[Mode, ...], output: Output, touched: Touched
+    arguments: tuple[float, ...], modes: tuple[Mode, ...], output: Output, touched: Touched
 ) -> tuple[Ringing | None, npt.NDArray[np.float64]]:
     """Return the tail that all modes share, and the nodes (n, HD_TUNE_NODE).
 
-    `places` are the frequencies or speeds of the nodes.
+    `arguments` are the frequencies or speeds of the nodes.
     """
     if output.compensation == "off":
         return None, np.zeros((0, TUNE_NODE_NUMBERS))
     assert output.dynamics is not None
     load = touched.load(output)
     pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load, touched.best_in_contact)
-    rows = np.array([_row(place, *pair) for place, pair in zip(places, pairs, strict=True)])
+    rows = np.array([_row(argument, *pair) for argument, pair in zip(arguments, pairs, strict=True)])
     # Scaled so that the line between the peaks of two nodes bounds the peak of a strike between them.
     for column, which in ((_PEAK_COLUMN, 1), (_PEAK_COLUMN + 1, 0)):
         shapes = [pair[which] for pair in pairs]
@@ -140,8 +140,8 @@ def _nodes(
     return pairs[0][0].tail, rows
 
 
-def _row(place: float, free: Shape, touched: Shape) -> tuple[float, ...]:
+def _row(argument: float, free: Shape, touched: Shape) -> tuple[float, ...]:
     """Return a node, in the order of enum hd_tune_number."""
     tails = [0j if shape.tail is None else shape.tail.gain for shape in (touched, free)]
     gains = (touched.mode.gain, tails[0], free.mode.gain, tails[1])
-    return place, *(part for gain in gains for part in (gain.real, gain.imag)), touched.peak, free.peak
+    return argument, *(part for gain in gains for part in (gain.real, gain.imag)), touched.peak, free.peak

@@ -80,10 +80,7 @@ def _shown_model(model: AutoregressiveModel, from_rate_hz: float, to_rate_hz: fl
 
 @lru_cache(maxsize=16)
 def _shown_grid(texture: Autoregressive, rate_hz: float) -> Design:
-    """Return the filters of a texture's models at a rate, cached for materials that come and go with their objects.
-
-    The largest grid has a megabyte.
-    """
+    """Return the filters of a texture's models at a rate, cached as objects come and go."""
     return grid([_shown_model(model, texture.rate_hz, rate_hz) for model in texture.models])
 
 

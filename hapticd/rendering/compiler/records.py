@@ -1,4 +1,4 @@
-"""Arrays of C records that grow in place, and their free places."""
+"""Arrays of C records that grow in place, and their free indices."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def next_version(version: int) -> int:
 
 
 class Places:
-    """Allocates places in an array, the lowest free one first."""
+    """Allocates indices of an array, the lowest free one first."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -24,7 +24,7 @@ class Places:
         self._free: list[int] = []
 
     def take(self, wanted: int | None = None) -> int:
-        """Return a free place, or `wanted`, which must be free."""
+        """Return a free index, or `wanted`, which must be free."""
         if wanted is not None:
             self._free.remove(wanted)
             heapq.heapify(self._free)
@@ -34,9 +34,9 @@ class Places:
         self.count += 1
         return self.count - 1
 
-    def give(self, place: int) -> None:
-        """Free a place."""
-        heapq.heappush(self._free, place)
+    def give(self, index: int) -> None:
+        """Free an index."""
+        heapq.heappush(self._free, index)
 
 
 class Records:
@@ -47,7 +47,7 @@ class Records:
         self._hold(records(dtype, 16))
 
     def _hold(self, array: npt.NDArray[np.void]) -> None:
-        """Use this array, and the views and the pointer of it."""
+        """Set the array, its view as bytes, and its pointer."""
         self.array = array
         self.memory = array.view(np.uint8).data
         self.pointer: CData = pointer(self._ctype + "[]", array)

@@ -1,13 +1,13 @@
-"""The compiler: keeps the table that the tick reads, and rewrites the records of what changed.
+"""The compiler: keeps the table that the tick reads, and rewrites the records of changed objects and materials.
 
     objects[]    one record for each slot. As long as an object keeps its id and kind, it keeps its slot and generation,
                  and with them its contact state
-    materials[]  those in use, each at its index as long as an object has it
-    pieces[]     of the walls with patches, one wall after the other
-    noises[]     of the materials with noise, each at its index; `numbers` holds their filters
+    materials[]  materials in use, each at its index as long as an object has it
+    pieces[]     pieces of walls with patches, one wall after the other; a piece is an interval of one material
+    noises[]     noises of materials, each at its index; `numbers` holds their filters
 
-The compiler rewrites only what changed, so an update of one object costs the same in a large scene as in a small one.
-The lowest free place is used first, so arrays have no more places than the largest scene needed. All input is valid.
+An update of one object costs the same in a large scene as in a small one. The lowest free index is used first, so
+arrays are no longer than the largest scene needed. All input has been validated.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ if _OBJECT_RECORD.size != OBJECT_DTYPE.itemsize:
     raise ImportError("compiler/table.py: _OBJECT_RECORD must have the size of struct hd_object (csrc/api/hd_api.h)")
 
 MAX_BRAKED_MOMENTUM_PART: Final = 0.1
-"""Largest part of the handle's momentum that the passivity controller removes in a period."""
+"""Largest fraction of the handle's momentum that the passivity controller removes in a period."""
 
 _PERIOD_TOLERANCE: Final = 1e-6
-"""Rounding of an age, in periods, that does not count as a further period."""
+"""Ages are rounded up to periods, except those that exceed an integer by at most this fraction of a period."""
 _NO_FIELD: Final = (0.0,) * 4
 """The contribution of an object that is not a field."""
 _QUANTA_PER_UNIT: Final = 1 << 1074
@@ -101,7 +101,7 @@ class Compiler:
     """
 
     def __init__(self, output: Output, effects: Effects | None = None) -> None:
-        """Create an empty table; `effects` are the modes that the device plays as effects, None: none."""
+        """Create an empty table; `effects` are the modes that the device plays as effects, if it plays any."""
         self._objects = Records("struct hd_object", OBJECT_DTYPE)
         self._places = Places()
         self._slots: dict[str, int] = {}
@@ -131,7 +131,7 @@ class Compiler:
     def turn_to(self, output: Output) -> None:
         """Compile for another output, such as another rate.
 
-        The next `update` contains everything, and must be taken completely. Slots and generations stay.
+        The next `update` marks the entire table as changed. Slots and generations stay.
         """
         self._turn_to(output)
         self._stamp = next_version(self._stamp)
@@ -211,7 +211,7 @@ class Compiler:
         return self._materials.prepare(name, material)
 
     def forget_prepared(self) -> None:
-        """Clear what was prepared, after the update or without one."""
+        """Discard the results of `prepare`, whether or not an update followed."""
         self._materials.forget_prepared()
 
     def changing(self, materials: Mapping[str, Material]) -> list[str]:
@@ -235,14 +235,14 @@ class Compiler:
         return self._update(scene, list(changed), materials, revision, {})
 
     def published(self) -> None:
-        """Start a new list of changes, because the table was taken."""
+        """Clear the list of changes after the table was published."""
         self._changed.clear()
         self._table.all_changed = 0
 
     def restore(self, scene: Scene, changed: Iterable[str], materials: Mapping[str, Material], revision: int) -> None:
         """Restore the state before the last update, whose table was refused, slots and generations included.
 
-        The arguments are those of an `update` to that state. The next table must be taken completely.
+        The arguments are those of an `update` to that state. The entire table is marked as changed.
         """
         self._table.all_changed = 1
         former, self._lost = self._lost, {}

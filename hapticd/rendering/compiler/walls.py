@@ -1,4 +1,4 @@
-"""Walls with patches: the pieces of each wall, one wall after the other."""
+"""Walls with patches: the pieces of each wall, intervals of one material, one wall after the other."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _Pieces(NamedTuple):
     rows: npt.NDArray[np.void]
     """Records of PIECE_DTYPE."""
     materials: frozenset[int]
-    """Indices of its materials, each of which it uses once."""
+    """Indices of its materials; the wall counts as one use of each."""
 
 
 class PatchedWalls:
@@ -50,7 +50,7 @@ class PatchedWalls:
     def put(self, slot: int, wall: Wall | None) -> bool:
         """Set the wall at a slot, None for no wall with patches, and return whether its pieces changed.
 
-        Unchanged pieces keep their place.
+        Unchanged pieces stay where they are.
         """
         held = self._pieces.get(slot)
         if wall is None and held is None:
