@@ -153,7 +153,7 @@ def _run(
 
 
 def _log_limits(engine: Engine, granted: Granted, chosen: ConfigFiles) -> None:
-    """Log the privileges that were not granted, and the limits of the display of the scene."""
+    """Log the files, missing privileges, limits of display and low margins of stability."""
     _log.info("configuration: %s", chosen)
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)

@@ -40,8 +40,11 @@ _TOPIC_INTERVALS_NS: Final = {
     "status": round(STATUS_INTERVAL_S * 1e9),
 }
 _UNTIL_FIRST_TICK: Final = b"\x84" + encode("first_tick")
+"""Bytes of a message before the value of `first_tick`: the header of a map of 4 members, and the key."""
 _UNTIL_DROPPED: Final = encode("dropped")
+"""Bytes of a message between the values of `first_tick` and `dropped`."""
 _UNTIL_DATA: Final = encode("dtype") + encode(np.lib.format.dtype_to_descr(SAMPLE_DTYPE)) + encode("data")
+"""Bytes of a message between the value of `dropped` and the header of `data`."""
 
 
 def _samples_head(first_tick: int, dropped: int, size: int) -> bytes:

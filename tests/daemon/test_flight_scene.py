@@ -34,7 +34,7 @@ def scene() -> FlightScene:
 
 
 def kept(scene: FlightScene) -> tuple[list[int | None], set[str], int]:
-    """Return the changes' revisions (None: commands), the ids at the beginning, and the first tick with all commands."""
+    """Return the changes' revisions (None: command), the ids at the beginning, and the first complete tick."""
     history = scene.history()
     objects = history.texts()["scene"]["objects"]  # type: ignore[index]
     return [change.get("revision") for change in history.change_maps()], set(objects), history.complete_from  # type: ignore[misc]
