@@ -25,7 +25,7 @@ COMMAND_TIMEOUT_S: Final = 1.0
 _MAX_PENDING_PLAYS: Final = 4096
 """Plays that are kept until they are struck. Must not be less than the capacity of the servo's command ring."""
 SERVO_POLL_INTERVAL_NS: Final = 50_000_000
-"""Interval in which the command thread checks the servo for an overload, a resume of the machine and struck plays."""
+"""Interval in which the command thread polls the servo (Engine.poll_servo)."""
 
 
 class RingFullError(HapticdError):
@@ -95,9 +95,8 @@ class CommandRing:
     def wait(self, taken: Callable[[int, CData], int], failure: str) -> int:
         """Wait until `taken` returns OK, and return the tick that it stored.
 
-        `taken` gets the nanoseconds that it may wait, and where to store the tick. Between its calls the servo is
-        polled: after an overload it must be restarted by this thread. Raises WaitTimeoutError, which begins with
-        `failure`.
+        `taken` gets the nanoseconds that it may wait. Between its calls the servo is polled, because only this thread
+        can restart it after an overload. Raises WaitTimeoutError, whose text begins with `failure`.
         """
         tick = ffi.new("uint64_t *")
         until_ns = time.monotonic_ns() + int(COMMAND_TIMEOUT_S * 1e9)

@@ -65,7 +65,7 @@ def missing_of(grant: CData, servo: Servo) -> list[str]:
 
 
 class Histogram(NamedTuple):
-    """A histogram of times: counts[i] counts times t with edges_ns[i - 1] <= t < edges_ns[i]; both ends are open."""
+    """A histogram: counts[i] counts times t with edges_ns[i - 1] <= t < edges_ns[i]; both ends are open."""
 
     edges_ns: tuple[int, ...]
     counts: list[int]
@@ -100,7 +100,7 @@ class Counters(NamedTuple):
     memory_refused: int
     """errno of the last attempt to lock memory for a grown scene; 0: memory is locked as granted."""
     overloaded: bool
-    """The servo thread has ended, or is about to end, because of an overload; it is then restarted at a lower rate."""
+    """An overload has ended the servo thread, or is about to; it is then restarted at a lower rate."""
     missed_share: float
     """Fraction of the periods of the last complete second that were missed."""
     signs_word: int

@@ -109,7 +109,7 @@ class Dispatch:
     def take(self, body: bytes | None, reply: Reply, sender: object = None) -> None:
         """Carry out the request in `body` and answer it by `reply`, now or in a later `continue_change`.
 
-        A notification is not answered. Errors are answered, never raised. `body`: None if the message had a wrong
+        Errors are answered, never raised; a notification is not answered. `body`: None if the message had a wrong
         number of frames. `sender`: the connection of the message, which identifies the owner of a stream.
         """
         if body is not None and self._methods.streams.take_body(sender, body):

@@ -83,7 +83,7 @@ SAMPLE_CAPACITY: Final = 16384
 """Capacity of the ring of samples: more than a second at 10 kHz, longer than a garbage collection."""
 
 DEVICE_TIMEOUT_S: Final = 0.1
-"""Time without a report, in addition to the usual age of a report, after which the device counts as lost."""
+"""Age of a report, beyond the usual one, above which the device counts as lost."""
 FROZEN_FORCE_FRACTION: Final = 0.1
 """A position that does not change under this fraction of the maximum force or more counts as frozen.
 
@@ -296,7 +296,7 @@ class Engine:
     # ---- Supervision of the servo --------------------------------------------------------------------------------
 
     def poll_servo(self) -> None:
-        """Restart the servo after an overload, and the device after a suspend; check for both at most every 50 ms.
+        """Restart the servo after an overload, and check the device after a suspend, at most every 50 ms.
 
         The command thread calls it often. Raises HapticdError if the servo cannot be restarted.
         """
@@ -315,7 +315,7 @@ class Engine:
             self._step_down()
 
     def _step_down(self) -> None:
-        """Restart the servo at half its rate, or, if that is not possible, at the same rate with a fault."""
+        """Restart the servo at half its rate or, if that is impossible, at the same rate with a fault."""
         before, after = self.output, self._output_at(0.5 * self.rate_hz)
         refused = rate_faults(self.scene.objects, self.materials, after)
         problem = str(InvalidError(refused)) if refused else None
@@ -435,7 +435,7 @@ class Engine:
         return 0 if self._offload is None else self._offload.version
 
     def offloaded(self) -> list[Offloaded]:
-        """Return for each tap and rupture of the scene whether the device plays it, and why not. For any thread."""
+        """Return for each tap and rupture whether the device plays it, and why not. For any thread."""
         if self._offload is None:
             return []
         return self._offload.outcomes(materials_in(self.scene.objects, self.materials))

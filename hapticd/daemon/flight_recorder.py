@@ -40,7 +40,7 @@ CHUNK_SAMPLES: Final = 3200
 _OPAQUE_SAMPLE_DTYPE: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
 """A sample as opaque bytes: numpy copies members of a record one by one, which takes longer."""
 CLOCK_READ_INTERVAL_NS: Final = 1_000_000_000
-"""Interval in which monotonic and wall-clock time are read together; a file has those of its first sample."""
+"""Interval in which monotonic and wall-clock time are read, for the start time of a file."""
 
 _FILE_NAME_PATTERN: Final = re.compile(r"flight-(\d{6,})-[a-z]+\.npz")
 _log = logging.getLogger("hapticd")
@@ -277,7 +277,7 @@ class Flight:
             writer.begin({**self._texts(), **history.texts()})
             for change in changes:
                 writer.write_change(change)
-            # In large pieces: after each write the thread may have to wait for the interpreter, and so may others.
+            # In large chunks: after each write the thread may have to wait for the interpreter, and so may others.
             for first in range(0, len(job.samples), CHUNK_SAMPLES):
                 writer.write(job.samples[first : first + CHUNK_SAMPLES])
             for event in job.events:

@@ -27,7 +27,7 @@ from hapticd.protocol.changes import (
 )
 
 MAX_KEPT_CHANGES: Final = 4000
-"""Size of all kept changes: 1 for each, plus the `pieces` of its objects and materials or the ids that it resets."""
+"""Largest size of the kept changes: 1 for each, plus its `pieces` or the number of ids that it resets."""
 
 
 class _Base(NamedTuple):

@@ -26,7 +26,7 @@ from hapticd.system.repeated_lines import Repeats
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 """Time from the connection until its handshake must be complete. docs/protocol.md states it."""
 MAX_UNSENT_BYTES: Final = 256 * 1024
-"""Unsent data above which no request is read from a peer."""
+"""Unsent data of a peer above which nothing is read from it."""
 MAX_READ_BYTES: Final = 64 * 1024
 """Most bytes read from a peer in one turn."""
 
@@ -63,7 +63,7 @@ class Limits:
 
 @dataclass(eq=False, slots=True)
 class Peer:
-    """A connection. `held`: bytes that count towards Limits.buffers; `unsent`: bytes in `out`."""
+    """A connection. `held`: its bytes in Limits.buffers."""
 
     sock: socket.socket
     uid: int

@@ -66,7 +66,7 @@ def run(
 ) -> int:
     """Run the daemon until SIGTERM or SIGINT, and return its exit code.
 
-    SIGHUP reloads the configuration or, if the daemon was started on a terminal, ends it: the terminal has closed.
+    SIGHUP reloads the configuration or, if the daemon was started on a terminal, ends it.
 
     `config_paths` are merged in order; without any, the configuration is searched (config/locations.py). A reload reads
     the same files again, or searches again if none was found. `log_level`: one of journal.LOG_LEVELS. Raises

@@ -26,7 +26,7 @@ class Status:
     """Reports one engine's status. For any thread."""
 
     def __init__(self, engine: Engine, lease: Lease, flight: Flight | None, streams: Streams) -> None:
-        """Report the status of these objects. The daemon's start time is that of this call."""
+        """Report the status of these objects; the daemon's start time is now."""
         self._engine, self._lease, self._flight = engine, lease, flight
         self._streams = streams
         self._started_ns = monotonic_ns()

@@ -40,7 +40,7 @@ _TOPIC_INTERVALS_NS: Final = {
     "status": round(STATUS_INTERVAL_S * 1e9),
 }
 _UNTIL_FIRST_TICK: Final = b"\x84" + encode("first_tick")
-"""Bytes of a message before the value of `first_tick`: the header of a map of 4 members, and the key."""
+"""Bytes of a message before the value of `first_tick`."""
 _UNTIL_DROPPED: Final = encode("dropped")
 """Bytes of a message between the values of `first_tick` and `dropped`."""
 _UNTIL_DATA: Final = encode("dtype") + encode(np.lib.format.dtype_to_descr(SAMPLE_DTYPE)) + encode("data")
@@ -130,7 +130,7 @@ class Telemetry:
             for topic, time in due.items():
                 if now >= time:
                     send[topic]()
-                    # After a stall the rhythm starts again instead of catching up.
+                    # After a stall the interval starts again instead of catching up.
                     every_ns = _TOPIC_INTERVALS_NS[topic]
                     due[topic] = (time if now - time < every_ns else now) + every_ns
             if self._flight is not None:
@@ -175,8 +175,8 @@ class Telemetry:
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
         """Yield events as maps.
 
-        Some events come in floods, which would delay commands. Of a batch, one event is sent for all overruns (their
-        sum), one for all grooves of an object (their count), and one for all revisions (the newest).
+        A flood of events would delay commands: a batch has one event for all overruns (their sum), one for all grooves
+        of an object (their count), and one for all revisions (the newest).
         """
         kinds = events["kind"]
         overruns, revisions = events[kinds == EventKind.OVERRUN], events[kinds == EventKind.REVISION]

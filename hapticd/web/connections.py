@@ -112,7 +112,7 @@ class Connections:
 
 
 class _Connection(asyncio.Protocol):
-    """A wrapper of aiohttp's protocol that reports opened and closed connections to Connections."""
+    """aiohttp's protocol, wrapped to report opened and closed connections."""
 
     def __init__(self, inner: asyncio.Protocol, connections: Connections) -> None:
         self._inner, self._connections = inner, connections

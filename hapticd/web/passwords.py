@@ -37,9 +37,9 @@ _LINE_PATTERN: Final = re.compile(
 _CREATION_HINT: Final = "`hapticd web --set-password FILE` writes one"
 """Advice in error texts on how to make a password file."""
 _TRIES_PER_ADDRESS: Final = (0.1, 5.0)
-"""Rate limit of one address, in tries a second, and its burst, in tries."""
+"""Rate limit of one address: tries a second, and burst."""
 _TRIES_OF_ALL_ADDRESSES: Final = (1.0, 20.0)
-"""Rate limit of all addresses together, in tries a second, and its burst, in tries."""
+"""Rate limit of all addresses together: tries a second, and burst."""
 _MAX_TRACKED_ADDRESSES: Final = 1000
 """Addresses with a separate rate limit; beyond it the one that tried longest ago is forgotten."""
 Verdict = Literal["right", "wrong", "later"]

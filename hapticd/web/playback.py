@@ -55,14 +55,14 @@ _COMPONENT_COLUMNS: Final = {
     "force_x_n": ("force_n", 0),
     "force_y_n": ("force_n", 1),
 }
-"""Columns with a component of a vector: the field of the samples and the index of the component."""
+"""Columns of vector components: field and index."""
 _MAGNITUDE_COLUMNS: Final = {
     "force_n": "force_n",
     "contact_n": "contact_force_n",
     "vibration_n": "vibration_force_n",
     "speed_m_per_s": "velocity_m_per_s",
 }
-"""Columns with the magnitude of a vector: the field of the samples."""
+"""Columns of vector magnitudes: field."""
 OUTLINE_COLUMNS: Final = (*_COMPONENT_COLUMNS, *_MAGNITUDE_COLUMNS)
 """Columns that an outline may show. The names of components are those of static/samples.js."""
 

@@ -138,7 +138,7 @@ class Recordings:
         return {"name": name, **facts}
 
     def _release_at_end_of(self, page: Page) -> None:
-        """At the end of the page, close its recording and stop its news of recordings."""
+        """When the page ends, close its recording and stop its news."""
         if page not in self._known:
             self._known.add(page)
             page.closing.callback(self._forget, page)

@@ -25,7 +25,7 @@ _MAX_LINE_CHARACTERS: Final = 100
 
 
 class _IntricateError(Exception):
-    """The text of a mapping or list cannot be edited in place: it must be replaced completely."""
+    """A mapping or list cannot be edited in place: its text must be replaced."""
 
 
 def same(one: Json, other: Json) -> bool:

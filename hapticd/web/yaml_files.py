@@ -198,7 +198,7 @@ def _data_of(text: str) -> Json:
 
 
 def _in_section(key: str, text: str) -> str:
-    """Return the text as the section `key`: indented, below the comments at its beginning."""
+    """Return the text as the section `key`, which begins below its first comments."""
     lines = text.removeprefix("\ufeff").splitlines(keepends=True)
     comments = next((row for row, line in enumerate(lines) if not line.startswith("#")), len(lines))
     return "".join(

@@ -28,7 +28,7 @@ async def _schema(_: Page, params: Mapping[str, object]) -> object:
 
 
 async def _shipped(_: Page, params: Mapping[str, object]) -> object:
-    """Answer web.yaml_shipped: `name` and description (`shows`) of each shipped scene and file of materials."""
+    """Answer web.yaml_shipped: `name` and description (`shows`) of each shipped file."""
 
     def found() -> object:
         return {
