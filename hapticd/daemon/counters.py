@@ -29,7 +29,7 @@ class Granted:
 
     @classmethod
     def of(cls, grant: CData, servo: Servo, idle_states_held: bool, missing: Sequence[str]) -> Granted:
-        """Return the privileges of a `struct hd_grant`; the other arguments have what the struct lacks."""
+        """Combine a `struct hd_grant`, the configured processor, the idle-state lock and the missing privileges."""
         return cls(
             scheduler="fifo" if grant.priority else "other",
             priority=grant.priority,

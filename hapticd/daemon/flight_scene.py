@@ -1,7 +1,7 @@
 """The scene at the oldest sample that the flight recorder keeps, and the changes since.
 
 Only the telemetry thread calls it. Memory is bounded: if more changes than MAX_KEPT_CHANGES come within the seconds
-that are kept, the oldest are applied to the scene. Samples before it are in the file, but cannot be rendered again.
+that are kept, the oldest are applied to the scene. Samples before them are in a file, but cannot be rendered again.
 """
 
 from __future__ import annotations
