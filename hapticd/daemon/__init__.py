@@ -3,7 +3,7 @@
 From a request to the servo, and back:
 
     process          configuration, runtime directory, threads, signals: starts and stops everything
-    peers            a listening socket and its ZeroMQ peers, which take turns (ADR 0024)
+    peers            a listening socket and its ZeroMQ peers, served in turn (ADR 0024)
     router           the command socket: receives requests, sends answers
     dispatch         the command thread: answers requests, runs changes in steps, sends the servo a heartbeat
     methods          the handlers of the protocol's methods, and the code of each error
@@ -12,7 +12,7 @@ From a request to the servo, and back:
     refusal          the exception that carries the error object of an answer
     streams          streamed targets and forces: sender, order and counters of messages
     lease            the lease: forces stay on only while a client renews it
-    reload           reads the configuration again, and finds the keys that need a restart
+    reload           reads the configuration again, and finds changed keys that need a restart
     engine           scene, compiled table and servo, on which the methods act
     command_ring     sends commands to the servo, and waits for the tick that takes them
 
@@ -23,15 +23,16 @@ Telemetry and status:
     counters         the servo's counters, read from the structs of csrc/api/
     status           the result of `get_status`
     status_text      the status as lines of text; clients use it, too
-    flight_recorder  keeps the last seconds; the flight thread writes them on a fault or on request
-    flight_scene     the scene and the changes of those seconds
+    flight_recorder  keeps the last seconds of telemetry; the flight thread writes them on a fault or on request
+    flight_scene     the scene at the beginning of those seconds, and its changes since
 
 Questions, and where to begin:
 
     What happens when a method is called?
         dispatch (take) decodes it; methods (perform, change) validates its params and carries it out on the engine.
     How does a scene reach the servo?
-        methods (_set_scene), then engine, which has rendering/compiler/table rewrite what changed and publishes it.
+        methods (_set_scene), then engine: rendering/compiler/table compiles the changed objects, engine publishes the
+        table.
     Why did a request get an error?
         refusal (MethodError) is the error of the answer; methods (_refusals) converts other exceptions to it.
         base/model (_fault) phrases the problems of keys and values.

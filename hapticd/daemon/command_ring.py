@@ -1,6 +1,6 @@
 """The command ring: sends commands to the servo, loses none, and waits for the tick that takes them.
 
-It also keeps each mode of the method `play` until the servo has struck it. For the command thread.
+A play is a mode that the method `play` strikes; it is kept until the servo has struck it. For the command thread.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ COMMAND_TIMEOUT_S: Final = 1.0
 _MAX_PENDING_PLAYS: Final = 4096
 """Plays that are kept until they are struck. Must not be less than the capacity of the servo's command ring."""
 SERVO_POLL_INTERVAL_NS: Final = 50_000_000
-"""Interval in which the command thread checks whether the servo needs a step down or a device check."""
+"""Interval in which the command thread polls the servo (Engine.poll_servo)."""
 
 
 class RingFullError(HapticdError):
@@ -92,17 +92,17 @@ class CommandRing:
             "the servo did not take the command",
         )
 
-    def wait(self, taken: Callable[[int, CData], int], late: str) -> int:
+    def wait(self, taken: Callable[[int, CData], int], failure: str) -> int:
         """Wait until `taken` returns OK, and return the tick that it stored.
 
-        `taken` waits at most the nanoseconds that it is given. In between, the servo is polled: a servo that steps down
-        ends its thread and needs this one to restart it. Raises WaitTimeoutError, whose text begins with `late`.
+        `taken` gets the nanoseconds that it may wait. Between its calls the servo is polled, because only this thread
+        can restart it after an overload. Raises WaitTimeoutError, whose text begins with `failure`.
         """
         tick = ffi.new("uint64_t *")
         until_ns = time.monotonic_ns() + int(COMMAND_TIMEOUT_S * 1e9)
         while taken(max(0, min(SERVO_POLL_INTERVAL_NS, until_ns - time.monotonic_ns())), tick) != Status.OK:
             if time.monotonic_ns() >= until_ns:
-                raise WaitTimeoutError(f"{late} within {COMMAND_TIMEOUT_S:g} s")
+                raise WaitTimeoutError(f"{failure} within {COMMAND_TIMEOUT_S:g} s")
             self._poll_servo()
         return int(tick[0])
 
@@ -113,9 +113,9 @@ class CommandRing:
             _, play = self._plays.popleft()
             yield Played(int(tick[0]), play.mode, play.attack, play.direction, play.amplitude_m_per_s2)
 
-    def turn_to(self, output: Output) -> None:
-        """Compute the plays that are not struck yet for the rate of `output`. The servo's thread must have ended."""
+    def set_output(self, output: Output) -> None:
+        """Convert the plays that are not struck yet to the rate of `output`. The servo's thread must have ended."""
         for sequence, play in self._plays:
             mode = ffi.new("struct hd_mode *", play.record(output))
             if lib.hd_servo_retune(self._servo, sequence, mode) != Status.OK:
-                raise HapticdError(f"a play that waits for the servo: {invalid_reason()}")
+                raise HapticdError(f"play: a waiting mode cannot be converted to the new rate: {invalid_reason()}")

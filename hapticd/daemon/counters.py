@@ -29,7 +29,7 @@ class Granted:
 
     @classmethod
     def of(cls, grant: CData, servo: Servo, idle_states_held: bool, missing: Sequence[str]) -> Granted:
-        """Build it from a `struct hd_grant`, the configured servo, the idle-state lock and the missing privileges."""
+        """Combine a `struct hd_grant`, the configured processor, the idle-state lock and the missing privileges."""
         return cls(
             scheduler="fifo" if grant.priority else "other",
             priority=grant.priority,
@@ -65,7 +65,7 @@ def missing_of(grant: CData, servo: Servo) -> list[str]:
 
 
 class Histogram(NamedTuple):
-    """A histogram of times: counts[0] is below the first edge, counts[i] from edge i - 1 on and below edge i."""
+    """A histogram: counts[i] counts times t with edges_ns[i - 1] <= t < edges_ns[i]; both ends are open."""
 
     edges_ns: tuple[int, ...]
     counts: list[int]
@@ -94,13 +94,13 @@ class Counters(NamedTuple):
     """Number of times that the machine was suspended."""
     revision: int
     latched: int
-    """`faults` as a number."""
+    """The bits of `faults`."""
     forces_on: bool
     running: bool
     memory_refused: int
     """errno of the last attempt to lock memory for a grown scene; 0: memory is locked as granted."""
     overloaded: bool
-    """The servo thread has ended, or is about to, to be restarted at a lower rate."""
+    """An overload has ended the servo thread, or is about to; it is then restarted at a lower rate."""
     missed_share: float
     """Fraction of the periods of the last complete second that were missed."""
     signs_word: int

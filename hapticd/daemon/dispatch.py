@@ -38,7 +38,7 @@ CHANGE_SLICE_NS: Final = 5_000_000
 BEAT_INTERVAL_S: Final = 0.1
 """Longest time between two heartbeats. Without one for a second the servo fades the forces out."""
 CHORES_INTERVAL_S: Final = 0.02
-"""Interval of heartbeat, servo poll, log and the next slice of a change while requests come without a pause."""
+"""Interval of heartbeat, servo poll, log and slices of changes while requests come without a pause."""
 
 _log = logging.getLogger("hapticd.server")
 
@@ -61,7 +61,7 @@ class _Change:
     def run_slice(self) -> Result | None:
         """Run steps for CHANGE_SLICE_NS, and return the result, or None if steps remain.
 
-        Raises the error that refuses the change.
+        Raises MethodError if the change is refused.
         """
         until_ns = monotonic_ns() + CHANGE_SLICE_NS
         self.ended = True
@@ -84,8 +84,8 @@ class Dispatch:
     ) -> None:
         """Answer requests with `methods`.
 
-        `repeats` limits how often the log reports what clients cause. `wake` makes the command thread call
-        `queue_reload`; any thread may call it.
+        `repeats` limits how often the log reports errors of clients. `wake`, which any thread may call, makes the
+        command thread call `queue_reload`.
         """
         self.repeats = Repeats() if repeats is None else repeats
         self._methods = methods
@@ -109,8 +109,8 @@ class Dispatch:
     def take(self, body: bytes | None, reply: Reply, sender: object = None) -> None:
         """Carry out the request in `body` and answer it by `reply`, now or in a later `continue_change`.
 
-        A notification is not answered. No body makes it raise. `body`: None if the message had a wrong number of
-        frames. `sender`: the connection of the message, which identifies the owner of a stream.
+        Errors are answered, never raised; a notification is not answered. `body`: None if the message had a wrong
+        number of frames. `sender`: the connection of the message, which identifies the owner of a stream.
         """
         if body is not None and self._methods.streams.take_body(sender, body):
             return
@@ -167,7 +167,7 @@ class Dispatch:
         return (yield from self._methods.change("reload", {}))
 
     def _answer(self, request: messages.Request, perform: Callable[[], Result | None], reply: Reply) -> None:
-        """Answer a request with the result of `perform`, or with its error; None is not answered: steps remain."""
+        """Answer a request with the result or the error of `perform`, or not yet if it returns None: steps remain."""
         try:
             result = perform()
             if result is None:

@@ -83,9 +83,9 @@ SAMPLE_CAPACITY: Final = 16384
 """Capacity of the ring of samples: more than a second at 10 kHz, longer than a garbage collection."""
 
 DEVICE_TIMEOUT_S: Final = 0.1
-"""A device whose report is later than this, beyond the age that its reports normally have, is lost."""
+"""Age of a report, beyond the usual one, above which the device counts as lost."""
 FROZEN_FORCE_FRACTION: Final = 0.1
-"""Fraction of the device's maximum force from which on a handle that does not move counts as frozen.
+"""A position that does not change under this fraction of the maximum force or more counts as frozen.
 
 `device.frozen_after_s` enables the check.
 """
@@ -93,7 +93,7 @@ MAX_UNSENT_CHANGES: Final = 1024
 """Changes that wait to be sent to subscribers; beyond it the oldest are dropped."""
 
 MIN_STEP_DOWN_RATE_HZ: Final = 1000.0
-"""Lowest rate that a step down may lead to."""
+"""Lowest rate to which an overload may reduce the rate of the servo (a step down)."""
 
 _log = logging.getLogger("hapticd")
 
@@ -218,7 +218,7 @@ class Engine:
         return None if loop is None else SurfaceMargins(loop)
 
     def _overrun_action(self, rate_hz: float) -> OverrunAction:
-        """Return what the servo does about an overload at this rate: a step below the minimum becomes a fault."""
+        """Return the action on an overload at this rate: a fault replaces a step down to less than the minimum."""
         action = OverrunAction[self.config.servo.overruns.action.upper()]
         if action == OverrunAction.STEP_DOWN and rate_hz < 2.0 * MIN_STEP_DOWN_RATE_HZ:
             return OverrunAction.FAULT
@@ -296,7 +296,7 @@ class Engine:
     # ---- Supervision of the servo --------------------------------------------------------------------------------
 
     def poll_servo(self) -> None:
-        """Check whether the servo must step down or its device must be set up again, at most every 50 ms.
+        """Restart the servo after an overload, and check the device after a suspend, at most every 50 ms.
 
         The command thread calls it often. Raises HapticdError if the servo cannot be restarted.
         """
@@ -315,7 +315,7 @@ class Engine:
             self._step_down()
 
     def _step_down(self) -> None:
-        """Restart the servo at half its rate, or, if that is not possible, at the same rate with a fault."""
+        """Restart the servo at half its rate or, if that is impossible, at the same rate with a fault."""
         before, after = self.output, self._output_at(0.5 * self.rate_hz)
         refused = rate_faults(self.scene.objects, self.materials, after)
         problem = str(InvalidError(refused)) if refused else None
@@ -332,7 +332,7 @@ class Engine:
         self._apply_grant(lib.hd_servo_restart(self._servo, faults, grant), grant)
 
     def _change_rate(self, output: Output) -> None:
-        """Set the rate of a servo whose thread has ended. After a HapticdError another rate must be set."""
+        """Set the rate of a servo whose thread has ended. If it raises HapticdError, another rate must be set."""
         rate_hz = output.rate_hz
         changed_hz = None if rate_hz == self.rate_hz else rate_hz
         if lib.hd_servo_set_rate(self._servo, rate_hz, self._overrun_action(rate_hz)) != Status.OK:
@@ -343,7 +343,7 @@ class Engine:
         if self._offload is not None:
             self._offload.set_carried(output.carried_hz)
         self._compiler.turn_to(output)
-        self._ring.turn_to(output)
+        self._ring.set_output(output)
         revision = (self.revision + 1) & 0xFFFFFFFF
         self._publish(self.scene, (), self.materials, revision)
         self._changes.append(Revised(revision, {}, {}, {}, None, changed_hz))
@@ -376,7 +376,7 @@ class Engine:
     def prepared(
         self, objects: Iterable[SceneObject], materials: Materials, sent: Iterable[str]
     ) -> Steps[dict[str, MaterialReport]]:
-        """Compute in steps what takes long in the next change, mainly filters of textures, and return material reports.
+        """Compute the slow parts of the next change in steps, mainly filters of textures, and return material reports.
 
         `materials` are those after the change, `sent` the names of those that the request contains. The reports are of
         the materials of `objects`, of those in `sent` and of those that the change affects. It pauses after each filter
@@ -407,7 +407,7 @@ class Engine:
         )
 
     def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
-        """Return the vibrations that the rate cannot carry, and warnings of changed display. For any thread."""
+        """Return the vibrations that the rate cannot carry, and warnings of inexact display. For any thread."""
         scene, materials, _ = self.state
         objects = of_all_materials(scene.objects)
         reports = {name: self.report_of(name, each) for name, each in materials_in(objects, materials).items()}
@@ -419,7 +419,7 @@ class Engine:
         return [one for one in lacking if (one.material, one.mode) not in played], found
 
     def report_of(self, name: str, material: Material) -> MaterialReport:
-        """Return the cached report of what of a material is not displayed as specified. For any thread."""
+        """Return the cached report of muted vibrations and inexact display of a material. For any thread."""
         known = self._reports.get(name)
         if known is None or known.material is not material or known.output is not self.output:
             known = self._reports[name] = MaterialReport.of(name, material, self.output)
@@ -435,7 +435,7 @@ class Engine:
         return 0 if self._offload is None else self._offload.version
 
     def offloaded(self) -> list[Offloaded]:
-        """Return which taps and ruptures of the scene the device plays, and why not the others. For any thread."""
+        """Return for each tap and rupture whether the device plays it, and why not. For any thread."""
         if self._offload is None:
             return []
         return self._offload.outcomes(materials_in(self.scene.objects, self.materials))
@@ -565,9 +565,9 @@ class Engine:
         return read_stream_counters(self._servo, kind)
 
     def operator(self) -> dict[str, object] | None:
-        """Return the tick that started the last operator, and the last ends of gestures; None without a simulated hand.
+        """Return the first tick of the last `set_operator`, and the last events `gesture_end`. For any thread.
 
-        For any thread.
+        None without a simulated hand.
         """
         if self._sim is None:
             return None
@@ -628,16 +628,16 @@ class Engine:
             while True:
                 yield self._changes.popleft()
 
-    def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Move samples into `room` (SAMPLE_DTYPE); return their number and the total of samples dropped.
+    def read_samples(self, buffer: npt.NDArray[np.void]) -> tuple[int, int]:
+        """Move samples into `buffer` (SAMPLE_DTYPE); return their number and the total of samples dropped.
 
         For one thread at a time; another may read events at the same time.
         """
-        return self._read(lib.hd_servo_read_samples, "struct hd_sample[]", SAMPLE_DTYPE, room)
+        return self._read(lib.hd_servo_read_samples, "struct hd_sample[]", SAMPLE_DTYPE, buffer)
 
-    def read_events(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Move events into `room` (EVENT_DTYPE); return their number and the total of events dropped."""
-        return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, room)
+    def read_events(self, buffer: npt.NDArray[np.void]) -> tuple[int, int]:
+        """Move events into `buffer` (EVENT_DTYPE); return their number and the total of events dropped."""
+        return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, buffer)
 
     def touching(self) -> list[str]:
         """Return the sorted ids of the touched objects, at most 1024, as the servo reports them.
@@ -653,12 +653,12 @@ class Engine:
         read: Callable[[CData, CData, int, CData], int],
         ctype: str,
         dtype: np.dtype[np.void],
-        room: npt.NDArray[np.void],
+        buffer: npt.NDArray[np.void],
     ) -> tuple[int, int]:
-        if room.dtype != dtype:
-            raise ValueError(f"room: must be an array of {dtype}, is {room.dtype}")
+        if buffer.dtype != dtype:
+            raise ValueError(f"buffer: must be an array of {dtype}, is {buffer.dtype}")
         dropped = ffi.new("uint64_t *")  # not shared: samples and events may be read at the same time
-        count = read(self._servo, pointer(ctype, room), len(room), dropped)
+        count = read(self._servo, pointer(ctype, buffer), len(buffer), dropped)
         return int(count), int(dropped[0])
 
 

@@ -1,9 +1,9 @@
 """The flight recorder: keeps the last seconds of samples and events, and writes them on a fault or on request.
 
-The telemetry thread passes it what it sends. Samples are kept in a circular array of fixed size (1.1 MB a second at
-10 kHz); flight_scene.py keeps their scene, so that a file can be rendered again. A separate thread writes a copy of the
-array, so that no other thread waits for the disk. The file of a fault is begun FAULT_AFTERMATH_S after the fault, so
-that it shows the consequences.
+The telemetry thread passes it all samples and events. Samples are kept in a circular array of fixed size (1.1 MB a
+second at 10 kHz); flight_scene.py keeps their scene, so that they can be rendered again from a file. A separate thread
+writes a copy of the array, so that no other thread waits for the disk. The file of a fault is begun FAULT_AFTERMATH_S
+after the fault, so that it shows the consequences.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hapticd.base import clock
 from hapticd.base.clock import Moment
 from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
-from hapticd.daemon.flight_scene import FlightScene, Stretch
+from hapticd.daemon.flight_scene import FlightScene, History
 from hapticd.protocol.changes import Change
 from hapticd.recording.missed_periods import MAX_LISTED_GAPS, gaps_of, missed_periods, rates_of
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
@@ -40,7 +40,7 @@ CHUNK_SAMPLES: Final = 3200
 _OPAQUE_SAMPLE_DTYPE: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
 """A sample as opaque bytes: numpy copies members of a record one by one, which takes longer."""
 CLOCK_READ_INTERVAL_NS: Final = 1_000_000_000
-"""Interval in which the clocks are read, for the time at which a file begins."""
+"""Interval in which monotonic and wall-clock time are read, for the start time of a file."""
 
 _FILE_NAME_PATTERN: Final = re.compile(r"flight-(\d{6,})-[a-z]+\.npz")
 _log = logging.getLogger("hapticd")
@@ -64,7 +64,7 @@ class _Job:
     file: _PendingFile
     samples: npt.NDArray[np.void]
     events: list[dict[str, object]]
-    stretch: Stretch
+    history: History
     started: Moment | None
     ended: Moment
 
@@ -187,14 +187,14 @@ class Flight:
             kept = self._samples[: self._count]
             samples = np.concatenate((kept[place:], kept[:place])).view(SAMPLE_DTYPE)
             started = self._moments[0] if len(samples) else None
-            self._jobs.put(_Job(file, samples, list(self._events), self._scene.stretch(), started, self._read_clock()))
+            self._jobs.put(_Job(file, samples, list(self._events), self._scene.history(), started, self._read_clock()))
 
     # ---- Any thread ------------------------------------------------------------------------------------------------
 
     def dump(self) -> Path:
-        """Request a file of what is kept now, and return its name.
+        """Request a file of the kept samples and events, and return its path.
 
-        The file exists once it is complete. Requests before it is begun return the same name.
+        The file exists once it is complete. Until it is begun, further requests return the same path.
         """
         with self._lock:
             waiting = next((file.path for file in self._pending if file.reason == "asked"), None)
@@ -271,19 +271,19 @@ class Flight:
         if not self._directory.is_dir():
             os.makedirs(self._directory)
             os.chmod(self._directory, 0o750)
-        stretch, about = job.stretch, {"reason": job.file.reason, "tick": job.file.tick}
-        changes = stretch.change_maps()
+        history, about = job.history, {"reason": job.file.reason, "tick": job.file.tick}
+        changes = history.change_maps()
         with RecordingWriter(job.file.path) as writer:
-            writer.begin({**self._texts(), **stretch.texts()})
+            writer.begin({**self._texts(), **history.texts()})
             for change in changes:
                 writer.write_change(change)
-            # In large pieces: after each write the thread may have to wait for the interpreter, and so may others.
+            # In large chunks: after each write the thread may have to wait for the interpreter, and so may others.
             for first in range(0, len(job.samples), CHUNK_SAMPLES):
                 writer.write(job.samples[first : first + CHUNK_SAMPLES])
             for event in job.events:
                 writer.write_event(event)
             recording = _account(job, changes)
-            writer.finish({"recording": recording, "flight": {**about, "complete_from": stretch.complete_from}})
+            writer.finish({"recording": recording, "flight": {**about, "complete_from": history.complete_from}})
         self._remove_old()
 
     def _remove_old(self) -> None:
@@ -299,10 +299,10 @@ class Flight:
 
 
 def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:
-    """Return what the file contains and what is missing, as in recordings."""
-    samples, stretch = job.samples, job.stretch
+    """Return the member `recording` of a file: counts, times and gaps, as in recordings."""
+    samples, history = job.samples, job.history
     ticks, times = samples["tick"].astype(np.int64), samples["time_ns"]
-    rates = rates_of(samples, changes, stretch.rate_hz)
+    rates = rates_of(samples, changes, history.rate_hz)
     gaps = gaps_of(ticks)
     return {
         "ticks": len(samples),
@@ -312,7 +312,7 @@ def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:
         "dropped": sum(length for _, length in gaps),
         "gaps": gaps[:MAX_LISTED_GAPS],
         "missed_periods": missed_periods(samples, rates),
-        "missing_revisions": stretch.missing(set(np.unique(samples["revision"]).tolist())),
+        "missing_revisions": history.missing(set(np.unique(samples["revision"]).tolist())),
         "started": None if job.started is None else asdict(job.started),
         "ended": asdict(job.ended),
         "ended_because": None,

@@ -1,7 +1,7 @@
 """The scene at the oldest sample that the flight recorder keeps, and the changes since.
 
 Only the telemetry thread calls it. Memory is bounded: if more changes than MAX_KEPT_CHANGES come within the seconds
-that are kept, the scene at the beginning moves forward. Older samples are in the file, but cannot be rendered again.
+that are kept, the oldest are applied to the scene. Samples before them are in a file, but cannot be rendered again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hapticd.protocol.changes import (
 )
 
 MAX_KEPT_CHANGES: Final = 4000
-"""Changes that are kept. Each counts as one, plus one for each of the `pieces` in it."""
+"""Largest size of the kept changes: 1 for each, plus its `pieces` or the number of ids that it resets."""
 
 
 class _Base(NamedTuple):
@@ -44,7 +44,7 @@ class _Base(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class History:
     """Scene and changes for a file, copied when the file became due; the writer thread converts them to maps."""
 
     revision: int
@@ -53,7 +53,7 @@ class Stretch:
     """The scene at the beginning; None: it is too large or unknown."""
     changes: tuple[Change, ...]
     complete_from: int
-    """The first tick from which on `changes` has every play and reset."""
+    """The tick from which `changes` has every play and reset."""
 
     def texts(self) -> dict[str, object]:
         """Return `scene` and `materials` at the beginning, as in recordings; None if they are too large or unknown."""
@@ -122,11 +122,11 @@ class FlightScene:
         """Return whether the change to this revision has come; it may come after the first sample rendered with it."""
         return _ahead(self.newest, revision) >= 0
 
-    def stretch(self) -> Stretch:
+    def history(self) -> History:
         """Return a copy of the scene and the changes that are kept now."""
         known = not self._lost and not self._base.is_too_large()
         base = _Base(*map(dict, self._base)) if known else None  # type: ignore[arg-type]
-        return Stretch(self._revision, self._rate_hz, base, tuple(self._changes), self._complete_from)
+        return History(self._revision, self._rate_hz, base, tuple(self._changes), self._complete_from)
 
     def _drop(self) -> None:
         """Remove the oldest change and apply it to the scene at the beginning."""
@@ -165,6 +165,6 @@ def _is_over(change: Change, tick: int, revision: int) -> bool:
 
 
 def _ahead(one: int, other: int) -> int:
-    """Return `one - other` in revisions, which wrap around at 2^32."""
+    """Return the signed difference of two revisions, which wrap around at 2^32."""
     ahead = (one - other) & 0xFFFFFFFF
     return ahead if ahead < 0x80000000 else ahead - 0x100000000

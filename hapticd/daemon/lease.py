@@ -15,11 +15,11 @@ MAX_LEASE_DURATION_S: Final = 3600.0
 
 
 class LeaseHeldError(Exception):
-    """Another client holds the lease; the protocol's error is Code.LEASE_HELD."""
+    """Another client holds the lease (Code.LEASE_HELD)."""
 
 
 class LeaseLapsedError(Exception):
-    """The token's lease lapsed, was ended or never existed; the protocol's error is Code.LEASE_LAPSED."""
+    """The token's lease lapsed, was ended or never existed (Code.LEASE_LAPSED)."""
 
 
 class Lease:

@@ -559,7 +559,7 @@ class Methods:
         return f"forces are off because {reasons}: `hapticd force on` or set_forces turns them on again"
 
 
-# `set_operator` takes what an operator file holds, which hapticd.config.operator validates.
+# The params of `set_operator` are those of an operator file: hapticd.config.operator validates them.
 _METHOD_HANDLERS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "get_status": (GetStatusParams, Methods._get_status),
     "get_state": (NoParams, Methods._get_state),

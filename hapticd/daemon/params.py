@@ -93,10 +93,12 @@ class PlayParams(Model):
     model_config = ConfigDict(json_schema_extra=one_of("mode", "material"))
 
     direction: Position = Field(
-        description="where the first half wave pushes; its length, at least 1e-9, does not matter"
+        description="direction of the first half wave's force; its length, at least 1e-9, does not matter"
     )
     amplitude_m_per_s2: float = Field(
-        ge=0, le=1e5, description="coefficient A of the mode; with `material`, what the material's `attack` defines"
+        ge=0,
+        le=1e5,
+        description="coefficient A of the mode; with `material`, the quantity that its `attack` defines",
     )
     mode: ModeKeys | None = Field(
         default=None,

@@ -26,7 +26,7 @@ from hapticd.system.repeated_lines import Repeats
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 """Time from the connection until its handshake must be complete. docs/protocol.md states it."""
 MAX_UNSENT_BYTES: Final = 256 * 1024
-"""Unsent data of a peer above which nothing more is read from it."""
+"""Unsent data of a peer above which nothing is read from it."""
 MAX_READ_BYTES: Final = 64 * 1024
 """Most bytes read from a peer in one turn."""
 
@@ -63,7 +63,7 @@ class Limits:
 
 @dataclass(eq=False, slots=True)
 class Peer:
-    """A connection."""
+    """A connection. `held`: its bytes in Limits.buffers."""
 
     sock: socket.socket
     uid: int
@@ -212,7 +212,7 @@ class Peers:
     def _give_turn(self, peer: Peer) -> tuple[Peer, zmtp.Message | zmtp.Command] | None:
         try:
             event = None if peer.closed or peer.unsent > MAX_UNSENT_BYTES else self._next(peer)
-            return None if event is None else self._shake(peer, event)
+            return None if event is None else self._handle_protocol(peer, event)
         except zmtp.ZmtpError as error:
             self._end(peer, str(error))
             return None
@@ -247,7 +247,7 @@ class Peers:
         peer.parser.feed(bytes(self._view[:size]))
         return True
 
-    def _shake(self, peer: Peer, event: zmtp.Event) -> tuple[Peer, zmtp.Message | zmtp.Command] | None:
+    def _handle_protocol(self, peer: Peer, event: zmtp.Event) -> tuple[Peer, zmtp.Message | zmtp.Command] | None:
         """Handle the handshake and heartbeats, and return other messages and commands. Raises ZmtpError."""
         match event:
             case zmtp.Message():
@@ -277,7 +277,7 @@ class Peers:
                 raise zmtp.ZmtpError("unexpected command")
         return None
 
-    # ---- out -------------------------------------------------------------------------------------------------------
+    # ---- sending ---------------------------------------------------------------------------------------------------
 
     def _send(self, peer: Peer, data: bytes, *more: bytes) -> None:
         """Send bytes after the earlier ones; what the peer does not accept at once is queued."""
@@ -338,7 +338,7 @@ class Peers:
     def _refill(self, peer: Peer) -> None:
         """Queue more data, if there is any: everything queued was sent."""
 
-    # ---- coming and going ------------------------------------------------------------------------------------------
+    # ---- connecting ------------------------------------------------------------------------------------------------
 
     def _accept(self) -> None:
         for _ in range(_MAX_ACCEPTED_PER_TURN):

@@ -66,7 +66,7 @@ def run(
 ) -> int:
     """Run the daemon until SIGTERM or SIGINT, and return its exit code.
 
-    SIGHUP reloads the configuration. It ends a daemon that was started on a terminal: the terminal has closed.
+    SIGHUP reloads the configuration or, if the daemon was started on a terminal, ends it.
 
     `config_paths` are merged in order; without any, the configuration is searched (config/locations.py). A reload reads
     the same files again, or searches again if none was found. `log_level`: one of journal.LOG_LEVELS. Raises
@@ -153,7 +153,7 @@ def _run(
 
 
 def _log_limits(engine: Engine, granted: Granted, chosen: ConfigFiles) -> None:
-    """Log the privileges that were not granted, and what of the scene is not displayed as specified."""
+    """Log the files, missing privileges, limits of display and low margins of stability."""
     _log.info("configuration: %s", chosen)
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)
@@ -242,7 +242,7 @@ def _thread(
     stack: ExitStack,
     wake: Callable[[], None] | None = None,
 ) -> None:
-    """Start a thread that ends the daemon if it fails, and that is ended and joined when the stack unwinds.
+    """Start a thread that ends the daemon if it fails. The exit of `stack` ends and joins it.
 
     `wake`: makes the thread check its event while it waits for something else.
     """

@@ -52,8 +52,7 @@ class Router(Peers):
     def receive(self, timeout_s: float) -> Request | None:
         """Return the next request, from the peer whose turn it is.
 
-        Returns None after `timeout_s` if no peer is sending, after MAX_RECEIVE_OVERTIME_S more in any case, or when
-        `wake` is called.
+        Returns None when `wake` is called, or after `timeout_s`, at most MAX_RECEIVE_OVERTIME_S later if peers send.
         """
         until_s = time.monotonic() + timeout_s
         while True:

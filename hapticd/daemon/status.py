@@ -1,6 +1,6 @@
 """The result of `get_status`, which is also the message of the topic `status`.
 
-Most members rarely change. They are encoded once, and again only after a change; the others are few.
+Most members rarely change: their encoding is kept until they do.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Status:
     """Reports one engine's status. For any thread."""
 
     def __init__(self, engine: Engine, lease: Lease, flight: Flight | None, streams: Streams) -> None:
-        """Report the status of these parts of the daemon, which starts now."""
+        """Report the status of these objects; the daemon's start time is now."""
         self._engine, self._lease, self._flight = engine, lease, flight
         self._streams = streams
         self._started_ns = monotonic_ns()

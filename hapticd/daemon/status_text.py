@@ -24,7 +24,7 @@ FAULT_REASONS: Final = {
     "frozen": "the device reported the same position all the time, under force",
     "signs": "the signs of the device are not known",
 }
-"""The reason that each fault of the protocol gives for forces that are off."""
+"""Why forces are off, by the name of the fault."""
 
 _EVENT_COUNTERS: Final = {
     "strikes": "strikes",
@@ -71,10 +71,10 @@ def text_of(lines: list[Line]) -> str:
     return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
 
 
-def quantile_ns(histogram: Mapping[str, Any], part: float) -> float:
-    """Return the quantile `part` of a histogram, in ns: interpolated within its bin, at most the longest time."""
+def quantile_ns(histogram: Mapping[str, Any], probability: float) -> float:
+    """Return a quantile of a histogram, in ns: interpolated within its bin, at most the longest time."""
     edges, counts = histogram["edges"], histogram["counts"]
-    wanted, below = part * sum(counts), 0
+    wanted, below = probability * sum(counts), 0
     for place, count in enumerate(counts):
         if count and below + count >= wanted:
             if place == len(edges):

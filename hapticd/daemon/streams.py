@@ -1,8 +1,8 @@
 """Streamed targets and forces: the sender and the order of messages, and the counters of accepted and refused ones.
 
-The connection that sends the first message owns the stream. The stream ends when no message came for the time-out. The
-servo ends it (csrc/servo/hd_servo_streams.c), so that it ends even if the command thread hangs. Only the command thread
-may call this; any thread may call `status`.
+The connection that sends the first message owns the stream. The stream ends when no message came within the time-out.
+The servo ends it (csrc/servo/hd_servo_streams.c), so that it ends even if the command thread hangs. Only the command
+thread may call this; any thread may call `status`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hapticd.protocol.streams import MAX_COMPONENT_BY_KIND, Kind
 
 
 class NotInTurnError(MethodError):
-    """A valid message was refused because another connection owns the stream or its sequence number is too low."""
+    """A valid message is refused because another connection owns the stream or its sequence number is too low."""
 
 
 class Servo(Protocol):

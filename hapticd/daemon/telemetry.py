@@ -39,14 +39,17 @@ _TOPIC_INTERVALS_NS: Final = {
     "state": round(STATE_INTERVAL_S * 1e9),
     "status": round(STATUS_INTERVAL_S * 1e9),
 }
-_TO_FIRST_TICK: Final = b"\x84" + encode("first_tick")
-_TO_DROPPED: Final = encode("dropped")
-_TO_DATA: Final = encode("dtype") + encode(np.lib.format.dtype_to_descr(SAMPLE_DTYPE)) + encode("data")
+_UNTIL_FIRST_TICK: Final = b"\x84" + encode("first_tick")
+"""Bytes of a message before the value of `first_tick`."""
+_UNTIL_DROPPED: Final = encode("dropped")
+"""Bytes of a message between the values of `first_tick` and `dropped`."""
+_UNTIL_DATA: Final = encode("dtype") + encode(np.lib.format.dtype_to_descr(SAMPLE_DTYPE)) + encode("data")
+"""Bytes of a message between the value of `dropped` and the header of `data`."""
 
 
 def _samples_head(first_tick: int, dropped: int, size: int) -> bytes:
     """Return the msgpack bytes before the `size` bytes of samples in a message."""
-    begin = _TO_FIRST_TICK + encode(first_tick) + _TO_DROPPED + encode(dropped) + _TO_DATA
+    begin = _UNTIL_FIRST_TICK + encode(first_tick) + _UNTIL_DROPPED + encode(dropped) + _UNTIL_DATA
     if size < 2**8:
         return begin + b"\xc4" + size.to_bytes(1, "big")
     if size < 2**16:
@@ -60,7 +63,7 @@ def sample_map(sample: np.void) -> dict[str, object]:
 
 
 def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
-    """Return the index of the last event of each object, mapped to the number of its events."""
+    """Map the index of the last event of each object to the number of events of that object."""
     objects = events["slot"].astype(np.uint64) << np.uint64(32) | events["generation"]
     _, first, counts = np.unique(objects[::-1], return_index=True, return_counts=True)
     return dict(zip((len(events) - 1 - first).tolist(), counts.tolist(), strict=True))
@@ -127,7 +130,7 @@ class Telemetry:
             for topic, time in due.items():
                 if now >= time:
                     send[topic]()
-                    # After a stall the rhythm starts again instead of catching up.
+                    # After a stall the interval starts again instead of catching up.
                     every_ns = _TOPIC_INTERVALS_NS[topic]
                     due[topic] = (time if now - time < every_ns else now) + every_ns
             if self._flight is not None:
@@ -172,8 +175,8 @@ class Telemetry:
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
         """Yield events as maps.
 
-        Of events that can come in floods one is sent for all that were read together, because sending each would delay
-        commands: overruns are added up, grooves of an object are counted, and of revisions the newest is sent.
+        A flood of events would delay commands: a batch has one event for all overruns (their sum), one for all grooves
+        of an object (their count), and one for all revisions (the newest).
         """
         kinds = events["kind"]
         overruns, revisions = events[kinds == EventKind.OVERRUN], events[kinds == EventKind.REVISION]

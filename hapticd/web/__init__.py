@@ -3,7 +3,7 @@
 One thread with one event loop, in the order from the process to the daemon:
 
     process         the process: from the options to the printed address and the end
-    demo            a separate daemon with the simulated joystick and a scene that shows everything
+    demo            a separate daemon with the simulated joystick and the scene of shipped/play.yaml
     opening         opens addresses in the browser of this machine
     listening       the listening socket: for this machine only or, with TLS and a password, for others too
     http_server     aiohttp's server on that socket
@@ -12,8 +12,8 @@ One thread with one event loop, in the order from the process to the daemon:
     application     the HTTP routes: the static page, the WebSocket
     security        access control: the one-time token, the password, the cookie; headers of every response
     hosts           checks Host and Origin of every request
-    sessions        one-time tokens, and the sessions of browsers
-    passwords       the password file, and how often a password may be tried
+    sessions        one-time tokens, and the browsers' sessions
+    passwords       the password file, and the rate limit of logins
     door            the pages for a browser without access: a hint or the password form
     telemetry_hub   receives the daemon's telemetry and passes it on to every page unchanged
     metrics         metrics for Prometheus, from the daemon's status
@@ -22,7 +22,7 @@ One thread with one event loop, in the order from the process to the daemon:
     page_limits     limits of a page's calls and messages
     token_bucket    a rate limiter
     page_calls      the methods of the daemon that a page may call
-    page_lease      forces only under a lease of the page
+    page_lease      lets a page turn forces on only while it holds a lease
     daemon_relay    the connection of one page to the daemon
     page_methods    methods of this process that every page needs
 

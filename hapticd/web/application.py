@@ -60,7 +60,7 @@ class Pages:
     """Recordings of this process; None: pages cannot record."""
     methods: Mapping[str, Method] = field(default_factory=lambda: WEB_PAGE_METHODS)
     """Methods of this process that pages may call, without those of recordings."""
-    passes: frozenset[str] = page_calls.DAEMON_METHODS
+    daemon_methods: frozenset[str] = page_calls.DAEMON_METHODS
     """Methods of the daemon that pages may call."""
     open: set[Page] = field(default_factory=set)
     _lives: set[asyncio.Task[None]] = field(default_factory=set)
@@ -97,7 +97,7 @@ class Pages:
             {**self.methods, **(self.recordings.methods() if self.recordings is not None else {})},
             demo=self.demo,
             new_address=self.new_address,
-            passes=self.passes,
+            daemon_methods=self.daemon_methods,
         )
         page.send_news({"daemon": self.hub.daemon})
         self.open.add(page)
@@ -137,7 +137,7 @@ class Pages:
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """What one port serves to browsers with access."""
+    """The page and the routes that one port serves to browsers with access."""
 
     index: Path
     """HTML file of the page at /."""

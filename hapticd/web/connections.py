@@ -24,10 +24,11 @@ RESPONSE_TIMEOUT_S: Final = 30.0
 _SWEEP_INTERVAL_S: Final = 1.0
 """Interval in which overdue connections are closed."""
 _DEADLINE_EXTENDER: Final[ContextVar[Callable[[], None]]] = ContextVar("deadline_extender", default=lambda: None)
+"""Extends the deadline of the current request; Connections.middleware sets it."""
 
 
 def extend_deadline() -> None:
-    """Give the current request its full time again. A handler calls it after each block of a file."""
+    """Give the current request another RESPONSE_TIMEOUT_S. A handler calls it after each block of a file."""
     _DEADLINE_EXTENDER.get()()
 
 
@@ -69,7 +70,7 @@ class Connections:
         self._open.pop(connection, None)
 
     def sweep(self) -> None:
-        """Close the connections whose time is over."""
+        """Close the connections whose deadline has passed."""
         now = self._now()
         for connection, until in tuple(self._open.items()):
             if until and until < now:
@@ -83,7 +84,7 @@ class Connections:
             self.sweep()
 
     def middleware(self) -> Middleware:
-        """Return the middleware that starts a response's time at its request. It must be the first middleware."""
+        """Return the middleware that limits the time of each response. It must be the first middleware."""
 
         @web.middleware
         async def timed(request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -111,7 +112,7 @@ class Connections:
 
 
 class _Connection(asyncio.Protocol):
-    """aiohttp's protocol, which reports its begin and end to Connections."""
+    """aiohttp's protocol, wrapped to report opened and closed connections."""
 
     def __init__(self, inner: asyncio.Protocol, connections: Connections) -> None:
         self._inner, self._connections = inner, connections

@@ -1,4 +1,4 @@
-"""The connection of one page to the daemon, which passes on requests and answers unchanged.
+"""The connection of one page to the daemon: passes on requests and answers unchanged.
 
 Only the method and the id of a request and the id of an answer are read. The daemon checks everything else.
 """
@@ -45,7 +45,7 @@ class DaemonRelay:
         """Return the number of calls under way."""
         return len(self._under_way)
 
-    def passes(self, request: Request) -> bool:
+    def is_id_free(self, request: Request) -> bool:
         """Return whether no call under way has the same id."""
         return request.id not in self._under_way
 

@@ -1,4 +1,4 @@
-"""A separate daemon for `hapticd web --demo`: the simulated joystick, in a scene that shows everything."""
+"""A separate daemon for `hapticd web --demo`: the simulated joystick in the scene of DEMO_CONFIG_PATH."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from hapticd.config.document_kinds import OBJECT_KINDS
 from hapticd.config.schema import config_schema, unit_of
 
 _DEFS_REF_PREFIX: Final = "#/$defs/"
-_NULL_TYPE: Final = {"type": "null"}
+_NULL_SCHEMA: Final = {"type": "null"}
 _COMBINATION_KEYWORDS: Final = ("allOf", "anyOf", "oneOf", "not", "if", "then")
 """Keywords of an object's schema that say which members may be combined."""
 _TEXTURE_KINDS: Final = ("grooves", "stochastic", "autoregressive")
@@ -88,11 +88,11 @@ def _simple(tree: Json) -> Json:
     rules = _COMBINATION_KEYWORDS if "properties" in tree else ()
     found = {key: _simple(value) for key, value in tree.items() if key not in rules}
     choices = found.get("anyOf")
-    if isinstance(choices, list) and _NULL_TYPE in choices and len(choices) == 2:
+    if isinstance(choices, list) and _NULL_SCHEMA in choices and len(choices) == 2:
         del found["anyOf"]
         if found.get("default", 0) is None:
             del found["default"]
-        found = {**next(cast("dict[str, Json]", choice) for choice in choices if choice != _NULL_TYPE), **found}
+        found = {**next(cast("dict[str, Json]", choice) for choice in choices if choice != _NULL_SCHEMA), **found}
     properties = found.get("properties")
     if isinstance(properties, dict):
         for key, described in properties.items():

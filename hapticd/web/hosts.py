@@ -21,7 +21,7 @@ class Hosts:
     """The names of one server, at one port."""
 
     def __init__(self, names: frozenset[str], port: int, secure: bool) -> None:
-        """Accept these names, in lower case, IPv6 addresses in brackets; `*.lab.org` matches one more label."""
+        """Accept these names, in lower case, with IPv6 addresses in brackets; `*` in `*.lab.org` matches one label."""
         self._names = names
         self._port = port
         self._default = 443 if secure else 80

@@ -24,8 +24,8 @@ _OPENER_SCRIPT: Final = "import sys, webbrowser; sys.exit(not webbrowser.open(sy
 async def open_in_browser(addresses: Sequence[str]) -> None:
     """Open the addresses in the browser, or print on stderr that this is not possible; then wait until cancelled.
 
-    The browser gets names of files that redirect to the addresses, because every user of this machine can read its
-    command line, and an address contains the token. The files exist until the call ends.
+    The browser gets files that redirect to the addresses: an address contains the token, and every user of this machine
+    can read the browser's command line. The files exist until the call ends.
     """
     with tempfile.TemporaryDirectory(prefix="hapticd-open-") as folder:
         opened = any(map(os.environ.get, _SCREEN_VARIABLES))

@@ -84,12 +84,11 @@ class Page:
         *,
         demo: bool,
         new_address: Callable[[], str],
-        passes: frozenset[str] = page_calls.DAEMON_METHODS,
+        daemon_methods: frozenset[str] = page_calls.DAEMON_METHODS,
     ) -> None:
         """Serve the page of the WebSocket `socket`.
 
-        `control` is the connection for leases, `methods` are those of this process, and `passes` are the methods of the
-        daemon that the page may call.
+        `control` is the connection for leases. The page may call `methods` of this process and `daemon_methods`.
         """
         self._socket, self.hub, self._methods = socket, hub, methods
         self.demo = demo
@@ -103,7 +102,7 @@ class Page:
         self.refused: Counter[str] = Counter()
         self._relay = DaemonRelay(place, self._answer)
         self._limits = PageLimits()
-        self._passes = passes
+        self._daemon_methods = daemon_methods
         self._tasks: set[asyncio.Task[None]] = set()
         self._sent_counts: dict[str, Mapping[str, int]] = {"dropped": {}, "refused": {}}
         self._ended = asyncio.Event()
@@ -119,7 +118,7 @@ class Page:
                 self.outbox.answer(encode(["web", {"ended": why}]))
             self._ended.set()
 
-    # ---- Its life ----------------------------------------------------------------------------------------------------
+    # ---- Begin and end -----------------------------------------------------------------------------------------------
 
     async def serve(self) -> None:
         """Serve the page until it disconnects or is closed."""
@@ -195,7 +194,7 @@ class Page:
         request = messages.peek(body)
         if request is None or len(body) > MAX_PAGE_MESSAGE_BYTES:
             self._refuse_form(body)
-        elif request.method not in self._passes and request.method not in self._methods:
+        elif request.method not in self._daemon_methods and request.method not in self._methods:
             self._refuse(request, Code.NO_SUCH_METHOD, f"no method {request.method!r:.60} for a page", "method")
         elif request.method in page_calls.STREAM_METHODS and not request.has_id:
             if not self._limits.streams.take_if_there(1):
@@ -213,15 +212,15 @@ class Page:
         if not request.has_id:
             if not self._relay.notify(body):
                 self.refused["no daemon"] += 1
-        elif not self._relay.passes(request):
+        elif not self._relay.is_id_free(request):
             self._refuse(request, Code.INVALID_REQUEST, f"id: a call {request.id!r:.40} is already under way", "id")
         else:
             self._relay.call(request, body)
 
-    def _handle_here(self, seen: Request, body: bytes) -> None:
-        """Handle a call whose params this process must read; `seen` has no params yet."""
-        if seen.method in page_calls.SAFETY_METHODS and len(body) > _MAX_SAFETY_CALL_BYTES:
-            self._refuse(seen, Code.INVALID_PARAMS, f"params: must have at most {_MAX_SAFETY_CALL_BYTES} bytes", "size")
+    def _handle_here(self, head: Request, body: bytes) -> None:
+        """Handle a call whose params this process must read; `head` is the request without them."""
+        if head.method in page_calls.SAFETY_METHODS and len(body) > _MAX_SAFETY_CALL_BYTES:
+            self._refuse(head, Code.INVALID_PARAMS, f"params: must have at most {_MAX_SAFETY_CALL_BYTES} bytes", "size")
             return
         request = self._decoded(body)
         if request is None:

@@ -1,4 +1,4 @@
-"""The lease of a page: only a page with a lease can turn forces on, and they fade when it stops renewing the lease.
+"""The lease of a page: only a page with a lease can turn forces on, and forces fade when the lease is not renewed.
 
 The daemon watches the time, not this process: a page that closes, freezes or loses its network does not renew.
 """
@@ -32,7 +32,7 @@ class PageLease:
         return self._now() < self._until
 
     async def lease(self, params: Mapping[str, object]) -> object:
-        """Call the daemon's `lease`, with a shorter maximum."""
+        """Call the daemon's `lease`, for at most MAX_PAGE_LEASE_S."""
         given = params.get("duration_s")
         # The daemon refuses values that are not numbers.
         duration_s = given if isinstance(given, int | float) and not isinstance(given, bool) else 0
@@ -53,7 +53,7 @@ class PageLease:
     async def set_forces(self, params: Mapping[str, object]) -> object:
         """Call the daemon's `set_forces`. Turning forces on needs a lease that lasts until the daemon's answer.
 
-        If it does not last, forces are turned off again.
+        If the lease lapses earlier, forces are turned off again.
         """
         if params.get("enabled") is not True:
             return await self._control.call("set_forces", params)

@@ -1,4 +1,4 @@
-"""The password file, one line with the password's scrypt hash, and limits on how often a password may be tried."""
+"""The password file, one line with the password's scrypt hash, and the rate limits of tries."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _LINE_PATTERN: Final = re.compile(
 _CREATION_HINT: Final = "`hapticd web --set-password FILE` writes one"
 """Advice in error texts on how to make a password file."""
 _TRIES_PER_ADDRESS: Final = (0.1, 5.0)
-"""Tries of one address: per second, and at once."""
+"""Rate limit of one address: tries a second, and burst."""
 _TRIES_OF_ALL_ADDRESSES: Final = (1.0, 20.0)
-"""Tries of all addresses together: per second, and at once."""
+"""Rate limit of all addresses together: tries a second, and burst."""
 _MAX_TRACKED_ADDRESSES: Final = 1000
-"""Addresses whose tries are counted; the one that tried longest ago is forgotten."""
+"""Addresses with a separate rate limit; beyond it the one that tried longest ago is forgotten."""
 Verdict = Literal["right", "wrong", "later"]
 """Result of a try; `later`: there were too many tries, and this one was not checked."""
 

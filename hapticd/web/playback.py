@@ -1,4 +1,4 @@
-"""An open recording: its samples by row, columns as minimum and maximum per pixel, the scene at a row.
+"""An open recording: its samples by row, the minimum and maximum of a column per pixel, the scene at a row.
 
 Rows count from 0, the first sample of the file. The content is not trusted: `hapticd.load` has checked the format of
 the file, but its numbers may be anything, also NaN.
@@ -22,9 +22,9 @@ MAX_ROWS_PER_ANSWER: Final = 20_000
 MAX_OUTLINE_PIXELS: Final = 4096
 """Pixels of one outline."""
 MAX_SHOWN_EVENTS: Final = 5000
-"""Events of a recording that a page gets, the first ones."""
+"""Events of a recording that a page gets; later ones are left out."""
 _MAX_EVENT_TEXT_CHARACTERS: Final = 500
-"""Longest text of an event's member; members with a longer text are left out."""
+"""Longest text in an event; members with a longer text are left out."""
 _RATE_RANGE_HZ: Final = (1.0, 1e6)
 """Lowest and highest rate of a recording that can be opened."""
 _SHOWN_EVENT_KINDS: Final = frozenset(
@@ -55,14 +55,14 @@ _COMPONENT_COLUMNS: Final = {
     "force_x_n": ("force_n", 0),
     "force_y_n": ("force_n", 1),
 }
-"""Columns of one component of a vector: field and index."""
+"""Columns of vector components: field and index."""
 _MAGNITUDE_COLUMNS: Final = {
     "force_n": "force_n",
     "contact_n": "contact_force_n",
     "vibration_n": "vibration_force_n",
     "speed_m_per_s": "velocity_m_per_s",
 }
-"""Columns of the length of a vector: its field."""
+"""Columns of vector magnitudes: field."""
 OUTLINE_COLUMNS: Final = (*_COMPONENT_COLUMNS, *_MAGNITUDE_COLUMNS)
 """Columns that an outline may show. The names of components are those of static/samples.js."""
 
@@ -131,8 +131,8 @@ class Playback:
     def outline(self, column: str, first: int, last: int, pixels: int) -> dict[str, object]:
         """Return a column of the rows from `first` to before `last`, as little-endian float32.
 
-        The result has `min` and `max` of each of `pixels` sections or, with at most two rows per pixel, `raw`, one
-        number a row.
+        The result has `min` and `max`, each with one number per pixel, or, if there are at most two rows per pixel,
+        `raw` with one number per row.
         """
         if column not in OUTLINE_COLUMNS:
             raise HapticdError(f"column: must be one of {', '.join(OUTLINE_COLUMNS)}")

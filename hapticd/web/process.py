@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from hapticd.web.metrics import DaemonCollector
 
 _DAEMON_WAIT_S: Final = 0.3
-"""Time that the start waits for the daemon's telemetry, so that the first page shows the daemon at once."""
+"""Longest wait for the daemon at the start, so that the first page shows it at once."""
 
 _log = logging.getLogger("hapticd.web")
 
@@ -48,7 +48,7 @@ class Options:
     place: RuntimePaths | None
     """Paths of the daemon's sockets; None: a demo, which starts a separate daemon."""
     configs: tuple[str, ...]
-    """Configuration files of the demo's daemon; empty: the scene that shows everything."""
+    """Configuration files of the demo's daemon; empty: DEMO_CONFIG_PATH."""
     host: str
     port: int
     open_browser: bool
@@ -85,7 +85,7 @@ def run(options: Options) -> int:
 
 
 def _probe_daemon(place: RuntimePaths) -> None:
-    """Warn if no daemon runs, which may start later. Raises HapticdError if access to its sockets is denied."""
+    """Warn if no daemon runs: it may start later. Raises HapticdError if access to its sockets is denied."""
     try:
         places.probe(place)
     except DaemonNotRunning as error:

@@ -1,7 +1,7 @@
 """A recording that any page can begin and end, made by a thread of this process with a separate connection.
 
 There is at most one. It continues if the page that began it is closed or loses the network; every page shows it and can
-end it. It ends when it is stopped, after its duration, when the daemon ends, when the disk is full and when `hapticd
+stop it. It ends when it is stopped, after its duration, when the daemon ends, when the disk is full and when `hapticd
 web` ends; the file has everything until then.
 """
 
@@ -30,11 +30,11 @@ MAX_RECORDING_S: Final = 86_400.0
 _MIN_FREE_BYTES: Final = 64 << 20
 """Free disk space that is needed to begin a recording."""
 _MAX_NOTES: Final = 20
-"""Notes of a recording."""
+"""Number of notes of a recording."""
 _MAX_NOTE_CHARACTERS: Final = 4000
-"""Length of a note."""
+"""Longest text of a note."""
 _MAX_NOTE_KEY_CHARACTERS: Final = 64
-"""Length of a note's name."""
+"""Longest name of a note."""
 
 
 @dataclass(slots=True)
@@ -76,7 +76,7 @@ class WebRecorder:
         """Return the state of recordings.
 
         `recording`: whether one is under way; then also its `name`, `recorded_s`, `ticks`, `bytes` and `for_s`. `last`:
-        `name` and `error` of the last one, or its content. `free_bytes`: free disk space.
+        the summary of the last one, or its `name` and `error`. `free_bytes`: free disk space.
         """
         state: dict[str, Json] = {
             "recording": self._active is not None,
@@ -157,7 +157,7 @@ class WebRecorder:
     def _run(
         self, loop: asyncio.AbstractEventLoop, active: _ActiveRecording, target: Path, notes: Mapping[str, Json]
     ) -> None:
-        """Record; runs in the thread."""
+        """Record until the end. For the recording's thread."""
 
         def opened(writer: RecordingWriter) -> None:
             active.writer = writer

@@ -19,11 +19,11 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json, printable
 
 MAX_RECORDING_NAME_CHARACTERS: Final = 64
-"""Length of a recording's name, without its ending."""
+"""Longest name of a recording, without its ending."""
 _STEM_PATTERN: Final = re.compile(r"[^\W_][\w .+-]*")
 """Name of a recording without its ending."""
 _MAX_LISTED_RECORDINGS: Final = 1000
-"""Recordings in a list, the newest."""
+"""Recordings in a list; older ones are left out."""
 
 
 def default_folder(environ: Mapping[str, str] | None = None) -> Path:

@@ -75,7 +75,7 @@ class Recordings:
         }
 
     async def _state(self, page: Page, params: Mapping[str, object]) -> object:
-        self._forget_at_end_of(page)
+        self._release_at_end_of(page)
         self._recorder.watch(page.send_news)
         return self._recorder.state()
 
@@ -133,12 +133,12 @@ class Recordings:
             facts = await asyncio.to_thread(playback.facts)
         except HapticdError as error:
             raise HapticdError(str(error).replace(os.fspath(path), printable(name))) from None
-        self._forget_at_end_of(page)
+        self._release_at_end_of(page)
         self._open[page] = playback
         return {"name": name, **facts}
 
-    def _forget_at_end_of(self, page: Page) -> None:
-        """Release what this page opened when the page ends."""
+    def _release_at_end_of(self, page: Page) -> None:
+        """When the page ends, close its recording and stop its news."""
         if page not in self._known:
             self._known.add(page)
             page.closing.callback(self._forget, page)

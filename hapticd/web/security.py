@@ -36,7 +36,7 @@ _POST_ROUTES: Final = frozenset({("POST", "/login"), ("POST", "/uploads")})
 _PUBLIC_PATHS: Final = frozenset(("/login", "/door.css"))
 """Paths that are served without access."""
 MAX_FORM_BYTES: Final = 4096
-"""Size of the login form's body."""
+"""Largest body of the login form."""
 
 _log = logging.getLogger("hapticd.web")
 

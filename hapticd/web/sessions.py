@@ -54,10 +54,10 @@ def _added(known: OrderedDict[str, None], most: int) -> str:
     return made
 
 
-def _find(secrets_: OrderedDict[str, None], given: str) -> str | None:
+def _find(valid: OrderedDict[str, None], given: str) -> str | None:
     """Return the secret that equals `given`, or None. All are compared, each in constant time."""
     found = None
-    for each in secrets_:
+    for each in valid:
         if hmac.compare_digest(each.encode(), given.encode("utf-8", "surrogateescape")):
             found = each
     return found

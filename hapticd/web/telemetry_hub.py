@@ -45,7 +45,7 @@ class TelemetryHub:
         self._subscribers: dict[Subscriber, frozenset[str]] = {}
 
     def subscribe(self, subscriber: Subscriber, topics: frozenset[str]) -> None:
-        """Pass messages of these topics to `subscriber` from now on, and of no others; empty: end its subscription."""
+        """From now on, pass messages of exactly these topics to `subscriber`; without any, end its subscription."""
         before = self._subscribers.pop(subscriber, frozenset())
         if topics:
             self._subscribers[subscriber] = topics

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class Bucket:
-    """A token bucket that may be overdrawn; `take` returns how long to wait then."""
+    """A token bucket that `take` may overdraw."""
 
     def __init__(self, per_s: float, burst: float, now: Callable[[], float] = time.monotonic) -> None:
         """Begin with a full bucket of `burst` tokens, which gets `per_s` tokens a second."""
@@ -15,7 +15,7 @@ class Bucket:
         self._level, self._at = burst, now()
 
     def take(self, amount: float) -> float:
-        """Take tokens, also more than there are, and return how long to wait before the next ones, in s."""
+        """Take tokens, also more than there are, and return the time until the level is 0 again, in s."""
         self._fill()
         self._level -= amount
         return max(0.0, -self._level / self._per_s)

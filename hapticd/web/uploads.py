@@ -16,7 +16,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.web.connections import extend_deadline
 
 MAX_UPLOAD_BYTES: Final = 512 << 20
-"""Size of an uploaded file."""
+"""Largest file that may be uploaded."""
 MAX_WAITING_UPLOADS: Final = 4
 """Uploaded files that are not opened yet; beyond it the oldest is removed."""
 _UPLOAD_BLOCK_BYTES: Final = 1 << 18

@@ -1,7 +1,7 @@
 """Changing a YAML text in place: only values that differ are replaced, everything else stays.
 
 Comments, order, alignment, quotes and number formats of a handwritten file are kept. PyYAML gives the position of each
-value, where it is replaced. The result is read again by hapticd's loader; if that gives other values than intended, the
+value in the text. The result is read again by hapticd's loader; if that gives other values than intended, the
 text is written again from scratch.
 """
 
@@ -21,11 +21,11 @@ _YAML_LOADER: Final = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLo
 _LINE_END_PATTERN: Final = re.compile(r"\r\n|[\n\r\x85\u2028\u2029]|\Z")
 """End of a line, as YAML defines it."""
 _MAX_LINE_CHARACTERS: Final = 100
-"""Length of a line with an added mapping; a longer mapping is written as a block."""
+"""Longest line for an added mapping; a longer mapping is written as a block."""
 
 
 class _IntricateError(Exception):
-    """A place in the text where values cannot be replaced one by one."""
+    """A mapping or list cannot be edited in place: its text must be replaced."""
 
 
 def same(one: Json, other: Json) -> bool:
@@ -177,7 +177,7 @@ class _Edits:
         break_before = "" if self._text[:at].endswith(("\n", "\r", "\x85", "\u2028", "\u2029")) else self._newline
         self._edits.append((at, at, break_before + "".join(line + self._newline for line in lines)))
 
-    # ---- Places ----------------------------------------------------------------------------------------------------
+    # ---- Positions ---------------------------------------------------------------------------------------------------
 
     @staticmethod
     def _start(entry: tuple[yaml.Node, yaml.Node]) -> int:
@@ -185,7 +185,7 @@ class _Edits:
         return start
 
     def _end(self, node: yaml.Node) -> int:
-        """Return the index after the last character of a value. A block's end mark is after the comments below it."""
+        """Return the index after the last character of a value. PyYAML's end of a block follows its comments."""
         while isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
             last = node.value[-1]
             node = last[1] if isinstance(last, tuple) else last

@@ -23,9 +23,9 @@ from hapticd.web.yaml_editing import block_text, edited, same
 FILE_PARTS: Final = ("materials", "scene")
 """Sections of a configuration that a page can open and save."""
 MAX_FILE_NAME_CHARACTERS: Final = 200
-"""Length of the name of a file that a page opens."""
+"""Longest name of a file that a page opens."""
 _PLACE_PATTERN: Final = re.compile(r"(\d+):(\d+)(?:: (.*))?$", re.DOTALL)
-"""Line, column and key of a problem's place, after the file name."""
+"""The end of a problem's `where`, after the file name: line, column and key."""
 _FIRST_LINE: Final = (
     "# Scene and materials as they were on the page of hapticd web; `hapticd check -c FILE` reads it again.\n"
 )
@@ -151,7 +151,7 @@ def saved(
     if opened is None:
         text, kept = _FIRST_LINE + block_text({part: brief[part] for part in FILE_PARTS if part in wanted}), True
     else:
-        text, kept = _into(opened, text, wanted, brief)
+        text, kept = _edited_file(opened, text, wanted, brief)
     return Saved(text, kept, sorted(written) if "materials" in wanted else [])
 
 
@@ -169,23 +169,23 @@ def _whole_numbers(tree: Json) -> Json:
     return int(tree) if isinstance(tree, float) and tree.is_integer() and abs(tree) < 1e15 else tree
 
 
-def _into(opened: Opened, text: str, wanted: _Map, brief: _Map) -> tuple[str, bool]:
-    """Return the opened text with the new parts, and whether its comments and layout were kept."""
+def _edited_file(opened: Opened, text: str, wanted: _Map, brief: _Map) -> tuple[str, bool]:
+    """Return the opened text with the sections `wanted`, and whether its comments and layout were kept."""
     raw = opened.document.data
     assert isinstance(raw, dict)
     bare = {"bare scene": "scene", "bare materials": "materials"}.get(kind_of(raw) or "")
     moved = True
     canonical: _Map = {"materials": opened.materials, "scene": opened.scene or {}}
     if bare is not None and set(wanted) <= {bare}:
-        return edited(text, cast(_Map, _over(raw, canonical[bare], wanted[bare], brief[bare])))
+        return edited(text, cast(_Map, _merged(raw, canonical[bare], wanted[bare], brief[bare])))
     if bare is not None:
-        # The file has a part without a section: it becomes a section next to the other one.
-        raw, text = {bare: raw}, _below(bare, text)
+        # The file is one section without its key: it gets the key, so that the other section can be added.
+        raw, text = {bare: raw}, _in_section(bare, text)
         moved = same(_data_of(text), raw)
         text = text if moved else block_text(raw)
     after = dict(raw)
     for part, value in wanted.items():
-        after[part] = _over(raw[part], canonical[part], value, brief[part]) if part in raw else brief[part]
+        after[part] = _merged(raw[part], canonical[part], value, brief[part]) if part in raw else brief[part]
     text, kept = edited(text, after)
     return text, kept and moved
 
@@ -197,8 +197,8 @@ def _data_of(text: str) -> Json:
         return None
 
 
-def _below(key: str, text: str) -> str:
-    """Return the text indented below a key."""
+def _in_section(key: str, text: str) -> str:
+    """Return the text as the section `key`, which begins below its first comments."""
     lines = text.removeprefix("\ufeff").splitlines(keepends=True)
     comments = next((row for row, line in enumerate(lines) if not line.startswith("#")), len(lines))
     return "".join(
@@ -206,11 +206,11 @@ def _below(key: str, text: str) -> str:
     )
 
 
-def _over(raw: Json, before: Json, wanted: Json, brief: Json) -> Json:
+def _merged(raw: Json, before: Json, wanted: Json, brief: Json) -> Json:
     """Return the value to write in place of `raw`.
 
-    `before` is `raw` with all members and `wanted` the new value with all members. `raw` is kept if they are the same,
-    and of a mapping only the members that differ are changed. `brief` is `wanted` without members that have their
+    `before` is `raw` with all members and `wanted` the new value with all members. `raw` is kept if they are the same;
+    in a mapping, only the members that differ are changed. `brief` is `wanted` without members that have their
     default.
     """
     if same(before, wanted):
@@ -219,13 +219,13 @@ def _over(raw: Json, before: Json, wanted: Json, brief: Json) -> Json:
         kept: dict[str, Json] = {}
         for key, value in raw.items():
             if key in wanted:
-                kept[key] = _over(value, before.get(key), wanted[key], brief.get(key, wanted[key]))
+                kept[key] = _merged(value, before.get(key), wanted[key], brief.get(key, wanted[key]))
             elif value is None and key not in before:
                 kept[key] = None
         new = {key: value for key, value in brief.items() if key not in raw}
         return kept | {key: value for key, value in new.items() if not same(before.get(key), wanted.get(key))}
     if isinstance(raw, list) and isinstance(before, list) and isinstance(wanted, list) and isinstance(brief, list):
         common = min(len(raw), len(before), len(wanted), len(brief))
-        start: list[Any] = [_over(*each) for each in zip(raw[:common], before, wanted, brief, strict=False)]
+        start: list[Any] = [_merged(*each) for each in zip(raw[:common], before, wanted, brief, strict=False)]
         return [*start, *brief[common:]]
     return brief

@@ -28,7 +28,7 @@ async def _schema(_: Page, params: Mapping[str, object]) -> object:
 
 
 async def _shipped(_: Page, params: Mapping[str, object]) -> object:
-    """Answer web.yaml_shipped: `name` and `shows` of each shipped scene and file of materials."""
+    """Answer web.yaml_shipped: `name` and description (`shows`) of each shipped file."""
 
     def found() -> object:
         return {
@@ -99,8 +99,8 @@ def _refused(name: str, problems: tuple[Problem, ...]) -> RemoteError:
 async def _save(page: Page, params: Mapping[str, object]) -> object:
     """Answer web.yaml_save: return the daemon's scene and materials as a file's `text`.
 
-    `parts`: which of them. `opened`: {name, text, others}, the file to change: `name` and `text` as given to
-    web.yaml_open, and `others` from its result.
+    `parts`: the sections to save. `opened`: {name, text, others}, the file to change, with `name` and `text` as given
+    to web.yaml_open and `others` from its result.
     """
     parts = params.get("parts", list(FILE_PARTS))
     if not isinstance(parts, list) or not parts or not all(part in FILE_PARTS for part in parts):

@@ -52,9 +52,9 @@ Differences from JSON-RPC 2.0:
 - Answers come in the order of the requests, except those of long changes. Notifications are carried out and not
   answered.
 
-`x-params` is the schema of all params of a method together: it also says which exclude each other, and that there are
-no others. `x-validation` lists rules that the daemon validates in addition. Params that break the schema or a rule are
-refused with code -32602. A stale `expect_revision` (-32001), and `set_operator` without the simulated joystick
+`x-params` is the schema of all params of a method together: it also states which exclude each other, and refuses
+unknown params. `x-validation` lists rules that the daemon validates in addition. Params that break the schema or a
+rule are refused with code -32602. A stale `expect_revision` (-32001), and `set_operator` without the simulated joystick
 (-32008), are refused before the other params are validated.
 """
 

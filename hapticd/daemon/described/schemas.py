@@ -43,7 +43,7 @@ _OPEN_API_KEYWORD: Final = "discriminator"
 
 
 def draft7(schema: Json) -> Json:
-    """Return the schema in draft 7: `items` for lists of fixed length, a `$ref` alone, no default of null."""
+    """Return the schema in draft 7: `items` for lists of fixed length, no member next to a `$ref`, no default null."""
     if isinstance(schema, list):
         return [draft7(each) for each in schema]
     if not isinstance(schema, dict):
@@ -122,7 +122,7 @@ def _by_name(patches: list[str]) -> dict[str, Json]:
 def _patch(name: str, schemas: Schemas) -> dict[str, Json]:
     """Return the schema of a merge patch of the model `name`.
 
-    Unknown keys may be null: the patch removes a key of a kind that the object had before.
+    Unknown keys may be null: a new `kind` of an object removes keys of the old one.
     """
     found = {key: value for key, value in schemas[name].items() if key in _PATCH_KEYWORDS}
     found["description"] = f"A JSON Merge Patch. {found['description']}"
@@ -154,7 +154,7 @@ def _without_words(schema: dict[str, Json]) -> dict[str, Json]:
 
 
 def _by_names(schema: dict[str, Json]) -> dict[str, Json]:
-    """Return the schema of a patch of a mapping by names."""
+    """Return the schema of a patch of a mapping whose keys are names."""
     found = {key: value for key, value in _without_words(schema).items() if key != "propertyNames"}
     patterns = cast(Schemas, schema["patternProperties"])
     found["patternProperties"] = {pattern: {"anyOf": [value, _NULL_SCHEMA]} for pattern, value in patterns.items()}
@@ -205,7 +205,7 @@ def schema_of(kind: Any) -> dict[str, Json]:
         return {"type": "object", "additionalProperties": schema_of(arguments[1])}
     if origin in (Union, UnionType):
         return {"anyOf": [schema_of(each) for each in arguments]}
-    raise TypeError(f"no JSON Schema of {kind}: protocol/results has TypedDicts of plain types")
+    raise TypeError(f"no JSON Schema of {kind}: must be a TypedDict, or a plain type in one")
 
 
 def _mapping(kind: Any) -> dict[str, Json]:

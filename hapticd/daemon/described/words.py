@@ -66,7 +66,7 @@ METHOD_DESCRIPTIONS: Final[dict[str, MethodDescription]] = {
     ),
     "reload": MethodDescription("Read the configuration files again", results.RevisionResult, _CHANGE_CODES),
     "dump_flight": MethodDescription(
-        "Write the seconds that the flight recorder keeps to a file", results.FlightResult
+        "Write the telemetry that the flight recorder keeps to a file", results.FlightResult
     ),
 }
 
@@ -109,8 +109,8 @@ CODE_DESCRIPTIONS: Final[dict[Code, CodeDescription]] = {
         '`{"lease_s"}`: seconds until that lease ends',
     ),
     Code.RING_FULL: CodeDescription(
-        "the servo has not yet taken earlier commands, or 64 marks are under way, or "
-        "64 changes, or changes of 4 MiB in all, wait. The command was not carried out: send it again",
+        "the servo has not yet taken earlier commands, 64 marks are under way, or 64 changes or 4 MiB of "
+        "changes are waiting. The command was not carried out: send it again",
     ),
     Code.WAIT_TIMED_OUT: CodeDescription(
         "the servo did not take a command or a revision within a second. It may still take it: a "

@@ -141,9 +141,9 @@ class _SessionPages:
             connections = Connections()
             pages = Pages(self._options.place, hub, control, False, partial(self._address, who))
             if who == "participant":
-                passes = STOP_METHODS | HAND_METHODS if self._options.simulated else STOP_METHODS
+                daemon_methods = STOP_METHODS | HAND_METHODS if self._options.simulated else STOP_METHODS
                 own = participant_page.methods(self._front, presence, self._options.simulated)
-                pages = replace(pages, methods=own, passes=passes)
+                pages = replace(pages, methods=own, daemon_methods=daemon_methods)
             else:
                 own = experimenter_page.methods(self._front, presence)
                 pages = replace(pages, methods={**application.WEB_PAGE_METHODS, **own})
