@@ -1,4 +1,4 @@
-"""Fit of recording files, and the figures for a material: the core of `hapticd fit`."""
+"""Fits of recording files, and the resulting keys of a material: the core of `hapticd fit`."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
 from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of
 
-AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
-"""Note for a fit whose kind of tap was chosen automatically."""
+AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material gets a waveform; to fit a mode, use --as mode"
+"""Note for the user if a waveform was chosen automatically."""
 Step: TypeAlias = Callable[[str], None]
 """Callback with a text about the current step."""
 
@@ -40,7 +40,7 @@ class Fitted:
     notes: tuple[str, ...] = ()
     """Suggestions for the user."""
     without: Collection[str] = ()
-    """Names of figures that do not describe the material with the chosen options."""
+    """Names of fitted values that the material does not use with the chosen options."""
 
 
 def fitted_files(
@@ -48,7 +48,7 @@ def fitted_files(
 ) -> tuple[list[Recording], list[Recording], Fitted]:
     """Return the recordings that were used, those that were left out, and the fit.
 
-    Names of files are relative to `folder`, and are the names of the recordings.
+    `files` are paths relative to `folder`, and become the names of the recordings.
     """
     excluded = Exclusions(strict)
     recordings: list[Recording] = []
@@ -74,13 +74,13 @@ def fitted_files(
 
 
 def materials_of(path: str) -> dict[str, Material]:
-    """Return the materials of a file to which others are added.
+    """Return the materials of an existing file, to which more will be added.
 
     Raises InvalidError, or HapticdError if it has other keys than `materials`.
     """
     data = load_path(path).data
     if not isinstance(data, dict) or list(data) != ["materials"]:
-        raise HapticdError(f"{printable(path)}: a file to which materials are added must have the key materials only")
+        raise HapticdError(f"{printable(path)}: must have the key materials only, because materials are added to it")
     found = load_config(path).materials
     given = data["materials"]
     assert isinstance(given, dict)
@@ -183,8 +183,8 @@ def _better_waveform(
 
     A mode is taken if it rings, that is, falls to 1/e in 0.3 of its period or later, and if one or two modes explain
     95 % of the taps' variance (the median; a tap that was left out counts as 0). Otherwise a waveform is taken if its
-    residual has less than half the variance of the mode's. The comparison favours the mode: each tap has a separate
-    frequency and decay, but is compared with the waveform of the other taps.
+    residual has less than half the variance of the mode's. The comparison favours the mode, which is fitted to each tap
+    separately; the waveform of a tap is fitted to the other taps.
     """
     if isinstance(ringing, UnitError):
         return None

@@ -1,4 +1,4 @@
-"""Thresholds of the fits: one dataclass a kind of fit, with value, unit and reason of each threshold.
+"""Thresholds of the fits, each with value, unit and reason; one dataclass for each kind of fit.
 
 docs/fit.md lists them; `make docs-tables` writes its tables from these fields. The thresholds that decide between
 good, fair and poor are in verdict.py. A fraction is between 0 and 1.
@@ -19,7 +19,7 @@ def _limit(value: _T, unit: str, reason: str) -> _T:
 
 @dataclass(frozen=True, slots=True)
 class PreparationLimits:
-    """Thresholds of what every fit does first: impossible samples, gaps, units, sampling rate."""
+    """Thresholds of the preparation for every fit: impossible samples, gaps, units, sampling rate."""
 
     max_force_n: float = _limit(200.0, "N", "No hand presses harder.")
     max_stroke_speed_m_per_s: float = _limit(5.0, "m/s", "No hand strokes or pierces faster.")
@@ -117,7 +117,7 @@ class TapLimits:
 
 @dataclass(frozen=True, slots=True)
 class SpeedLawLimits:
-    """Thresholds of the law of amplitude over approach speed, for taps that ring and for pulses."""
+    """Thresholds of the law of amplitude versus approach speed, for taps that ring and for pulses."""
 
     min_taps: int = _limit(3, "taps", "Fewer have no interval that is of use.")
     min_speed_m_per_s: float = _limit(1e-3, "m/s", "A slower tap has a wrong unit.")

@@ -1,10 +1,10 @@
 """Spectral lines, hum or other tones, with the fraction of the power that each holds.
 
 In a periodogram of the complete recording with Hann's window, the power of noise is exponentially distributed. Its
-mean is estimated from the median of n neighbouring bins. A bin belongs to a line if noise exceeds its power in any of
-all N bins with a probability of at most p = LINE_LIMITS.max_chance: power > mean * F(2, 2 n) at p/N. Of several
-recordings half must have the line; then a lower power is enough in each. A ringing is broader than the neighbouring
-bins, and is not found.
+mean is estimated from the median of n neighbouring bins. A bin belongs to a line if noise has its power in any of the N
+bins with a probability of at most p = LINE_LIMITS.max_chance: power/mean exceeds the quantile 1 - p/N of the F
+distribution with 2 and 2 n degrees of freedom. Half of several recordings must have the line, each with a lower
+threshold. A ringing is broader than these bins, and is not found.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class SpectralLine:
 
 
 def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Return the lines of one recording (n,), sorted by falling share; `needed` recordings must have the same line."""
+    """Return the lines of one recording (n,), the strongest first; `needed` recordings must have the same line."""
     from scipy.special import fdtri
 
     count = len(seen)
@@ -114,7 +114,7 @@ def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[Sp
 def report_lines(
     recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]], warnings: Warnings
 ) -> None:
-    """Add a reason if the recordings have lines in common; arguments as of `common_lines`."""
+    """Downgrade the verdict if the recordings have lines in common; arguments as for `common_lines`."""
     if hum := common_lines(recordings, lines_in):
         warnings.add_fair(described(hum))
 

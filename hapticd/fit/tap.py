@@ -360,10 +360,10 @@ class TapHit:
         before = float(np.std(left[:onset]))
         return float(np.std(left[onset:end])) / before if before > 0 else math.inf
 
-    def turned(self) -> TapHit:
+    def negated(self) -> TapHit:
         """Return the same tap with the sign of the acceleration reversed."""
-        pair = None if self.pair is None else self.pair.turned()
-        return dataclasses.replace(self, measured=-self.measured, ringing=self.ringing.turned(), pair=pair)
+        pair = None if self.pair is None else self.pair.negated()
+        return dataclasses.replace(self, measured=-self.measured, ringing=self.ringing.negated(), pair=pair)
 
     def to_dict(self) -> dict[str, Json]:
         """Return the figures as plain data for JSON."""
@@ -594,7 +594,7 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
                 others.append(tap)
         usual_sign = 1.0 if sum(np.sign([tap.coefficient_m_per_s2 for tap, _ in struck])) >= 0 else -1.0
         upright = [
-            (tap, pair) if usual_sign > 0 else (tap.turned(), pair.turned())
+            (tap, pair) if usual_sign > 0 else (tap.negated(), pair.negated())
             for tap, pair in struck
             if np.sign(tap.coefficient_m_per_s2) == usual_sign
         ]
@@ -825,8 +825,8 @@ def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -
     """
     speeds, (angulars, of_angular), (decays, of_decay) = figures.speeds, figures.angular, figures.decay
     moved = (
-        speed_law.moves(speeds, angulars, of_angular, "frequency", TAP_LIMITS.min_frequency_change),
-        speed_law.moves(speeds, -decays, of_decay, "decay time", TAP_LIMITS.min_decay_change),
+        speed_law.speed_trend(speeds, angulars, of_angular, "frequency", TAP_LIMITS.min_frequency_change),
+        speed_law.speed_trend(speeds, -decays, of_decay, "decay time", TAP_LIMITS.min_decay_change),
     )
     if not any(moved):
         return None
@@ -1064,7 +1064,7 @@ def _of_one_sign(hits: list[TapHit], lines: list[str], excluded: Exclusions) -> 
         if sign != usual:
             excluded.add(tap.recording, "it begins with the other sign than most", "tap", tap.onset_s)
             continue
-        found.append(tap if usual > 0 else tap.turned())
+        found.append(tap if usual > 0 else tap.negated())
     other = len(hits) - len(found)
     if len(found) < SPEED_LAW_LIMITS.min_taps or (other > 1 and other > TAP_LIMITS.max_other_sign * len(hits)):
         raise FitError(

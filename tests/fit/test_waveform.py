@@ -375,4 +375,4 @@ def test_the_command_writes_a_waveform(tmp_path: Path, capsys: pytest.CaptureFix
 
 def test_options_of_modes_make_no_waveform(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", "tap", str(tmp_path / "pulses.npz"), "--as", "waveform", "--table"]) == 2
-    assert "--law table is only for modes, and --as waveform fits none: leave out one" in capsys.readouterr().err
+    assert "--law table is only for modes, and --as waveform fits no modes: leave out one" in capsys.readouterr().err
