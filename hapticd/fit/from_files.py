@@ -25,7 +25,7 @@ from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
 from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of
 
-AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material gets a waveform; to fit a mode, use --as mode"
+AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material gets a waveform; --as mode fits a mode"
 """Note for the user if a waveform was chosen automatically."""
 Step: TypeAlias = Callable[[str], None]
 """Callback with a text about the current step."""

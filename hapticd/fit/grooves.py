@@ -631,7 +631,7 @@ def _mean_mode(groups: Sequence[Group]) -> Mode:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroovesFit(Fit):
-    """Result of a fit of grooves. All intervals are of 95 %."""
+    """Result of a fit of grooves. All intervals are 95 % confidence intervals."""
 
     spacing_m: Estimate
     frequency_hz: Estimate

@@ -203,7 +203,7 @@ class _Puncture:
         end = min(len(seen), at + round(PUNCTURE_LIMITS.after_rupture_s * rate_hz))
         if np.mean(self._kept.replaced[begin:end]) > PUNCTURE_LIMITS.max_replaced:
             raise FitError(
-                f"{name}: more than {100 * PUNCTURE_LIMITS.max_replaced:g} % of the samples of the puncture are impossible"
+                f"{name}: more than {100 * PUNCTURE_LIMITS.max_replaced:g} % of the its samples are impossible"
             )
         if clipped(seen)[first:end].any():
             raise FitError(
@@ -262,7 +262,7 @@ def _noise(force: Floats) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PunctureFit(Fit):
-    """Result of a fit of punctures of one membrane. All intervals are of 95 %."""
+    """Result of a fit of punctures of one membrane. All intervals are 95 % confidence intervals."""
 
     stiffness_n_per_m: Estimate
     depth_m: Estimate

@@ -106,7 +106,7 @@ def fit_ringing(
 
 
 class _Search:
-    """Search for the parameters by least squares; a point is the vector (log B of every mode, log w of every mode, onset)."""
+    """Least-squares search; a point is the vector (log B of every mode, log w of every mode, onset)."""
 
     def __init__(self, acceleration: Floats, rate_hz: float, sensor: Sensor | None) -> None:
         self._measured = acceleration
@@ -242,7 +242,7 @@ class _Search:
         return point
 
     def at_the_onset(self, point: Floats) -> Floats:
-        """Return the point, or a better one whose onset differs by half a period or by one.
+        """Return the point, or a better one whose onset differs by half a period or a period.
 
         The same ringing begins there with the other or the same sign.
         """

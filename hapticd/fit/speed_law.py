@@ -94,8 +94,8 @@ def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
     ratio = slope_per_s / angular
     if not softest <= ratio <= hardest:
         raise FitError(
-            f"the ratio of amplitude to speed is {slope_per_s:.4g} 1/s: must be between {softest:g} and {hardest:g} times "
-            f"{named}, is {ratio:.2g} times: is the acceleration or the speed off by a thousand (mm, g)?"
+            f"the ratio of amplitude to speed is {slope_per_s:.4g} 1/s: must be between {softest:g} and {hardest:g} "
+            f"times {named}, is {ratio:.2g} times: is the acceleration or the speed off by a thousand (mm, g)?"
         )
 
 
@@ -303,7 +303,7 @@ def _along(points: Amplitudes, speeds: Floats) -> Floats:
 
 
 def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | None:
-    """Return the power law, by Gauss-Newton steps from a line through the logarithms, or None if there is none."""
+    """Return the power law, by Gauss-Newton steps from a line through the logarithms, or None if it does not fit."""
     if len(speeds) < 3 or not (amplitudes > 0).all():
         return None
     middle = math.exp(float(np.mean(np.log(speeds))))

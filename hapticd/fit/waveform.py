@@ -1,13 +1,13 @@
-"""Fit of taps that are pulses: their common waveform, scaled over the approach speed.
+"""Fit of taps that are pulses: their common waveform, scaled with the approach speed.
 
-    y_i(t) = a_i s(R (t - t_i)) + c_i, s the curve of hapticd.config.waveform
+    y_i(t) = a_i s(R (t - t_i)) + c_i, where s is the curve of hapticd.config.waveform
 
 The fit alternates two steps. For given amplitudes a_i, onsets t_i and offsets c_i, the samples of s at the rate R are
 linear least squares. For given s, a_i and c_i are linear least squares of each pulse and t_i is searched. The first
-onsets are those at which each pulse crosses a fraction of its peak. s is interpolated as the servo's tick does, so the
+onsets are those at which each pulse crosses a fraction of its peak. s is interpolated as in the servo, so the
 fit includes the error of the interpolation. s is 0 at both ends, and its largest magnitude is 1 and positive.
 
-The variance that the shape explains of a tap is that of a shape fitted without this tap. The amplitude is the tap's
+The explained variance of a tap is that of a shape fitted without this tap. The amplitude is the tap's
 largest acceleration; its law over the speed is chosen as for taps that ring.
 """
 
@@ -55,13 +55,13 @@ class Pulse:
 
     @property
     def noise_m_per_s2(self) -> float:
-        """Standard deviation before the contact, or 0 if that has fewer than 6 samples."""
+        """Standard deviation before the contact, or 0 for fewer than 6 samples."""
         first = math.floor(self.onset_s * self.rate_hz)
         return float(np.std(self.measured[:first])) if first >= 6 else 0.0
 
     @property
     def since_s(self) -> Floats:
-        """(n,) times of the samples after the first."""
+        """(n,) times of the samples since the first one."""
         return np.arange(len(self.measured)) / self.rate_hz
 
     @property
@@ -105,7 +105,7 @@ def pulses_of(recordings: Sequence[Recording], lines: list[str], excluded: Exclu
 
 def _pulse(loud: Events, index: int) -> Pulse:
     """Return an event with up to 20 ms of rest before it; raise Unusable if it cannot be used."""
-    first, (before, after) = loud.events[index].first, loud.room(index)
+    first, (before, after) = loud.events[index].first, loud.section(index)
     name, rate_hz = loud.recording.name, loud.recording.rate_hz
     begin = max(before, first - max(TAP_LIMITS.min_rest_samples, round(0.02 * rate_hz)))
     end = min(after, first + round(MAX_WAVEFORM_LENGTH_S * rate_hz))
@@ -179,7 +179,7 @@ class Equations:
         self._smooth = 1e-4 * float(np.mean(np.diag(self._gram))) * (bends.T @ bends)
 
     def solved(self, without: int | None = None) -> Floats:
-        """Return the samples (count,), the first and the last 0; pulse number `without` is left out."""
+        """Return the samples (count,), of which the first and the last are 0; pulse `without` is left out."""
         from scipy.linalg import solve
 
         gram, side = self._gram, self._side
@@ -247,14 +247,16 @@ class Shape:
     """(count,)."""
 
     @classmethod
-    def of(cls, pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int, turns: int = 6) -> Shape:
+    def of(
+        cls, pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int, rounds: int = 6
+    ) -> Shape:
         """Return the shape with `count` samples at this rate, starting from the fitted pulses `placed`."""
         found = list(placed)
         reach_s = 2.0 / rate_hz
-        for turn in range(turns + 1):
+        for done in range(rounds + 1):
             samples, curve = _upright(Equations(pulses, found, rate_hz, count).solved(), rate_hz)
             found = [_place(curve, pulse, where.onset_s, reach_s) for pulse, where in zip(pulses, found, strict=True)]
-            if turn < turns:
+            if done < rounds:
                 # The shape may shift along its samples together with all onsets: this is undone.
                 slid = float(np.median([new.onset_s for new in found]) - np.median([old.onset_s for old in placed]))
                 found = [dataclasses.replace(each, onset_s=each.onset_s - slid) for each in found]
@@ -272,9 +274,9 @@ class Shape:
         return Equations(self.pulses, self.placed, self.rate_hz, len(self.samples))
 
     def explained(self) -> tuple[Floats, Floats]:
-        """Return (n,) and (n,): the variance of each pulse that the shape of the others explains.
+        """Return the fraction (n,) of each pulse's variance that the shape of the others explains, twice.
 
-        The second array is without the variance of the noise.
+        For the second array the variance of the noise is subtracted.
         """
         equations = self.equations
         shares = []
@@ -323,7 +325,7 @@ class Shape:
         moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in self.placed]
         # A pulse is fitted up to 1.3 times its length.
         pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(self.pulses, moved, strict=True)]
-        found = Shape.of(pulses, moved, finer_hz, count, turns=4)
+        found = Shape.of(pulses, moved, finer_hz, count, rounds=4)
         if faded:
             over = max(2, round(WAVEFORM_LIMITS.fade * count))
             found.samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
@@ -331,13 +333,13 @@ class Shape:
         return found, faded
 
     def coarser(self) -> Shape:
-        """Return the shape with fewer samples: its rate is halved while it explains at most 1e-4 less variance."""
+        """Return the shape with fewer samples: its rate is halved while this costs at most 1e-4 of the variance."""
         least, shape = float(np.median(self.explained()[1])) - WAVEFORM_LIMITS.max_coarse_loss, self
         while True:
             count = math.ceil((len(shape.samples) - 1) / 2) + 1
             if count < WAVEFORM_LIMITS.min_samples or shape.rate_hz < 200:
                 return shape
-            tried = Shape.of(self.pulses, shape.placed, shape.rate_hz / 2, count, turns=2)
+            tried = Shape.of(self.pulses, shape.placed, shape.rate_hz / 2, count, rounds=2)
             if float(np.median(tried.explained()[1])) < least:
                 return shape
             shape = tried
@@ -377,20 +379,20 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
 def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
     """Return half the 95 % intervals of the samples (count,), and of a common factor of all amplitudes.
 
-    Both have two parts, added as squares. The first is a jackknife over the pulses, or over 16 groups of them, with
-    all onsets fitted again. The second is the change with twice as many samples: for a sample the RMS from half a
-    sample before it to half a sample after it; for the amplitudes their change and that of the complete curve, because
-    the error of a peak between samples is at least that of the curve.
+    Each adds two errors in quadrature. The first is a jackknife over the pulses, or over 16 groups of them, with all
+    onsets fitted again. The second is that of the interpolation, from the change in a fit with twice as many samples:
+    for a sample the RMS change up to half a sample from it; for the amplitudes their change and the RMS change of the
+    curve, because the error of a peak between samples is at least that of the curve.
     """
     count, groups = len(shape.samples), min(len(shape.pulses), WAVEFORM_LIMITS.max_groups)
     samples, sizes = [], []
     for group in range(groups):
         kept = [index for index in range(len(shape.pulses)) if index % groups != group]
         some = [shape.placed[index] for index in kept]
-        found = Shape.of([shape.pulses[index] for index in kept], some, shape.rate_hz, count, turns=1)
+        found = Shape.of([shape.pulses[index] for index in kept], some, shape.rate_hz, count, rounds=1)
         samples.append(found.samples)
         sizes.append(_ratio(found.placed, some))
-    finer = Shape.of(shape.pulses, shape.placed, 2 * shape.rate_hz, 2 * count - 1, turns=2)
+    finer = Shape.of(shape.pulses, shape.placed, 2 * shape.rate_hz, 2 * count - 1, rounds=2)
     between_s = np.arange(2 * count - 1) / (2 * shape.rate_hz)
     changes = (WAVEFORM_LIMITS.error_to_change * (finer.samples - shape.curve.at(between_s))) ** 2
     # The faded end does not affect the amplitudes.
@@ -408,7 +410,7 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
 
 
 def _widened(estimate: Estimate, part: float) -> Estimate:
-    """Return the estimate with a further error, which is this fraction of its value."""
+    """Return the estimate with a further error, the fraction `part` of its value, added in quadrature."""
     value, further = estimate.value, part * estimate.value
     low, high = math.hypot(value - estimate.low, further), math.hypot(estimate.high - value, further)
     return Estimate(value, value - low, value + high)
@@ -446,7 +448,7 @@ class WaveformFit(Fit):
 
     taps: tuple[PulseHit, ...]
     first_peak_slope_per_s: Estimate
-    """Slope of a line through the origin: largest acceleration over the speed."""
+    """Slope of the largest acceleration with speed, for a line through the origin."""
     amplitudes: Amplitudes
     """Table of rising speeds, m/s, and amplitudes, m/s^2. Empty if the law is a line."""
     rate_hz: float
@@ -457,7 +459,7 @@ class WaveformFit(Fit):
     """Half of the 95 % interval of each sample."""
     length_s: float
     samples_a_period: float
-    """Samples of the recordings in a period of the frequency below which half of the waveform's energy lies."""
+    """Recorded samples in a period of the middle frequency, below which half of the waveform's energy lies."""
     r_squared: float
     """r^2 of A(v) as a line through the origin."""
     variance_accounted_for: float

@@ -212,7 +212,7 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
         Path(f"{tmp_path / name}.yaml").write_text("columns: {force: {column: 1}}\nrate_hz: 5000")
         refused(tmp_path / name)
     (tmp_path / "a.txt").write_text("1\n")
-    assert "ends in .csv, .npz or .wav" in refused(tmp_path / "a.txt")
+    assert "must end in .csv, .npz or .wav" in refused(tmp_path / "a.txt")
     with pytest.raises(HapticdError, match="cannot be read"):
         load(tmp_path / "none.csv")
 
