@@ -80,9 +80,9 @@ def added(
 
 
 def _provenance(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> dict[str, object]:
-    """Return the provenance without its date: files, version of hapticd, intervals, verdict and reasons for the model.
+    """Return the provenance of a material, without its date.
 
-    Infinite intervals, and those of the names in `fitted.without`, are not included.
+    Intervals that are infinite, or whose name is in `fitted.without`, are left out.
     """
     fit = fitted.fit
     # Bytes of a path that are not text are escaped.

@@ -128,7 +128,7 @@ def _fitted_taps(asked: FitOptions, recordings: Sequence[Recording], step: Step,
         )
     if found.second is not None and not two:
         notes_of_mode.append("--two-modes takes both modes into the material")
-    # Intervals of figures that the material does not have would mislead.
+    # Intervals of values that the material does not have would mislead.
     table = {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
     tap = figures["tap"]
     without = {

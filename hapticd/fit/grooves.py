@@ -4,13 +4,13 @@ Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environment
 the stylus passes strikes a mode with the amplitude A(v, F) = velocity_gain |v| + force_gain F.
 
 Between two strikes the acceleration is one free ringing, Im(z exp(p t)) with p = -B + i w, plus a drift. For given B
-and w each interval is a separate linear fit, independent of earlier intervals and of their length. B and w are those
-with the smallest residual (variable projection). A strike is the step in z from the decayed ringing before it to the
-ringing after it: z' - z exp(p dt) = A exp(-p d). Its magnitude gives A. Its phase -w d gives the delay d of the strike
-after its assumed time. Onsets are first found as steps of z between two windows, before and after each sample.
+and w each interval is a separate linear fit. B and w are those with the smallest residual (variable projection). A
+strike is the step in z from the decayed ringing before it to the ringing after it: z' - z exp(p dt) = A exp(-p d). Its
+magnitude gives A. Its phase -w d gives the delay d of the strike after its assumed time. Onsets are first found as
+steps of z between two windows, before and after each sample.
 
 Frequency and decay are fitted over groups of strikes. Their scatter gives the intervals, and shows whether they change
-with speed or force. The gains are an M-estimate, on which a few outliers have no influence.
+with speed or force. The gains are an M-estimate, which a few outliers do not influence.
 """
 
 from __future__ import annotations
@@ -134,8 +134,8 @@ class Row:
 def row_of(position: Floats) -> Row:
     """Return the row of strikes at `position` (n,), in m.
 
-    Grooves are numbered by position, or by the steps between strikes if that row is more regular: it is if the
-    position drifts, as an integrated speed does.
+    Grooves are numbered by position, or by the steps between strikes if that row is more regular, as it is if the
+    position drifts.
     """
     steps = np.abs(np.diff(position))
     steps = steps[steps > 0]
@@ -164,8 +164,8 @@ def _by_step(position: Floats, spacing: float) -> Row:
 def _by_position(position: Floats, usual: float) -> Row:
     """Return the row with its grooves numbered by position.
 
-    Its spacing is that of 0.5 to 2.5 times the `usual` step at which the phases of the strikes agree best. They agree
-    as well at half the spacing, so the largest is taken.
+    Its spacing, 0.5 to 2.5 times the `usual` step, is the one at which the phases of the strikes agree best. They agree
+    as well at half of it, so the largest is taken.
     """
     few = position[:300]
     waves = np.arange(0.4 / usual, 2.0 / usual, 0.2 / max(float(np.ptp(few)), usual))
@@ -306,7 +306,7 @@ class StrokeFit:
     # ---- Onsets
 
     def _initial(self, angular: float) -> tuple[Mode, Floats]:
-        """Return the mode and onsets of that of several dampings whose strikes are most regular.
+        """Try several dampings; return the mode and onsets of the most regular strikes.
 
         A wrong damping gives false strikes at random positions.
         """
@@ -507,7 +507,7 @@ class StrokeFit:
         return speed, force
 
     def _sizes(self, mode: Mode) -> tuple[Floats, Bools]:
-        """Return the amplitudes of all strikes, positive along the motion, and whether both sides have a ringing."""
+        """Return the amplitudes of all strikes, positive along the motion, and whether both sides have ringing."""
         jump, complete = self._jumps(mode, self._onsets)
         # Strikes near replaced samples are not used.
         at = np.round(self._onsets * self._rate_hz).astype(np.int64)
@@ -641,7 +641,7 @@ class GroovesFit(Fit):
     correlation: float
     """Correlation of measured and predicted amplitudes."""
     offset_m_per_s2: Estimate | None
-    """Constant of a law with two gains and a constant; None if speed and force vary too little to determine it."""
+    """Constant of a law with two gains and a constant; None if speed and force vary too little."""
     frequency_per_speed_hz_s_per_m: Estimate | None
     frequency_per_force_hz_per_n: Estimate | None
     variance_accounted_for: float
@@ -668,7 +668,7 @@ class GroovesFit(Fit):
 def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> GroovesFit:
     """Fit grooves to strokes at several speeds and forces.
 
-    Recordings, and sections of them, that cannot be used are added to `excluded`. Raises FitError if the recordings do
+    Unusable recordings and sections are added to `excluded`. Raises FitError if the recordings do
     not support a fit.
     """
     excluded = Exclusions() if excluded is None else excluded

@@ -177,7 +177,7 @@ def _table(amplitudes: Amplitudes) -> Curve:
 
 
 def _columns(events: Sequence[object], *names: str) -> tuple[Floats, ...]:
-    """Return for each of these attributes its values (n,) of all n events."""
+    """Return the values (n,) of each of these attributes of n events."""
     return tuple(np.array([getattr(each, name) for each in events], dtype=np.float64) for name in names)
 
 

@@ -1,8 +1,7 @@
 """Preparation of recordings for every fit: impossible samples, gaps, units, sampling rate, motion of the stylus.
 
-Impossible samples are interpolated linearly and reported in one line with file, time and value. A recording is refused
-if more of a column than the fraction PREPARATION_LIMITS.max_beyond_limit is beyond its limit, because the unit or the
-column is wrong.
+Impossible samples are interpolated linearly and reported in one line with file, time and value. If too many samples of
+a column are beyond its limit, its unit or column is wrong, and the recording is refused.
 
     beyond a limit    a force above 200 N, for example; NaN is beyond every limit
     spike             force or speed far beyond its usual values for at most 10 ms, or acceleration for three samples
@@ -386,7 +385,7 @@ def complete_sections(recording: Recording, least_s: float, excluded: Exclusions
 
 
 def gaps_in_words(recording: Recording) -> str:
-    """Return a phrase with the places of missing samples."""
+    """Return a phrase with the number and time of missing samples."""
     (begin, end), more = recording.gaps[0], len(recording.gaps) - 1
     others = f", and in {more} more {'place' if more == 1 else 'places'}" if more else ""
     return f"{end - begin} samples are missing at {begin / recording.rate_hz:.4g} s{others}"

@@ -202,9 +202,7 @@ class _Puncture:
         first = max(0, at - round(PUNCTURE_LIMITS.before_rupture_s * rate_hz))
         end = min(len(seen), at + round(PUNCTURE_LIMITS.after_rupture_s * rate_hz))
         if np.mean(self._kept.replaced[begin:end]) > PUNCTURE_LIMITS.max_replaced:
-            raise FitError(
-                f"{name}: more than {100 * PUNCTURE_LIMITS.max_replaced:g} % of the its samples are impossible"
-            )
+            raise FitError(f"{name}: more than {100 * PUNCTURE_LIMITS.max_replaced:g} % of its samples are impossible")
         if clipped(seen)[first:end].any():
             raise FitError(
                 f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record "
@@ -237,7 +235,7 @@ def _no_puncture(name: str) -> FitError:
 
 
 def _drop(force: Floats, rate_hz: float) -> int | None:
-    """Return the last sample before the force drops by half or more at once, or None if it does not."""
+    """Return the last sample before the force drops at once by half or more, else None."""
     half = max(1, round(PUNCTURE_LIMITS.max_drop_s * rate_hz / 2))
     if len(force) < 20 * half:
         return None
@@ -284,8 +282,7 @@ class PunctureFit(Fit):
 def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> PunctureFit:
     """Fit at least two recordings of one puncture each.
 
-    Recordings that cannot be used, such as those without a puncture, are added to `excluded`. Raises FitError if fewer
-    than two are left, or if they do not agree.
+    Unusable recordings are added to `excluded`. Raises FitError if fewer than two are left, or if they do not agree.
     """
     excluded = Exclusions() if excluded is None else excluded
     warnings = Warnings()

@@ -2,7 +2,7 @@
 
     a(t) = c_0 + c_1 t + sum_k A_k exp(-B_k (t - t_0)) sin(w_k (t - t_0)) [t >= t_0]
 
-All modes begin at the onset t_0, which is free. The straight line is gravity and drift. If the sensor is known, its
+All modes begin at the onset t_0, which is fitted. The straight line is gravity and drift. If the sensor is known, its
 response to the modes (sensor.py) is fitted instead of the modes. For given B, w and t_0 the best A and line are linear
 least squares, so the search is over B, w and t_0 alone (Golub and Pereyra, 1973, with Kaufman's Jacobian, 1975). It
 begins at the best point of a grid and takes Levenberg-Marquardt steps.
@@ -49,7 +49,7 @@ class Ringing:
     noise_m_per_s2: float
     """RMS of the residual."""
     lack_of_fit: tuple[Floats, Floats]
-    """For one mode: scalar products of the residual with the k OTHER_SHAPES (k,), and between these (k, k).
+    """For one mode: scalar products of the residual and the shapes of OTHER_SHAPES (k,), and of these shapes (k, k).
 
     The shapes have the amplitude of the mode and are orthogonal to the fitted parameters. Empty for more modes.
     """

@@ -32,7 +32,7 @@ class SpectralLine:
 
 
 def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Return the lines of one recording (n,), the strongest first; `needed` recordings must have the same line."""
+    """Return the lines of one recording (n,), the strongest first; more `needed` recordings lower the threshold."""
     from scipy.special import fdtri
 
     count = len(seen)
@@ -91,7 +91,7 @@ def lines_in_residual(seen: Floats, modelled: Floats, rate_hz: float, needed: in
 def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]]) -> list[SpectralLine]:
     """Return the lines that at least half of the recordings have, with their mean fraction, sorted by frequency.
 
-    `lines_in(recording, needed)` returns the lines of one recording; `needed` recordings must have the same line.
+    `lines_in(recording, needed)` returns those of one recording, as `spectral_lines` does.
     """
     count = len(recordings)
     needed = max(1, math.ceil(count / 2))

@@ -179,7 +179,7 @@ class Law:
 
 
 def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind | None = None) -> Law:
-    """Return the law of amplitudes (n,) in m/s^2 over speeds in m/s.
+    """Return the law of amplitudes (n,), m/s^2, versus speeds, m/s.
 
     `variances` are those of the amplitudes due to noise. If `only` is given, that law is not compared with others.
     """

@@ -201,8 +201,8 @@ def texture(
 ) -> Recording:
     """Return a stroke over a material with a stochastic or an autoregressive texture.
 
-    The noise has exactly the spectrum of the texture: white noise times the root of the density. Of autoregressive
-    models the nearest in speed and force is used. Raises ValueError for other materials.
+    The spectrum is that of white noise times the root of the density. Of autoregressive models the nearest in speed and
+    force is used. Raises ValueError for other materials.
     """
     coarse = material.texture
     if not isinstance(coarse, Stochastic | Autoregressive):

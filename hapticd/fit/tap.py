@@ -1,8 +1,8 @@
 """Fit of taps that ring: slope, frequency and decay, from recordings of taps at several speeds.
 
 Each loud event of a recording is fitted alone (ringing.py). Frequency and decay time are weighted means over all taps;
-the amplitude is a function of the approach speed (speed_law.py). The weight of a tap is its signal-to-noise ratio. The
-standard error of the tap's fit is not used, because it varies by chance. Warnings and verdict come last.
+the amplitude is a function of the approach speed (speed_law.py). The weight of a tap is its signal-to-noise ratio, not
+the standard error of its fit, which varies by chance.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Events:
         """(n,) whether a sample is clipped, and whether it was replaced."""
 
     def section(self, index: int) -> tuple[int, int]:
-        """Return first sample and last + 1 of the section around an event, up to the next events or gaps.
+        """Return first sample and last + 1 of the section from the event or gap before an event to that after it.
 
         Raises Unusable if the section has no rest before the event.
         """
@@ -115,7 +115,7 @@ class Events:
         if cut.any():
             raise Unusable(f"it is clipped at {np.abs(self.acceleration[begin:end][cut]).max():.4g} m/s^2")
         if replaced.any():
-            raise Unusable(f"{np.count_nonzero(replaced)} of its samples are impossible, none may be")
+            raise Unusable(f"{np.count_nonzero(replaced)} of its samples are impossible, 0 are allowed")
 
     def speed(self, index: int, onset_s: float) -> float:
         """Return the approach speed, m/s: from the file, else from the position before the onset.
@@ -145,7 +145,7 @@ class Events:
         if left > TAP_LIMITS.max_approach_residual * total:
             raise Unusable(
                 f"the approach is too uneven for a speed: a straight line leaves {100 * left / total:.0f} % of "
-                f"the position's variance, at most {100 * TAP_LIMITS.max_approach_residual:.0f} %",
+                f"the position's variance, at most {100 * TAP_LIMITS.max_approach_residual:.0f} % is allowed",
                 "approach",
             )
         return abs(float(line[0]))
@@ -179,7 +179,7 @@ def _checked(recording: Recording) -> Floats:
 def _base(acceleration: Floats, rate_hz: float) -> Floats:
     """Return gravity and drift (n,): medians over blocks of 50 ms, interpolated linearly.
 
-    A short recording that begins at rest has the median of that rest everywhere, because slow ringing moves the others.
+    For a short recording that begins at rest it is the median of that rest, because slow ringing shifts other medians.
     """
     if len(acceleration) < TAP_LIMITS.short_recording_s * rate_hz:
         off = np.abs(acceleration - acceleration[0])
@@ -236,7 +236,7 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
 
 
 def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) -> Floats | None:
-    """Return the speeds of the taps, m/s, or None if all have one speed or the position determines it."""
+    """Return the speeds of the taps, m/s, or None if the recording has one speed for all, or no speed."""
     speed = recording.speed_m_per_s
     if not isinstance(speed, np.ndarray):
         return None
@@ -269,7 +269,7 @@ def _has_approach(recording: Recording, touched: int, before: int, first: int) -
     """Return whether the position before sample `first` shows a separate approach, not the end of a bounce.
 
     An approach begins in front of the surface, whose position is that at sample `touched`. Its speed changes less than
-    half as fast as in a bounce, which leaves the surface at sample `before` and returns at this speed by a steady push.
+    half as fast as in a bounce, which leaves the surface at sample `before` and is pushed back steadily to this speed.
     """
     if recording.speed_m_per_s is not None or recording.position_m is None:
         return False
@@ -366,7 +366,7 @@ class TapHit:
         return dataclasses.replace(self, measured=-self.measured, ringing=self.ringing.negated(), pair=pair)
 
     def to_dict(self) -> dict[str, Json]:
-        """Return the figures as plain data for JSON."""
+        """Return the tap as plain data for JSON."""
         return {
             "recording": self.recording,
             "onset_s": self.onset_s,
@@ -380,7 +380,7 @@ class TapHit:
 
 
 def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> list[TapHit]:
-    """Return the taps of a recording; taps that cannot be used are added to `excluded`.
+    """Return the taps of a recording; unusable taps are added to `excluded`.
 
     Raises FitError if there are no taps, or if most of them have the same fault.
     """
@@ -544,7 +544,7 @@ class SecondMode:
     """Whether the material has the second mode by default, because one mode explains too little."""
 
     def to_dict(self) -> dict[str, Json]:
-        """Return the figures as plain data for JSON."""
+        """Return the second mode as plain data for JSON."""
         figures = fields_of(self)
         alone = figures.pop("alone")
         return {**figures, "amplitudes": speed_law.json_table(self.amplitudes), "variance_by_one_mode": alone}
@@ -666,7 +666,7 @@ def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
     return None
 
 
-def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: float, kept: bool) -> SecondMode | None:
+def _common_pair(both: list[tuple[TapHit, Ringing]], by_both: float, by_one: float, default: bool) -> SecondMode | None:
     """Return the second mode that the pairs have in common, or None if the second is an artefact of the first."""
     speeds = np.array([tap.speed_m_per_s for tap, _ in both])
     noise = _noise_of([tap for tap, _ in both])
@@ -679,7 +679,7 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: flo
     of_ratio = ratios**2 * (parts.sum(axis=1) - 2 * between / coefficients.prod(axis=1))
 
     def shared(name: str, first_column: int) -> list[Estimate]:
-        """Return the mean natural logarithm of this parameter for each of the two modes."""
+        """Return the mean natural logarithm of this parameter for either mode."""
         values = np.array([getattr(pair, name) for _, pair in both])
         variances = own[:, first_column : first_column + 2] / values**2
         return [common(np.log(values[:, k]), _smoothed(variances[:, k], relative)) for k in range(2)]
@@ -706,9 +706,9 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: flo
         first_frequency_hz=angular[0].mapped(_hertz),
         first_decay_time_s=decay[0].mapped(_time),
         amplitudes=speed_law.table(speeds, coefficients[:, 0], of_first),
-        variance_accounted_for=together,
-        alone=alone,
-        kept=kept,
+        variance_accounted_for=by_both,
+        alone=by_one,
+        kept=default,
     )
 
 
@@ -818,7 +818,7 @@ class Modes:
 
 
 def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -> Modes | None:
-    """Return the table of modes over the speed, or None if frequency and decay time do not change.
+    """Return the table of modes versus speed, or None if frequency and decay time do not change.
 
     Either changes if it differs significantly between the slowest and the fastest tap, and by 2 % (frequency) or 10 %
     (decay time). One that does not change has the mean of all taps at every speed.
@@ -892,7 +892,7 @@ class TapFit(Fit):
 
     @property
     def choices(self) -> dict[str, str]:
-        """The chosen models with the reasons, by the name of what they describe."""
+        """Chosen models with their reasons, for `amplitude` and `mode_table`."""
         chosen = {"amplitude": f"{self.law.named}: {self.law.why}"}
         return chosen if self.modes is None else {**chosen, "mode_table": self.modes.why}
 
@@ -980,9 +980,8 @@ def fit_tap(
 ) -> TapFit:
     """Fit the taps of one material.
 
-    `progress` is called after each recording. Recordings and taps that cannot be used are added to `excluded`. Raises
-    FitError (one line) if the recordings do not support a fit: no onset, too few taps, all at one speed, clipped,
-    sampled too slowly, impossible units.
+    `progress` is called after each recording. Unusable recordings and taps are added to `excluded`. Raises FitError
+    (one line) if the recordings do not support a fit.
     """
     statistics.require_scipy()
     preparation.refuse_duplicates(recordings)
@@ -1162,7 +1161,7 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
 
 
 def _modes_over_speed(warnings: Warnings, figures: Figures, frequency: Estimate, decay_time: Estimate) -> Modes | None:
-    """Return the table of modes over the speed, or None; downgrade the verdict if frequency or decay scatters."""
+    """Return the table of modes versus speed, or None; downgrade the verdict if frequency or decay scatters."""
     modes = modes_of(figures, frequency, decay_time)
     if modes is None:
         warnings.check_interval("decay time", decay_time)

@@ -2,8 +2,8 @@
 
 Strokes are cut into blocks of half a second, each with its periodograms, speed and force. The density of the sensor's
 noise is measured near half the rate and subtracted. Below TEXTURE_LIMITS.min_frequency_hz, where a hand trembles, the
-density is assumed to continue as it is just above. Where it falls below the sensor's noise, it is assumed to fall as in
-the octave before.
+density is assumed to be that just above. Where it falls below the sensor's noise, it is assumed to fall as in the
+octave before.
 
 The mean frequency is the centroid of the power. The peak is that of a single resonance: a parabola is fitted to
 1/density versus squared frequency in the half-power band, by Whittle's likelihood. Intervals are jackknifed over groups
@@ -223,7 +223,7 @@ class _Blocks:
     """(blocks, frequencies) in (m/s^2)^2/Hz."""
     tail: Tail | None
     means: Floats
-    """(blocks, 5) as of StrokeBlocks."""
+    """(blocks, 5) as in StrokeBlocks."""
     rms: Floats
     """(blocks,) m/s^2."""
 
@@ -335,7 +335,7 @@ def _groups_of(blocks: int) -> list[Ints]:
 def _left_out(figure: Callable[[Floats], float], shape: Floats, groups: Sequence[Ints]) -> tuple[float, int]:
     """Return jackknife standard error and degrees of freedom.
 
-    Groups of different sizes have equal weights; the weights of Busing, Meijer and van der Leeden (1999) change little.
+    Groups of different sizes have equal weights; the weights of Busing et al. (1999) change little.
     """
     total = shape.sum(axis=0)
     without = np.array([figure((total - shape[each].sum(axis=0)) / (len(shape) - len(each))) for each in groups])
@@ -437,7 +437,7 @@ def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> flo
     return float(np.sqrt(np.mean(np.square(differences))))
 
 
-# ---- Loudness over speed and force -----------------------------------------------------------------------------------
+# ---- Loudness versus speed and force ---------------------------------------------------------------------------------
 
 Gains: TypeAlias = tuple[Estimate, Estimate] | tuple[None, None]
 
@@ -626,7 +626,7 @@ def fit_texture(
 ) -> TextureFit:
     """Fit a texture to strokes at several speeds and forces.
 
-    Recordings, and sections of them, that cannot be used are added to `excluded`. Raises FitError if the recordings do
+    Unusable recordings and sections are added to `excluded`. Raises FitError if the recordings do
     not support a fit.
     """
     excluded = Exclusions() if excluded is None else excluded

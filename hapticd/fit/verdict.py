@@ -1,8 +1,8 @@
 """Verdict on a fit (good, fair or poor, with reasons), and the recordings and events that were left out.
 
 A fit collects warnings, and reasons against itself, in `Warnings`. Without a reason it is good. With a reason it is
-fair, or poor if its results should not be used. LOWER_LIMITS and UPPER_LIMITS are the rules for single values.
-docs/fit.md lists them; `make docs-tables` writes their numbers there.
+fair, or poor if its results should not be used. LOWER_LIMITS and UPPER_LIMITS are the rules for single values;
+`make docs-tables` copies them to docs/fit.md.
 """
 
 from __future__ import annotations
@@ -275,7 +275,7 @@ class Exclusions:
     def refused(self, few: str) -> FitError:
         """Return the error for too few usable recordings: the text `few` and up to three reasons.
 
-        If a single recording was left out and nothing else, the error is the reason of that recording.
+        If only a single recording was left out, the error is its reason.
         """
         complete = [left for left in self.items if left.what == WHOLE_RECORDING]
         if len(self.items) == len(complete) == 1:

@@ -3,12 +3,12 @@
     y_i(t) = a_i s(R (t - t_i)) + c_i, where s is the curve of hapticd.config.waveform
 
 The fit alternates two steps. For given amplitudes a_i, onsets t_i and offsets c_i, the samples of s at the rate R are
-linear least squares. For given s, a_i and c_i are linear least squares of each pulse and t_i is searched. The first
-onsets are those at which each pulse crosses a fraction of its peak. s is interpolated as in the servo, so the
-fit includes the error of the interpolation. s is 0 at both ends, and its largest magnitude is 1 and positive.
+fitted by linear least squares. For given s, a_i and c_i are fitted in the same way, and t_i is searched. Initially
+each onset is where the pulse crosses a fraction of its peak. s is interpolated as in the servo, so the fit includes the
+error of the interpolation. s is 0 at both ends, and its largest magnitude is 1 and positive.
 
-The explained variance of a tap is that of a shape fitted without this tap. The amplitude is the tap's
-largest acceleration; its law over the speed is chosen as for taps that ring.
+The explained variance of a tap is that of a shape fitted without this tap. The amplitude is the tap's largest
+acceleration; its law versus speed is chosen as for taps that ring.
 """
 
 from __future__ import annotations
@@ -274,10 +274,7 @@ class Shape:
         return Equations(self.pulses, self.placed, self.rate_hz, len(self.samples))
 
     def explained(self) -> tuple[Floats, Floats]:
-        """Return the fraction (n,) of each pulse's variance that the shape of the others explains, twice.
-
-        For the second array the variance of the noise is subtracted.
-        """
+        """Return the fractions (n,) of each pulse's variance that the others explain, with and without noise."""
         equations = self.equations
         shares = []
         for index, (pulse, where) in enumerate(zip(self.pulses, self.placed, strict=True)):
@@ -494,9 +491,8 @@ class WaveformFit(Fit):
 def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Exclusions) -> WaveformFit:
     """Fit the common waveform of taps that are pulses.
 
-    `earlier` are the warnings of the search for the pulses. Taps that cannot be used are added to `excluded`. Raises
-    FitError (one line) for too few pulses, for pulses without a common waveform, and if the amplitudes do not grow with
-    the speed.
+    `earlier` are the warnings of the search for the pulses. Unusable taps are added to `excluded`. Raises
+    FitError (one line) if the pulses do not support a fit.
     """
     pulses, shape, faded, explained = _alike(pulses, earlier, excluded)
     lines = [*excluded.lines(), *earlier]
