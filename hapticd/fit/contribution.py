@@ -49,7 +49,7 @@ def contribution_of(kind: Kind, fitted: Fitted, recordings: Sequence[Recording])
 
 
 def added(
-    part: Contribution, name: str, day: datetime.date, *, onto: Material | None, stiffness_n_per_m: float | None
+    contribution: Contribution, name: str, day: datetime.date, *, onto: Material | None, stiffness_n_per_m: float | None
 ) -> Added:
     """Return the material `onto`, or a new one if it is None, with this name and the contribution.
 
@@ -59,14 +59,14 @@ def added(
     given, assumed = stiffness_n_per_m, None
     if given is None:
         given = STIFFNESS_N_PER_M if onto is None else onto.stiffness_n_per_m
-        assumed = given if onto is None and "stiffness_n_per_m" not in part.figures else None
+        assumed = given if onto is None and "stiffness_n_per_m" not in contribution.figures else None
     before = {} if onto is None else onto.to_dict()
-    origin = {**part.origin, "date": day.isoformat()}
+    origin = {**contribution.origin, "date": day.isoformat()}
     data = {
         **before,
         "stiffness_n_per_m": given,
-        **part.figures,
-        "provenance": _joined(part.kind, before.get("provenance"), origin),
+        **contribution.figures,
+        "provenance": _joined(contribution.kind, before.get("provenance"), origin),
     }
     try:
         made = validate_materials({name: data})[name]
@@ -76,7 +76,7 @@ def added(
             for problem in error.problems
         ]
         raise InvalidError(problems) from None
-    return Added(made, assumed, tuple(key for key in part.figures if key in before))
+    return Added(made, assumed, tuple(key for key in contribution.figures if key in before))
 
 
 def _provenance(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> dict[str, object]:

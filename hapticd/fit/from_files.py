@@ -44,7 +44,7 @@ class Fitted:
 
 
 def fitted_files(
-    files: Sequence[str], kind: Kind, asked: FitOptions, step: Step, strict: bool, folder: str = ""
+    files: Sequence[str], kind: Kind, options: FitOptions, step: Step, strict: bool, folder: str = ""
 ) -> tuple[list[Recording], list[Recording], Fitted]:
     """Return the recordings that were used, those that were left out, and the fit.
 
@@ -65,7 +65,7 @@ def fitted_files(
     # A division by zero gives NaN, which no material accepts: no need to warn.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        fitted = _fitted(kind, asked, recordings, step, excluded)
+        fitted = _fitted(kind, options, recordings, step, excluded)
     used: list[Recording] = []
     unused: list[Recording] = []
     for recording in recordings:
@@ -87,10 +87,12 @@ def materials_of(path: str) -> dict[str, Material]:
     return {name: found[name] for name in given}
 
 
-def _fitted(kind: Kind, asked: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
+def _fitted(
+    kind: Kind, options: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions
+) -> Fitted:
     found: Fit
     if kind == "tap":
-        return _fitted_taps(asked, recordings, step, excluded)
+        return _fitted_taps(options, recordings, step, excluded)
     step("fitting")
     if kind == "grooves":
         from hapticd.fit.grooves import fit_grooves
@@ -99,7 +101,7 @@ def _fitted(kind: Kind, asked: FitOptions, recordings: Sequence[Recording], step
     elif kind == "texture":
         from hapticd.fit.texture import fit_texture
 
-        found = fit_texture(recordings, autoregressive=asked.autoregressive is True, excluded=excluded)
+        found = fit_texture(recordings, autoregressive=options.autoregressive is True, excluded=excluded)
     else:
         from hapticd.fit.puncture import fit_puncture
 
@@ -110,15 +112,15 @@ def _fitted(kind: Kind, asked: FitOptions, recordings: Sequence[Recording], step
 # ---- Taps ------------------------------------------------------------------------------------------------------------
 
 
-def _fitted_taps(asked: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
-    form: TapKind = asked.form or ("mode" if asked.of_modes else "auto")
+def _fitted_taps(options: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
+    form: TapKind = options.form or ("mode" if options.of_modes else "auto")
     found = fit_taps(recordings, form, lambda recording: step(f"fitting {recording.name}"), excluded)
     if isinstance(found, WaveformFit):
         notes = () if form == "waveform" else (AS_WAVEFORM,)
         return Fitted(found, found.material(), notes, ("first_peak_slope_per_s",) if found.amplitudes else ())
-    kind = asked.law or found.law.kind
-    two = asked.two_modes if asked.two_modes is not None else found.second is not None and found.second.kept
-    figures = found.material(asked.attack or "coefficient", kind, two, asked.mode_table)
+    kind = options.law or found.law.kind
+    two = options.two_modes if options.two_modes is not None else found.second is not None and found.second.kept
+    figures = found.material(options.attack or "coefficient", kind, two, options.mode_table)
     notes_of_mode = []
     if kind == "power" and found.law.power is not None:
         points = found.law.power.points

@@ -42,23 +42,23 @@ Complexes: TypeAlias = npt.NDArray[np.complex128]
 # ---- Onsets: positions of the strikes, and their regular row ---------------------------------------------------------
 
 
-def _loudest_frequency(seen: Floats, rate_hz: float) -> float:
+def _loudest_frequency(acceleration: Floats, rate_hz: float) -> float:
     """Return the frequency above 20 Hz at which the mean spectrum of windows of 40 ms is largest."""
     from scipy.signal import welch
 
-    length = min(len(seen), max(64, round(0.04 * rate_hz)))
+    length = min(len(acceleration), max(64, round(0.04 * rate_hz)))
     overlap = length - max(1, length // 2)
     window = np.hanning(length)
-    frequency, power = welch(seen, rate_hz, window, noverlap=overlap, nfft=8 * length, detrend="linear")
+    frequency, power = welch(acceleration, rate_hz, window, noverlap=overlap, nfft=8 * length, detrend="linear")
     return float(frequency[np.argmax(np.where(frequency >= 20.0, power, 0.0))])
 
 
-def _ringing_steps(seen: Floats, rate_hz: float, mode: Mode) -> Complexes:
+def _ringing_steps(acceleration: Floats, rate_hz: float, mode: Mode) -> Complexes:
     """Return the step of z at each sample (n,): z of the window after it less z of the window before it."""
     from scipy.signal import fftconvolve
 
     length = max(6, round(GROOVE_LIMITS.window_cycles * rate_hz / mode.frequency_hz))
-    count = len(seen)
+    count = len(acceleration)
     if count < 4 * length:
         raise FitError(f"too short: {count} samples, {4 * length} are needed for grooves")
     taps = np.zeros(2 * length, dtype=np.complex128)
@@ -66,7 +66,7 @@ def _ringing_steps(seen: Floats, rate_hz: float, mode: Mode) -> Complexes:
         ring = np.exp(_pole(mode) * index / rate_hz)
         solve = np.linalg.pinv(np.stack([ring.imag, ring.real, np.ones(length)], axis=1))
         taps[index + length] += sign * (solve[0] + 1j * solve[1])
-    found = fftconvolve(seen, taps[::-1])[length - 1 : length - 1 + count]
+    found = fftconvolve(acceleration, taps[::-1])[length - 1 : length - 1 + count]
     found[:length] = 0
     found[count - length :] = 0
     return np.asarray(found)
@@ -199,7 +199,9 @@ class _FreeRinging:
     separate linear fit.
     """
 
-    def __init__(self, seen: Floats, rate_hz: float, low: Ints, high: Ints, onset_s: Floats, mode: Mode) -> None:
+    def __init__(
+        self, acceleration: Floats, rate_hz: float, low: Ints, high: Ints, onset_s: Floats, mode: Mode
+    ) -> None:
         """Take the samples `low` to `high` - 1 after these onsets; `used` are the intervals that are long enough."""
         least = max(5, math.ceil(0.4 * rate_hz / mode.frequency_hz))
         self.used: Ints = np.flatnonzero(high - low >= least)
@@ -217,7 +219,7 @@ class _FreeRinging:
         ramp = np.where(self.held, steps - (count[:, None] - 1) / 2, 0.0) * (cycles > 1.8)[:, None]
         ramp /= np.maximum(np.sqrt(np.sum(ramp**2, axis=1, keepdims=True)), 1e-300)
         self._drift = (level, ramp)
-        self.flat: Floats = self._less_drift(np.where(self.held, seen[self.index], 0.0))
+        self.flat: Floats = self._less_drift(np.where(self.held, acceleration[self.index], 0.0))
 
     def _less_drift(self, values: Floats) -> Floats:
         for column in self._drift:

@@ -144,22 +144,22 @@ class _Column:
             self._replace_spikes()
             self._replace_stuck()
 
-    def _replace_beyond(self, most: float, ask: str) -> None:
-        """Replace samples above the limit `most` and samples that are not finite.
+    def _replace_beyond(self, limit: float, question: str) -> None:
+        """Replace samples whose magnitude is above `limit`, and samples that are not finite.
 
-        Raises UnitError with the question `ask` if there are many.
+        Raises UnitError with the `question` if there are many.
         """
         # A comparison with NaN is false.
-        over = ~(np.abs(self.values) <= most) | ~np.isfinite(self.values)
+        over = ~(np.abs(self.values) <= limit) | ~np.isfinite(self.values)
         if not over.any():
             return
         spans, first = spans_of(over), int(np.argmax(over))
         value = f"{self._what} of {self._value(first)}"
-        bound = f" (at most {most:g})" if ask else ""
+        bound = f" (at most {limit:g})" if question else ""
         if np.mean(over) > PREPARATION_LIMITS.max_beyond_limit or len(spans) > PREPARATION_LIMITS.max_findings:
             raise UnitError(
                 f"{self._file}: {value} is impossible{bound}, and so are {100 * np.mean(over):.3g} % of the samples"
-                f"{f': {ask}' if ask else ''}"
+                f"{f': {question}' if question else ''}"
             )
         more = int(np.count_nonzero(over)) - 1
         others = f", as in {more} more samples" if more else ""

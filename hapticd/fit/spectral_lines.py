@@ -31,16 +31,16 @@ class SpectralLine:
     share: float
 
 
-def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
+def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
     """Return the lines of one recording (n,), the strongest first; more `needed` recordings lower the threshold."""
     from scipy.special import fdtri
 
-    count = len(seen)
+    count = len(acceleration)
     # In a shorter recording a line looks like a ringing.
     if count < LINE_LIMITS.min_recording_s * rate_hz:
         return []
     width = rate_hz / count
-    power = np.abs(np.fft.rfft(np.hanning(count) * (seen - seen.mean()))) ** 2
+    power = np.abs(np.fft.rfft(np.hanning(count) * (acceleration - acceleration.mean()))) ** 2
     frequency = np.fft.rfftfreq(count, 1 / rate_hz)
     total = float(power[frequency >= LINE_LIMITS.min_frequency_hz].sum())
     if not total > 0:
@@ -78,13 +78,13 @@ def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[Spectr
     return sorted(found, key=lambda line: -line.share)
 
 
-def lines_in_residual(seen: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
+def lines_in_residual(acceleration: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
     """Return the lines in the residual of a recording (n,), with their fraction of the power of the recording.
 
     Samples where `modelled` is NaN are not used.
     """
-    left = np.where(np.isfinite(modelled), seen - modelled, 0.0)
-    part = float(np.var(left) / np.var(seen)) if np.var(seen) > 0 else 0.0
+    left = np.where(np.isfinite(modelled), acceleration - modelled, 0.0)
+    part = float(np.var(left) / np.var(acceleration)) if np.var(acceleration) > 0 else 0.0
     return [SpectralLine(line.frequency_hz, part * line.share) for line in spectral_lines(left, rate_hz, needed)]
 
 

@@ -354,10 +354,10 @@ def _highest(frequency: Floats, density: Floats) -> tuple[Floats, int]:
     return smooth, int(np.argmax(np.where(frequency >= TEXTURE_LIMITS.min_frequency_hz, smooth, 0.0)))
 
 
-def _parabola_peak(frequency: Floats, shape: Floats, part: float = TEXTURE_LIMITS.wide_top) -> float:
-    """Return the peak, Hz, of a parabola fitted to 1/density above the fraction `part` of the highest density."""
+def _parabola_peak(frequency: Floats, shape: Floats, fraction: float = TEXTURE_LIMITS.wide_top) -> float:
+    """Return the peak, Hz, of a parabola fitted to 1/density above this `fraction` of the highest density."""
     smooth, place = _highest(frequency, shape)
-    outside = (smooth <= part * smooth[place]) | (frequency < TEXTURE_LIMITS.min_frequency_hz)
+    outside = (smooth <= fraction * smooth[place]) | (frequency < TEXTURE_LIMITS.min_frequency_hz)
     low = int(np.flatnonzero(outside[:place])[-1]) + 1 if outside[:place].any() else 0
     high = place + int(np.argmax(outside[place:])) - 1 if outside[place:].any() else len(smooth) - 1
     band = slice(low, high + 1)
@@ -522,31 +522,31 @@ def _models_of(blocks: _Blocks, rate_hz: float) -> tuple[ArModel, ...]:
     Raises FitError if no group lasts 2 s.
     """
     columns = (blocks.speed, blocks.force)
-    places: list[list[int]] = []
+    groups: list[list[int]] = []
     for stroke in range(len(blocks.strokes)):
         # A recording at nearly constant speed and force is one part, otherwise each block is one.
         here = np.flatnonzero(blocks.stroke == stroke)
         steady = max(float(np.ptp(values[here]) / np.mean(values[here])) for values in columns) < 0.5
         for part in [here.tolist()] if steady else [[member] for member in here.tolist()]:
-            for place in places:
+            for group in groups:
                 if all(
-                    abs(np.mean(values[part]) / np.mean(values[place]) - 1) < TEXTURE_LIMITS.max_model_difference
+                    abs(np.mean(values[part]) / np.mean(values[group]) - 1) < TEXTURE_LIMITS.max_model_difference
                     for values in columns
                 ):
-                    place += part
+                    group += part
                     break
             else:
-                places.append(part)
-    kept = [place for place in places if len(place) >= TEXTURE_LIMITS.min_model_blocks]
+                groups.append(part)
+    kept = [group for group in groups if len(group) >= TEXTURE_LIMITS.min_model_blocks]
     if not kept:
         raise FitError("no speed and force was held for 2 s: autoregressive models need steady strokes")
-    return tuple(_model(blocks, place, rate_hz) for place in kept)
+    return tuple(_model(blocks, group, rate_hz) for group in kept)
 
 
-def _model(blocks: _Blocks, place: list[int], rate_hz: float) -> ArModel:
+def _model(blocks: _Blocks, group: list[int], rate_hz: float) -> ArModel:
     from scipy.linalg import solve_toeplitz
 
-    density = blocks.density[place].mean(axis=0)
+    density = blocks.density[group].mean(axis=0)
     below = blocks.frequency <= rate_hz / 2
     frequency, power = blocks.frequency[below], np.maximum(density[below], 1e-6 * density.max())
     weights = np.full(len(frequency), frequency[1])
@@ -556,13 +556,13 @@ def _model(blocks: _Blocks, place: list[int], rate_hz: float) -> ArModel:
     # The reflection is the last coefficient of each order, in the convention of hapticd.rendering.filter_design.
     stages = [-float(solve_toeplitz(correlation[:m], correlation[1 : m + 1])[-1]) for m in lags[1:]]
     errors = np.cumprod(1 - np.square(stages))
-    count = len(place) * TEXTURE_LIMITS.block_s * rate_hz
+    count = len(group) * TEXTURE_LIMITS.block_s * rate_hz
     criteria = [count * math.log(errors[p - 1]) + 2 * (p + 1) * count / (count - p - 2) for p in lags[1:]]
     reflection = stages[: 1 + int(np.argmin(criteria))]
     model = float(correlation[0]) * power_spectrum((reflection, None), frequency, rate_hz)
     return ArModel(
-        float(blocks.speed[place].mean()),
-        float(blocks.force[place].mean()),
+        float(blocks.speed[group].mean()),
+        float(blocks.force[group].mean()),
         coefficients_of(reflection),
         math.sqrt(float(correlation[0])),
         spectral_distance_db(frequency, model, power),

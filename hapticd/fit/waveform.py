@@ -118,7 +118,7 @@ def _pulse(loud: Events, index: int) -> Pulse:
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class FittedPulse:
     """Amplitude, offset and onset of a pulse fitted by the shape."""
 
     amplitude: float
@@ -149,12 +149,12 @@ class Placed:
 class Equations:
     """Normal equations of the samples 1 .. count - 2 of a shape, separately for each pulse."""
 
-    def __init__(self, pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int) -> None:
+    def __init__(self, pulses: Sequence[Pulse], fitted: Sequence[FittedPulse], rate_hz: float, count: int) -> None:
         from scipy.sparse import csr_array
 
         self._own: list[tuple[Floats, Floats]] = []
         """For each pulse the matrix (count - 2, count - 2) and the right side (count - 2,)."""
-        for pulse, where in zip(pulses, placed, strict=True):
+        for pulse, where in zip(pulses, fitted, strict=True):
             at = (pulse.since_s - where.onset_s) * rate_hz
             here = (at >= 0) & (at <= count - 1)
             k = np.minimum(np.floor(at[here]), count - 2).astype(np.intp)
@@ -197,12 +197,12 @@ class Equations:
         return np.pad(np.sqrt(np.sum(moved**2, axis=1) * pulses / max(1, pulses - 1)), 1)
 
 
-def _place(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> Placed:
+def _fit_pulse(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> FittedPulse:
     """Return the pulse fitted by this shape, its onset searched up to `reach_s` from `near_s`.
 
     The best of nine onsets is taken four times; each time the range is a quarter of the one before.
     """
-    best: Placed | None = None
+    best: FittedPulse | None = None
     middle_s = near_s
     for _ in range(4):
         onsets = middle_s + np.linspace(-reach_s, reach_s, 9)
@@ -214,7 +214,7 @@ def _place(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> Placed:
         along = centred @ measured
         which = int(np.argmax(along**2 / size))
         amplitude = float(along[which] / size[which])
-        found = Placed(
+        found = FittedPulse(
             amplitude,
             level - amplitude * float(mean[which, 0]),
             float(onsets[which]),
@@ -227,7 +227,7 @@ def _place(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> Placed:
     return best
 
 
-def _upright(samples: Floats, rate_hz: float) -> tuple[Floats, Curve]:
+def _normalized(samples: Floats, rate_hz: float) -> tuple[Floats, Curve]:
     """Return the samples scaled so that the curve's largest magnitude is 1 and positive, and the curve."""
     curve = Curve(samples, rate_hz)
     largest = float(curve.at(curve.peak_time_s))
@@ -240,7 +240,7 @@ class Shape:
     """The common waveform of some pulses, and these pulses fitted by it."""
 
     pulses: tuple[Pulse, ...]
-    placed: tuple[Placed, ...]
+    fitted: tuple[FittedPulse, ...]
     rate_hz: float
     """Rate of the samples."""
     samples: Floats
@@ -248,17 +248,19 @@ class Shape:
 
     @classmethod
     def of(
-        cls, pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int, rounds: int = 6
+        cls, pulses: Sequence[Pulse], fitted: Sequence[FittedPulse], rate_hz: float, count: int, rounds: int = 6
     ) -> Shape:
-        """Return the shape with `count` samples at this rate, starting from the fitted pulses `placed`."""
-        found = list(placed)
+        """Return the shape with `count` samples at this rate, starting from the fitted pulses `fitted`."""
+        found = list(fitted)
         reach_s = 2.0 / rate_hz
         for done in range(rounds + 1):
-            samples, curve = _upright(Equations(pulses, found, rate_hz, count).solved(), rate_hz)
-            found = [_place(curve, pulse, where.onset_s, reach_s) for pulse, where in zip(pulses, found, strict=True)]
+            samples, curve = _normalized(Equations(pulses, found, rate_hz, count).solved(), rate_hz)
+            found = [
+                _fit_pulse(curve, pulse, where.onset_s, reach_s) for pulse, where in zip(pulses, found, strict=True)
+            ]
             if done < rounds:
                 # The shape may shift along its samples together with all onsets: this is undone.
-                slid = float(np.median([new.onset_s for new in found]) - np.median([old.onset_s for old in placed]))
+                slid = float(np.median([new.onset_s for new in found]) - np.median([old.onset_s for old in fitted]))
                 found = [dataclasses.replace(each, onset_s=each.onset_s - slid) for each in found]
                 reach_s = max(reach_s / 2, 0.25 / rate_hz)
         return cls(tuple(pulses), tuple(found), rate_hz, samples)
@@ -271,15 +273,15 @@ class Shape:
     @property
     def equations(self) -> Equations:
         """The normal equations of the samples."""
-        return Equations(self.pulses, self.placed, self.rate_hz, len(self.samples))
+        return Equations(self.pulses, self.fitted, self.rate_hz, len(self.samples))
 
     def explained(self) -> tuple[Floats, Floats]:
         """Return the fractions (n,) of each pulse's variance that the others explain, with and without noise."""
         equations = self.equations
         shares = []
-        for index, (pulse, where) in enumerate(zip(self.pulses, self.placed, strict=True)):
-            _, other = _upright(equations.solved(without=index), self.rate_hz)
-            alone = _place(other, pulse, where.onset_s, 2.0 / self.rate_hz)
+        for index, (pulse, where) in enumerate(zip(self.pulses, self.fitted, strict=True)):
+            _, other = _normalized(equations.solved(without=index), self.rate_hz)
+            alone = _fit_pulse(other, pulse, where.onset_s, 2.0 / self.rate_hz)
             shares.append([alone.explained(other, pulse, noise) for noise in (0.0, pulse.noise_m_per_s2)])
         explains = np.array(shares)
         return explains[:, 0], explains[:, 1]
@@ -319,7 +321,7 @@ class Shape:
         length_s = (end - begin) / rate_hz
         finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MAX_WAVEFORM_SAMPLES - 1) / max(length_s, 1e-9))
         count = max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * finer_hz + 1e-9) + 1)
-        moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in self.placed]
+        moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in self.fitted]
         # A pulse is fitted up to 1.3 times its length.
         pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(self.pulses, moved, strict=True)]
         found = Shape.of(pulses, moved, finer_hz, count, rounds=4)
@@ -336,7 +338,7 @@ class Shape:
             count = math.ceil((len(shape.samples) - 1) / 2) + 1
             if count < WAVEFORM_LIMITS.min_samples or shape.rate_hz < 200:
                 return shape
-            tried = Shape.of(self.pulses, shape.placed, shape.rate_hz / 2, count, rounds=2)
+            tried = Shape.of(self.pulses, shape.fitted, shape.rate_hz / 2, count, rounds=2)
             if float(np.median(tried.explained()[1])) < least:
                 return shape
             shape = tried
@@ -360,12 +362,12 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
     # the first loud sample of any pulse.
     loud_s = min(before_s + pulse.onset_s - crossing for pulse, crossing in zip(pulses, crossings, strict=True))
     rest_s = max(0.0, before_s - max(rise_s, 1.0 / rate_hz), min(loud_s, before_s) - 1.0 / rate_hz)
-    placed = []
+    fitted = []
     for pulse, crossing in zip(pulses, crossings, strict=True):
         above = pulse.measured - pulse.rest
         peak = float(above[np.argmax(np.abs(above))])
-        placed.append(Placed(peak, pulse.rest, crossing - before_s, 0.0))
-    shape = Shape.of(pulses, placed, rate_hz, max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * rate_hz) + 1))
+        fitted.append(FittedPulse(peak, pulse.rest, crossing - before_s, 0.0))
+    shape = Shape.of(pulses, fitted, rate_hz, max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * rate_hz) + 1))
     found, faded = shape.trimmed(math.floor(rest_s * rate_hz))
     return found.coarser(), faded
 
@@ -385,16 +387,16 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
     samples, sizes = [], []
     for group in range(groups):
         kept = [index for index in range(len(shape.pulses)) if index % groups != group]
-        some = [shape.placed[index] for index in kept]
+        some = [shape.fitted[index] for index in kept]
         found = Shape.of([shape.pulses[index] for index in kept], some, shape.rate_hz, count, rounds=1)
         samples.append(found.samples)
-        sizes.append(_ratio(found.placed, some))
-    finer = Shape.of(shape.pulses, shape.placed, 2 * shape.rate_hz, 2 * count - 1, rounds=2)
+        sizes.append(_ratio(found.fitted, some))
+    finer = Shape.of(shape.pulses, shape.fitted, 2 * shape.rate_hz, 2 * count - 1, rounds=2)
     between_s = np.arange(2 * count - 1) / (2 * shape.rate_hz)
     changes = (WAVEFORM_LIMITS.error_to_change * (finer.samples - shape.curve.at(between_s))) ** 2
     # The faded end does not affect the amplitudes.
     unfaded = changes[: math.floor((1 - WAVEFORM_LIMITS.fade) * len(changes))] if faded else changes
-    off = WAVEFORM_LIMITS.error_to_change * (_ratio(finer.placed, shape.placed) - 1.0)
+    off = WAVEFORM_LIMITS.error_to_change * (_ratio(finer.fitted, shape.fitted) - 1.0)
     # Squares are averaged over five neighbours, fewer near the ends: of few taps some are small by chance.
     squares = jackknife_error(np.array(samples))[1:-1] ** 2
     mean = np.convolve(squares, np.ones(5))[2:-2] / np.convolve(np.ones(count - 2), np.ones(5))[2:-2]
@@ -406,14 +408,14 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
     return np.asarray(np.hypot(wide * deviations, unresolved)), together
 
 
-def _widened(estimate: Estimate, part: float) -> Estimate:
-    """Return the estimate with a further error, the fraction `part` of its value, added in quadrature."""
-    value, further = estimate.value, part * estimate.value
+def _widened(estimate: Estimate, fraction: float) -> Estimate:
+    """Return the estimate with a further error, this `fraction` of its value, added in quadrature."""
+    value, further = estimate.value, fraction * estimate.value
     low, high = math.hypot(value - estimate.low, further), math.hypot(estimate.high - value, further)
     return Estimate(value, value - low, value + high)
 
 
-def _ratio(found: Sequence[Placed], before: Sequence[Placed]) -> float:
+def _ratio(found: Sequence[FittedPulse], before: Sequence[FittedPulse]) -> float:
     """Return the ratio of the amplitudes to those before, by least squares."""
     old = np.array([each.amplitude for each in before])
     return float(old @ np.array([each.amplitude for each in found]) / (old @ old))
@@ -496,7 +498,7 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     """
     pulses, shape, faded, explained = _alike(pulses, earlier, excluded)
     lines = [*excluded.lines(), *earlier]
-    peaks = np.array([each.amplitude for each in shape.placed])
+    peaks = np.array([each.amplitude for each in shape.fitted])
     if float(np.median(peaks)) < 0:
         lines.append("the taps push downwards: the sign of the acceleration is reversed")
         peaks = -peaks
@@ -504,15 +506,15 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     hits = tuple(
         PulseHit(
             recording=pulse.recording,
-            onset_s=pulse.begin_s + placed.onset_s,
+            onset_s=pulse.begin_s + fitted.onset_s,
             speed_m_per_s=pulse.speed_m_per_s,
-            peak_m_per_s2=abs(placed.amplitude),
+            peak_m_per_s2=abs(fitted.amplitude),
             variance_accounted_for=float(share),
             rate_hz=pulse.rate_hz,
             measured=pulse.measured,
-            modelled=placed.modelled(curve, pulse),
+            modelled=fitted.modelled(curve, pulse),
         )
-        for pulse, placed, share in zip(pulses, shape.placed, explained, strict=True)
+        for pulse, fitted, share in zip(pulses, shape.fitted, explained, strict=True)
     )
     speed_law.check_speeds(hits)
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
@@ -569,17 +571,17 @@ def _alike(
         )
     shape, faded = shape_of(pulses)
     explained, without_noise = shape.explained()
-    usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
+    usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.fitted])))
     kept = []
-    for pulse, placed, share in zip(pulses, shape.placed, without_noise, strict=True):
+    for pulse, fitted, share in zip(pulses, shape.fitted, without_noise, strict=True):
         if share < WAVEFORM_LIMITS.min_explained:
             reason = f"the waveform of the others explains {100 * share:.0f} % of it"
-        elif placed.amplitude * usual <= 0:
+        elif fitted.amplitude * usual <= 0:
             reason = "it pushes with the other sign"
         else:
             kept.append(pulse)
             continue
-        excluded.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
+        excluded.add(pulse.recording, reason, "tap", pulse.begin_s + fitted.onset_s)
     if len(kept) == len(pulses):
         return pulses, shape, faded, explained
     if len(kept) < max(WAVEFORM_LIMITS.min_pulses, len(pulses) / 2):
@@ -594,9 +596,9 @@ def _alike(
 def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:
     """Return the variances (n,) of the amplitudes, from the residuals."""
     found = []
-    for pulse, placed in zip(pulses, shape.placed, strict=True):
-        heard = shape.curve.at(pulse.since_s - placed.onset_s)
+    for pulse, fitted in zip(pulses, shape.fitted, strict=True):
+        heard = shape.curve.at(pulse.since_s - fitted.onset_s)
         own = float(heard @ heard)
-        noise = max(placed.squares, 1e-18 * placed.amplitude**2) / max(1, len(heard) - 3)
+        noise = max(fitted.squares, 1e-18 * fitted.amplitude**2) / max(1, len(heard) - 3)
         found.append(noise / max(own, 1e-12))
     return np.array(found)

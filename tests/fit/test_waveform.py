@@ -19,7 +19,7 @@ from hapticd.fit.recording import Recording, Source, save
 from hapticd.fit.synthesize import Stylus, taps
 from hapticd.fit.tap import TapFit
 from hapticd.fit.verdict import Exclusions
-from hapticd.fit.waveform import Equations, Placed, Pulse, WaveformFit
+from hapticd.fit.waveform import Equations, FittedPulse, Pulse, WaveformFit
 from tests.support.marks import rest_slow
 
 Floats = npt.NDArray[np.float64]
@@ -204,7 +204,7 @@ def test_the_equations_are_those_of_the_curve() -> None:
         onset_s, amplitude = float(random.uniform(0.001, 0.01)), float(random.uniform(1, 5))
         measured = random.standard_normal(60)
         pulses.append(Pulse("r", 0.0, onset_s, 1.0, 1000.0, measured))
-        placed.append(Placed(amplitude, 0.25, onset_s, 0.0))
+        placed.append(FittedPulse(amplitude, 0.25, onset_s, 0.0))
         at = (np.arange(60) / 1000.0 - onset_s) * 700.0
         inside = (at >= 0) & (at <= 14)
         x = np.abs(at[inside, None] - np.arange(15))
