@@ -202,7 +202,10 @@ class _Puncture:
         first = max(0, at - round(PUNCTURE_LIMITS.before_rupture_s * rate_hz))
         end = min(len(seen), at + round(PUNCTURE_LIMITS.after_rupture_s * rate_hz))
         if np.mean(self._kept.replaced[begin:end]) > PUNCTURE_LIMITS.max_replaced:
-            raise FitError(f"{name}: more than {100 * PUNCTURE_LIMITS.max_replaced:g} % of its samples are impossible")
+            most = f"{100 * PUNCTURE_LIMITS.max_replaced:g} %"
+            raise FitError(
+                f"{name}: more than {most} of the samples between touch and end of the ringing are impossible"
+            )
         if clipped(seen)[first:end].any():
             raise FitError(
                 f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record "

@@ -258,7 +258,7 @@ def _quantities(
             raise ValueError(f"{where}: columns has neither acceleration nor force nor position")
         known = ", ".join(COLUMN_OF.values())
         has = known_names("", map(short_name, [*table.names, *table.others])).removeprefix("known: ")
-        raise ValueError(f"no column {known}; the file has {has}: name the columns in {where}")
+        raise ValueError(f"none of the columns {known}; the file has {has}: name the columns in {where}")
     places = {quantity: table.place(column.column) for quantity, column in wanted.items()}
     # `uniform` reports values that are too large or NaN.
     with np.errstate(all="ignore"):

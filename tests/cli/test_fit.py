@@ -198,7 +198,7 @@ def test_options_that_exclude_one_another(fits: Fits, capsys: pytest.CaptureFixt
         ("--table", "--attack", "first_peak"),
         ("--two-modes", "--attack", "first_peak"),
     ):
-        assert "do not go together" in said(capsys, 2, "fit", "tap", "a.csv", *options)
+        assert "exclude each other" in said(capsys, 2, "fit", "tap", "a.csv", *options)
     assert "--merge needs -o" in said(capsys, 2, "fit", "tap", "a.csv", "--merge")
     assert fits.recordings == []
 
@@ -549,8 +549,8 @@ def test_what_cannot_be_synthesized_is_told_in_one_line(
     for told, code, arguments in (
         ("Missing option '-o'", 2, ("tap",)),
         ("must end in .npz", 1, ("tap", "-o", "x.csv")),
-        ("is there already", 1, ("tap", "-o", "old.npz")),
-        ("there is no folder", 1, ("tap", "-o", "no/x.npz")),
+        ("already exists", 1, ("tap", "-o", "old.npz")),
+        ("does not exist", 1, ("tap", "-o", "no/x.npz")),
         ("-c FILE adds other materials", 1, ("tap", "-o", "x.npz", "--material", "cork")),
         ('unknown material "wod"', 1, ("tap", "-o", "x.npz", "--material", "wod")),
         ("the material has no tap", 1, ("tap", "-o", "x.npz", "--material", "cellophane")),
