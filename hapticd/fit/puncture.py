@@ -203,9 +203,7 @@ class _Puncture:
         end = min(len(seen), at + round(PUNCTURE_LIMITS.after_rupture_s * rate_hz))
         if np.mean(self._kept.replaced[begin:end]) > PUNCTURE_LIMITS.max_replaced:
             most = f"{100 * PUNCTURE_LIMITS.max_replaced:g} %"
-            raise FitError(
-                f"{name}: more than {most} of the samples between touch and end of the ringing are impossible"
-            )
+            raise FitError(f"{name}: more than {most} of the samples from touch to end of ringing are impossible")
         if clipped(seen)[first:end].any():
             raise FitError(
                 f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record "

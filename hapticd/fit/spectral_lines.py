@@ -4,7 +4,7 @@ In a periodogram of the complete recording with Hann's window, the power of nois
 mean is estimated from the median of n neighbouring bins. A bin belongs to a line if noise has its power in any of the N
 bins with a probability of at most p = LINE_LIMITS.max_chance: power/mean exceeds the quantile 1 - p/N of the F
 distribution with 2 and 2 n degrees of freedom. Half of several recordings must have the line, each with a lower
-threshold. A ringing is broader than these bins, and is not found.
+threshold. A ringing is broader, and is not found.
 """
 
 from __future__ import annotations

@@ -154,7 +154,7 @@ class Hand:
 
     duration_s: float = 1.0
     speed_swing: float = 0.15
-    """Amplitude of the variation of the speed, as a fraction of the mean; `force_swing` is that of the force."""
+    """Amplitude of the variation, as a fraction of the mean; `force_swing` likewise."""
     force_swing: float = 0.15
     swing_hz: float = 0.7
     force_noise_n: float = 0.005

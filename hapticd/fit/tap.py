@@ -236,7 +236,7 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
 
 
 def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) -> Floats | None:
-    """Return the speeds of the taps, m/s, or None if the recording has one speed for all, or no speed."""
+    """Return the speeds of the taps, m/s, or None if the recording has one for all, or none."""
     speed = recording.speed_m_per_s
     if not isinstance(speed, np.ndarray):
         return None
