@@ -1,12 +1,12 @@
-"""Fits of materials to recordings of an instrumented stylus: what `hapticd fit` does.
+"""Fits of materials to recordings of an instrumented stylus, for `hapticd fit`.
 
     from_files      reads files, runs a fit, selects what goes into the material: begin here
     options         options of a fit
-    recording       reads recordings into SI units on a uniform clock; documented (`hapticd.fit.recording.save`)
-    preparation     what every fit does with a recording first: impossible samples, gaps, units, rate, motion
+    recording       reads and saves recordings in SI units on a uniform clock
+    preparation     prepares recordings for every fit: impossible samples, gaps, units, rate, motion
     limits          thresholds of all fits, with unit and reason
 
-The fits, each of one kind of recording, from onsets over the model and its intervals to the verdict:
+The fits, one for each kind of recording; each finds onsets, fits a model, and gives intervals and a verdict:
 
     tap             taps that ring: slope, frequency, decay
     waveform        taps that are pulses
@@ -14,19 +14,19 @@ The fits, each of one kind of recording, from onsets over the model and its inte
     texture         rough textures: peak and mean frequency, loudness, autoregressive models
     puncture        membranes: stiffness, depth and force of the rupture, its mode
 
-What they share:
+Shared by the fits:
 
     ringing         decaying sinusoids in a section of acceleration, by variable projection
-    speed_law       the amplitude of taps over the approach speed: a line, a power law or a table
+    speed_law       the amplitude of taps as a function of the approach speed: a line, a power law or a table
     spectral_lines  hum and other tones
     verdict         exclusions with their reasons; good, fair or poor, with the reasons
     result          base class of the results; fits as plain data for JSON
 
-What is made of a fit:
+Results:
 
-    contribution    what a fit adds to a material, with its provenance, and the material as the loader takes it
-    report, panels  the report: an HTML page, and the pictures of each kind of fit
+    contribution    the keys that a fit adds to a material, with their provenance, and the new material
+    report, panels  the report, an HTML page, and the pictures for each kind of fit
     synthesize      synthetic recordings with known parameters
 
-Least squares and robust regression are in analysis/, and so is the reading of files (analysis/recordings/).
+Least squares, robust regression and the reading of files are in hapticd.analysis.
 """

@@ -1,4 +1,4 @@
-"""Contribution of a fit to a material, as plain data, and the material with it.
+"""Contribution of a fit to a material as plain data, and its addition to the material.
 
 A contribution needs neither the fit nor the recordings: it can be stored and added to a material later.
 """
@@ -27,9 +27,9 @@ class Contribution:
 
     kind: Kind
     figures: Mapping[str, object]
-    """Keys of the material."""
+    """Keys of the material with their fitted values."""
     origin: Mapping[str, object]
-    """`provenance` of the material, without the date."""
+    """Value of the material's key `provenance`, without its date."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +38,9 @@ class Added:
 
     material: Material
     assumed_n_per_m: float | None
-    """The default stiffness, if neither the user nor a recording determined it."""
+    """The default stiffness, if neither the user nor a recording determined it, else None."""
     replaced: tuple[str, ...]
-    """Keys of the contribution that the material had before."""
+    """Keys of the material whose earlier values the contribution replaced."""
 
 
 def contribution_of(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> Contribution:
@@ -49,24 +49,24 @@ def contribution_of(kind: Kind, fitted: Fitted, recordings: Sequence[Recording])
 
 
 def added(
-    part: Contribution, name: str, day: datetime.date, *, onto: Material | None, stiffness_n_per_m: float | None
+    contribution: Contribution, name: str, day: datetime.date, *, onto: Material | None, stiffness_n_per_m: float | None
 ) -> Added:
-    """Return the material `onto`, or a new one, with this name and a contribution.
+    """Return the material `onto`, or a new one if it is None, with this name and the contribution.
 
-    `stiffness_n_per_m` is used if the fit does not determine the stiffness; None means that of `onto`, or
-    STIFFNESS_N_PER_M. Raises InvalidError if a figure is out of the range of a material.
+    `stiffness_n_per_m` is used if the fit does not determine the stiffness; None means the stiffness of `onto`, or
+    STIFFNESS_N_PER_M for a new material. Raises InvalidError if a value is out of the range of a material.
     """
     given, assumed = stiffness_n_per_m, None
     if given is None:
         given = STIFFNESS_N_PER_M if onto is None else onto.stiffness_n_per_m
-        assumed = given if onto is None and "stiffness_n_per_m" not in part.figures else None
+        assumed = given if onto is None and "stiffness_n_per_m" not in contribution.figures else None
     before = {} if onto is None else onto.to_dict()
-    origin = {**part.origin, "date": day.isoformat()}
+    origin = {**contribution.origin, "date": day.isoformat()}
     data = {
         **before,
         "stiffness_n_per_m": given,
-        **part.figures,
-        "provenance": _joined(part.kind, before.get("provenance"), origin),
+        **contribution.figures,
+        "provenance": _joined(contribution.kind, before.get("provenance"), origin),
     }
     try:
         made = validate_materials({name: data})[name]
@@ -76,13 +76,13 @@ def added(
             for problem in error.problems
         ]
         raise InvalidError(problems) from None
-    return Added(made, assumed, tuple(key for key in part.figures if key in before))
+    return Added(made, assumed, tuple(key for key in contribution.figures if key in before))
 
 
 def _provenance(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> dict[str, object]:
-    """Return files, version of hapticd, intervals by kind and name, and verdict: the provenance without the date.
+    """Return the provenance of a material, without its date.
 
-    Figures with an infinite interval, and those of `fitted.without`, are not included.
+    Intervals that are infinite, or whose name is in `fitted.without`, are left out.
     """
     fit = fitted.fit
     # Bytes of a path that are not text are escaped.
@@ -104,7 +104,7 @@ def _provenance(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> 
 
 
 def _joined(kind: Kind, before: object, origin: Mapping[str, object]) -> dict[str, object]:
-    """Return two provenances as one: all files, and the intervals of all figures that the material still has."""
+    """Merge two provenances: all files, and the intervals of all values that the material still has."""
     if not isinstance(before, Mapping):
         return dict(origin)
     replaced = [other for other, key in MATERIAL_KEYS.items() if key == MATERIAL_KEYS[kind]]

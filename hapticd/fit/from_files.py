@@ -1,4 +1,4 @@
-"""Fit of recording files, and the figures for a material: the core of `hapticd fit`."""
+"""Fits of recording files, and the resulting keys of a material: the core of `hapticd fit`."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
 from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of
 
-AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
-"""Note for a fit whose kind of tap was chosen automatically."""
+AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material gets a waveform; --as mode fits a mode"
+"""Note for the user if a waveform was chosen automatically."""
 Step: TypeAlias = Callable[[str], None]
 """Callback with a text about the current step."""
 
@@ -40,15 +40,15 @@ class Fitted:
     notes: tuple[str, ...] = ()
     """Suggestions for the user."""
     without: Collection[str] = ()
-    """Names of figures that do not describe the material with the chosen options."""
+    """Names of fitted values that the material does not use with the chosen options."""
 
 
 def fitted_files(
-    files: Sequence[str], kind: Kind, asked: FitOptions, step: Step, strict: bool, folder: str = ""
+    files: Sequence[str], kind: Kind, options: FitOptions, step: Step, strict: bool, folder: str = ""
 ) -> tuple[list[Recording], list[Recording], Fitted]:
     """Return the recordings that were used, those that were left out, and the fit.
 
-    Names of files are relative to `folder`, and are the names of the recordings.
+    `files` are paths relative to `folder`, and become the names of the recordings.
     """
     excluded = Exclusions(strict)
     recordings: list[Recording] = []
@@ -65,7 +65,7 @@ def fitted_files(
     # A division by zero gives NaN, which no material accepts: no need to warn.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        fitted = _fitted(kind, asked, recordings, step, excluded)
+        fitted = _fitted(kind, options, recordings, step, excluded)
     used: list[Recording] = []
     unused: list[Recording] = []
     for recording in recordings:
@@ -74,23 +74,25 @@ def fitted_files(
 
 
 def materials_of(path: str) -> dict[str, Material]:
-    """Return the materials of a file to which others are added.
+    """Return the materials of an existing file, to which more will be added.
 
     Raises InvalidError, or HapticdError if it has other keys than `materials`.
     """
     data = load_path(path).data
     if not isinstance(data, dict) or list(data) != ["materials"]:
-        raise HapticdError(f"{printable(path)}: a file to which materials are added must have the key materials only")
+        raise HapticdError(f"{printable(path)}: must have the key materials only, because materials are added to it")
     found = load_config(path).materials
     given = data["materials"]
     assert isinstance(given, dict)
     return {name: found[name] for name in given}
 
 
-def _fitted(kind: Kind, asked: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
+def _fitted(
+    kind: Kind, options: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions
+) -> Fitted:
     found: Fit
     if kind == "tap":
-        return _fitted_taps(asked, recordings, step, excluded)
+        return _fitted_taps(options, recordings, step, excluded)
     step("fitting")
     if kind == "grooves":
         from hapticd.fit.grooves import fit_grooves
@@ -99,7 +101,7 @@ def _fitted(kind: Kind, asked: FitOptions, recordings: Sequence[Recording], step
     elif kind == "texture":
         from hapticd.fit.texture import fit_texture
 
-        found = fit_texture(recordings, autoregressive=asked.autoregressive is True, excluded=excluded)
+        found = fit_texture(recordings, autoregressive=options.autoregressive is True, excluded=excluded)
     else:
         from hapticd.fit.puncture import fit_puncture
 
@@ -110,15 +112,15 @@ def _fitted(kind: Kind, asked: FitOptions, recordings: Sequence[Recording], step
 # ---- Taps ------------------------------------------------------------------------------------------------------------
 
 
-def _fitted_taps(asked: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
-    form: TapKind = asked.form or ("mode" if asked.of_modes else "auto")
+def _fitted_taps(options: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
+    form: TapKind = options.form or ("mode" if options.of_modes else "auto")
     found = fit_taps(recordings, form, lambda recording: step(f"fitting {recording.name}"), excluded)
     if isinstance(found, WaveformFit):
         notes = () if form == "waveform" else (AS_WAVEFORM,)
         return Fitted(found, found.material(), notes, ("first_peak_slope_per_s",) if found.amplitudes else ())
-    kind = asked.law or found.law.kind
-    two = asked.two_modes if asked.two_modes is not None else found.second is not None and found.second.kept
-    figures = found.material(asked.attack or "coefficient", kind, two, asked.mode_table)
+    kind = options.law or found.law.kind
+    two = options.two_modes if options.two_modes is not None else found.second is not None and found.second.kept
+    figures = found.material(options.attack or "coefficient", kind, two, options.mode_table)
     notes_of_mode = []
     if kind == "power" and found.law.power is not None:
         points = found.law.power.points
@@ -128,7 +130,7 @@ def _fitted_taps(asked: FitOptions, recordings: Sequence[Recording], step: Step,
         )
     if found.second is not None and not two:
         notes_of_mode.append("--two-modes takes both modes into the material")
-    # Intervals of figures that the material does not have would mislead.
+    # Intervals of values that the material does not have would mislead.
     table = {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
     tap = figures["tap"]
     without = {
@@ -183,8 +185,8 @@ def _better_waveform(
 
     A mode is taken if it rings, that is, falls to 1/e in 0.3 of its period or later, and if one or two modes explain
     95 % of the taps' variance (the median; a tap that was left out counts as 0). Otherwise a waveform is taken if its
-    residual has less than half the variance of the mode's. The comparison favours the mode: each tap has a separate
-    frequency and decay, but is compared with the waveform of the other taps.
+    residual has less than half the variance of the mode's. The comparison favours the mode, which is fitted to each tap
+    separately; the waveform of a tap is fitted to the other taps.
     """
     if isinstance(ringing, UnitError):
         return None

@@ -4,13 +4,13 @@ Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environment
 the stylus passes strikes a mode with the amplitude A(v, F) = velocity_gain |v| + force_gain F.
 
 Between two strikes the acceleration is one free ringing, Im(z exp(p t)) with p = -B + i w, plus a drift. For given B
-and w each interval is a separate linear fit, independent of earlier intervals and of their length. B and w are those
-with the smallest residual (variable projection). A strike is the step in z from the decayed ringing before it to the
-ringing after it: z' - z exp(p dt) = A exp(-p d). Its magnitude gives A. Its phase -w d gives the delay d of the strike
-after its assumed time. Onsets are first found as steps of z between two windows, before and after each sample.
+and w each interval is a separate linear fit. B and w are those with the smallest residual (variable projection). A
+strike is the step in z from the decayed ringing before it to the ringing after it: z' - z exp(p dt) = A exp(-p d). Its
+magnitude gives A. Its phase -w d gives the delay d of the strike after its assumed time. Onsets are first found as
+steps of z between two windows, before and after each sample.
 
 Frequency and decay are fitted over groups of strikes. Their scatter gives the intervals, and shows whether they change
-with speed or force. The gains are an M-estimate, on which a few outliers have no influence.
+with speed or force. The gains are an M-estimate, which a few outliers do not influence.
 """
 
 from __future__ import annotations
@@ -42,23 +42,23 @@ Complexes: TypeAlias = npt.NDArray[np.complex128]
 # ---- Onsets: positions of the strikes, and their regular row ---------------------------------------------------------
 
 
-def _loudest_frequency(seen: Floats, rate_hz: float) -> float:
+def _loudest_frequency(acceleration: Floats, rate_hz: float) -> float:
     """Return the frequency above 20 Hz at which the mean spectrum of windows of 40 ms is largest."""
     from scipy.signal import welch
 
-    length = min(len(seen), max(64, round(0.04 * rate_hz)))
+    length = min(len(acceleration), max(64, round(0.04 * rate_hz)))
     overlap = length - max(1, length // 2)
     window = np.hanning(length)
-    frequency, power = welch(seen, rate_hz, window, noverlap=overlap, nfft=8 * length, detrend="linear")
+    frequency, power = welch(acceleration, rate_hz, window, noverlap=overlap, nfft=8 * length, detrend="linear")
     return float(frequency[np.argmax(np.where(frequency >= 20.0, power, 0.0))])
 
 
-def _ringing_steps(seen: Floats, rate_hz: float, mode: Mode) -> Complexes:
-    """Return z (n,) of the window after each sample less z of the window before it."""
+def _ringing_steps(acceleration: Floats, rate_hz: float, mode: Mode) -> Complexes:
+    """Return the step of z at each sample (n,): z of the window after it less z of the window before it."""
     from scipy.signal import fftconvolve
 
     length = max(6, round(GROOVE_LIMITS.window_cycles * rate_hz / mode.frequency_hz))
-    count = len(seen)
+    count = len(acceleration)
     if count < 4 * length:
         raise FitError(f"too short: {count} samples, {4 * length} are needed for grooves")
     taps = np.zeros(2 * length, dtype=np.complex128)
@@ -66,7 +66,7 @@ def _ringing_steps(seen: Floats, rate_hz: float, mode: Mode) -> Complexes:
         ring = np.exp(_pole(mode) * index / rate_hz)
         solve = np.linalg.pinv(np.stack([ring.imag, ring.real, np.ones(length)], axis=1))
         taps[index + length] += sign * (solve[0] + 1j * solve[1])
-    found = fftconvolve(seen, taps[::-1])[length - 1 : length - 1 + count]
+    found = fftconvolve(acceleration, taps[::-1])[length - 1 : length - 1 + count]
     found[:length] = 0
     found[count - length :] = 0
     return np.asarray(found)
@@ -77,7 +77,7 @@ def _pole(mode: Mode) -> complex:
 
 
 def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
-    """Return the acceleration of a strike of amplitude 1 in the middle of silence."""
+    """Return the acceleration of a strike of amplitude 1 at the middle sample."""
     half = math.ceil(max(6 * mode.decay_time_s, 4 * GROOVE_LIMITS.window_cycles / mode.frequency_hz) * rate_hz)
     time = np.arange(-half, half + 1) / rate_hz
     ring = np.exp(-mode.decay_rate_per_s * np.maximum(time, 0.0)) * np.sin(mode.angular_frequency_rad_per_s * time)
@@ -85,9 +85,10 @@ def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
 
 
 def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
-    """Return the sorted sample indices of the strikes; the largest is found and subtracted first, then the next.
+    """Return the sorted sample indices of the strikes, which are found and subtracted from the largest down.
 
-    `unit` is the step of a strike of amplitude 1. No other strike is found within `reach` samples of one.
+    `step` is the step of z at each sample, `unit` that of a strike of amplitude 1. Two strikes differ by more than
+    `reach` samples.
     """
     left = step.copy()
     middle = len(unit) // 2
@@ -115,56 +116,58 @@ def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A regular row: strike k lies at about `first_m + number[k] * spacing_m`; `number` is (n,)."""
+    """A regular row of grooves: strike k is near the position `first_m + number[k] * spacing_m`; `number` is (n,)."""
 
     number: Ints
     spacing_m: float
     first_m: float
 
-    def offsets(self, place: Floats) -> Floats:
-        """Return signed distances (n,) of strikes from their places in the row, as fractions of the spacing."""
-        return np.asarray(place - self.first_m - self.number * self.spacing_m) / self.spacing_m
+    def offsets(self, position: Floats) -> Floats:
+        """Return signed distances (n,) of strikes from their grooves, as fractions of the spacing."""
+        return np.asarray(position - self.first_m - self.number * self.spacing_m) / self.spacing_m
 
-    def unevenness(self, place: Floats) -> float:
-        """Return the RMS distance of strikes from their places in the row, as a fraction of the spacing."""
-        return float(np.sqrt(np.mean(self.offsets(place) ** 2)))
+    def unevenness(self, position: Floats) -> float:
+        """Return the RMS distance of strikes from their grooves, as a fraction of the spacing."""
+        return float(np.sqrt(np.mean(self.offsets(position) ** 2)))
 
 
-def row_of(place: Floats) -> Row:
-    """Return the row of strikes at `place` (n,), in m: numbered by place or from strike to strike.
+def row_of(position: Floats) -> Row:
+    """Return the row of strikes at `position` (n,), in m.
 
-    The more even of the two is taken. An integrated speed drifts, so then the steps are more even.
+    Grooves are numbered by position, or by the steps between strikes if that row is more regular, as it is if the
+    position drifts.
     """
-    steps = np.abs(np.diff(place))
+    steps = np.abs(np.diff(position))
     steps = steps[steps > 0]
     if len(steps) < 2:
         raise FitError("all strikes have the same position: is it the wrong column?")
     usual = float(np.median(steps))
-    return min((_by_place(place, usual), _by_step(place, usual)), key=lambda row: row.unevenness(place))
+    return min((_by_position(position, usual), _by_step(position, usual)), key=lambda row: row.unevenness(position))
 
 
-def _slope_of_row(number: Ints, place: Floats) -> float:
-    """Return the spacing by least squares; it is negative if the places fall while the numbers rise."""
+def _slope_of_row(number: Ints, position: Floats) -> float:
+    """Return the spacing by least squares; it is negative if the positions fall as the numbers rise."""
     centred = number - number.mean()
     square = float(centred @ centred)
-    return float(centred @ place) / square if square > 0 else 0.0
+    return float(centred @ position) / square if square > 0 else 0.0
 
 
-def _by_step(place: Floats, spacing: float) -> Row:
-    """Return the row numbered by the steps from strike to strike."""
-    number = np.zeros(len(place), dtype=np.int64)
+def _by_step(position: Floats, spacing: float) -> Row:
+    """Return the row with its grooves numbered by the steps between strikes."""
+    number = np.zeros(len(position), dtype=np.int64)
     for _ in range(4):
-        number = np.concatenate(([0], np.cumsum(np.round(np.diff(place) / spacing).astype(np.int64))))
-        spacing = abs(_slope_of_row(number, place)) or spacing
-    return Row(number, spacing, float(np.median(place - spacing * number)))
+        number = np.concatenate(([0], np.cumsum(np.round(np.diff(position) / spacing).astype(np.int64))))
+        spacing = abs(_slope_of_row(number, position)) or spacing
+    return Row(number, spacing, float(np.median(position - spacing * number)))
 
 
-def _by_place(place: Floats, usual: float) -> Row:
-    """Return the row numbered by place: the spacing whose phases agree best, of 0.5 to 2.5 times the usual step.
+def _by_position(position: Floats, usual: float) -> Row:
+    """Return the row with its grooves numbered by position.
 
-    Half of a spacing agrees as well as the spacing, so the largest is taken.
+    Its spacing, 0.5 to 2.5 times the `usual` step, is the one at which the phases of the strikes agree best. They agree
+    as well at half of it, so the largest is taken.
     """
-    few = place[:300]
+    few = position[:300]
     waves = np.arange(0.4 / usual, 2.0 / usual, 0.2 / max(float(np.ptp(few)), usual))
     agree = np.abs(np.exp(2j * math.pi * np.outer(waves, few)).mean(axis=1))
     best = int(np.argmax(agree > 0.95 * agree.max()))
@@ -174,16 +177,16 @@ def _by_place(place: Floats, usual: float) -> Row:
     first = spacing * float(np.angle(np.exp(2j * math.pi * few / spacing).mean())) / (2 * math.pi)
     # Refined on twice as many strikes each time, because an error of the spacing accumulates.
     counts = [min(len(few), 16)]
-    while counts[-1] < len(place):
-        counts.append(min(len(place), 2 * counts[-1]))
-    for count in (*counts, len(place)):
-        part = place[:count]
+    while counts[-1] < len(position):
+        counts.append(min(len(position), 2 * counts[-1]))
+    for count in (*counts, len(position)):
+        part = position[:count]
         number = np.round((part - first) / spacing).astype(np.int64)
         near = np.abs(part - first - number * spacing) < 0.25 * spacing
         if np.ptp(number[near]) if near.any() else 0:
             spacing = abs(_slope_of_row(number[near], part[near]))
             first = float(np.median(part[near] - spacing * number[near]))
-    return Row(np.round((place - first) / spacing).astype(np.int64), spacing, first)
+    return Row(np.round((position - first) / spacing).astype(np.int64), spacing, first)
 
 
 # ---- Model: free ringing between strikes -----------------------------------------------------------------------------
@@ -196,8 +199,10 @@ class _FreeRinging:
     separate linear fit.
     """
 
-    def __init__(self, seen: Floats, rate_hz: float, low: Ints, high: Ints, onset_s: Floats, mode: Mode) -> None:
-        """Take the samples `low` to `high` - 1 after these onsets; intervals that are too short are not `used`."""
+    def __init__(
+        self, acceleration: Floats, rate_hz: float, low: Ints, high: Ints, onset_s: Floats, mode: Mode
+    ) -> None:
+        """Take the samples `low` to `high` - 1 after these onsets; `used` are the intervals that are long enough."""
         least = max(5, math.ceil(0.4 * rate_hz / mode.frequency_hz))
         self.used: Ints = np.flatnonzero(high - low >= least)
         low, high, onset_s = low[self.used], high[self.used], onset_s[self.used]
@@ -214,7 +219,7 @@ class _FreeRinging:
         ramp = np.where(self.held, steps - (count[:, None] - 1) / 2, 0.0) * (cycles > 1.8)[:, None]
         ramp /= np.maximum(np.sqrt(np.sum(ramp**2, axis=1, keepdims=True)), 1e-300)
         self._drift = (level, ramp)
-        self.flat: Floats = self._less_drift(np.where(self.held, seen[self.index], 0.0))
+        self.flat: Floats = self._less_drift(np.where(self.held, acceleration[self.index], 0.0))
 
     def _less_drift(self, values: Floats) -> Floats:
         for column in self._drift:
@@ -259,7 +264,7 @@ class ModelledStroke:
     rate_hz: float
     acceleration_m_per_s2: Floats = dataclasses.field(repr=False)
     model_m_per_s2: Floats = dataclasses.field(repr=False)
-    """(n,) NaN where no ringing was fitted."""
+    """(n,) acceleration of the model, NaN where no ringing was fitted."""
     variance_accounted_for: float
     spacing_m: float
 
@@ -285,27 +290,27 @@ class StrokeFit:
         rough = _loudest_frequency(self._seen, self._rate_hz)
         if slow := preparation.undersampled(self._rate_hz, rough):
             raise FitError(f"{self.name}: {slow}")
-        mode, onsets = self._settled(*self._begun(2 * math.pi * rough))
-        if self._uneven(onsets) > GROOVE_LIMITS.even_row:
+        mode, onsets = self._refined_with_onsets(*self._initial(2 * math.pi * rough))
+        if self._unevenness_of(onsets) > GROOVE_LIMITS.even_row:
             # A wrong first mode makes false strikes.
             again = self._found(mode)
-            if len(again) >= GROOVE_LIMITS.min_strikes and self._uneven(again) < self._uneven(onsets):
-                mode, onsets = self._settled(mode, again)
+            if len(again) >= GROOVE_LIMITS.min_strikes and self._unevenness_of(again) < self._unevenness_of(onsets):
+                mode, onsets = self._refined_with_onsets(mode, again)
         self._onsets = self._without_echoes(mode, self._regular(mode, onsets))
         better = self._searched(mode, self._onsets, wide=True)
-        if self._left(better) < 0.7 * self._left(mode):
+        if self._residual_squares(better) < 0.7 * self._residual_squares(mode):
             mode = better
         if mode is better or len(self._onsets) < len(onsets):
-            mode, self._onsets = self._settled(mode, self._onsets)
+            mode, self._onsets = self._refined_with_onsets(mode, self._onsets)
         self.mode = mode
         self.groups = self._grouped()
 
     # ---- Onsets
 
-    def _begun(self, angular: float) -> tuple[Mode, Floats]:
-        """Return mode and onsets for that of several dampings whose strikes are the most even.
+    def _initial(self, angular: float) -> tuple[Mode, Floats]:
+        """Try several dampings; return the mode and onsets of the most regular strikes.
 
-        A wrong damping makes false strikes, at random places.
+        A wrong damping gives false strikes at random positions.
         """
         best: tuple[float, Mode, Floats] | None = None
         most = 0
@@ -320,7 +325,7 @@ class StrokeFit:
             most = max(most, len(onsets))
             if len(onsets) < GROOVE_LIMITS.min_strikes:
                 continue
-            uneven = self._uneven(onsets)
+            uneven = self._unevenness_of(onsets)
             if best is None or uneven < best[0]:
                 best = uneven, mode, onsets
             if uneven < GROOVE_LIMITS.even_row:
@@ -331,8 +336,8 @@ class StrokeFit:
             raise FitError(self._scattered(*best))
         return best[1], best[2]
 
-    def _settled(self, mode: Mode, onsets: Floats) -> tuple[Mode, Floats]:
-        """Return mode and onsets, refined three times in turn; an onset moves by at most a sixth of a cycle."""
+    def _refined_with_onsets(self, mode: Mode, onsets: Floats) -> tuple[Mode, Floats]:
+        """Refine mode and onsets alternately, three times; an onset moves by at most a sixth of a cycle each time."""
         for _ in range(3):
             mode = self._refined(mode, self._windows(mode, onsets))
             jump, complete = self._jumps(mode, onsets)
@@ -344,22 +349,22 @@ class StrokeFit:
     def _scattered(self, uneven: float, mode: Mode, onsets: Floats) -> str:
         cycles = float(np.median(np.diff(onsets))) * mode.frequency_hz
         few = cycles < LOWER_LIMITS["cycles from strike to strike"].fair
-        near = f"; they follow within {cycles:.1f} cycles: stroke more slowly" if few else ""
+        near = f"; they follow one another within {cycles:.1f} cycles: stroke more slowly" if few else ""
         return (
             f"{self.name}: the strikes are not at equal distances (errors of {100 * uneven:.0f} % of the spacing): "
             f"no grooves here, or grooves of two spacings{near}"
         )
 
-    def _places(self, onsets: Floats) -> Floats:
+    def _positions(self, onsets: Floats) -> Floats:
         return np.interp(onsets, self._time_s, self.stroke.position)
 
-    def _uneven(self, onsets: Floats) -> float:
+    def _unevenness_of(self, onsets: Floats) -> float:
         """Return the RMS distance of these onsets from a regular row, as a fraction of its spacing."""
-        place = self._places(onsets)
-        return row_of(place).unevenness(place)
+        position = self._positions(onsets)
+        return row_of(position).unevenness(position)
 
     def _found(self, mode: Mode) -> Floats:
-        """Return the times of the strikes, s, sorted: steps of z while the stylus moves."""
+        """Find the strikes, which are steps of z while the stylus moves; return their sorted times, s."""
         step = _ringing_steps(self._seen, self._rate_hz, mode).real
         noise = 1.4826 * float(np.median(np.abs(step)))
         reach = max(2, round(0.5 * self._rate_hz / mode.frequency_hz))
@@ -369,35 +374,35 @@ class StrokeFit:
         return np.asarray(kept[moving[kept] > 0.1 * np.percentile(moving, 90)] / self._rate_hz)
 
     def _regular(self, mode: Mode, onsets: Floats) -> Floats:
-        """Return the onsets that lie in a row of equal distances along the surface; raise FitError if most do not."""
-        place = self._places(onsets)
-        row = row_of(place)
-        number, off = row.number, np.abs(row.offsets(place))
-        sound = off < GROOVE_LIMITS.max_offset
-        # If one groove has several strikes in a pass (an echo), the one nearest to its place is kept.
-        for k in range(len(place) - 1):
-            if number[k] == number[k + 1] and sound[k] and sound[k + 1]:
-                sound[k if off[k] > off[k + 1] else k + 1] = False
-        spread = float(np.sqrt(np.mean(off[sound] ** 2))) if sound.any() else 1.0
+        """Return the onsets that are at equal distances along the surface; raise FitError if most are not."""
+        position = self._positions(onsets)
+        row = row_of(position)
+        number, off = row.number, np.abs(row.offsets(position))
+        regular = off < GROOVE_LIMITS.max_offset
+        # If one groove has several strikes in a pass (an echo), the one nearest to the groove is kept.
+        for k in range(len(position) - 1):
+            if number[k] == number[k + 1] and regular[k] and regular[k + 1]:
+                regular[k if off[k] > off[k + 1] else k + 1] = False
+        spread = float(np.sqrt(np.mean(off[regular] ** 2))) if regular.any() else 1.0
         if (
-            np.count_nonzero(sound) < max(GROOVE_LIMITS.min_strikes, GROOVE_LIMITS.min_regular * len(place))
+            np.count_nonzero(regular) < max(GROOVE_LIMITS.min_strikes, GROOVE_LIMITS.min_regular * len(position))
             or spread > GROOVE_LIMITS.max_unevenness
         ):
             raise FitError(self._scattered(spread, mode, onsets))
-        return onsets[sound]
+        return onsets[regular]
 
     @property
     def cycles(self) -> float:
-        """Cycles of the mode from one strike to the next."""
+        """Median number of cycles of the mode between two strikes."""
         return float(np.median(np.diff(self._onsets))) * self.mode.frequency_hz
 
     def _without_echoes(self, mode: Mode, onsets: Floats) -> Floats:
-        """Return the onsets without echoes: every other strike, if these are at most half as strong as the others.
+        """Return the onsets without echoes, which a wrong damping makes half-way between two strikes.
 
-        A wrong damping makes an echo of a strike half-way to the next.
+        Every other strike is an echo if these strikes are at most half as strong as the rest.
         """
         sizes = np.abs(self._jumps(mode, onsets)[0])
-        odd = row_of(self._places(onsets)).number % 2 == 1
+        odd = row_of(self._positions(onsets)).number % 2 == 1
         if len(onsets) < 2 * GROOVE_LIMITS.min_strikes or not 0 < np.count_nonzero(odd) < len(odd):
             return onsets
         one, other = float(np.median(sizes[odd])), float(np.median(sizes[~odd]))
@@ -408,21 +413,21 @@ class StrokeFit:
 
     @property
     def row(self) -> tuple[Floats, Ints]:
-        """Places of the strikes and numbers of their grooves, without the first: its time is not refined."""
-        place = self._places(self._onsets)
+        """Positions and groove numbers of the strikes that have a fitted ringing on either side."""
+        position = self._positions(self._onsets)
         complete = self._jumps(self.mode, self._onsets)[1]
-        return place[complete], row_of(place).number[complete]
+        return position[complete], row_of(position).number[complete]
 
     @property
     def spacing_m(self) -> float:
-        """Spacing; negative if the positions fall with time."""
-        place, number = self.row
-        return _slope_of_row(number, place)
+        """Spacing of the grooves; negative if the position falls with time."""
+        position, number = self.row
+        return _slope_of_row(number, position)
 
     # ---- The ringing between strikes
 
     def _windows(self, mode: Mode, onsets: Floats, part: slice = slice(None)) -> _FreeRinging:
-        """Return the free ringing after each strike, or after those of the slice `part`."""
+        """Return the free ringing after each strike, or after the strikes of the slice `part`."""
         guard = 0.1 / mode.frequency_hz
         ends = np.minimum(np.append(onsets[1:] - guard, self._time_s[-1]), onsets + 5 * mode.decay_time_s)
         low = np.maximum(np.ceil((onsets + guard) * self._rate_hz), 0).astype(np.int64)
@@ -444,13 +449,13 @@ class StrokeFit:
         complete[0] = False
         return jump, complete
 
-    def _left(self, mode: Mode) -> float:
+    def _residual_squares(self, mode: Mode) -> float:
         """Return the sum of squared residuals of a mode after refinement."""
         windows = self._windows(mode, self._onsets)
         return float(np.sum(windows.solved(self._refined(mode, windows))[1] ** 2))
 
     def _searched(self, mode: Mode, onsets: Floats, wide: bool = False) -> Mode:
-        """Return the best of a grid of modes about this one, all fitted to the same intervals."""
+        """Return the best of a grid of modes about this one; `wide` is a grid of more frequencies."""
         w = mode.angular_frequency_rad_per_s
         reach = min(0.3 * w, 2 * math.pi / float(np.median(np.diff(onsets))))
         windows = self._windows(Mode(0.05 * w, w), onsets[: 2 * GROOVE_LIMITS.strikes_in_group])
@@ -476,9 +481,9 @@ class StrokeFit:
         def left(at: Floats) -> Floats:
             return windows.solved(Mode(math.exp(at[0]), math.exp(at[1])))[1].ravel()
 
-        place = np.log([mode.decay_rate_per_s, mode.angular_frequency_rad_per_s])
-        bounds = place + np.log([[0.02, 0.3], [50.0, 3.0]])
-        found = least_squares(left, place, bounds=bounds, xtol=1e-6, ftol=None, gtol=None, max_nfev=40).x
+        start = np.log([mode.decay_rate_per_s, mode.angular_frequency_rad_per_s])
+        bounds = start + np.log([[0.02, 0.3], [50.0, 3.0]])
+        found = least_squares(left, start, bounds=bounds, xtol=1e-6, ftol=None, gtol=None, max_nfev=40).x
         return Mode(math.exp(found[0]), math.exp(found[1]))
 
     def _check_rings(self, windows: _FreeRinging) -> None:
@@ -504,7 +509,7 @@ class StrokeFit:
         return speed, force
 
     def _sizes(self, mode: Mode) -> tuple[Floats, Bools]:
-        """Return the amplitudes of all strikes, positive along the motion, and which have a ringing on either side."""
+        """Return the amplitudes of all strikes, positive along the motion, and whether both sides have ringing."""
         jump, complete = self._jumps(mode, self._onsets)
         # Strikes near replaced samples are not used.
         at = np.round(self._onsets * self._rate_hz).astype(np.int64)
@@ -520,11 +525,11 @@ class StrokeFit:
         """Return the strikes with a ringing on either side; amplitudes are positive along the motion."""
         size, complete = self._sizes(mode)
         onsets = self._onsets[complete]
-        figures = zip(onsets, self._places(onsets), *self._moved(onsets), size[complete], strict=True)
+        figures = zip(onsets, self._positions(onsets), *self._moved(onsets), size[complete], strict=True)
         return [Strike(self.name, *map(float, each)) for each in figures]
 
     def shifts(self, mode: Mode) -> Floats:
-        """Return the common changes (2, strikes) of the amplitudes by one standard error of frequency and of decay."""
+        """Return the changes (2, strikes) of the amplitudes if frequency, or decay rate, rises by a standard error."""
         size, complete = self._sizes(mode)
         found = np.zeros((2, int(np.count_nonzero(complete))))
         count = len(self.groups)
@@ -554,7 +559,7 @@ class StrokeFit:
 
 
 def _late(jump: Complexes, mode: Mode) -> Floats:
-    """Return the delays (n,) of strikes after their assumed times, s, for either sign of the strike."""
+    """Return the delays (n,), s, of strikes of either sign after their assumed times."""
     return np.asarray(-np.angle(np.where(jump.real < 0, -jump, jump)) / mode.angular_frequency_rad_per_s)
 
 
@@ -564,9 +569,9 @@ def _late(jump: Complexes, mode: Mode) -> Floats:
 def _gains(
     columns: Floats, amplitude: Floats, shifts: Floats, law: Robust, warnings: Warnings
 ) -> tuple[list[Estimate], float]:
-    """Return the gains of speed and of force, none below 0, and the correlation of the law.
+    """Return the gains of speed and of force, which are at least 0, and the correlation of the law.
 
-    `columns` are speed and force (n, 2), `shifts` those of StrokeFit, `law` the fit without a limit of the signs.
+    `columns` are speed and force (n, 2), `shifts` those of StrokeFit, `law` the fit that allows negative gains.
     Raises FitError if a gain is significantly negative.
     """
     gains, correlation = list(law.coefficients), law.correlation
@@ -575,8 +580,8 @@ def _gains(
         gain = law.coefficients[which]
         if gain.high < 0:
             raise FitError(
-                f"the {name} gain must be positive, is {gain.low:.3g} to {gain.high:.3g}: the model has no strikes "
-                "that weaken; is a column swapped?"
+                f"the {name} gain must be positive, is {gain.low:.3g} to {gain.high:.3g}: strikes do not "
+                f"weaken as the {name} rises; are columns swapped?"
             )
         warnings.check_gain(name, gain, float(np.median(columns[:, which])), usual)
         if gain.value < 0:
@@ -587,9 +592,9 @@ def _gains(
 
 
 def _offset(columns: Floats, amplitude: Floats, shifts: Floats, warnings: Warnings) -> Estimate | None:
-    """Return a constant in addition to the two gains, or None if it cannot be separated from them.
+    """Return the constant of a law with two gains and a constant, or None if it cannot be separated from the gains.
 
-    The model has no such offset, so a significant one is added as a reason.
+    The material has no such constant, so a significant one downgrades the verdict.
     """
     columns = np.column_stack((columns, np.ones_like(amplitude)))
     if len(columns) <= 3 or not well_conditioned(columns):
@@ -603,16 +608,16 @@ def _offset(columns: Floats, amplitude: Floats, shifts: Floats, warnings: Warnin
 def _spacing(fits: Sequence[StrokeFit]) -> Estimate:
     """Return the common spacing of all recordings; each row has a separate origin.
 
-    The estimate is robust, because a strike with a short ringing may have a wrong place.
+    The estimate is robust, because a strike with a short ringing may have a wrong position.
     """
     parts = [each.row for each in fits]
-    place = np.concatenate([each - each.mean() for each, _ in parts])
+    position = np.concatenate([each - each.mean() for each, _ in parts])
     number = np.concatenate([each - each.mean() for _, each in parts])
     which = np.repeat(np.arange(len(parts)), [len(each) for each, _ in parts])
     # The sign of the direction of each stroke.
     turned = np.array([math.copysign(1.0, each.spacing_m) for each in fits])
     columns = np.column_stack((number * turned[which], which[:, None] == np.arange(len(parts))))
-    return robust(columns, place, grows=False).coefficients[0]
+    return robust(columns, position, grows=False).coefficients[0]
 
 
 def _mean_mode(groups: Sequence[Group]) -> Mode:
@@ -628,7 +633,7 @@ def _mean_mode(groups: Sequence[Group]) -> Mode:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroovesFit(Fit):
-    """Result of a fit of grooves. All intervals are of 95 %."""
+    """Result of a fit of grooves. All intervals are 95 % confidence intervals."""
 
     spacing_m: Estimate
     frequency_hz: Estimate
@@ -638,7 +643,7 @@ class GroovesFit(Fit):
     correlation: float
     """Correlation of measured and predicted amplitudes."""
     offset_m_per_s2: Estimate | None
-    """Constant of a fit in addition to the two gains; None if speed and force vary too little for one."""
+    """Constant of a law with two gains and a constant; None if speed and force vary too little."""
     frequency_per_speed_hz_s_per_m: Estimate | None
     frequency_per_force_hz_per_n: Estimate | None
     variance_accounted_for: float
@@ -663,9 +668,9 @@ class GroovesFit(Fit):
 
 
 def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> GroovesFit:
-    """Fit grooves to strokes at several speeds and forces, one or more in a recording.
+    """Fit grooves to strokes at several speeds and forces.
 
-    Recordings, and sections of them, that cannot be used are added to `excluded`. Raises FitError if the recordings do
+    Unusable recordings and sections are added to `excluded`. Raises FitError if the recordings do
     not support a fit.
     """
     excluded = Exclusions() if excluded is None else excluded
@@ -683,7 +688,7 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     groups = [group for each in fits for group in each.groups]
     if len(groups) < 2:
         raise excluded.refused(
-            f"{len(groups)} group of strikes has no interval: needs {2 * GROOVE_LIMITS.strikes_in_group} strikes"
+            f"too few strikes for an interval: needs {2 * GROOVE_LIMITS.strikes_in_group} or more in all recordings"
         )
     frequencies = np.array([group.mode.frequency_hz for group in groups])
     frequency = common(frequencies)
@@ -773,7 +778,7 @@ def _check_recordings(
     frequency: Estimate,
     warnings: Warnings,
 ) -> None:
-    """Add reasons for wrong units, hum, strikes that follow too soon, and a sampling rate that is too low."""
+    """Downgrade the verdict for wrong units, hum, strikes in quick succession, and a low sampling rate."""
     preparation.report_gravity(recordings, warnings)
     report_lines(
         strokes,

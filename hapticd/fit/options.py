@@ -28,7 +28,7 @@ class FitOptions:
     """Options of a fit; None means that the recordings decide."""
 
     form: TapKind | None = None
-    """Model of taps; this and the next four are options of taps."""
+    """Model of the taps. This and the next four options apply to taps only."""
     attack: Attack | None = None
     law: LawKind | None = None
     two_modes: bool | None = None
@@ -49,7 +49,7 @@ class FitOptions:
         if self.form == "waveform" and self.of_modes:
             word = spelled(self.of_modes[0])
             return self.of_modes[0], (
-                f"{word} is only for modes, and {spelled('form')} waveform fits none: leave out one"
+                f"{word} is only for modes, and {spelled('form')} waveform fits no modes: leave out one"
             )
         curved = self.law not in (None, "line")
         for option, given in (("law", curved), ("two_modes", self.two_modes is True)):

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 Row: TypeAlias = tuple[Panel, ...]
 
 MAX_DRAWN_RECORDINGS: Final = 3
-"""Largest number of recordings, taps or strokes of one kind that a report draws."""
+"""A report draws at most this number of taps, strokes or recordings as examples, to stay short."""
 ACCELERATION_UNIT: Final = "m/s²"
 DENSITY_UNIT: Final = "(m/s²)²/Hz"
 
@@ -65,7 +65,7 @@ def _kept(recording: Recording, kind: Kind) -> Recording:
 def density(values: Floats, rate_hz: float, segment: int = 4096) -> tuple[Floats, Floats]:
     """Return frequencies, Hz, and one-sided power spectral density, without 0 Hz.
 
-    This is Welch's mean over Hann windows of `segment` samples that overlap by half.
+    The density is Welch's mean over Hann windows of `segment` samples that overlap by half.
     """
     from scipy.signal import welch
 
@@ -77,7 +77,7 @@ def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
     """Return pictures of recording and model over time, of the residual, and of the spectra of all three.
 
     `model` is NaN where nothing was fitted. The spectra are of its longest section without NaN. The pictures over time
-    show 150 ms about this section.
+    show 150 ms around this section.
     """
     modelled = np.flatnonzero(np.isfinite(model))
     if len(modelled) == 0:
@@ -98,7 +98,7 @@ def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
 
 
 def law(title: str, x_label: str, x: Floats, y: Floats, gain: Estimate) -> Panel:
-    """Return a picture of amplitudes over speed or force, and the line through the origin with its interval."""
+    """Return a picture of amplitudes versus speed or force, and the line through the origin with its interval."""
     ends = np.linspace(0.0, 1.05 * float(np.max(x)), 50)
     dots = Curve("recorded", x, y, points=True)
     line = Curve("model", ends, gain.value * ends, low=gain.low * ends, high=gain.high * ends)
@@ -106,7 +106,7 @@ def law(title: str, x_label: str, x: Floats, y: Floats, gain: Estimate) -> Panel
 
 
 def level(title: str, x_label: str, y_label: str, x: Floats, y: Floats, value: Estimate) -> Panel:
-    """Return a picture of a figure that should be constant, and the fitted value with its interval."""
+    """Return a picture of values y that should be constant, and the fitted value with its interval."""
     ends = np.array([0.0, 1.05 * float(np.max(x))])
     flat = np.ones(2)
     line = Curve("model", ends, value.value * flat, low=value.low * flat, high=value.high * flat)
@@ -114,7 +114,7 @@ def level(title: str, x_label: str, y_label: str, x: Floats, y: Floats, value: E
 
 
 def compared(title: str, unit: str, modelled: Floats, recorded: Floats) -> Panel:
-    """Return a picture of recorded over modelled values, and the line on which they are equal."""
+    """Return a picture of recorded versus modelled values, and the line on which they are equal."""
     ends = np.array([0.0, 1.05 * max(float(modelled.max()), float(recorded.max()))])
     curves = (Curve("recorded", modelled, recorded, points=True), Curve("equal to the model", ends, ends))
     return Panel(title, f"model, {unit}", f"recording, {unit}", curves)
@@ -159,7 +159,7 @@ def _ringing(fit: TapFit) -> Row:
     curves = (*lines.curves, offset) if fit.linear else (*lines.curves, offset, _table(fit.amplitudes))
 
     def less(curve: Curve) -> Curve:
-        """Return the curve less the line through the origin."""
+        """Return the curve minus the fitted line through the origin."""
         there = fit.slope_per_s.value * curve.x
         low, high = (None if end is None else end - there for end in (curve.low, curve.high))
         return dataclasses.replace(curve, y=curve.y - there, low=low, high=high)
@@ -177,12 +177,12 @@ def _table(amplitudes: Amplitudes) -> Curve:
 
 
 def _columns(events: Sequence[object], *names: str) -> tuple[Floats, ...]:
-    """Return an array (n,) of each of these figures of n events."""
+    """Return the values (n,) of each of these attributes of n events."""
     return tuple(np.array([getattr(each, name) for each in events], dtype=np.float64) for name in names)
 
 
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    """Yield pictures of exclusions: their places in recordings that were used in part, and the first ones in detail."""
+    """Yield pictures of exclusions: where they are in partly used recordings, and the first ones in detail."""
     seen = {each.name: each for each in recordings if each.acceleration_m_per_s2 is not None}
     excluded: list[Exclusion] = [each for each in fit.left_out if each.recording in seen]
     if not excluded:
@@ -242,7 +242,7 @@ def _grooves(fit: GroovesFit, recordings: Sequence[Recording]) -> Iterator[Row]:
 
 
 def _texture(fit: TextureFit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    """Yield pictures that compare the power of the noise: over speed and force, and over frequency."""
+    """Yield pictures that compare recording and model: RMS and mean frequency of each block, and spectra."""
     texture = _material(fit).texture
     assert isinstance(texture, Stochastic | Autoregressive)
     speed, force, rms, mean = _columns(fit.blocks, "speed_m_per_s", "force_n", "rms_m_per_s2", "mean_hz")
@@ -257,7 +257,7 @@ def _texture(fit: TextureFit, recordings: Sequence[Recording]) -> Iterator[Row]:
 
 
 def _power(recording: Recording, texture: Stochastic | Autoregressive) -> Row:
-    """Return pictures of the densities of a recording and of the model at its speed and force, over frequency."""
+    """Return pictures of the spectral densities of a recording and of the model at its speed and force."""
     acceleration, force, rate_hz = recording.acceleration_m_per_s2, recording.force_n, recording.rate_hz
     assert acceleration is not None and force is not None
     speed, force_n = _speed(recording), float(np.mean(force))
@@ -292,7 +292,7 @@ def _speed(recording: Recording) -> float:
 
 
 def _puncture(fit: PunctureFit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    """Yield pictures of the figures of all ruptures, and of recordings relative to their rupture."""
+    """Yield pictures of depth, force and amplitude of all ruptures, and of recorded forces and ringings."""
     material = _material(fit)
     rupture = material.rupture
     assert rupture is not None

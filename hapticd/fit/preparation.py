@@ -1,14 +1,14 @@
 """Preparation of recordings for every fit: impossible samples, gaps, units, sampling rate, motion of the stylus.
 
-Impossible samples are replaced by straight lines. If more of a column than PREPARATION_LIMITS.max_beyond_limit is
-beyond its limit, the recording is refused, because unit or column are wrong. A finding is one line with file, time and
-value.
+Impossible samples are interpolated linearly and reported in one line with file, time and value. If too many samples of
+a column are beyond its limit, its unit or column is wrong, and the recording is refused.
 
     beyond a limit    a force above 200 N, for example; NaN is beyond every limit
-    spike             of force or speed: far beyond the usual values for at most 10 ms; of acceleration: three samples
+    spike             force or speed far beyond its usual values for at most 10 ms, or acceleration for three samples
     standstill        equal values of force, speed or acceleration for 50 ms or more, much longer than elsewhere
-    leap              of a position from one sample to the next. If it returns, it is a spike; after a standstill,
-                      samples were lost; otherwise an encoder wrapped or slipped, and later positions are moved back
+    leap              a jump of the position between two samples. If the position returns soon, it is a spike. After a
+                      standstill, samples were lost. Otherwise an encoder wrapped or slipped, and the jump is
+                      subtracted from all later positions
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Cleaned:
 
 
 def without_invalid_samples(recording: Recording, kind: Kind) -> Cleaned:
-    """Return the recording with straight lines instead of impossible samples, for a fit of this kind.
+    """Return the recording with its impossible samples interpolated linearly, for a fit of this kind.
 
     Raises FitError if there are too many.
     """
@@ -93,7 +93,7 @@ def _columns(recording: Recording) -> dict[str, Floats]:
 
 
 def report_cleaning(kept: Sequence[Cleaned], warnings: Warnings) -> None:
-    """Add the warnings of these recordings, and a reason if many samples were replaced."""
+    """Add the warnings of these recordings; downgrade the verdict if many samples were replaced."""
     warnings.lines += [line for each in kept for line in each.warnings]
     count = sum(each.replaced.size for each in kept)
     part = sum(int(np.count_nonzero(each.replaced)) for each in kept) / max(1, count)
@@ -111,10 +111,10 @@ class _Column:
         self._what, self._unit = WORDS_OF_COLUMNS[name]
 
     def clean(self, kind: Kind) -> None:
-        """Replace what is impossible in a recording for this kind of fit.
+        """Replace the samples that are impossible for this kind of fit.
 
-        Forces that break off and speeds of taps look like spikes, so these are not searched for spikes. The position of
-        a tap matters only just before it; if it is uneven there, the tap is left out.
+        Forces at ruptures and speeds of taps look like spikes, so only strokes are searched for long spikes. The
+        position of a tap keeps its leaps: only the approach matters, and a tap with an uneven approach is left out.
         """
         tap, stroke = kind == "tap", kind in ("grooves", "texture")
         fastest = SPEED_LAW_LIMITS.max_speed_m_per_s if tap else PREPARATION_LIMITS.max_stroke_speed_m_per_s
@@ -144,22 +144,22 @@ class _Column:
             self._replace_spikes()
             self._replace_stuck()
 
-    def _replace_beyond(self, most: float, ask: str) -> None:
-        """Replace samples above the limit `most` and samples that are not finite.
+    def _replace_beyond(self, limit: float, question: str) -> None:
+        """Replace samples whose magnitude is above `limit`, and samples that are not finite.
 
-        Raises UnitError with the question `ask` if there are many.
+        Raises UnitError with the `question` if there are many.
         """
         # A comparison with NaN is false.
-        over = ~(np.abs(self.values) <= most) | ~np.isfinite(self.values)
+        over = ~(np.abs(self.values) <= limit) | ~np.isfinite(self.values)
         if not over.any():
             return
         spans, first = spans_of(over), int(np.argmax(over))
         value = f"{self._what} of {self._value(first)}"
-        bound = f" (at most {most:g})" if ask else ""
+        bound = f" (at most {limit:g})" if question else ""
         if np.mean(over) > PREPARATION_LIMITS.max_beyond_limit or len(spans) > PREPARATION_LIMITS.max_findings:
             raise UnitError(
                 f"{self._file}: {value} is impossible{bound}, and so are {100 * np.mean(over):.3g} % of the samples"
-                f"{f': {ask}' if ask else ''}"
+                f"{f': {question}' if question else ''}"
             )
         more = int(np.count_nonzero(over)) - 1
         others = f", as in {more} more samples" if more else ""
@@ -216,7 +216,7 @@ class _Column:
         self._replace_leaping(found)
 
     def _replace_stuck(self) -> None:
-        """Replace standstills that are much longer than others, except those at 0 at either end, without contact."""
+        """Replace standstills that are much longer than others, except those at 0 at either end (no contact)."""
         edges = np.flatnonzero(np.diff(self.values)) + 1
         starts, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(self.values)]))
         runs = ends - starts
@@ -309,12 +309,12 @@ class _Column:
         self._replace(found, f"{self._what} leaps to {self._value(peak)} and back{_as_in_others(found)}")
 
     def _replace(self, spans: Spans, found: str) -> None:
-        """Replace these samples by straight lines; `found` is the warning."""
+        """Interpolate these samples linearly; `found` is the text of the warning."""
         bad = np.zeros(len(self.values), dtype=np.bool_)
         for low, high in spans:
             bad[low:high] = True
         if bad.all():
-            raise FitError(f"{self._file}: {self._what} has impossible samples only")
+            raise FitError(f"{self._file}: {self._what} is impossible in all samples")
         at = np.arange(len(self.values))
         self.values = np.where(bad, np.interp(at, at[~bad], self.values[~bad]), self.values)
         self.bad |= bad
@@ -349,7 +349,7 @@ def sections_of(recordings: Sequence[Recording], least_s: float, excluded: Exclu
 def complete_sections(recording: Recording, least_s: float, excluded: Exclusions) -> list[Recording]:
     """Return the recording, or its sections of at least `least_s` without gaps and clipped samples, as recordings.
 
-    The remainder is added to `excluded`. Raises FitError if it is too large.
+    The rest is added to `excluded`. Raises FitError if too much is left out.
     """
     acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     columns = _columns(recording)
@@ -385,7 +385,7 @@ def complete_sections(recording: Recording, least_s: float, excluded: Exclusions
 
 
 def gaps_in_words(recording: Recording) -> str:
-    """Return a phrase with the places of missing samples."""
+    """Return a phrase with the number and time of missing samples."""
     (begin, end), more = recording.gaps[0], len(recording.gaps) - 1
     others = f", and in {more} more {'place' if more == 1 else 'places'}" if more else ""
     return f"{end - begin} samples are missing at {begin / recording.rate_hz:.4g} s{others}"
@@ -435,9 +435,9 @@ def pressing_force(recording: Recording) -> Floats:
 
 
 def check_force_varies(recordings: Sequence[Recording], force: Floats, warnings: Warnings) -> None:
-    """Raise FitError if all samples have the same force; add a reason if the force varies by less than a fifth.
+    """Raise FitError if all samples have the same force; downgrade the verdict if it varies by less than a fifth.
 
-    `force` are the forces of the events or blocks, N.
+    `force` is (n,), the forces of the events or blocks, N.
     """
     every = np.concatenate([recording.force_n for recording in recordings if recording.force_n is not None])
     if not np.ptp(every) > 0:
@@ -450,7 +450,7 @@ def check_force_varies(recordings: Sequence[Recording], force: Floats, warnings:
 
 
 def check_range(usual: float, least: float, most: float, figure: str) -> None:
-    """Raise FitError if a usual amplitude, in m/s^2, is out of range; `figure` is its name in the error."""
+    """Raise FitError if the usual amplitude, m/s^2, is out of range; `figure` is its name in the error."""
     if not least <= usual <= most:
         raise FitError(
             f"{figure}: must be between {least:g} and {most:g} m/s^2, is {usual:.3g}: wrong unit of the acceleration?"
@@ -474,10 +474,10 @@ def check_independent(speed: Floats, force: Floats) -> None:
 def changes_with(
     speed: Floats, force: Floats, frequencies: Floats, named: str, least: float, level: float, warnings: Warnings
 ) -> tuple[Estimate | None, Estimate | None]:
-    """Return the slopes of frequencies (n,) over speed and over force, or None if these do not vary independently.
+    """Return the slopes of frequencies (n,) with speed and with force, or None if these do not vary independently.
 
-    Add a reason if a frequency changes by at least the fraction `least` of its mean and the change is outside the
-    interval of confidence `level`.
+    Downgrade the verdict if a slope is significant at the confidence `level` and changes the frequency by at least the
+    fraction `least` of its mean.
     """
     columns = np.column_stack((speed, force, np.ones_like(speed)))
     if len(speed) < 6 or not statistics.well_conditioned(columns):
@@ -498,7 +498,7 @@ def changes_with(
 
 
 def gravity_of(recordings: Sequence[Recording]) -> list[str]:
-    """Return a line for each recording whose acceleration at rest suggests a wrong unit."""
+    """Return a warning for each recording whose acceleration at rest suggests a wrong unit."""
     found = []
     for recording in recordings:
         if recording.acceleration_m_per_s2 is None:
@@ -511,7 +511,7 @@ def gravity_of(recordings: Sequence[Recording]) -> list[str]:
 
 
 def report_gravity(recordings: Sequence[Recording], warnings: Warnings) -> None:
-    """Add a reason for each recording whose acceleration at rest suggests a wrong unit."""
+    """Downgrade the verdict for each recording whose acceleration at rest suggests a wrong unit."""
     for line in gravity_of(recordings):
         warnings.add_fair(line)
 
@@ -527,7 +527,7 @@ def undersampled(rate_hz: float, frequency_hz: float, least: float = PREPARATION
 
 
 def report_sampling(recordings: Sequence[Recording], frequency_hz: float, warnings: Warnings) -> None:
-    """Add a reason if the slowest recording has few samples in a cycle."""
+    """Downgrade the verdict if the recording with the lowest rate has few samples in a cycle."""
     slowest = min(recording.rate_hz for recording in recordings)
     warnings.check("samples in a cycle", slowest / frequency_hz, rate_hz=slowest, hz=frequency_hz)
 
@@ -567,7 +567,9 @@ def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
     if recording.speed_m_per_s is not None:
         given = np.asarray(recording.speed_m_per_s, dtype=np.float64).reshape(-1)
         if given.size not in (1, samples):
-            raise FitError(f"{name}: holds {given.size} speeds for {samples} samples: a stroke needs one, or a column")
+            raise FitError(
+                f"{name}: holds {given.size} speeds for {samples} samples: a stroke needs one speed, or one a sample"
+            )
         column = np.full(samples, given[0]) if given.size == 1 else given
     if position is None:
         if column is None:
@@ -601,14 +603,14 @@ def _refuse_speed(recording: Recording, speed: Floats) -> None:
         at_s = fastest / recording.rate_hz
         raise FitError(
             f"{recording.name}: a speed of {abs(speed[fastest]):.4g} m/s at {at_s:.6g} s is impossible (at most "
-            f"{PREPARATION_LIMITS.max_stroke_speed_m_per_s:g}): what is the position there?"
+            f"{PREPARATION_LIMITS.max_stroke_speed_m_per_s:g}): check the position there"
         )
     if usual < PREPARATION_LIMITS.min_stroke_speed_m_per_s:
         raise UnitError(f"{recording.name}: a speed of {usual:.2g} m/s is too low: is it in km/s, or another column?")
 
 
 def slope_of(values: Floats, rate_hz: float, window_s: float) -> Floats:
-    """Return the slope, per second, of a line through the window about each sample, which is shorter at the ends."""
+    """Return the slope, per second, of a line fitted to the window about each sample; the ends have shorter ones."""
     count = len(values)
     half = min(max(1, round(window_s * rate_hz / 2)), (count - 1) // 2)
     centred = values - values[count // 2]

@@ -2,8 +2,8 @@
 
 Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environments", ICRA 1998: F = K d until the
 rupture, then no force, and a ringing whose amplitude does not depend on speed. The rupture is where the force falls
-most within a few milliseconds. K and the position of the surface are those of a line through force over position
-before it.
+most within a few milliseconds. K and the position of the surface come from a line fitted to force versus position
+before the rupture.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ class _Puncture:
             raise FitError(f"{name}: no position along the normal, which this fit needs")
         if np.ptp(place) > PUNCTURE_LIMITS.max_way_m:
             limit_m = PUNCTURE_LIMITS.max_way_m
-            raise UnitError(f"{name}: the way must be at most {limit_m:g} m, is {np.ptp(place):.4g} m: is it in mm?")
+            raise UnitError(
+                f"{name}: the position must span at most {limit_m:g} m, spans {np.ptp(place):.4g} m: is it in mm?"
+            )
         if not np.ptp(place) > 0:
             raise FitError(f"{name}: the position never moves: is it the wrong column?")
         if float(np.median(force)) < 0 and -float(force.min()) > float(force.max()):
@@ -80,9 +82,9 @@ class _Puncture:
         self.rupture = self._ruptured()
 
     def _load(self) -> None:
-        """Fit the line of force over position before the rupture.
+        """Fit a line to force versus position before the rupture.
 
-        Sets its stiffness, the position of the surface, where the line meets the force without contact, that force, and
+        Sets the stiffness, the force without contact, the position of the surface, where the line has that force, and
         the load just before the drop. Raises FitError if the force does not follow the position.
         """
         at, half, smooth, name = self._at, self._half, self._smooth, self._name
@@ -132,10 +134,10 @@ class _Puncture:
         self.warnings.add_for_recording(what, f"{self._name}: {text}")
 
     def _check_touch(self) -> None:
-        """Add a warning if the membrane is softer at first, so that the line begins after the touch.
+        """Add a warning if the membrane is softer at first than the fitted line.
 
-        Then a force of 2 % of the load, or of six standard errors if that is more, is reached by 3 % of the depth
-        before the line reaches it.
+        It is softer if the force reaches 2 % of the load, or six standard errors if they are more, before the line
+        does, by more than 3 % of the depth.
         """
         half = self._half
         soft = max(PUNCTURE_LIMITS.soft_load * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
@@ -200,7 +202,8 @@ class _Puncture:
         first = max(0, at - round(PUNCTURE_LIMITS.before_rupture_s * rate_hz))
         end = min(len(seen), at + round(PUNCTURE_LIMITS.after_rupture_s * rate_hz))
         if np.mean(self._kept.replaced[begin:end]) > PUNCTURE_LIMITS.max_replaced:
-            raise FitError(f"{name}: too many samples of the puncture are impossible")
+            most = f"{100 * PUNCTURE_LIMITS.max_replaced:g} %"
+            raise FitError(f"{name}: more than {most} of the samples from touch to end of ringing are impossible")
         if clipped(seen)[first:end].any():
             raise FitError(
                 f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record "
@@ -209,7 +212,7 @@ class _Puncture:
         recording = self._kept.recording
         if any(begin < last and early < end for early, last in recording.gaps):
             gaps = preparation.gaps_in_words(recording)
-            raise FitError(f"{name}: {gaps}: between the touch and the end of the ringing")
+            raise FitError(f"{name}: {gaps}, between the touch and the end of the ringing")
         try:
             # A slow force sensor shows the rupture late.
             onsets = [max(0.0, (at + 0.5 - first) / rate_hz - late_s) for late_s in (0.0, 0.002, 0.005)]
@@ -233,7 +236,7 @@ def _no_puncture(name: str) -> FitError:
 
 
 def _drop(force: Floats, rate_hz: float) -> int | None:
-    """Return the last sample before the force drops by half or more, or None if it does not."""
+    """Return the last sample before the force drops at once by half or more, else None."""
     half = max(1, round(PUNCTURE_LIMITS.max_drop_s * rate_hz / 2))
     if len(force) < 20 * half:
         return None
@@ -258,7 +261,7 @@ def _noise(force: Floats) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PunctureFit(Fit):
-    """Result of a fit of punctures of one membrane. All intervals are of 95 %."""
+    """Result of a fit of punctures of one membrane. All intervals are 95 % confidence intervals."""
 
     stiffness_n_per_m: Estimate
     depth_m: Estimate
@@ -267,7 +270,7 @@ class PunctureFit(Fit):
     frequency_hz: Estimate
     decay_rate_per_s: Estimate
     amplitude_per_speed_per_s: Estimate | None
-    """Slope of the amplitude over speed; None for fewer than four punctures or about one speed."""
+    """Slope of the amplitude with speed; None for fewer than four punctures or nearly equal speeds."""
     ruptures: tuple[Rupture, ...]
 
     def material(self) -> dict[str, object]:
@@ -280,8 +283,7 @@ class PunctureFit(Fit):
 def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> PunctureFit:
     """Fit at least two recordings of one puncture each.
 
-    Recordings that cannot be used, such as those without a puncture, are added to `excluded`. Raises FitError if fewer
-    than two are left, or if they do not agree.
+    Unusable recordings are added to `excluded`. Raises FitError if fewer than two are left, or if they do not agree.
     """
     excluded = Exclusions() if excluded is None else excluded
     warnings = Warnings()
@@ -351,7 +353,7 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
 
 
 def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, warnings: Warnings) -> list[Rupture]:
-    """Return two or more ruptures, each fitted separately, with the warnings of those that are used.
+    """Fit each recording separately; return two or more ruptures, and add the warnings of those that are used.
 
     Raises FitError if there are fewer.
     """
@@ -361,7 +363,7 @@ def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, warnings: W
         raise excluded.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
     ruptures = _without_outliers([each.rupture for each in found], excluded)
     if len(ruptures) < PUNCTURE_LIMITS.min_punctures:
-        raise excluded.refused("one puncture has no interval: needs at least two recordings of a puncture")
+        raise excluded.refused("one puncture gives no interval: at least two recordings of a puncture are needed")
     used = {each.recording for each in ruptures}
     for each in found:
         if each.rupture.recording in used:
@@ -385,15 +387,15 @@ def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rup
             excluded.add(
                 each.recording,
                 f"its ringing has {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a decay rate of "
-                f"{each.decay_rate_per_s:.3g} 1/s, the others with {usual[0]:.3g}, {usual[1]:.4g} and {usual[2]:.3g}",
+                f"{each.decay_rate_per_s:.3g} 1/s, the others have {usual[0]:.3g}, {usual[1]:.4g} and {usual[2]:.3g}",
             )
     return [each for each, far in zip(ruptures, off, strict=True) if not far]
 
 
 def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, warnings: Warnings) -> Estimate | None:
-    """Return the slope of the amplitude over speed, or None for fewer than four punctures or about one speed.
+    """Return the slope of the amplitude with speed, or None for fewer than four punctures or nearly equal speeds.
 
-    The model has no such slope, so a significant one is added as a reason.
+    The material has no such slope, so a significant one downgrades the verdict.
     """
     speed = np.array([each.speed_m_per_s for each in ruptures])
     if (

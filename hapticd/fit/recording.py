@@ -87,7 +87,7 @@ class RecordingSidecar(Model):
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The file of a recording and its hash; the hash of another origin is empty."""
+    """The file of a recording and its hash, which is empty if the recording was not read from a file."""
 
     path: str
     sha256: str
@@ -95,7 +95,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Arrays (n,), uniformly sampled at the same times, without NaN; None is a quantity that was not recorded."""
+    """Arrays (n,), uniformly sampled at the same times, without NaN. A quantity that was not recorded is None."""
 
     name: str
     rate_hz: float
@@ -237,7 +237,7 @@ def _spelt(unit: str) -> str:
 def _table(name: str, content: bytes, named: bool) -> Table:
     ending = ending_of(name)
     if ending not in TABLE_READERS:
-        raise ValueError("a recording ends in .csv, .npz or .wav")
+        raise ValueError("the name of a recording must end in .csv, .npz or .wav")
     if ending == ".wav" and not named:
         raise ValueError(f"a .wav needs {printable(name)}.yaml, with its columns and their scale")
     return TABLE_READERS[ending](content)
@@ -258,8 +258,8 @@ def _quantities(
             raise ValueError(f"{where}: columns has neither acceleration nor force nor position")
         known = ", ".join(COLUMN_OF.values())
         has = known_names("", map(short_name, [*table.names, *table.others])).removeprefix("known: ")
-        raise ValueError(f"no column {known}; it has {has}: name the columns in {where}")
-    places = {quantity: table.index_of(column.column) for quantity, column in wanted.items()}
+        raise ValueError(f"none of the columns {known}; the file has {has}: name the columns in {where}")
+    places = {quantity: table.place(column.column) for quantity, column in wanted.items()}
     # `uniform` reports values that are too large or NaN.
     with np.errstate(all="ignore"):
         read = dict(zip(places, table.read(list(places.values())), strict=True))

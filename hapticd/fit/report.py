@@ -1,6 +1,6 @@
-"""Report of a fit: pictures of recording and model, the figures with their intervals, and the verdict.
+"""Report of a fit: pictures of recording and model, the fitted values with their intervals, and the verdict.
 
-It is one file, an HTML page with embedded pictures or a picture. matplotlib is imported when something is drawn.
+It is one file: an HTML page with embedded pictures, or a PNG. matplotlib is imported when something is drawn.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _CELL_INCHES: Final = (5.2, 3.6)
 """Width and height of a picture with its title and labels."""
 _GAP_INCHES: Final = (0.85, 1.05)
-"""Part of that width and height for title and labels."""
+"""Width and height that title and labels take within _CELL_INCHES."""
 _MARGIN_INCHES: Final = (0.3, 0.2)
 """Margins of the page, left and right together, and above and below together."""
 MAX_LABELLED_DECADES: Final = 3.5
@@ -43,7 +43,7 @@ LABELS_BY_DECADES: Final = (
     (1.5, (1.0, 2.0, 5.0)),
     (MAX_LABELLED_DECADES, (1.0, 3.0)),
 )
-"""Labels in each decade of a logarithmic axis, by the largest number of decades that the axis spans."""
+"""Pairs of decades and labels: an axis that spans at most these decades has these labels in each decade."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Page:
     warnings: tuple[str, ...]
     figures: Mapping[str, Estimate]
     plain: Mapping[str, float]
-    """Figures that have no interval."""
+    """Fitted values that have no interval, by name."""
     sources: Sequence[tuple[str, str]]
     """Path and SHA-256 of each recording."""
     rows: Sequence[Sequence[Panel]]
@@ -232,7 +232,7 @@ def _label_logarithmic(axes: Axes) -> None:
 def figure_rows(
     figures: Mapping[str, Estimate], plain: Mapping[str, float] = MappingProxyType({})
 ) -> list[tuple[str, str, str, str]]:
-    """Return name, value, interval and unit of each figure as text; figures of `plain` have no interval."""
+    """Return name, value, interval and unit of each fitted value as text; those of `plain` have no interval."""
     rows = [
         (name, f"{each.value:.6g}", f"{each.low:.6g} to {each.high:.6g}", unit_of(name) or "")
         for name, each in figures.items()
@@ -246,7 +246,7 @@ def fit_page(title: str, body: str) -> str:
 
 
 def html_figures(figures: Mapping[str, Estimate], plain: Mapping[str, float]) -> str:
-    """Return the figures of a fit as an HTML table."""
+    """Return the fitted values as an HTML table."""
     heads, of_text = ("figure", "value", "95 % interval", "unit"), (True, False, False, True)
     return html_page.table(heads, figure_rows(figures, plain), of_text)
 

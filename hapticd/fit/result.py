@@ -1,4 +1,4 @@
-"""Results of fits: figures with intervals, warnings and a verdict, and their conversion to plain data for JSON."""
+"""Results of fits: values with intervals, warnings and a verdict, and their conversion to plain data for JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hapticd.fit.verdict import Exclusion, Verdict
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit(ABC):
-    """Result of a fit: figures (Estimates), warnings and verdict.
+    """Result of a fit: fitted values with intervals (Estimate), warnings and verdict.
 
     A field with `repr=False` is only drawn and is not part of the JSON.
     """
@@ -42,7 +42,7 @@ class Fit(ABC):
 
 
 def estimates(fit: Fit) -> dict[str, Estimate]:
-    """Return the figures of a fit that have an interval, by name; figures of a part are named `part.name`."""
+    """Return the fitted values that have an interval, by name; those of a nested dataclass are `field.name`."""
     found: dict[str, Estimate] = {}
     for name, value in _fields(fit).items():
         if isinstance(value, Estimate):
@@ -54,7 +54,7 @@ def estimates(fit: Fit) -> dict[str, Estimate]:
 
 
 def plain_figures(fit: Fit) -> dict[str, float]:
-    """Return the figures of a fit that have no interval, by name."""
+    """Return the fitted values that have no interval, by name."""
     return {name: value for name, value in _fields(fit).items() if isinstance(value, float) and math.isfinite(value)}
 
 
@@ -64,7 +64,7 @@ def _fields(made: object) -> dict[str, object]:
 
 
 def fields_of(made: object, *names: str) -> dict[str, Json]:
-    """Return the fields of a dataclass with these names, by default all, as plain data, without `repr=False` ones."""
+    """Return the fields with these names, by default all, as plain data; those with `repr=False` are left out."""
     return {name: cast(Json, plain(value)) for name, value in _fields(made).items() if not names or name in names}
 
 

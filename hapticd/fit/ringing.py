@@ -2,7 +2,7 @@
 
     a(t) = c_0 + c_1 t + sum_k A_k exp(-B_k (t - t_0)) sin(w_k (t - t_0)) [t >= t_0]
 
-All modes begin at the onset t_0, which is free. The straight line is gravity and drift. If the sensor is known, its
+All modes begin at the onset t_0, which is fitted. The straight line is gravity and drift. If the sensor is known, its
 response to the modes (sensor.py) is fitted instead of the modes. For given B, w and t_0 the best A and line are linear
 least squares, so the search is over B, w and t_0 alone (Golub and Pereyra, 1973, with Kaufman's Jacobian, 1975). It
 begins at the best point of a grid and takes Levenberg-Marquardt steps.
@@ -24,8 +24,8 @@ from hapticd.analysis.statistics import FitError, Floats
 from hapticd.fit.limits import RINGING_LIMITS
 
 OTHER_SHAPES: Final = ((2.0, 1.0), (0.5, 1.0), (1.0, 2.0), (2.0, 0.0), (0.5, 0.0))
-"""Shapes of the test for a pattern in the residuals, as factors of a mode's B and w: another decay, twice the
-frequency, and pushes without oscillation."""
+"""Decaying sinusoids that are searched for in the residuals, as factors of the fitted B and w: other decays, twice the
+frequency, and decays without oscillation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,17 +39,17 @@ class Ringing:
     angular_frequency_rad_per_s: Floats
     """(modes,) w."""
     onset_s: float
-    """Onset after the first sample."""
+    """Time of the onset after the first sample."""
     covariance: Floats
     """(3 modes + 1, 3 modes + 1) covariance of all A, all B, all w and the onset, assuming white noise."""
     residual: Floats
-    """(n,) measured less modelled, m/s^2."""
+    """(n,) measured minus modelled acceleration, m/s^2."""
     variance_accounted_for: float
-    """1 - (residual squares)/(squares about the line), over five decay times from the onset."""
+    """1 - (residual squares)/(squares about the line), from the onset to five decay times after it."""
     noise_m_per_s2: float
     """RMS of the residual."""
     lack_of_fit: tuple[Floats, Floats]
-    """For one mode: (k,) products of the residual and the shapes of OTHER_SHAPES, and (k, k) products of the shapes.
+    """For one mode: scalar products of the residual and the shapes of OTHER_SHAPES (k,), and of these shapes (k, k).
 
     The shapes have the amplitude of the mode and are orthogonal to the fitted parameters. Empty for more modes.
     """
@@ -66,7 +66,7 @@ class Ringing:
             covariance=self.covariance[np.ix_(places, places)],
         )
 
-    def turned(self) -> Ringing:
+    def negated(self) -> Ringing:
         """Return the same fit with the sign of the acceleration reversed."""
         modes = len(self.coefficients)
         signs = np.where(np.arange(3 * modes + 1) < modes, -1.0, 1.0)
@@ -86,27 +86,27 @@ def fit_ringing(
 ) -> Ringing:
     """Fit `modes` decaying sinusoids to acceleration (n,) in m/s^2, sampled at `rate_hz`.
 
-    The onset is searched near `onset_s`, by default at the first large sample. A fit `start` replaces
-    the search on a grid. The result is the modes before the response of the `sensor`. Raises FitError if the
-    acceleration is constant or has too few samples.
+    The onset is searched near `onset_s`, by default at the first large sample. If a fit `start` is given, the search
+    starts there, not at a grid. The result excludes the response of the `sensor`. Raises FitError if the acceleration
+    is constant or has too few samples.
     """
     least = max(RINGING_LIMITS.min_samples, 2 * (3 * modes + 3))
     if len(acceleration) < least:
         raise FitError(f"{len(acceleration)} samples are too few for {modes} modes: needs {least}")
     search = _Search(acceleration, rate_hz, sensor if sensor is not None and sensor.poles else None)
     if start is None:
-        place = search.begin(onset_s)
+        point = search.begin(onset_s)
         for _ in range(1, modes):
-            place = search.joined(search.descend(place))
+            point = search.joined(search.descend(point))
     else:
-        place = np.concatenate(
+        point = np.concatenate(
             (np.log(start.decay_rate_per_s), np.log(start.angular_frequency_rad_per_s), [start.onset_s])
         )
-    return search.result(search.at_the_onset(search.descend(place)))
+    return search.result(search.at_the_onset(search.descend(point)))
 
 
 class _Search:
-    """Search for the best parameters: a place is the vector (log B of every mode, log w of every mode, onset)."""
+    """Least-squares search; a point is the vector (log B of every mode, log w of every mode, onset)."""
 
     def __init__(self, acceleration: Floats, rate_hz: float, sensor: Sensor | None) -> None:
         self._measured = acceleration
@@ -121,7 +121,7 @@ class _Search:
     # ---- Start ----------------------------------------------------------------------------------------------------
 
     def begin(self, onset_s: float | None) -> Floats:
-        """Return the best place of the grid for one mode."""
+        """Return the best point of a grid for one mode."""
         above = self._measured - np.median(self._measured)
         size = np.abs(above)
         if not size.max() > 0:
@@ -130,13 +130,13 @@ class _Search:
             onset_s = float(self._time_s[np.argmax(size > 0.15 * size.max())])
         return self._best(above, onset_s, np.empty(0))
 
-    def joined(self, place: Floats) -> Floats:
-        """Return the place with one more mode, the best for the residual."""
-        left = self._solved(place)[1]
-        return self._best(left, float(place[-1]), place)
+    def joined(self, point: Floats) -> Floats:
+        """Return the point with one more mode, which fits the residual best."""
+        left = self._solved(point)[1]
+        return self._best(left, float(point[-1]), point)
 
     def _best(self, signal: Floats, onset_s: float, earlier: Floats) -> Floats:
-        """Return the best place of the grid for one more mode, in addition to the modes of the place `earlier`."""
+        """Return the best point of a grid for one more mode, in addition to the modes of the point `earlier`."""
         first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - RINGING_LIMITS.min_samples // 2)
         rings = signal[first:] - signal[first:].mean()
         power = np.abs(np.fft.rfft(rings, 8 * len(rings))) ** 2
@@ -155,18 +155,18 @@ class _Search:
 
     # ---- The model ------------------------------------------------------------------------------------------------
 
-    def _answers(self, place: Floats) -> tuple[int, list[tuple[Complexes, Complexes, Complexes]]]:
-        """Return the first sample after the onset, and the response y of every mode from there on.
+    def _responses(self, point: Floats) -> tuple[int, list[tuple[Complexes, Complexes, Complexes]]]:
+        """Return the first sample after the onset, and for every mode three arrays from there on (sensor.py).
 
-        Each mode has y, whose imaginary part is the acceleration, and its derivatives by the pole -B + i w and by time
-        (sensor.py).
+        These are the response y, whose imaginary part is the acceleration, and the derivatives of y by the pole
+        -B + i w and by time.
         """
-        modes = len(place) // 2
-        since = self._time_s - place[-1]
+        modes = len(point) // 2
+        since = self._time_s - point[-1]
         first = int(np.searchsorted(since, 0.0))
         ringing = since[first:]
         found = []
-        for pole in -np.exp(place[:modes]) + 1j * np.exp(place[modes:-1]):
+        for pole in -np.exp(point[:modes]) + 1j * np.exp(point[modes:-1]):
             if self._sensor is None:
                 turned = np.exp(pole * ringing)
                 found.append((turned, ringing * turned, pole * turned))
@@ -174,13 +174,13 @@ class _Search:
                 found.append(self._sensor.response(complex(pole), ringing))
         return first, found
 
-    def _solved(self, place: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    def _solved(self, point: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return coefficients (modes + 2,), residual (n,), columns (n, modes + 2) and their orthonormal basis."""
-        first, answers = self._answers(place)
-        modes = len(answers)
+        first, responses = self._responses(point)
+        modes = len(responses)
         columns = np.empty((len(self._measured), modes + 2))
         columns[:first, :modes] = 0.0
-        for mode, (heard, _, _) in enumerate(answers):
+        for mode, (heard, _, _) in enumerate(responses):
             columns[first:, mode] = heard.imag
         columns[:, modes:] = self._line
         norms = np.sqrt(np.sum(columns**2, axis=0))
@@ -196,29 +196,29 @@ class _Search:
             coefficients = np.linalg.lstsq(triangle, on_base, rcond=1e-12)[0] / norms
         return coefficients, self._measured - base @ on_base, columns, base
 
-    def _squares(self, place: Floats) -> float:
-        return float(np.sum(self._solved(place)[1] ** 2))
+    def _squares(self, point: Floats) -> float:
+        return float(np.sum(self._solved(point)[1] ** 2))
 
-    def _slopes(self, place: Floats, coefficients: Floats) -> Floats:
-        """Return the derivatives of the model by the place, (n, 2 modes + 1)."""
-        modes = len(place) // 2
-        first, answers = self._answers(place)
+    def _slopes(self, point: Floats, coefficients: Floats) -> Floats:
+        """Return the derivatives of the model by the coordinates of the point, (n, 2 modes + 1)."""
+        modes = len(point) // 2
+        first, responses = self._responses(point)
         slopes = np.zeros((len(self._measured), 2 * modes + 1))
-        for mode, (_, by_pole, by_time) in enumerate(answers):
-            slopes[first:, mode] = -coefficients[mode] * np.exp(place[mode]) * by_pole.imag
-            slopes[first:, modes + mode] = coefficients[mode] * np.exp(place[modes + mode]) * by_pole.real
+        for mode, (_, by_pole, by_time) in enumerate(responses):
+            slopes[first:, mode] = -coefficients[mode] * np.exp(point[mode]) * by_pole.imag
+            slopes[first:, modes + mode] = coefficients[mode] * np.exp(point[modes + mode]) * by_pole.real
             slopes[first:, -1] -= coefficients[mode] * by_time.imag
         return slopes
 
     # ---- The search -----------------------------------------------------------------------------------------------
 
-    def descend(self, place: Floats) -> Floats:
-        """Return the local minimum of the squares near a place, by Levenberg-Marquardt steps."""
-        coefficients, left, _, base = self._solved(place)
+    def descend(self, point: Floats) -> Floats:
+        """Return the point of the local minimum of the squares, by Levenberg-Marquardt steps from this point."""
+        coefficients, left, _, base = self._solved(point)
         least = float(left @ left)
         damping = 1e-3
         for _ in range(60):
-            slopes = self._slopes(place, coefficients)
+            slopes = self._slopes(point, coefficients)
             slopes -= base @ (base.T @ slopes)
             norms = np.sqrt(np.sum(slopes**2, axis=0))
             norms[norms == 0] = 1.0
@@ -227,53 +227,53 @@ class _Search:
             gained = 0.0
             while damping < 1e8:
                 step = np.linalg.solve(square + damping * np.eye(len(square)), side) / norms
-                tried = self._bounded(place, step)
+                tried = self._bounded(point, step)
                 solved = self._solved(tried)
                 squares = float(solved[1] @ solved[1])
                 if squares < least:
                     gained = least - squares
-                    place, least = tried, squares
+                    point, least = tried, squares
                     coefficients, left, _, base = solved
                     damping = max(1e-12, damping / 10)
                     break
                 damping *= 6
             if gained <= 1e-9 * least:
                 break
-        return place
+        return point
 
-    def at_the_onset(self, place: Floats) -> Floats:
-        """Return the place, or a better one whose onset is a multiple of half a period away.
+    def at_the_onset(self, point: Floats) -> Floats:
+        """Return the point, or a better one whose onset differs by half a period or a period.
 
-        There the same ringing begins with the other or the same sign.
+        The same ringing begins there with the other or the same sign.
         """
-        least = self._squares(place)
-        half_s = math.pi / math.exp(float(place[len(place) // 2]))
+        least = self._squares(point)
+        half_s = math.pi / math.exp(float(point[len(point) // 2]))
         for turned in (-2, -1, 1, 2):
-            tried = place.copy()
+            tried = point.copy()
             tried[-1] += turned * half_s
             if not 0 <= tried[-1] < self._time_s[-2] or self._squares(tried) >= least:
                 continue
             tried = self.descend(tried)
             squares = self._squares(tried)
             if squares < least:
-                place, least = tried, squares
-        return place
+                point, least = tried, squares
+        return point
 
-    def _bounded(self, place: Floats, step: Floats) -> Floats:
-        modes = len(place) // 2
-        period_s = 2 * math.pi / math.exp(float(place[modes:-1].max()))
-        tried = place + np.clip(step, -0.5, 0.5)
-        tried[-1] = place[-1] + min(max(step[-1], -0.25 * period_s), 0.25 * period_s)
+    def _bounded(self, point: Floats, step: Floats) -> Floats:
+        modes = len(point) // 2
+        period_s = 2 * math.pi / math.exp(float(point[modes:-1].max()))
+        tried = point + np.clip(step, -0.5, 0.5)
+        tried[-1] = point[-1] + min(max(step[-1], -0.25 * period_s), 0.25 * period_s)
         tried[:-1] = np.clip(tried[:-1], math.log(self._slowest), math.log(self._fastest))
         tried[-1] = min(max(tried[-1], -period_s), float(self._time_s[-2]))
         return tried
 
-    def result(self, place: Floats) -> Ringing:
-        """Return the modes of a place with covariance and residual."""
-        modes = len(place) // 2
-        coefficients, left, columns, _ = self._solved(place)
-        decay, angular = np.exp(place[:modes]), np.exp(place[modes:-1])
-        slopes = self._slopes(place, coefficients)
+    def result(self, point: Floats) -> Ringing:
+        """Return the fit at a point, with covariance and residual."""
+        modes = len(point) // 2
+        coefficients, left, columns, _ = self._solved(point)
+        decay, angular = np.exp(point[:modes]), np.exp(point[modes:-1])
+        slopes = self._slopes(point, coefficients)
         slopes[:, : 2 * modes] /= np.concatenate((decay, angular))
         jacobian = np.column_stack((columns[:, :modes], slopes, columns[:, modes:]))
         norms = np.sqrt(np.sum(jacobian**2, axis=0))
@@ -283,8 +283,8 @@ class _Search:
         spread /= np.outer(norms, norms)
         by_share = np.argsort(-np.abs(coefficients[:modes]) / np.sqrt(decay))
         order = np.concatenate((by_share, modes + by_share, 2 * modes + by_share, [3 * modes]))
-        rings = (self._time_s >= place[-1]) & (
-            self._time_s <= place[-1] + RINGING_LIMITS.judged_decay_times / decay.min()
+        rings = (self._time_s >= point[-1]) & (
+            self._time_s <= point[-1] + RINGING_LIMITS.judged_decay_times / decay.min()
         )
         above = self._measured[rings] - columns[rings][:, modes:] @ coefficients[modes:]
         heard = float(above @ above)
@@ -292,20 +292,20 @@ class _Search:
             coefficients=coefficients[by_share],
             decay_rate_per_s=decay[by_share],
             angular_frequency_rad_per_s=angular[by_share],
-            onset_s=float(place[-1]),
+            onset_s=float(point[-1]),
             covariance=spread[np.ix_(order, order)],
             residual=left,
             variance_accounted_for=1.0 - float(left[rings] @ left[rings]) / heard if heard > 0 else 0.0,
             noise_m_per_s2=noise,
-            lack_of_fit=self._lack_of_fit(place, float(coefficients[0]), jacobian / norms, left)
+            lack_of_fit=self._lack_of_fit(point, float(coefficients[0]), jacobian / norms, left)
             if modes == 1
             else (np.empty(0), np.empty((0, 0))),
         )
 
-    def _lack_of_fit(self, place: Floats, coefficient: float, taken: Floats, left: Floats) -> tuple[Floats, Floats]:
-        since = np.maximum(self._time_s - place[-1], 0.0)
-        begun = self._time_s >= place[-1]
-        decay, angular = math.exp(place[0]), math.exp(place[1])
+    def _lack_of_fit(self, point: Floats, coefficient: float, taken: Floats, left: Floats) -> tuple[Floats, Floats]:
+        since = np.maximum(self._time_s - point[-1], 0.0)
+        begun = self._time_s >= point[-1]
+        decay, angular = math.exp(point[0]), math.exp(point[1])
         shapes = []
         for slower, faster in OTHER_SHAPES:
             wave = coefficient * begun * np.exp((-slower * decay + 1j * faster * angular) * since)

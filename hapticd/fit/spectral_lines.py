@@ -1,10 +1,10 @@
 """Spectral lines, hum or other tones, with the fraction of the power that each holds.
 
 In a periodogram of the complete recording with Hann's window, the power of noise is exponentially distributed. Its
-mean is estimated from the median of n neighbouring bins. A bin belongs to a line if noise exceeds its power in any of
-all N bins with a probability of at most p = LINE_LIMITS.max_chance: power > mean * F(2, 2 n) at p/N. Of several
-recordings half must have the line; then a lower power is enough in each. A ringing is broader than the neighbouring
-bins, and is not found.
+mean is estimated from the median of n neighbouring bins. A bin belongs to a line if noise has its power in any of the N
+bins with a probability of at most p = LINE_LIMITS.max_chance: power/mean exceeds the quantile 1 - p/N of the F
+distribution with 2 and 2 n degrees of freedom. Half of several recordings must have the line, each with a lower
+threshold. A ringing is broader, and is not found.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ class SpectralLine:
     share: float
 
 
-def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Return the lines of one recording (n,), sorted by falling share; `needed` recordings must have the same line."""
+def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
+    """Return the lines of one recording (n,), the strongest first; more `needed` recordings lower the threshold."""
     from scipy.special import fdtri
 
-    count = len(seen)
+    count = len(acceleration)
     # In a shorter recording a line looks like a ringing.
     if count < LINE_LIMITS.min_recording_s * rate_hz:
         return []
     width = rate_hz / count
-    power = np.abs(np.fft.rfft(np.hanning(count) * (seen - seen.mean()))) ** 2
+    power = np.abs(np.fft.rfft(np.hanning(count) * (acceleration - acceleration.mean()))) ** 2
     frequency = np.fft.rfftfreq(count, 1 / rate_hz)
     total = float(power[frequency >= LINE_LIMITS.min_frequency_hz].sum())
     if not total > 0:
@@ -78,20 +78,20 @@ def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[Spectr
     return sorted(found, key=lambda line: -line.share)
 
 
-def lines_in_residual(seen: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
+def lines_in_residual(acceleration: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
     """Return the lines in the residual of a recording (n,), with their fraction of the power of the recording.
 
     Samples where `modelled` is NaN are not used.
     """
-    left = np.where(np.isfinite(modelled), seen - modelled, 0.0)
-    part = float(np.var(left) / np.var(seen)) if np.var(seen) > 0 else 0.0
+    left = np.where(np.isfinite(modelled), acceleration - modelled, 0.0)
+    part = float(np.var(left) / np.var(acceleration)) if np.var(acceleration) > 0 else 0.0
     return [SpectralLine(line.frequency_hz, part * line.share) for line in spectral_lines(left, rate_hz, needed)]
 
 
 def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]]) -> list[SpectralLine]:
     """Return the lines that at least half of the recordings have, with their mean fraction, sorted by frequency.
 
-    `lines_in(recording, needed)` returns the lines of one recording; `needed` recordings must have the same line.
+    `lines_in(recording, needed)` returns those of one recording, as `spectral_lines` does.
     """
     count = len(recordings)
     needed = max(1, math.ceil(count / 2))
@@ -114,7 +114,7 @@ def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[Sp
 def report_lines(
     recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]], warnings: Warnings
 ) -> None:
-    """Add a reason if the recordings have lines in common; arguments as of `common_lines`."""
+    """Downgrade the verdict if the recordings have lines in common; arguments as for `common_lines`."""
     if hum := common_lines(recordings, lines_in):
         warnings.add_fair(described(hum))
 

@@ -1,12 +1,12 @@
-"""Amplitude of taps over the approach speed: a line through the origin, a power law, or a table.
+"""Amplitude of taps as a function of the approach speed: a line through the origin, a power law, or a table.
 
 The law with the lowest AICc is chosen (Akaike's criterion, corrected for few points; Burnham and Anderson 2002, 2.4):
 
     AICc = n ln(S/n) + 2 k + 2 k (k + 1)/(n - k - 1),
 
 S is the weighted sum of squared residuals of n taps, k the number of parameters including the scale of the scatter. All
-laws have the same weights, from the noise and a scatter proportional to the amplitude. The line is preferred unless the
-AICc of another law is lower by SPEED_LAW_LIMITS.min_aicc_gain and it differs by SPEED_LAW_LIMITS.min_bend.
+laws have the same weights, from the noise and a scatter proportional to the amplitude. The line is preferred unless
+another law has an AICc lower by SPEED_LAW_LIMITS.min_aicc_gain and differs from the line by SPEED_LAW_LIMITS.min_bend.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from hapticd.fit.verdict import Warnings
 
 LawKind: TypeAlias = Literal["line", "power", "table"]
 Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
-"""Pairs of a speed, m/s, rising, and an amplitude, m/s^2."""
+"""Pairs of speed, m/s, and amplitude, m/s^2, sorted by speed."""
 
 
 class Tap(Protocol):
@@ -71,7 +71,7 @@ def check_speeds(taps: Sequence[Tap]) -> None:
     if fastest.speed_m_per_s < SPEED_LAW_LIMITS.min_speed_ratio * slowest.speed_m_per_s:
         raise FitError(
             f"all {len(taps)} taps have about one speed ({slowest.speed_m_per_s:.4g} to "
-            f"{fastest.speed_m_per_s:.4g} m/s): a slope over speed needs slow and fast taps"
+            f"{fastest.speed_m_per_s:.4g} m/s): a slope needs slow and fast taps"
         )
 
 
@@ -94,8 +94,8 @@ def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
     ratio = slope_per_s / angular
     if not softest <= ratio <= hardest:
         raise FitError(
-            f"the amplitude over speed is {slope_per_s:.4g} 1/s: must be between {softest:g} and {hardest:g} times "
-            f"{named}, is {ratio:.2g} times: is the acceleration or the speed off by a thousand (mm, g)?"
+            f"the ratio of amplitude to speed is {slope_per_s:.4g} 1/s: must be between {softest:g} and {hardest:g} "
+            f"times {named}, is {ratio:.2g} times: is the acceleration or the speed off by a thousand (mm, g)?"
         )
 
 
@@ -110,9 +110,9 @@ class Power:
     coefficient_m_per_s2: Estimate
     """Amplitude at 1 m/s."""
     points: Amplitudes
-    """Points of the law for the material, which has straight lines between them."""
+    """Points of the law for the material, which interpolates linearly between them."""
     off: float
-    """Largest error of these lines between the first point and the last, as a fraction of the law."""
+    """Largest error of this interpolation between the first point and the last, as a fraction of the law."""
 
     def to_dict(self) -> dict[str, Json]:
         """Return the law as plain data for JSON."""
@@ -130,11 +130,11 @@ class Law:
 
     kind: LawKind
     above: Mapping[LawKind, float]
-    """AICc of each kind less the lowest, without kinds that have too few taps."""
+    """AICc of each kind of law minus the lowest AICc; kinds that need more taps are left out."""
     power: Power | None
     """The power law, or None if none fits the taps."""
     table: Amplitudes
-    """The table: straight lines from rest to the first speed and from each speed to the next."""
+    """Amplitudes of the table, which interpolates linearly between them and down to 0 at rest."""
     r_squared: float
     """r^2 of the chosen law, about the weighted mean."""
     left: float
@@ -179,9 +179,9 @@ class Law:
 
 
 def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind | None = None) -> Law:
-    """Return the law of amplitudes (n,) in m/s^2 over speeds in m/s.
+    """Return the law of amplitudes (n,), m/s^2, versus speeds, m/s.
 
-    `variances` are those of their noise. A law that is given as `only` is not compared with others.
+    `variances` are those of the amplitudes due to noise. If `only` is given, that law is not compared with others.
     """
     weights = _weights(speeds, amplitudes, variances)
 
@@ -230,7 +230,7 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
 
 
 def check_law(warnings: Warnings, law: Law, r_squared: float) -> None:
-    """Add a reason if the speed does not explain the amplitude; `r_squared` is that of the line."""
+    """Downgrade the verdict if the speed does not explain the amplitude; `r_squared` is that of the line."""
     if law.kind != "line":
         warnings.note(f"A(v) is {law.named}, not a line through the origin: {law.why}")
     # If the amplitude hardly depends on the speed, r^2 is small for a good law: then only the scatter counts.
@@ -258,7 +258,7 @@ def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:
 def knots_of(speeds: Floats, count: int) -> Floats:
     """Return `count` speeds from the slowest to the fastest, with about equally many taps between them.
 
-    They are fewer if neighbouring speeds differ by less than 2 %.
+    Neighbouring speeds that differ by less than 2 % count as one.
     """
     order = np.sort(speeds)
     found: list[float] = []
@@ -271,7 +271,7 @@ def knots_of(speeds: Floats, count: int) -> Floats:
 def table(
     speeds: Floats, amplitudes: Floats, variances: Floats, most: int = SPEED_LAW_LIMITS.max_table_speeds
 ) -> Amplitudes:
-    """Return the table with at most `most` speeds that is nearest to the amplitudes, none below 0."""
+    """Return the best table with at most `most` speeds and no amplitude below 0."""
     knots = knots_of(speeds, min(most, max(2, len(speeds) - 2)))
     nodes = np.concatenate(([0.0], knots))
     hats = np.column_stack([np.interp(speeds, nodes, row) for row in np.eye(len(nodes))[1:]])
@@ -303,7 +303,7 @@ def _along(points: Amplitudes, speeds: Floats) -> Floats:
 
 
 def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | None:
-    """Return the power law by Gauss-Newton steps from the line of the logarithms, or None without one."""
+    """Return the power law, by Gauss-Newton steps from a line through the logarithms, or None if it does not fit."""
     if len(speeds) < 3 or not (amplitudes > 0).all():
         return None
     middle = math.exp(float(np.mean(np.log(speeds))))
@@ -339,7 +339,7 @@ def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | Non
 
 
 def _step(logs: Floats, amplitudes: Floats, variances: Floats, height: float, exponent: float) -> tuple[Estimate, ...]:
-    """Return ln A at a logarithm of the speed of 0, and the exponent, after one Gauss-Newton step."""
+    """Return ln A at the speed whose logarithm is 0, and the exponent, after one Gauss-Newton step."""
     model = np.exp(height + exponent * logs)
     columns = np.column_stack((model, model * logs))
     wanted = amplitudes - model + columns @ np.array([height, exponent])
@@ -350,9 +350,9 @@ def _step(logs: Floats, amplitudes: Floats, variances: Floats, height: float, ex
 
 
 def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
-    """Return a sentence about the single tap without which A(v) is a line through the origin, or an empty string.
+    """Return a sentence about the only tap that is not on a line through the origin, or an empty string.
 
-    The tap must be off the line by a quarter or more.
+    The tap must be off the line of the others by a quarter or more.
     """
     count = len(speeds)
     if count < SPEED_LAW_LIMITS.min_taps + 3:
@@ -403,10 +403,10 @@ def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
     return False
 
 
-def moves(speeds: Floats, logs: Floats, variances: Floats, what: str, least: float) -> str:
-    """Return a sentence if a figure changes from the slowest tap to the fastest, else an empty string.
+def speed_trend(speeds: Floats, logs: Floats, variances: Floats, what: str, least: float) -> str:
+    """Return a sentence if a quantity changes from the slowest tap to the fastest, else an empty string.
 
-    The change must be significant and at least the fraction `least`. `logs` are the logarithms of the figure.
+    The change must be significant and at least the fraction `least`. `logs` are the logarithms of the quantity.
     """
     if len(speeds) < SPEED_LAW_LIMITS.min_taps + 2:
         return ""

@@ -26,7 +26,7 @@ from hapticd.fit.recording import Recording, Source
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
 SYNTHETIC_APPROACH_S: Final = 0.02
-"""Time that the stylus approaches at constant speed before a tap, and that it rests after it."""
+"""Duration of the approach at constant speed before a synthetic tap, and of the rest after it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class TapTruth:
     """True parameters of synthetic taps."""
 
     slope_per_s: float
-    """Slope of the coefficient A over the speed, for either `attack` of the material."""
+    """Slope of the coefficient A with speed, whichever `attack` the material has."""
     mode: Mode
     onsets_s: Floats
 
@@ -116,7 +116,7 @@ def taps(
         since = time_s[index * samples :] - onset_s
         clean[index * samples :] += slope * speed * stylus.ringing(mode, since)
         here = slice(index * samples, (index + 1) * samples)
-        position[here] = _way(time_s[here] - onset_s, float(speed))
+        position[here] = _tap_position(time_s[here] - onset_s, float(speed))
     if stylus.position_step_m > 0:
         position = np.round(position / stylus.position_step_m) * stylus.position_step_m
     recording = Recording(
@@ -132,8 +132,8 @@ def taps(
     return recording, TapTruth(slope, mode, onsets_s)
 
 
-def _way(since_s: Floats, speed_m_per_s: float) -> Floats:
-    """Return the position: at rest, at constant speed to the surface, at rest there, and back."""
+def _tap_position(since_s: Floats, speed_m_per_s: float) -> Floats:
+    """Return the position: at rest, moving to the surface at constant speed, at rest there, and moving back."""
     away_m = speed_m_per_s * SYNTHETIC_APPROACH_S
     return np.asarray(
         np.interp(
@@ -150,10 +150,11 @@ def _way(since_s: Floats, speed_m_per_s: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """Duration and swing of a stroke, and noise of its force and position. Swings are fractions of the mean."""
+    """Duration of a stroke, sinusoidal variation of its speed and force, and noise of its force and position."""
 
     duration_s: float = 1.0
     speed_swing: float = 0.15
+    """Amplitude of the variation, as a fraction of the mean; `force_swing` likewise."""
     force_swing: float = 0.15
     swing_hz: float = 0.7
     force_noise_n: float = 0.005
@@ -170,11 +171,11 @@ def grooves(
 ) -> Recording:
     """Return a stroke over a material with grooves displayed as vibration.
 
-    `scatter` is the relative standard deviation of the amplitudes. Raises ValueError for another material.
+    `scatter` is the relative standard deviation of the amplitudes. Raises ValueError for other materials.
     """
     texture, mode = material.texture, material.groove_mode
     if not isinstance(texture, Grooves) or mode is None:
-        raise ValueError("needs a material with grooves that vibrate")
+        raise ValueError("the texture of the material must be grooves with display: vibration")
     random = np.random.default_rng(stylus.seed)
     time, place, speed, force = _stroke(speed_m_per_s, force_n, stylus, hand, random)
     clean = np.zeros_like(time)
@@ -200,12 +201,12 @@ def texture(
 ) -> Recording:
     """Return a stroke over a material with a stochastic or an autoregressive texture.
 
-    The noise has exactly the spectrum of the texture: white noise times the root of the density. Of autoregressive
-    models the nearest in speed and force is used. Raises ValueError for another material.
+    The spectrum is that of white noise times the root of the density. Of autoregressive models the nearest in speed and
+    force is used. Raises ValueError for other materials.
     """
     coarse = material.texture
     if not isinstance(coarse, Stochastic | Autoregressive):
-        raise ValueError("needs a material with a stochastic or an autoregressive texture")
+        raise ValueError("the texture of the material must be stochastic or autoregressive")
     if isinstance(coarse, Autoregressive):
         # Level and spectrum must be those of one model, although the means of the stroke may be nearer to another.
         coarse = coarse.model_copy(update={"models": (_nearest(coarse, speed_m_per_s, force_n),)})
@@ -225,7 +226,7 @@ def unit_density(
 ) -> Floats:
     """Return the one-sided power spectral density (n,), 1/Hz, of a texture with an RMS of 1.
 
-    Of autoregressive models it is that of the nearest in speed and force, and 0 beyond half their rate.
+    An autoregressive texture has that of the model nearest in speed and force, and 0 above half the models' rate.
     """
     if isinstance(texture, Stochastic):
         return power_spectrum(stochastic_filter(texture.peak_hz, texture.mean_hz, rate_hz), frequency, rate_hz)
@@ -239,7 +240,7 @@ def unit_density(
 def level_of(texture: Stochastic | Autoregressive, speed: Floats, force: Floats) -> Floats:
     """Return the RMS (n,), m/s^2, at speeds in m/s and forces in N.
 
-    Of autoregressive models it is that of the nearest to the means of both.
+    An autoregressive texture has that of the model nearest to the mean speed and force.
     """
     if isinstance(texture, Autoregressive):
         model = _nearest(texture, float(np.mean(speed)), float(np.mean(force)))
@@ -269,7 +270,7 @@ def puncture(
     """
     rupture = material.rupture
     if rupture is None:
-        raise ValueError("needs a material with a rupture")
+        raise ValueError("the material must have a rupture")
     random = np.random.default_rng(stylus.seed)
     depth = rupture.rupture_depth_m
     gap = 0.3 * depth + 0.1 * depth * random.random()
@@ -291,7 +292,7 @@ def puncture(
 def _stroke(
     speed_m_per_s: float, force_n: float, stylus: Stylus, hand: Hand, random: np.random.Generator
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return time, position, speed and force of a stroke that swings about the target speed and force."""
+    """Return time, position, speed and force of a stroke; speed and force vary sinusoidally about their targets."""
     time = np.arange(round(hand.duration_s * stylus.rate_hz)) / stylus.rate_hz
     one, other = random.uniform(0, 2 * math.pi, 2)
     turn = 2 * math.pi * hand.swing_hz
@@ -303,7 +304,7 @@ def _stroke(
 
 
 def _strike(onto: Floats, time: Floats, struck_s: float, amplitude: float, mode: Mode, stylus: Stylus) -> None:
-    """Add the sensor's response to A exp(-B t) sin(w t) from `struck_s`, for 14 decay times: to a millionth."""
+    """Add the sensor's response to A exp(-B t) sin(w t) from `struck_s`, for 14 decay times (a millionth)."""
     low = math.ceil(struck_s * stylus.rate_hz)
     high = min(len(time), low + math.ceil(14 * mode.decay_time_s * stylus.rate_hz))
     onto[low:high] += amplitude * stylus.ringing(mode, time[low:high] - struck_s)

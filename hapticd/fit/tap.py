@@ -1,8 +1,8 @@
 """Fit of taps that ring: slope, frequency and decay, from recordings of taps at several speeds.
 
 Each loud event of a recording is fitted alone (ringing.py). Frequency and decay time are weighted means over all taps;
-the amplitude is a function of the approach speed (speed_law.py). The weight of a tap is its signal-to-noise ratio. The
-standard error of the tap's fit is not used, because it varies by chance. Warnings and verdict come last.
+the amplitude is a function of the approach speed (speed_law.py). The weight of a tap is its signal-to-noise ratio, not
+the standard error of its fit, which varies by chance.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Unusable(FitError):
     """The reason why a tap cannot be used, without file and time.
 
     If most taps of a recording have the same `fault`, the recording is refused: "rate" is a sampling rate that is too
-    low, "approach" a position that does not show the speed, "shape" an event that is not a tap.
+    low, "approach" a position that does not determine the speed, "shape" an event that is not a tap.
     """
 
     def __init__(self, reason: str, fault: Literal["rate", "approach", "shape"] | None = None) -> None:
@@ -93,10 +93,10 @@ class Events:
         self.clipped, self.replaced = clipped(self.acceleration, noise), cleaned.replaced
         """(n,) whether a sample is clipped, and whether it was replaced."""
 
-    def room(self, index: int) -> tuple[int, int]:
-        """Return the samples (first, last + 1) between the neighbouring taps or gaps of an event.
+    def section(self, index: int) -> tuple[int, int]:
+        """Return first sample and last + 1 of the section from the event or gap before an event to that after it.
 
-        Raises Unusable if there is no rest before the event.
+        Raises Unusable if the section has no rest before the event.
         """
         first, samples = self.events[index].first, len(self.clipped)
         begin = self.events[index - 1].last + 1 if index else 0
@@ -115,12 +115,12 @@ class Events:
         if cut.any():
             raise Unusable(f"it is clipped at {np.abs(self.acceleration[begin:end][cut]).max():.4g} m/s^2")
         if replaced.any():
-            raise Unusable(f"{np.count_nonzero(replaced)} of its samples are impossible, must be none")
+            raise Unusable(f"{np.count_nonzero(replaced)} of its samples are impossible, 0 are allowed")
 
     def speed(self, index: int, onset_s: float) -> float:
         """Return the approach speed, m/s: from the file, else from the position before the onset.
 
-        Raises Unusable if the position does not show it.
+        Raises Unusable if the position does not determine it.
         """
         if self.speeds is not None:
             return float(self.speeds[index])
@@ -131,11 +131,11 @@ class Events:
         assert position is not None
         end = max(0, math.floor(onset_s * rate_hz))
         begin = max(
-            self.room(index)[0], end - _samples(TAP_LIMITS.approach_s, rate_hz, TAP_LIMITS.min_approach_samples)
+            self.section(index)[0], end - _samples(TAP_LIMITS.approach_s, rate_hz, TAP_LIMITS.min_approach_samples)
         )
         if end - begin < TAP_LIMITS.min_approach_samples:
             raise Unusable(
-                f"{end - begin} samples of the position before it, its speed needs {TAP_LIMITS.min_approach_samples}"
+                f"{end - begin} samples of position before it, its speed needs {TAP_LIMITS.min_approach_samples}"
             )
         way = position[begin:end]
         time_s = np.arange(len(way)) / rate_hz
@@ -145,7 +145,7 @@ class Events:
         if left > TAP_LIMITS.max_approach_residual * total:
             raise Unusable(
                 f"the approach is too uneven for a speed: a straight line leaves {100 * left / total:.0f} % of "
-                f"the position's variance, at most {100 * TAP_LIMITS.max_approach_residual:.0f} %",
+                f"the position's variance, at most {100 * TAP_LIMITS.max_approach_residual:.0f} % is allowed",
                 "approach",
             )
         return abs(float(line[0]))
@@ -177,9 +177,9 @@ def _checked(recording: Recording) -> Floats:
 
 
 def _base(acceleration: Floats, rate_hz: float) -> Floats:
-    """Return gravity and drift (n,): medians over blocks of 50 ms, with straight lines between them.
+    """Return gravity and drift (n,): medians over blocks of 50 ms, interpolated linearly.
 
-    For a short recording that begins at rest it is the median of that rest, which slow ringing does not change.
+    For a short recording that begins at rest it is the median of that rest, because slow ringing shifts other medians.
     """
     if len(acceleration) < TAP_LIMITS.short_recording_s * rate_hz:
         off = np.abs(acceleration - acceleration[0])
@@ -195,7 +195,7 @@ def _base(acceleration: Floats, rate_hz: float) -> Floats:
 def _loud_events(recording: Recording, above: Floats) -> list[Event]:
     """Return the loud events of all sections without gaps; `above` (n,) is the acceleration without gravity and drift.
 
-    A sample is loud above the level that noise reaches in one of a hundred recordings, and above 5 % of the largest.
+    A loud sample exceeds 5 % of the largest one, and the level that noise reaches in one of a hundred recordings.
     Raises FitError if there are no loud samples.
     """
     rate_hz = recording.rate_hz
@@ -218,7 +218,7 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
             # A short recording may ring to its end: its noise is at most twice that of the rest, which has few samples.
             noise = min(noise, 2.0 * float(np.std(above[begin : begin + rest], ddof=1)))
         if not highest > TAP_LIMITS.min_peak_to_noise * noise:
-            quiet.append("nothing" if highest == 0 else f"{highest / noise:.1f} times its noise")
+            quiet.append("0" if highest == 0 else f"{highest / noise:.1f} times its noise")
             continue
         # Upper bound of the tail of the normal distribution.
         loud_noise = math.sqrt(2 * math.log(len(size) / 0.01))
@@ -236,7 +236,7 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
 
 
 def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) -> Floats | None:
-    """Return the speeds of the taps, m/s, or None if one speed holds for all or the position is to be used."""
+    """Return the speeds of the taps, m/s, or None if the recording has one for all, or none."""
     speed = recording.speed_m_per_s
     if not isinstance(speed, np.ndarray):
         return None
@@ -266,10 +266,10 @@ def _without_bounces(recording: Recording, events: Sequence[Event]) -> list[Even
 
 
 def _has_approach(recording: Recording, touched: int, before: int, first: int) -> bool:
-    """Return whether the position shows a separate approach before sample `first`.
+    """Return whether the position before sample `first` shows a separate approach, not the end of a bounce.
 
-    It comes from in front of the surface, whose position is that at sample `touched`. Its speed changes less than half
-    as fast as in a bounce, which leaves at sample `before` with this speed and is pushed back steadily.
+    An approach begins in front of the surface, whose position is that at sample `touched`. Its speed changes less than
+    half as fast as in a bounce, which leaves the surface at sample `before` and is pushed back steadily to this speed.
     """
     if recording.speed_m_per_s is not None or recording.position_m is None:
         return False
@@ -307,7 +307,7 @@ class TapHit:
     ringing: Ringing
     sensor: Sensor | None = None
     pair: Ringing | None = None
-    """The fit of two modes, if one explains too little and two explain more."""
+    """The fit by two modes, if one mode explains too little and two explain more."""
     alone: bool = True
     """Whether one mode is enough for this tap."""
 
@@ -343,7 +343,7 @@ class TapHit:
 
     @property
     def noise_m_per_s2(self) -> float:
-        """RMS of the residual, at least a billionth of the coefficient: a rendered tap has none, and it is a weight."""
+        """RMS of the residual, at least a billionth of the coefficient, so that a tap without noise has a weight."""
         return max(self.ringing.noise_m_per_s2, 1e-9 * abs(self.coefficient_m_per_s2))
 
     @property
@@ -353,20 +353,20 @@ class TapHit:
 
     @property
     def residual_to_noise(self) -> float:
-        """RMS of the residual during the ringing over that before the onset."""
+        """Ratio of the RMS of the residual during the ringing to that before the onset."""
         left = self.ringing.residual
         onset = max(2, math.floor(self.ringing.onset_s * self.rate_hz))
         end = math.ceil((self.ringing.onset_s + 5 / self.decay_rate_per_s) * self.rate_hz)
         before = float(np.std(left[:onset]))
         return float(np.std(left[onset:end])) / before if before > 0 else math.inf
 
-    def turned(self) -> TapHit:
+    def negated(self) -> TapHit:
         """Return the same tap with the sign of the acceleration reversed."""
-        pair = None if self.pair is None else self.pair.turned()
-        return dataclasses.replace(self, measured=-self.measured, ringing=self.ringing.turned(), pair=pair)
+        pair = None if self.pair is None else self.pair.negated()
+        return dataclasses.replace(self, measured=-self.measured, ringing=self.ringing.negated(), pair=pair)
 
     def to_dict(self) -> dict[str, Json]:
-        """Return the figures as plain data for JSON."""
+        """Return the tap as plain data for JSON."""
         return {
             "recording": self.recording,
             "onset_s": self.onset_s,
@@ -380,7 +380,7 @@ class TapHit:
 
 
 def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> list[TapHit]:
-    """Return the taps of a recording; taps that cannot be used are added to `excluded`.
+    """Return the taps of a recording; unusable taps are added to `excluded`.
 
     Raises FitError if there are no taps, or if most of them have the same fault.
     """
@@ -395,16 +395,16 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
             refused.append((event, no))
         shapeless = sum(no.fault == "shape" for _, no in refused)
         if shapeless >= 5 and shapeless > len(found):
-            first = f"{shapeless} of the first {index + 1}; of one: {refused[0][1]}"
-            raise FitError(f"{name}: most events are not taps, {first}")
+            first = f"{shapeless} of the first {index + 1}; the first of these: {refused[0][1]}"
+            raise FitError(f"{name}: most events are not taps: {first}")
     for fault, least, hint in (
-        ("rate", 1, "record faster."),
+        ("rate", 1, "record at a higher rate."),
         ("approach", SPEED_LAW_LIMITS.min_taps, "is the position the right column?"),
     ):
         alike = [no for _, no in refused if no.fault == fault]
         if len(alike) >= least and len(alike) > len(found):
             count = f"{len(alike)} of {len(events)} taps cannot be used"
-            raise FitError(f"{name}: {count}: {hint} Of the first: {alike[0]}")
+            raise FitError(f"{name}: {count}: {hint} The first of these: {alike[0]}")
     for event, reason in refused:
         excluded.add(name, str(reason), "tap", event.first / recording.rate_hz)
     if not found:
@@ -413,10 +413,10 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
 
 
 def _hit_of(loud: Events, index: int) -> TapHit:
-    """Return a fitted tap; raise Unusable with the measured and the required figure."""
-    recording, event, room = loud.recording, loud.events[index], loud.room(index)
+    """Fit a tap; raise Unusable with the measured and the required value if it cannot be used."""
+    recording, event, section = loud.recording, loud.events[index], loud.section(index)
     rate_hz, sensor = recording.rate_hz, recording.sensor
-    ringing, begin = _fitted(loud, event, *room)
+    ringing, begin = _fitted(loud, event, *section)
     end = begin + len(ringing.residual)
     loud.check(begin, end)
     measured = loud.acceleration[begin:end]
@@ -432,15 +432,15 @@ def _hit_of(loud: Events, index: int) -> TapHit:
         pair = None
     if fault is not None and pair is None:
         raise fault
-    rest = event.first - room[0]
+    rest = event.first - section[0]
     if rest < TAP_LIMITS.certain_rest_samples:
         off = math.sqrt(float(ringing.covariance[-1, -1])) * rate_hz
-        place = begin - room[0] + ringing.onset_s * rate_hz
+        place = begin - section[0] + ringing.onset_s * rate_hz
         if place < 0 or off > TAP_LIMITS.max_onset_error_samples:
             raise Unusable(
                 f"{rest} samples of rest before it, and its onset is {place:.1f} +- {off:.2g} samples after the first "
-                f"of them: needs {TAP_LIMITS.certain_rest_samples} samples, or an onset that is certain to "
-                f"{TAP_LIMITS.max_onset_error_samples:g} sample"
+                f"of these: needs {TAP_LIMITS.certain_rest_samples} samples of rest, or an onset after the first with "
+                f"an error of at most {TAP_LIMITS.max_onset_error_samples:g} sample"
             )
     return TapHit(
         recording=recording.name,
@@ -456,7 +456,7 @@ def _hit_of(loud: Events, index: int) -> TapHit:
 
 
 def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing, int]:
-    """Return the ringing of a tap and its first fitted sample; the fitted samples are among `least` to `most` - 1.
+    """Return the ringing of a tap and its first fitted sample; samples from `least` to `most` - 1 may be fitted.
 
     Raises Unusable if nothing can be fitted.
     """
@@ -507,7 +507,7 @@ def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None
 
 
 def _uncertainty(ringing: Ringing) -> tuple[float, str]:
-    """Return the largest relative standard error among A, B and w of all modes, and the name of its figure."""
+    """Return the largest relative standard error among A, B and w of all modes, and the name of that parameter."""
     modes = len(ringing.coefficients)
     values = np.concatenate((ringing.coefficients, ringing.decay_rate_per_s, ringing.angular_frequency_rad_per_s))
     variances = np.diag(ringing.covariance)[: len(values)]
@@ -529,22 +529,22 @@ class SecondMode:
     frequency_hz: Estimate
     decay_time_s: Estimate
     ratio: Estimate
-    """Its coefficient over that of the first mode."""
+    """Its coefficient divided by that of the first mode."""
     first_slope_per_s: Estimate
-    """Slope of the first mode's coefficient over the speed."""
+    """Slope of the first mode's coefficient with speed."""
     first_frequency_hz: Estimate
     first_decay_time_s: Estimate
     amplitudes: Amplitudes
-    """Amplitudes of the first mode, as TapFit.amplitudes."""
+    """Amplitudes of the first mode, in the form of TapFit.amplitudes."""
     variance_accounted_for: float
     """Fraction of the variance that both explain, median over the taps."""
     alone: float
     """Fraction of the variance that one mode explains, median over the taps."""
     kept: bool
-    """Whether the material has it by default, because one mode explains too little."""
+    """Whether the material has the second mode by default, because one mode explains too little."""
 
     def to_dict(self) -> dict[str, Json]:
-        """Return the figures as plain data for JSON."""
+        """Return the second mode as plain data for JSON."""
         figures = fields_of(self)
         alone = figures.pop("alone")
         return {**figures, "amplitudes": speed_law.json_table(self.amplitudes), "variance_by_one_mode": alone}
@@ -568,10 +568,10 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
 
 
 def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], SecondMode | None]:
-    """Return the taps fitted by two modes, the louder first, and the second mode, if most have the same two modes.
+    """Return the taps with the louder of their two modes, and the second mode, if most have the same two modes.
 
-    This needs a median tap that one mode explains too little. Otherwise return the taps for which one mode is enough,
-    and None.
+    This is tried if one mode explains too little of the median tap. Otherwise return the taps for which one mode is
+    enough, and None.
     """
     alone = float(np.median([tap.variance_accounted_for for tap in taps])) if taps else 1.0
     pairs = [tap.pair for tap in taps if tap.pair is not None]
@@ -594,7 +594,7 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
                 others.append(tap)
         usual_sign = 1.0 if sum(np.sign([tap.coefficient_m_per_s2 for tap, _ in struck])) >= 0 else -1.0
         upright = [
-            (tap, pair) if usual_sign > 0 else (tap.turned(), pair.turned())
+            (tap, pair) if usual_sign > 0 else (tap.negated(), pair.negated())
             for tap, pair in struck
             if np.sign(tap.coefficient_m_per_s2) == usual_sign
         ]
@@ -666,7 +666,7 @@ def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
     return None
 
 
-def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: float, kept: bool) -> SecondMode | None:
+def _common_pair(both: list[tuple[TapHit, Ringing]], by_both: float, by_one: float, default: bool) -> SecondMode | None:
     """Return the second mode that the pairs have in common, or None if the second is an artefact of the first."""
     speeds = np.array([tap.speed_m_per_s for tap, _ in both])
     noise = _noise_of([tap for tap, _ in both])
@@ -679,14 +679,14 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: flo
     of_ratio = ratios**2 * (parts.sum(axis=1) - 2 * between / coefficients.prod(axis=1))
 
     def shared(name: str, first_column: int) -> list[Estimate]:
-        """Return the common logarithm of this figure for each of the two modes."""
+        """Return the mean natural logarithm of this parameter for either mode."""
         values = np.array([getattr(pair, name) for _, pair in both])
         variances = own[:, first_column : first_column + 2] / values**2
-        return [common(np.log(values[:, k]), _levelled(variances[:, k], relative)) for k in range(2)]
+        return [common(np.log(values[:, k]), _smoothed(variances[:, k], relative)) for k in range(2)]
 
-    of_first = _levelled(own[:, 0], noise)
+    of_first = _smoothed(own[:, 0], noise)
     slope = through_origin(speeds, coefficients[:, 0], of_first, speeds**2).coefficients[0]
-    ratio = common(ratios, _levelled(of_ratio, relative))
+    ratio = common(ratios, _smoothed(of_ratio, relative))
     decay, angular = shared("decay_rate_per_s", 2), shared("angular_frequency_rad_per_s", 4)
     same = abs(angular[1].value - angular[0].value) < TAP_LIMITS.max_frequency_difference
     # Decay time in periods of the second mode.
@@ -706,16 +706,16 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], together: float, alone: flo
         first_frequency_hz=angular[0].mapped(_hertz),
         first_decay_time_s=decay[0].mapped(_time),
         amplitudes=speed_law.table(speeds, coefficients[:, 0], of_first),
-        variance_accounted_for=together,
-        alone=alone,
-        kept=kept,
+        variance_accounted_for=by_both,
+        alone=by_one,
+        kept=default,
     )
 
 
 # ---- Intervals: what all taps have in common -------------------------------------------------------------------------
 
 WithVariances: TypeAlias = tuple[Floats, Floats]
-"""(n,) values and (n,) their variances due to noise, without the scatter between taps."""
+"""Values (n,) and their variances (n,) due to noise, without the scatter between taps."""
 
 
 def _noise_of(taps: Sequence[TapHit]) -> Floats:
@@ -725,9 +725,9 @@ def _noise_of(taps: Sequence[TapHit]) -> Floats:
     return np.where((found < 1.5 * usual) & (usual < 1.5 * found), usual, found) ** 2
 
 
-def _levelled(own: Floats, scale: Floats) -> Floats:
-    """Return `scale` times the median ratio of `own` to `scale`: variances without the chance of single fits."""
-    return np.asarray(scale * np.median(own / scale), dtype=np.float64)
+def _smoothed(variances: Floats, scale: Floats) -> Floats:
+    """Return `scale` times the median ratio of variances to `scale`, because single variances vary by chance."""
+    return np.asarray(scale * np.median(variances / scale), dtype=np.float64)
 
 
 def _hertz(log_angular: float) -> float:
@@ -752,12 +752,12 @@ def _peak_variance(ringing: Ringing) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """The figures of all n taps."""
+    """Fitted values of all n taps, as arrays."""
 
     speeds: Floats
     """(n,) m/s."""
     noise: Floats
-    """(n,) variances of the noise."""
+    """(n,) variances of the noise, (m/s^2)^2."""
     amplitude: WithVariances
     """Coefficient A, m/s^2."""
     peak: WithVariances
@@ -769,7 +769,7 @@ class Figures:
 
     @classmethod
     def of(cls, taps: Sequence[TapHit]) -> Figures:
-        """Return the figures of these taps."""
+        """Return the fitted values of these taps."""
 
         def each(name: str) -> Floats:
             return np.array([getattr(tap, name) for tap in taps])
@@ -783,16 +783,16 @@ class Figures:
         return cls(
             each("speed_m_per_s"),
             noise,
-            amplitude=(each("coefficient_m_per_s2"), _levelled(spreads[:, 0], noise)),
-            peak=(peaks, _levelled(of_peaks, noise)),
-            decay=(np.log(decays), _levelled(spreads[:, 1] / decays**2, relative)),
-            angular=(np.log(angulars), _levelled(spreads[:, 2] / angulars**2, relative)),
+            amplitude=(each("coefficient_m_per_s2"), _smoothed(spreads[:, 0], noise)),
+            peak=(peaks, _smoothed(of_peaks, noise)),
+            decay=(np.log(decays), _smoothed(spreads[:, 1] / decays**2, relative)),
+            angular=(np.log(angulars), _smoothed(spreads[:, 2] / angulars**2, relative)),
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """Frequency and decay time over the speed: linear between the speeds, constant beyond them."""
+    """Frequency and decay time at several speeds: interpolated linearly, constant beyond the first and the last."""
 
     speeds_m_per_s: tuple[float, ...]
     frequencies_hz: tuple[Estimate, ...]
@@ -818,15 +818,15 @@ class Modes:
 
 
 def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -> Modes | None:
-    """Return the table of modes over the speed, or None if frequency and decay time do not change.
+    """Return the table of modes versus speed, or None if frequency and decay time do not change.
 
-    A figure changes if it differs between the slowest and the fastest tap significantly and by 2 % (frequency) or 10 %
-    (decay time). A figure that does not change has its common value at all speeds.
+    Either changes if it differs significantly between the slowest and the fastest tap, and by 2 % (frequency) or 10 %
+    (decay time). One that does not change has the mean of all taps at every speed.
     """
     speeds, (angulars, of_angular), (decays, of_decay) = figures.speeds, figures.angular, figures.decay
     moved = (
-        speed_law.moves(speeds, angulars, of_angular, "frequency", TAP_LIMITS.min_frequency_change),
-        speed_law.moves(speeds, -decays, of_decay, "decay time", TAP_LIMITS.min_decay_change),
+        speed_law.speed_trend(speeds, angulars, of_angular, "frequency", TAP_LIMITS.min_frequency_change),
+        speed_law.speed_trend(speeds, -decays, of_decay, "decay time", TAP_LIMITS.min_decay_change),
     )
     if not any(moved):
         return None
@@ -838,7 +838,7 @@ def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -
         return statistics.least_squares(hats, *pairs[which])
 
     def criterion(which: int, knots: Floats) -> float:
-        """Return the AICc of a table with these knots; the weights are those of a table of two."""
+        """Return the AICc of a table with these knots; the weights are those of a table with two knots."""
         try:
             scatter, left = laid(which, speed_law.knots_of(speeds, 2)).scatter, laid(which, knots).residual
         except FitError:
@@ -868,13 +868,13 @@ class TapFit(Fit):
 
     taps: tuple[TapHit, ...]
     slope_per_s: Estimate
-    """Coefficient A over the speed, for `attack: coefficient`."""
+    """Slope of the coefficient A with speed, for `attack: coefficient`."""
     first_peak_slope_per_s: Estimate
-    """Largest acceleration of the first cycle over the speed, for `attack: first_peak`."""
+    """Slope of the largest acceleration of the first cycle with speed, for `attack: first_peak`."""
     frequency_hz: Estimate
     decay_time_s: Estimate
     modes: Modes | None
-    """Frequency and decay time over the speed, if they change with it."""
+    """Table of frequency and decay time at several speeds, if they change with speed."""
     r_squared: float
     """r^2 of A(v) as a line through the origin."""
     offset_slope_per_s: Estimate
@@ -892,7 +892,7 @@ class TapFit(Fit):
 
     @property
     def choices(self) -> dict[str, str]:
-        """The chosen models with the reasons."""
+        """Chosen models with their reasons, for `amplitude` and `mode_table`."""
         chosen = {"amplitude": f"{self.law.named}: {self.law.why}"}
         return chosen if self.modes is None else {**chosen, "mode_table": self.modes.why}
 
@@ -903,9 +903,9 @@ class TapFit(Fit):
 
     @property
     def amplitudes(self) -> Amplitudes:
-        """Coefficients over the speed for `amplitudes` of a material, linear between the points and down to rest.
+        """Value of `amplitudes` of a material: A at several speeds, interpolated linearly and down to 0 at rest.
 
-        If A(v) is a power law, they are points of it.
+        If A(v) is a power law, the material has points of it.
         """
         return self.law.points
 
@@ -916,7 +916,7 @@ class TapFit(Fit):
         two_modes: bool | None = None,
         mode_table: bool | None = None,
     ) -> dict[str, Json]:
-        """Return the keys of a YAML material; None takes the law, modes and table that the fit found.
+        """Return the keys of a YAML material; the fit chooses options that are None.
 
         Raises FitError if a requested second mode, power law or table was not found, and for `attack: first_peak`
         with a table of amplitudes or two modes, which need the coefficient.
@@ -956,8 +956,8 @@ class TapFit(Fit):
             # In the fit of both modes the first one has other amplitudes.
             points = second.amplitudes
 
-        def part(speed: float) -> float:
-            """Return the factor from A to the amplitude that `attack` means at this speed."""
+        def factor(speed: float) -> float:
+            """Return the ratio to A of the amplitude that `attack` specifies, at this speed."""
             if attack == "coefficient":
                 return 1.0
             hertz, time_s = self.frequency_hz.value, self.decay_time_s.value
@@ -965,7 +965,7 @@ class TapFit(Fit):
                 hertz, time_s = float(modes.frequency_at(np.array(speed))), float(modes.decay_time_at(np.array(speed)))
             return Mode(1 / time_s, 2 * math.pi * hertz).peak
 
-        return tap | {"amplitudes": [[speed, part(speed) * each.value] for speed, each in points]}
+        return tap | {"amplitudes": [[speed, factor(speed) * each.value] for speed, each in points]}
 
     def to_dict(self) -> dict[str, Json]:
         """Return the fit as plain data for JSON, without samples."""
@@ -980,9 +980,8 @@ def fit_tap(
 ) -> TapFit:
     """Fit the taps of one material.
 
-    `progress` is called after each recording. Recordings and taps that cannot be used are added to `excluded`. Raises
-    FitError (one line) if the recordings do not support a fit: no onset, too few taps, all at one speed, clipped,
-    sampled too slowly, impossible units.
+    `progress` is called after each recording. Unusable recordings and taps are added to `excluded`. Raises FitError
+    (one line) if the recordings do not support a fit.
     """
     statistics.require_scipy()
     preparation.refuse_duplicates(recordings)
@@ -1064,7 +1063,7 @@ def _of_one_sign(hits: list[TapHit], lines: list[str], excluded: Exclusions) -> 
         if sign != usual:
             excluded.add(tap.recording, "it begins with the other sign than most", "tap", tap.onset_s)
             continue
-        found.append(tap if usual > 0 else tap.turned())
+        found.append(tap if usual > 0 else tap.negated())
     other = len(hits) - len(found)
     if len(found) < SPEED_LAW_LIMITS.min_taps or (other > 1 and other > TAP_LIMITS.max_other_sign * len(hits)):
         raise FitError(
@@ -1084,7 +1083,7 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
     # The fitted section has seven decay times, unless the recording or the next tap ends it.
     if decay_time_s > TAP_LIMITS.max_decay * longest_s:
         raise FitError(
-            f"the ringing does not decay: its decay time is {decay_time_s:.3g} s, of {longest_s:.3g} s that were fitted"
+            f"the ringing does not decay: its decay time is {decay_time_s:.3g} s, but {longest_s:.3g} s were fitted"
         )
 
 
@@ -1094,7 +1093,7 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
 def _check_recordings(
     warnings: Warnings, recordings: Sequence[Recording], taps: Sequence[TapHit], frequency: Estimate
 ) -> None:
-    """Add reasons for hum in the residuals and for a low sampling rate."""
+    """Downgrade the verdict for hum in the residuals and for a low sampling rate."""
     of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
 
     def lines(recording: Recording, needed: int) -> list[SpectralLine]:
@@ -1116,7 +1115,7 @@ def _check_recordings(
 def _check_mode(
     warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float, lines: list[str]
 ) -> None:
-    """Add reasons if one mode, or two, do not explain the taps."""
+    """Downgrade the verdict if one mode, or two, do not explain the taps."""
     if second is not None:
         together = 100 * second.variance_accounted_for
         lines.append(
@@ -1136,7 +1135,7 @@ def _check_mode(
 def _lack_of_fit(taps: Sequence[TapHit]) -> str:
     """Return a sentence if the residuals of all taps have a common pattern that is not noise, else an empty string.
 
-    This is the score test of the shapes that ringing.py tries in addition to the mode.
+    This is the score test of OTHER_SHAPES in ringing.py.
     """
     noisy = float(np.median([tap.residual_to_noise for tap in taps]))
     size = len(taps[0].ringing.lack_of_fit[0])
@@ -1162,7 +1161,7 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
 
 
 def _modes_over_speed(warnings: Warnings, figures: Figures, frequency: Estimate, decay_time: Estimate) -> Modes | None:
-    """Return the table of modes over the speed, or None; add reasons if frequency or decay scatter between taps."""
+    """Return the table of modes versus speed, or None; downgrade the verdict if frequency or decay scatters."""
     modes = modes_of(figures, frequency, decay_time)
     if modes is None:
         warnings.check_interval("decay time", decay_time)

@@ -1,22 +1,22 @@
-"""Fit of textures to recorded strokes: peak and mean frequency, and loudness over speed and force.
+"""Fit of textures to recorded strokes: peak and mean frequency, and loudness as a function of speed and force.
 
 Strokes are cut into blocks of half a second, each with its periodograms, speed and force. The density of the sensor's
 noise is measured near half the rate and subtracted. Below TEXTURE_LIMITS.min_frequency_hz, where a hand trembles, the
-density is assumed to continue as it is just above. Where it falls below the sensor's noise, it is assumed to fall as in
-the octave before.
+density is assumed to be that just above. Where it falls below the sensor's noise, it is assumed to fall as in the
+octave before.
 
-The mean frequency is the centroid of the power. The peak is that of a parabola in 1/density over the squared frequency
-within the half-power band, by Whittle's likelihood; a single resonance has this shape. Intervals are jackknifed over
-groups of blocks, or over strokes if these differ more than their blocks do by chance. If the parabola of the upper
-quarter of the power has another peak, the spectrum is not a single resonance, and the interval includes both.
+The mean frequency is the centroid of the power. The peak is that of a single resonance: a parabola is fitted to
+1/density versus squared frequency in the half-power band, by Whittle's likelihood. Intervals are jackknifed over groups
+of blocks, or over strokes if these differ more than their blocks do by chance. If a parabola above three quarters of
+the highest density has another peak, the spectrum is not a single resonance, and the interval includes both.
 
 A peak is resolved if the density is lower on both sides. If the density at TEXTURE_LIMITS.min_frequency_hz is as high,
-the peak may be anywhere below. Then the interval begins at 0. It ends at the end of the parabola's interval, limited to
-the half-power band, or at the 97.5 % quantile of the highest point of resampled groups (Efron's bootstrap, 1979), if
-that is more.
+the peak may be anywhere below. Then the interval begins at 0. It ends at the larger of two frequencies: the end of the
+parabola's interval, limited to the half-power band, and the 97.5 % quantile of the frequency of the highest density
+over bootstrap samples of the groups (Efron, 1979).
 
-The RMS law is fitted to the power of the blocks, with errors proportional to the power (quasi-likelihood of a gamma
-distribution; Wedderburn, 1974).
+The law of the RMS is fitted to the power of the blocks, with errors proportional to the power (quasi-likelihood of a
+gamma distribution; Wedderburn, 1974).
 
 An autoregressive model is made for each pair of speed and force, if requested. It comes from the autocorrelation of the
 mean spectrum (Levinson and Durbin), which makes it stable for any spectrum. Its order is that with the lowest corrected
@@ -59,7 +59,7 @@ class StrokeBlocks:
     floor: float
     """Density of the sensor's noise."""
     lost: int
-    """Number of blocks that `_unusable_blocks` finds."""
+    """Number of blocks left out because of replaced samples or knocks."""
 
 
 def _frequencies(rate_hz: float) -> Floats:
@@ -112,7 +112,7 @@ def _blocks_of(stroke: Stroke, usual_hz: float, warnings: Warnings) -> StrokeBlo
 
 
 def _without_sensor_noise(name: str, frequency: Floats, density: Floats, rate_hz: float) -> tuple[Floats, float]:
-    """Return the density less that of the sensor's noise, and the latter.
+    """Return the density minus that of the sensor's noise, and that of the noise.
 
     Raises FitError if the spectrum does not end below half the rate: if its mean between 0.4 and 0.49 of the rate is
     more than a twentieth of its highest value.
@@ -135,7 +135,7 @@ def _without_sensor_noise(name: str, frequency: Floats, density: Floats, rate_hz
 
 
 def _unusable_blocks(stroke: Stroke, block: int, warnings: Warnings) -> set[int]:
-    """Return the first samples of the blocks to leave out: with more than 2 % replaced samples, or with a knock.
+    """Return the first sample of each block to leave out: one with more than 2 % replaced samples, or with a knock.
 
     A knock exceeds 15 standard deviations of its block, which noise does not reach.
     """
@@ -177,7 +177,7 @@ def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
 
 
 def _top_of(frequency: Floats, shape: Floats, floor: float) -> tuple[float, Tail | None]:
-    """Return the frequency at which the mean spectrum falls to 0.3 of the sensor's noise, and its tail from there."""
+    """Return the frequency at which the mean spectrum falls to 0.3 of the sensor's noise, and the tail above."""
     smooth = smoothed(shape, max(1, round(25 / frequency[1])))
     peak = int(np.argmax(smooth))
     below = np.flatnonzero(smooth[peak:] < 0.3 * floor)
@@ -194,14 +194,14 @@ def _top_of(frequency: Floats, shape: Floats, floor: float) -> tuple[float, Tail
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """Density from `top_hz` to half the rate: it falls as frequency^-fall, as in the octave below `top_hz`."""
+    """Density from `top_hz` to half the rate: it falls as frequency^-fall, as the octave below `top_hz` does."""
 
     top_hz: float
     fall: float
     end_hz: float
 
     def moments(self, frequency: Floats, shape: Floats) -> tuple[float, float]:
-        """Return its power, and its power times its mean frequency, in units of sums over `shape`."""
+        """Return the tail's power, and its power times its mean frequency, both divided by the width of a bin."""
         last = frequency > self.top_hz / 2
         level = float(shape[last].sum() / np.sum((frequency[last] / self.top_hz) ** -self.fall)) / float(frequency[1])
         ratio = self.end_hz / self.top_hz
@@ -218,12 +218,12 @@ class _Blocks:
     stroke: Ints
     """(blocks,) index of each block's stroke in `strokes`."""
     frequency: Floats
-    """(frequencies,) up to where the spectra fall below the sensor's noise; from there they continue as `tail`."""
+    """(frequencies,) Hz, up to where the spectra fall below the sensor's noise; `tail` continues them."""
     density: Floats
     """(blocks, frequencies) in (m/s^2)^2/Hz."""
     tail: Tail | None
     means: Floats
-    """(blocks, 5) as of StrokeBlocks."""
+    """(blocks, 5) as in StrokeBlocks."""
     rms: Floats
     """(blocks,) m/s^2."""
 
@@ -309,7 +309,7 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
 
 
 def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) -> Estimate:
-    """Return a figure of the mean density with its jackknife interval.
+    """Return `figure` of the mean density with its jackknife interval.
 
     Groups of blocks are left out in turn, or strokes if these differ significantly more than their blocks do (5 %
     level).
@@ -335,7 +335,7 @@ def _groups_of(blocks: int) -> list[Ints]:
 def _left_out(figure: Callable[[Floats], float], shape: Floats, groups: Sequence[Ints]) -> tuple[float, int]:
     """Return jackknife standard error and degrees of freedom.
 
-    Groups of different sizes have equal weights; those of Busing, Meijer and van der Leeden, 1999, change little.
+    Groups of different sizes have equal weights; the weights of Busing et al. (1999) change little.
     """
     total = shape.sum(axis=0)
     without = np.array([figure((total - shape[each].sum(axis=0)) / (len(shape) - len(each))) for each in groups])
@@ -354,10 +354,10 @@ def _highest(frequency: Floats, density: Floats) -> tuple[Floats, int]:
     return smooth, int(np.argmax(np.where(frequency >= TEXTURE_LIMITS.min_frequency_hz, smooth, 0.0)))
 
 
-def _parabola_peak(frequency: Floats, shape: Floats, part: float = TEXTURE_LIMITS.wide_top) -> float:
-    """Return the peak of a parabola in 1/density over the band above this fraction of the highest density."""
+def _parabola_peak(frequency: Floats, shape: Floats, fraction: float = TEXTURE_LIMITS.wide_top) -> float:
+    """Return the peak, Hz, of a parabola fitted to 1/density above this `fraction` of the highest density."""
     smooth, place = _highest(frequency, shape)
-    outside = (smooth <= part * smooth[place]) | (frequency < TEXTURE_LIMITS.min_frequency_hz)
+    outside = (smooth <= fraction * smooth[place]) | (frequency < TEXTURE_LIMITS.min_frequency_hz)
     low = int(np.flatnonzero(outside[:place])[-1]) + 1 if outside[:place].any() else 0
     high = place + int(np.argmax(outside[place:])) - 1 if outside[place:].any() else len(smooth) - 1
     band = slice(low, high + 1)
@@ -395,7 +395,7 @@ def _parabola_peak(frequency: Floats, shape: Floats, part: float = TEXTURE_LIMIT
 
 
 def _falls_below(frequency: Floats, shape: Floats, peak_hz: float) -> bool:
-    """Return whether the density near min_frequency_hz is significantly lower than within a fifth of the peak."""
+    """Return whether the density near min_frequency_hz is significantly lower than within 20 % of the peak."""
     if peak_hz < 1.3 * TEXTURE_LIMITS.min_frequency_hz:
         return False
     low = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & (
@@ -437,13 +437,13 @@ def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> flo
     return float(np.sqrt(np.mean(np.square(differences))))
 
 
-# ---- Loudness over speed and force -----------------------------------------------------------------------------------
+# ---- Loudness versus speed and force ---------------------------------------------------------------------------------
 
 Gains: TypeAlias = tuple[Estimate, Estimate] | tuple[None, None]
 
 
 def _loudness(blocks: _Blocks, autoregressive: bool, warnings: Warnings) -> tuple[Floats, Gains, float]:
-    """Return the RMS of each block by the law (blocks,), the gains of the law, and its correlation.
+    """Return the RMS of each block as the law predicts it (blocks,), the gains of the law, and its correlation.
 
     If speed and force do not vary independently, autoregressive models take the mean RMS of each stroke, without gains.
     """
@@ -457,7 +457,7 @@ def _loudness(blocks: _Blocks, autoregressive: bool, warnings: Warnings) -> tupl
 
 
 def _law(moments: Floats, rms: Floats, warnings: Warnings) -> tuple[Floats, Gains, float]:
-    """Return what `_loudness` returns, by quasi-likelihood.
+    """Fit the law by quasi-likelihood; return predicted RMS (blocks,), gains and correlation.
 
     The mean power of a block is g' M g, with the gains g and the block's moments M. Its derivative 2 M g, divided by
     the power, gives the columns of the least squares.
@@ -503,7 +503,7 @@ class ArModel:
     coefficients: tuple[float, ...]
     rms_m_per_s2: float
     rms_error_db: float
-    """Distance of its spectrum from the recorded one, as of `spectral_distance_db`."""
+    """Difference between its spectrum and the recorded one, from `spectral_distance_db`."""
 
 
 def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
@@ -522,31 +522,31 @@ def _models_of(blocks: _Blocks, rate_hz: float) -> tuple[ArModel, ...]:
     Raises FitError if no group lasts 2 s.
     """
     columns = (blocks.speed, blocks.force)
-    places: list[list[int]] = []
+    groups: list[list[int]] = []
     for stroke in range(len(blocks.strokes)):
         # A recording at nearly constant speed and force is one part, otherwise each block is one.
         here = np.flatnonzero(blocks.stroke == stroke)
         steady = max(float(np.ptp(values[here]) / np.mean(values[here])) for values in columns) < 0.5
         for part in [here.tolist()] if steady else [[member] for member in here.tolist()]:
-            for place in places:
+            for group in groups:
                 if all(
-                    abs(np.mean(values[part]) / np.mean(values[place]) - 1) < TEXTURE_LIMITS.max_model_difference
+                    abs(np.mean(values[part]) / np.mean(values[group]) - 1) < TEXTURE_LIMITS.max_model_difference
                     for values in columns
                 ):
-                    place += part
+                    group += part
                     break
             else:
-                places.append(part)
-    kept = [place for place in places if len(place) >= TEXTURE_LIMITS.min_model_blocks]
+                groups.append(part)
+    kept = [group for group in groups if len(group) >= TEXTURE_LIMITS.min_model_blocks]
     if not kept:
         raise FitError("no speed and force was held for 2 s: autoregressive models need steady strokes")
-    return tuple(_model(blocks, place, rate_hz) for place in kept)
+    return tuple(_model(blocks, group, rate_hz) for group in kept)
 
 
-def _model(blocks: _Blocks, place: list[int], rate_hz: float) -> ArModel:
+def _model(blocks: _Blocks, group: list[int], rate_hz: float) -> ArModel:
     from scipy.linalg import solve_toeplitz
 
-    density = blocks.density[place].mean(axis=0)
+    density = blocks.density[group].mean(axis=0)
     below = blocks.frequency <= rate_hz / 2
     frequency, power = blocks.frequency[below], np.maximum(density[below], 1e-6 * density.max())
     weights = np.full(len(frequency), frequency[1])
@@ -556,13 +556,13 @@ def _model(blocks: _Blocks, place: list[int], rate_hz: float) -> ArModel:
     # The reflection is the last coefficient of each order, in the convention of hapticd.rendering.filter_design.
     stages = [-float(solve_toeplitz(correlation[:m], correlation[1 : m + 1])[-1]) for m in lags[1:]]
     errors = np.cumprod(1 - np.square(stages))
-    count = len(place) * TEXTURE_LIMITS.block_s * rate_hz
+    count = len(group) * TEXTURE_LIMITS.block_s * rate_hz
     criteria = [count * math.log(errors[p - 1]) + 2 * (p + 1) * count / (count - p - 2) for p in lags[1:]]
     reflection = stages[: 1 + int(np.argmin(criteria))]
     model = float(correlation[0]) * power_spectrum((reflection, None), frequency, rate_hz)
     return ArModel(
-        float(blocks.speed[place].mean()),
-        float(blocks.force[place].mean()),
+        float(blocks.speed[group].mean()),
+        float(blocks.force[group].mean()),
         coefficients_of(reflection),
         math.sqrt(float(correlation[0])),
         spectral_distance_db(frequency, model, power),
@@ -585,7 +585,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextureFit(Fit):
-    """Result of a fit of a texture. All intervals are of 95 %."""
+    """Result of a fit of a texture. All intervals are 95 % confidence intervals."""
 
     peak_hz: Estimate
     peak_resolved: bool
@@ -626,7 +626,7 @@ def fit_texture(
 ) -> TextureFit:
     """Fit a texture to strokes at several speeds and forces.
 
-    Recordings, and sections of them, that cannot be used are added to `excluded`. Raises FitError if the recordings do
+    Unusable recordings and sections are added to `excluded`. Raises FitError if the recordings do
     not support a fit.
     """
     excluded = Exclusions() if excluded is None else excluded
@@ -737,8 +737,8 @@ def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
     if count > 3 and float(np.std(pitch)) > TEXTURE_LIMITS.max_pitch_scatter:
         raise _TwoTextures(
             name,
-            f"two textures in one file, or none: the mean frequency is between {math.exp(pitch.min()):.3g} and "
-            f"{math.exp(pitch.max()):.3g} Hz in it",
+            f"two textures in one file, or none: the mean frequency varies from {math.exp(pitch.min()):.3g} to "
+            f"{math.exp(pitch.max()):.3g} Hz",
         )
     for k in range(3, count - 2):
         for values, least, what in (
@@ -759,7 +759,7 @@ def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
 
 
 def _check_peak(peak: Peak, autoregressive: bool, warnings: Warnings) -> None:
-    """Add a reason if the peak is not resolved or uncertain; autoregressive models need no peak."""
+    """Downgrade the verdict if the peak is not resolved or uncertain; autoregressive models need no peak."""
     if not peak.resolved:
         add = warnings.note if autoregressive else warnings.add_fair
         add(

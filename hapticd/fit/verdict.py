@@ -1,8 +1,8 @@
 """Verdict on a fit (good, fair or poor, with reasons), and the recordings and events that were left out.
 
-A fit collects warnings and reasons in `Warnings`. Without a reason it is good. With a reason it is fair, or poor if
-the figures should not be used. LOWER_LIMITS and UPPER_LIMITS hold the limits of all values that alone decide this.
-docs/fit.md lists them; `make docs-tables` writes its figures.
+A fit collects warnings, and reasons against itself, in `Warnings`. Without a reason it is good. With a reason it is
+fair, or poor if its results should not be used. LOWER_LIMITS and UPPER_LIMITS are the rules for single values;
+`make docs-tables` copies them to docs/fit.md.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Rule(NamedTuple):
     poor: float
     reason: str
     more: str = ""
-    """Second half of the warning. If it is empty, the reason is not a warning."""
+    """Advice or consequence, added to the reason in a warning. If it is empty, there is no warning."""
 
 
 LOWER_LIMITS: Final[Mapping[str, Rule]] = {
@@ -75,7 +75,7 @@ LOWER_LIMITS: Final[Mapping[str, Rule]] = {
     ),
     "punctures": Rule(3.0, 2.0, "{value:.0f} punctures are few", "ten are better"),
 }
-"""Rules by the name of the value: a smaller value is a reason against the fit."""
+"""Rules by the name of the value. A value below a limit is a reason against the fit."""
 UPPER_LIMITS: Final[Mapping[str, Rule]] = {
     "half of a figure's interval": Rule(0.25, 0.5, "the {what} is uncertain: {within}"),
     "part of the loudness that is uncertain": Rule(
@@ -101,7 +101,7 @@ UPPER_LIMITS: Final[Mapping[str, Rule]] = {
         "--ar uses the recorded spectrum",
     ),
 }
-"""Rules by the name of the value: a larger value is a reason against the fit. All but the decibels are fractions."""
+"""Rules by the name of the value. A larger value is a reason against the fit. All are fractions, except one in dB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ class Warnings:
     poor: bool = False
 
     def add(self, poor: bool, reason: str, more: str = "") -> None:
-        """Add a reason unless it is empty; with `more` add `reason; more` as a warning, too."""
+        """Add a reason against the fit, unless it is empty; with `more`, add the warning `reason; more`, too."""
         if not reason:
             return
         self.poor |= poor
@@ -138,7 +138,7 @@ class Warnings:
             self.lines.append(f"{reason}; {more}")
 
     def add_fair(self, line: str) -> None:
-        """Add a warning that is also a reason and makes the fit fair."""
+        """Add a warning that is also a reason, with which the fit is at best fair."""
         self.add(False, line)
         self.lines.append(line)
 
@@ -159,7 +159,7 @@ class Warnings:
         self.cases += other.cases
 
     def check(self, rule: str, value: float, **context: object) -> None:
-        """Add a reason if the value is beyond its rule in LOWER_LIMITS or UPPER_LIMITS; NaN is poor.
+        """Downgrade the verdict if the value is beyond its rule in LOWER_LIMITS or UPPER_LIMITS; NaN is poor.
 
         `context` holds further fields of the rule's texts.
         """
@@ -171,14 +171,14 @@ class Warnings:
         self.add(poor, bound.reason.format_map(context), bound.more.format_map(context))
 
     def check_interval(self, what: str, figure: Estimate) -> None:
-        """Add a reason if half of the figure's interval is too large a fraction of the figure."""
+        """Downgrade the verdict if half of an interval is too large a fraction of the value `figure`."""
         half = max(figure.high - figure.value, figure.value - figure.low)
         part = half / abs(figure.value) if figure.value else math.inf
         within = f"{100 * part:.0f} %" if part < 10 else f"{figure.low:.3g} to {figure.high:.3g}"
         self.check("half of a figure's interval", part, what=what, within=within)
 
     def check_gain(self, what: str, gain: Estimate, usual: float, loudness: float) -> None:
-        """Add a reason if the gain of a law may be 0 or is uncertain.
+        """Downgrade the verdict if the gain of a law may be 0 or is uncertain.
 
         It is uncertain if half of its interval, times the `usual` speed or force, is too large a fraction of the usual
         loudness.
@@ -237,7 +237,7 @@ class Exclusions:
         """Add an exclusion; raise StrictError if strict."""
         left = Exclusion(recording, reason.removeprefix(f"{recording}: "), what, time_s)
         if self._strict:
-            raise StrictError(f"{left}; --strict refuses exclusions")
+            raise StrictError(f"{left}; --strict forbids exclusions")
         self.items.append(left)
 
     def copy(self) -> Exclusions:
@@ -247,15 +247,15 @@ class Exclusions:
         return other
 
     def merge(self, other: Exclusions) -> None:
-        """Add what was added to `other`, a copy of this, since it was copied."""
+        """Add the exclusions that were added to `other` after it was copied from this one."""
         for left in other.items[len(self.items) :]:
             self.add(left.recording, left.reason, left.what, left.time_s)
         self.unused |= other.unused
 
     def each(self, recordings: Iterable[Recording], fitted: Callable[[Recording], _T]) -> list[_T]:
-        """Return `fitted` of each recording; a recording that raises FitError is left out with its reason.
+        """Return `fitted(recording)` of each recording; one for which it raises FitError is left out with its reason.
 
-        UnitError and StrictError are raised: a wrong unit in one recording is wrong in all.
+        UnitError and StrictError are passed on: a wrong unit in one recording is wrong in all.
         """
         found = []
         for recording in recordings:
@@ -273,9 +273,9 @@ class Exclusions:
         return self.unused | {left.recording for left in self.items if left.what == WHOLE_RECORDING}
 
     def refused(self, few: str) -> FitError:
-        """Return the error that too little is left: the text `few` and up to three reasons.
+        """Return the error for too few usable recordings: the text `few` and up to three reasons.
 
-        If a single recording was left out and nothing else, the error is the reason of that recording.
+        If only a single recording was left out, the error is its reason.
         """
         complete = [left for left in self.items if left.what == WHOLE_RECORDING]
         if len(self.items) == len(complete) == 1:
@@ -290,7 +290,7 @@ class Exclusions:
         return [str(left) for left in self.items]
 
     def report(self, recordings: Sequence[Recording], warnings: Warnings) -> None:
-        """Insert the exclusions before all other warnings; add a reason if many recordings are left out."""
+        """Insert the exclusions before all other warnings; downgrade the verdict if many recordings are left out."""
         warnings.lines[:0] = self.lines()
         unused, every = self.recordings, {recording.name for recording in recordings} | self.recordings
         count = max(len(every), len(recordings))
@@ -298,7 +298,7 @@ class Exclusions:
         warnings.check("part left out", len(unused) / count, left=left)
 
     def report_taps(self, used: int, warnings: Warnings) -> None:
-        """Add a reason if more taps are left out than used."""
+        """Downgrade the verdict if more taps are left out than used."""
         taps = sum(each.what == "tap" for each in self.items)
         if taps > used:
             warnings.add(False, f"{taps} of {taps + used} taps are left out")

@@ -1,14 +1,14 @@
-"""Fit of taps that are pulses: their common waveform, scaled over the approach speed.
+"""Fit of taps that are pulses: their common waveform, scaled with the approach speed.
 
-    y_i(t) = a_i s(R (t - t_i)) + c_i, s the curve of hapticd.config.waveform
+    y_i(t) = a_i s(R (t - t_i)) + c_i, where s is the curve of hapticd.config.waveform
 
 The fit alternates two steps. For given amplitudes a_i, onsets t_i and offsets c_i, the samples of s at the rate R are
-linear least squares. For given s, a_i and c_i are linear least squares of each pulse and t_i is searched. The first
-onsets are those at which each pulse crosses a fraction of its peak. s is interpolated as the servo's tick does, so the
-fit includes the error of the interpolation. s is 0 at both ends, and its largest magnitude is 1 and positive.
+fitted by linear least squares. For given s, a_i and c_i are fitted in the same way, and t_i is searched. Initially
+each onset is where the pulse crosses a fraction of its peak. s is interpolated as in the servo, so the fit includes the
+error of the interpolation. s is 0 at both ends, and its largest magnitude is 1 and positive.
 
-The variance that the shape explains of a tap is that of a shape fitted without this tap. The amplitude is the tap's
-largest acceleration; its law over the speed is chosen as for taps that ring.
+The explained variance of a tap is that of a shape fitted without this tap. The amplitude is the tap's largest
+acceleration; its law versus speed is chosen as for taps that ring.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ class Pulse:
 
     @property
     def noise_m_per_s2(self) -> float:
-        """Standard deviation before the contact, or 0 if that has fewer than 6 samples."""
+        """Standard deviation before the contact, or 0 for fewer than 6 samples."""
         first = math.floor(self.onset_s * self.rate_hz)
         return float(np.std(self.measured[:first])) if first >= 6 else 0.0
 
     @property
     def since_s(self) -> Floats:
-        """(n,) times of the samples after the first."""
+        """(n,) times of the samples since the first one."""
         return np.arange(len(self.measured)) / self.rate_hz
 
     @property
@@ -105,7 +105,7 @@ def pulses_of(recordings: Sequence[Recording], lines: list[str], excluded: Exclu
 
 def _pulse(loud: Events, index: int) -> Pulse:
     """Return an event with up to 20 ms of rest before it; raise Unusable if it cannot be used."""
-    first, (before, after) = loud.events[index].first, loud.room(index)
+    first, (before, after) = loud.events[index].first, loud.section(index)
     name, rate_hz = loud.recording.name, loud.recording.rate_hz
     begin = max(before, first - max(TAP_LIMITS.min_rest_samples, round(0.02 * rate_hz)))
     end = min(after, first + round(MAX_WAVEFORM_LENGTH_S * rate_hz))
@@ -118,7 +118,7 @@ def _pulse(loud: Events, index: int) -> Pulse:
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class FittedPulse:
     """Amplitude, offset and onset of a pulse fitted by the shape."""
 
     amplitude: float
@@ -149,12 +149,12 @@ class Placed:
 class Equations:
     """Normal equations of the samples 1 .. count - 2 of a shape, separately for each pulse."""
 
-    def __init__(self, pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int) -> None:
+    def __init__(self, pulses: Sequence[Pulse], fitted: Sequence[FittedPulse], rate_hz: float, count: int) -> None:
         from scipy.sparse import csr_array
 
         self._own: list[tuple[Floats, Floats]] = []
         """For each pulse the matrix (count - 2, count - 2) and the right side (count - 2,)."""
-        for pulse, where in zip(pulses, placed, strict=True):
+        for pulse, where in zip(pulses, fitted, strict=True):
             at = (pulse.since_s - where.onset_s) * rate_hz
             here = (at >= 0) & (at <= count - 1)
             k = np.minimum(np.floor(at[here]), count - 2).astype(np.intp)
@@ -179,7 +179,7 @@ class Equations:
         self._smooth = 1e-4 * float(np.mean(np.diag(self._gram))) * (bends.T @ bends)
 
     def solved(self, without: int | None = None) -> Floats:
-        """Return the samples (count,), the first and the last 0; pulse number `without` is left out."""
+        """Return the samples (count,), of which the first and the last are 0; pulse `without` is left out."""
         from scipy.linalg import solve
 
         gram, side = self._gram, self._side
@@ -197,12 +197,12 @@ class Equations:
         return np.pad(np.sqrt(np.sum(moved**2, axis=1) * pulses / max(1, pulses - 1)), 1)
 
 
-def _place(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> Placed:
+def _fit_pulse(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> FittedPulse:
     """Return the pulse fitted by this shape, its onset searched up to `reach_s` from `near_s`.
 
     The best of nine onsets is taken four times; each time the range is a quarter of the one before.
     """
-    best: Placed | None = None
+    best: FittedPulse | None = None
     middle_s = near_s
     for _ in range(4):
         onsets = middle_s + np.linspace(-reach_s, reach_s, 9)
@@ -214,7 +214,7 @@ def _place(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> Placed:
         along = centred @ measured
         which = int(np.argmax(along**2 / size))
         amplitude = float(along[which] / size[which])
-        found = Placed(
+        found = FittedPulse(
             amplitude,
             level - amplitude * float(mean[which, 0]),
             float(onsets[which]),
@@ -227,7 +227,7 @@ def _place(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> Placed:
     return best
 
 
-def _upright(samples: Floats, rate_hz: float) -> tuple[Floats, Curve]:
+def _normalized(samples: Floats, rate_hz: float) -> tuple[Floats, Curve]:
     """Return the samples scaled so that the curve's largest magnitude is 1 and positive, and the curve."""
     curve = Curve(samples, rate_hz)
     largest = float(curve.at(curve.peak_time_s))
@@ -240,23 +240,27 @@ class Shape:
     """The common waveform of some pulses, and these pulses fitted by it."""
 
     pulses: tuple[Pulse, ...]
-    placed: tuple[Placed, ...]
+    fitted: tuple[FittedPulse, ...]
     rate_hz: float
     """Rate of the samples."""
     samples: Floats
     """(count,)."""
 
     @classmethod
-    def of(cls, pulses: Sequence[Pulse], placed: Sequence[Placed], rate_hz: float, count: int, turns: int = 6) -> Shape:
-        """Return the shape with `count` samples at this rate, starting from the fitted pulses `placed`."""
-        found = list(placed)
+    def of(
+        cls, pulses: Sequence[Pulse], fitted: Sequence[FittedPulse], rate_hz: float, count: int, rounds: int = 6
+    ) -> Shape:
+        """Return the shape with `count` samples at this rate, starting from the fitted pulses `fitted`."""
+        found = list(fitted)
         reach_s = 2.0 / rate_hz
-        for turn in range(turns + 1):
-            samples, curve = _upright(Equations(pulses, found, rate_hz, count).solved(), rate_hz)
-            found = [_place(curve, pulse, where.onset_s, reach_s) for pulse, where in zip(pulses, found, strict=True)]
-            if turn < turns:
+        for done in range(rounds + 1):
+            samples, curve = _normalized(Equations(pulses, found, rate_hz, count).solved(), rate_hz)
+            found = [
+                _fit_pulse(curve, pulse, where.onset_s, reach_s) for pulse, where in zip(pulses, found, strict=True)
+            ]
+            if done < rounds:
                 # The shape may shift along its samples together with all onsets: this is undone.
-                slid = float(np.median([new.onset_s for new in found]) - np.median([old.onset_s for old in placed]))
+                slid = float(np.median([new.onset_s for new in found]) - np.median([old.onset_s for old in fitted]))
                 found = [dataclasses.replace(each, onset_s=each.onset_s - slid) for each in found]
                 reach_s = max(reach_s / 2, 0.25 / rate_hz)
         return cls(tuple(pulses), tuple(found), rate_hz, samples)
@@ -269,18 +273,15 @@ class Shape:
     @property
     def equations(self) -> Equations:
         """The normal equations of the samples."""
-        return Equations(self.pulses, self.placed, self.rate_hz, len(self.samples))
+        return Equations(self.pulses, self.fitted, self.rate_hz, len(self.samples))
 
     def explained(self) -> tuple[Floats, Floats]:
-        """Return (n,) and (n,): the variance of each pulse that the shape of the others explains.
-
-        The second array is without the variance of the noise.
-        """
+        """Return the fractions (n,) of each pulse's variance that the others explain, with and without noise."""
         equations = self.equations
         shares = []
-        for index, (pulse, where) in enumerate(zip(self.pulses, self.placed, strict=True)):
-            _, other = _upright(equations.solved(without=index), self.rate_hz)
-            alone = _place(other, pulse, where.onset_s, 2.0 / self.rate_hz)
+        for index, (pulse, where) in enumerate(zip(self.pulses, self.fitted, strict=True)):
+            _, other = _normalized(equations.solved(without=index), self.rate_hz)
+            alone = _fit_pulse(other, pulse, where.onset_s, 2.0 / self.rate_hz)
             shares.append([alone.explained(other, pulse, noise) for noise in (0.0, pulse.noise_m_per_s2)])
         explains = np.array(shares)
         return explains[:, 0], explains[:, 1]
@@ -320,10 +321,10 @@ class Shape:
         length_s = (end - begin) / rate_hz
         finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MAX_WAVEFORM_SAMPLES - 1) / max(length_s, 1e-9))
         count = max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * finer_hz + 1e-9) + 1)
-        moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in self.placed]
+        moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in self.fitted]
         # A pulse is fitted up to 1.3 times its length.
         pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(self.pulses, moved, strict=True)]
-        found = Shape.of(pulses, moved, finer_hz, count, turns=4)
+        found = Shape.of(pulses, moved, finer_hz, count, rounds=4)
         if faded:
             over = max(2, round(WAVEFORM_LIMITS.fade * count))
             found.samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
@@ -331,13 +332,13 @@ class Shape:
         return found, faded
 
     def coarser(self) -> Shape:
-        """Return the shape with fewer samples: its rate is halved while it explains at most 1e-4 less variance."""
+        """Return the shape with fewer samples: its rate is halved while this costs at most 1e-4 of the variance."""
         least, shape = float(np.median(self.explained()[1])) - WAVEFORM_LIMITS.max_coarse_loss, self
         while True:
             count = math.ceil((len(shape.samples) - 1) / 2) + 1
             if count < WAVEFORM_LIMITS.min_samples or shape.rate_hz < 200:
                 return shape
-            tried = Shape.of(self.pulses, shape.placed, shape.rate_hz / 2, count, turns=2)
+            tried = Shape.of(self.pulses, shape.fitted, shape.rate_hz / 2, count, rounds=2)
             if float(np.median(tried.explained()[1])) < least:
                 return shape
             shape = tried
@@ -361,12 +362,12 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
     # the first loud sample of any pulse.
     loud_s = min(before_s + pulse.onset_s - crossing for pulse, crossing in zip(pulses, crossings, strict=True))
     rest_s = max(0.0, before_s - max(rise_s, 1.0 / rate_hz), min(loud_s, before_s) - 1.0 / rate_hz)
-    placed = []
+    fitted = []
     for pulse, crossing in zip(pulses, crossings, strict=True):
         above = pulse.measured - pulse.rest
         peak = float(above[np.argmax(np.abs(above))])
-        placed.append(Placed(peak, pulse.rest, crossing - before_s, 0.0))
-    shape = Shape.of(pulses, placed, rate_hz, max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * rate_hz) + 1))
+        fitted.append(FittedPulse(peak, pulse.rest, crossing - before_s, 0.0))
+    shape = Shape.of(pulses, fitted, rate_hz, max(WAVEFORM_LIMITS.min_samples, math.floor(length_s * rate_hz) + 1))
     found, faded = shape.trimmed(math.floor(rest_s * rate_hz))
     return found.coarser(), faded
 
@@ -377,25 +378,25 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
 def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
     """Return half the 95 % intervals of the samples (count,), and of a common factor of all amplitudes.
 
-    Both have two parts, added as squares. The first is a jackknife over the pulses, or over 16 groups of them, with
-    all onsets fitted again. The second is the change with twice as many samples: for a sample the RMS from half a
-    sample before it to half a sample after it; for the amplitudes their change and that of the complete curve, because
-    the error of a peak between samples is at least that of the curve.
+    Each adds two errors in quadrature. The first is a jackknife over the pulses, or over 16 groups of them, with all
+    onsets fitted again. The second is that of the interpolation, from the change in a fit with twice as many samples:
+    for a sample the RMS change up to half a sample from it; for the amplitudes their change and the RMS change of the
+    curve, because the error of a peak between samples is at least that of the curve.
     """
     count, groups = len(shape.samples), min(len(shape.pulses), WAVEFORM_LIMITS.max_groups)
     samples, sizes = [], []
     for group in range(groups):
         kept = [index for index in range(len(shape.pulses)) if index % groups != group]
-        some = [shape.placed[index] for index in kept]
-        found = Shape.of([shape.pulses[index] for index in kept], some, shape.rate_hz, count, turns=1)
+        some = [shape.fitted[index] for index in kept]
+        found = Shape.of([shape.pulses[index] for index in kept], some, shape.rate_hz, count, rounds=1)
         samples.append(found.samples)
-        sizes.append(_ratio(found.placed, some))
-    finer = Shape.of(shape.pulses, shape.placed, 2 * shape.rate_hz, 2 * count - 1, turns=2)
+        sizes.append(_ratio(found.fitted, some))
+    finer = Shape.of(shape.pulses, shape.fitted, 2 * shape.rate_hz, 2 * count - 1, rounds=2)
     between_s = np.arange(2 * count - 1) / (2 * shape.rate_hz)
     changes = (WAVEFORM_LIMITS.error_to_change * (finer.samples - shape.curve.at(between_s))) ** 2
     # The faded end does not affect the amplitudes.
     unfaded = changes[: math.floor((1 - WAVEFORM_LIMITS.fade) * len(changes))] if faded else changes
-    off = WAVEFORM_LIMITS.error_to_change * (_ratio(finer.placed, shape.placed) - 1.0)
+    off = WAVEFORM_LIMITS.error_to_change * (_ratio(finer.fitted, shape.fitted) - 1.0)
     # Squares are averaged over five neighbours, fewer near the ends: of few taps some are small by chance.
     squares = jackknife_error(np.array(samples))[1:-1] ** 2
     mean = np.convolve(squares, np.ones(5))[2:-2] / np.convolve(np.ones(count - 2), np.ones(5))[2:-2]
@@ -407,14 +408,14 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
     return np.asarray(np.hypot(wide * deviations, unresolved)), together
 
 
-def _widened(estimate: Estimate, part: float) -> Estimate:
-    """Return the estimate with a further error, which is this fraction of its value."""
-    value, further = estimate.value, part * estimate.value
+def _widened(estimate: Estimate, fraction: float) -> Estimate:
+    """Return the estimate with a further error, this `fraction` of its value, added in quadrature."""
+    value, further = estimate.value, fraction * estimate.value
     low, high = math.hypot(value - estimate.low, further), math.hypot(estimate.high - value, further)
     return Estimate(value, value - low, value + high)
 
 
-def _ratio(found: Sequence[Placed], before: Sequence[Placed]) -> float:
+def _ratio(found: Sequence[FittedPulse], before: Sequence[FittedPulse]) -> float:
     """Return the ratio of the amplitudes to those before, by least squares."""
     old = np.array([each.amplitude for each in before])
     return float(old @ np.array([each.amplitude for each in found]) / (old @ old))
@@ -446,7 +447,7 @@ class WaveformFit(Fit):
 
     taps: tuple[PulseHit, ...]
     first_peak_slope_per_s: Estimate
-    """Slope of a line through the origin: largest acceleration over the speed."""
+    """Slope of the largest acceleration with speed, for a line through the origin."""
     amplitudes: Amplitudes
     """Table of rising speeds, m/s, and amplitudes, m/s^2. Empty if the law is a line."""
     rate_hz: float
@@ -457,7 +458,7 @@ class WaveformFit(Fit):
     """Half of the 95 % interval of each sample."""
     length_s: float
     samples_a_period: float
-    """Samples of the recordings in a period of the frequency below which half of the waveform's energy lies."""
+    """Recorded samples in a period of the middle frequency, below which half of the waveform's energy lies."""
     r_squared: float
     """r^2 of A(v) as a line through the origin."""
     variance_accounted_for: float
@@ -492,13 +493,12 @@ class WaveformFit(Fit):
 def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Exclusions) -> WaveformFit:
     """Fit the common waveform of taps that are pulses.
 
-    `earlier` are the warnings of the search for the pulses. Taps that cannot be used are added to `excluded`. Raises
-    FitError (one line) for too few pulses, for pulses without a common waveform, and if the amplitudes do not grow with
-    the speed.
+    `earlier` are the warnings of the search for the pulses. Unusable taps are added to `excluded`. Raises
+    FitError (one line) if the pulses do not support a fit.
     """
     pulses, shape, faded, explained = _alike(pulses, earlier, excluded)
     lines = [*excluded.lines(), *earlier]
-    peaks = np.array([each.amplitude for each in shape.placed])
+    peaks = np.array([each.amplitude for each in shape.fitted])
     if float(np.median(peaks)) < 0:
         lines.append("the taps push downwards: the sign of the acceleration is reversed")
         peaks = -peaks
@@ -506,15 +506,15 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     hits = tuple(
         PulseHit(
             recording=pulse.recording,
-            onset_s=pulse.begin_s + placed.onset_s,
+            onset_s=pulse.begin_s + fitted.onset_s,
             speed_m_per_s=pulse.speed_m_per_s,
-            peak_m_per_s2=abs(placed.amplitude),
+            peak_m_per_s2=abs(fitted.amplitude),
             variance_accounted_for=float(share),
             rate_hz=pulse.rate_hz,
             measured=pulse.measured,
-            modelled=placed.modelled(curve, pulse),
+            modelled=fitted.modelled(curve, pulse),
         )
-        for pulse, placed, share in zip(pulses, shape.placed, explained, strict=True)
+        for pulse, fitted, share in zip(pulses, shape.fitted, explained, strict=True)
     )
     speed_law.check_speeds(hits)
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
@@ -571,17 +571,17 @@ def _alike(
         )
     shape, faded = shape_of(pulses)
     explained, without_noise = shape.explained()
-    usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
+    usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.fitted])))
     kept = []
-    for pulse, placed, share in zip(pulses, shape.placed, without_noise, strict=True):
+    for pulse, fitted, share in zip(pulses, shape.fitted, without_noise, strict=True):
         if share < WAVEFORM_LIMITS.min_explained:
             reason = f"the waveform of the others explains {100 * share:.0f} % of it"
-        elif placed.amplitude * usual <= 0:
+        elif fitted.amplitude * usual <= 0:
             reason = "it pushes with the other sign"
         else:
             kept.append(pulse)
             continue
-        excluded.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
+        excluded.add(pulse.recording, reason, "tap", pulse.begin_s + fitted.onset_s)
     if len(kept) == len(pulses):
         return pulses, shape, faded, explained
     if len(kept) < max(WAVEFORM_LIMITS.min_pulses, len(pulses) / 2):
@@ -596,9 +596,9 @@ def _alike(
 def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:
     """Return the variances (n,) of the amplitudes, from the residuals."""
     found = []
-    for pulse, placed in zip(pulses, shape.placed, strict=True):
-        heard = shape.curve.at(pulse.since_s - placed.onset_s)
+    for pulse, fitted in zip(pulses, shape.fitted, strict=True):
+        heard = shape.curve.at(pulse.since_s - fitted.onset_s)
         own = float(heard @ heard)
-        noise = max(placed.squares, 1e-18 * placed.amplitude**2) / max(1, len(heard) - 3)
+        noise = max(fitted.squares, 1e-18 * fitted.amplitude**2) / max(1, len(heard) - 3)
         found.append(noise / max(own, 1e-12))
     return np.array(found)

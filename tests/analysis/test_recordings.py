@@ -182,7 +182,7 @@ def test_nan_and_gaps_in_rows_are_refused_by_their_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("columns", "beside", "told"),
     [
-        ({"a": TIME_S, "b": TIME_S}, "", "no column time_s, acceleration_m_per_s2"),
+        ({"a": TIME_S, "b": TIME_S}, "", "none of the columns time_s, acceleration_m_per_s2"),
         ({"a": TIME_S}, "columns: {force: {column: b}}\nrate_hz: 5000", "has no column 'b'; known: a"),
         ({"force_n": TIME_S}, "", "has neither a column time_s nor a rate"),
         ({"time_s": wave(TIME_S), "acceleration_m_per_s2": TIME_S}, "", "is it the right column?"),
@@ -212,7 +212,7 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
         Path(f"{tmp_path / name}.yaml").write_text("columns: {force: {column: 1}}\nrate_hz: 5000")
         refused(tmp_path / name)
     (tmp_path / "a.txt").write_text("1\n")
-    assert "ends in .csv, .npz or .wav" in refused(tmp_path / "a.txt")
+    assert "must end in .csv, .npz or .wav" in refused(tmp_path / "a.txt")
     with pytest.raises(HapticdError, match="cannot be read"):
         load(tmp_path / "none.csv")
 
@@ -284,7 +284,7 @@ def test_units_in_the_file_are_taken_where_the_yaml_says_none(tmp_path: Path) ->
         (b"time_s force_n\n0 1\n0.1 2 3\n", "line 3 must have 2 columns, has 3"),
         (b"time_s,force_n,force_n\n0,1,2\n", 'has 2 columns "force_n": set the column\'s number'),
         (b"time_s,force_n,note\n" + b"0,1,a\n" * 9 + b'0,1,"a\n' * 2, "is a quotation mark not closed?"),
-        (b"1," * 60_000, "no column time_s"),
+        (b"1," * 60_000, "none of the columns time_s"),
         (b"\0" * 100, "is not a text file"),
         (b"\x1b[31m,\x07\n" * 40, "hold no numbers"),
     ],

@@ -109,7 +109,7 @@ def test_a_bad_file_is_left_out_and_the_rest_fitted_as_without_it(
     (line,) = (line for line in lines if "left out" in line)
     assert line.startswith(f"hapticd: {bad}: ") and told in line
     assert beside == alone
-    assert "--strict refuses exclusions" in said(capsys, 1, "fit", kind, bad, *good, "--strict")
+    assert "--strict forbids exclusions" in said(capsys, 1, "fit", kind, bad, *good, "--strict")
 
 
 @pytest.mark.parametrize("kind", [*KINDS[:1], *rest_slow(KINDS[1:], fast=0)])
@@ -124,7 +124,7 @@ def test_a_gap_far_from_what_is_fitted_costs_nothing_else(
     assert ("left out" in lines) == (kind in ("grooves", "texture"))
     if kind in ("grooves", "texture"):
         assert f"{files[-1]}: a part is left out" in lines and "20 samples are missing at" in lines
-        assert "--strict refuses exclusions" in said(capsys, 1, "fit", kind, *files, "--strict")
+        assert "--strict forbids exclusions" in said(capsys, 1, "fit", kind, *files, "--strict")
 
 
 def test_a_gap_in_a_tap_leaves_that_tap_out() -> None:
@@ -219,7 +219,7 @@ def test_taps_that_are_left_out_weigh_on_the_verdict() -> None:
     fit = fit_tap([low])
     assert len(fit.left_out) > len(fit.taps) >= 3
     assert f"{len(fit.left_out)} of 8 taps are left out" in fit.verdict and fit.verdict.startswith("fair")
-    with pytest.raises(FitError, match="--strict refuses exclusions"):
+    with pytest.raises(FitError, match="--strict forbids exclusions"):
         fit_tap([low], excluded=Exclusions(strict=True))
 
 

@@ -234,7 +234,7 @@ DAMAGED: Final[list[tuple[str, str, Damage, str]]] = [
     ("puncture", "position in km", times(NORMAL, 1e-3), "off by a thousand"),
     ("puncture", "position with the other sign", times(NORMAL, -1), "must rise as the stylus presses in"),
     ("puncture", "force and acceleration", swapped(FORCE, SEEN), "columns swapped"),
-    ("puncture", "force and position", swapped(FORCE, NORMAL), "the way must be at most"),
+    ("puncture", "force and position", swapped(FORCE, NORMAL), "the position must span at most"),
     ("puncture", "position at rest", constant(NORMAL, 0.01), "the position never moves"),
     ("puncture", "acceleration in mm/s^2", times(SEEN, 1e3), "must be between 0.1 and 3000 m/s^2"),
     ("puncture", "acceleration in km/s^2", times(SEEN, 1e-3), "must be between 0.1 and 3000 m/s^2"),

@@ -19,7 +19,7 @@ from hapticd.fit.recording import Recording, Source, save
 from hapticd.fit.synthesize import Stylus, taps
 from hapticd.fit.tap import TapFit
 from hapticd.fit.verdict import Exclusions
-from hapticd.fit.waveform import Equations, Placed, Pulse, WaveformFit
+from hapticd.fit.waveform import Equations, FittedPulse, Pulse, WaveformFit
 from tests.support.marks import rest_slow
 
 Floats = npt.NDArray[np.float64]
@@ -204,7 +204,7 @@ def test_the_equations_are_those_of_the_curve() -> None:
         onset_s, amplitude = float(random.uniform(0.001, 0.01)), float(random.uniform(1, 5))
         measured = random.standard_normal(60)
         pulses.append(Pulse("r", 0.0, onset_s, 1.0, 1000.0, measured))
-        placed.append(Placed(amplitude, 0.25, onset_s, 0.0))
+        placed.append(FittedPulse(amplitude, 0.25, onset_s, 0.0))
         at = (np.arange(60) / 1000.0 - onset_s) * 700.0
         inside = (at >= 0) & (at <= 14)
         x = np.abs(at[inside, None] - np.arange(15))
@@ -251,7 +251,7 @@ def test_a_tap_that_is_another_is_left_out_and_told() -> None:
     assert [line for line in found.warnings if "is left out: the waveform of the others explains" in line]
     assert [line for line in found.warnings if "is left out: it pushes with the other sign" in line]
     assert len(found.left_out) == 2
-    with pytest.raises(FitError, match="--strict refuses exclusions"):
+    with pytest.raises(FitError, match="--strict forbids exclusions"):
         fit_taps([recording], "waveform", excluded=Exclusions(strict=True))
 
 
@@ -375,4 +375,4 @@ def test_the_command_writes_a_waveform(tmp_path: Path, capsys: pytest.CaptureFix
 
 def test_options_of_modes_make_no_waveform(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", "tap", str(tmp_path / "pulses.npz"), "--as", "waveform", "--table"]) == 2
-    assert "--law table is only for modes, and --as waveform fits none: leave out one" in capsys.readouterr().err
+    assert "--law table is only for modes, and --as waveform fits no modes: leave out one" in capsys.readouterr().err

@@ -119,7 +119,7 @@ TAP = {"pine/tap/1.npz": "a"}
         ),
         (
             {"fit.yaml": "as: waveform", "pine/fit.yaml": "strict: true\nlaw: line", **TAP},
-            "pine/fit.yaml:2:1: law: law is only for modes, and as: waveform fits none: leave out one",
+            "pine/fit.yaml:2:1: law: law is only for modes, and as: waveform fits no modes: leave out one",
         ),
         (
             {"fit.yaml": "two_modes: true\nattack: first_peak", **TAP},
