@@ -10,9 +10,10 @@ from hapticd.sweeps.point import Point
 
 
 class StabilityFactor:
-    """The largest factor by which all stiffnesses may grow while each contact set stays proved stable in every hand.
+    """The largest factor by which all stiffnesses can be multiplied so that stability in every hand is still proved.
 
-    Below 1 the scene itself is not proved stable. The value is None if the scene has no surfaces.
+    It is the smallest factor of all contact sets, which are surfaces that can be touched at once. Below 1 the scene is
+    not proved stable. The value is None if the scene has no surfaces.
     """
 
     columns = (
