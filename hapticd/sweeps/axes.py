@@ -135,7 +135,7 @@ def _quantiles(axis: SweepAxis, probabilities: Floats) -> Floats:
 
 
 def _drawn(study: SweepStudy, name: str, axis: SweepAxis, count: int) -> Axis:
-    """Return an axis of `count` random values: for a Latin hypercube, one in each of `count` equally likely intervals."""
+    """Return an axis of `count` random values; in a Latin hypercube they are stratified in probability."""
     random = _random(study, name)
     if study.combine == "random":
         probabilities = random.random(count)
