@@ -9,7 +9,7 @@ Writing:
 
 Reading:
 
-    recording       `hapticd.load` and the public class Recording; the files of a new recording, and its export
+    recording       `hapticd.load` and the class Recording; the files of a new recording
     reader          reads a .npz, and reports the fault of a damaged file
     missed_periods  counts periods without a tick from samples
 

@@ -19,7 +19,7 @@ NO_TIME: Final = -(2**63)
 """Value of a missing time, which is numpy's NaT."""
 
 ROW_BLOCK_BYTES: Final = 1 << 20
-"""Rows are converted in blocks of about 1 MiB, since the longest text of all marks determines the size of every row."""
+"""Rows are converted in blocks of about 1 MiB, since the longest text determines the size of every row."""
 
 
 class Kind(Enum):
@@ -183,7 +183,7 @@ def _values(column: npt.NDArray[Any]) -> list[Any]:
 
 
 def _is_absent(name: str, form: str, value: Any) -> bool:
-    """Return whether a cell holds the reserved value of a missing member; an integer 0 may also be a true value."""
+    """Return whether a cell may hold the reserved value of a missing member; 0 may also be a true value."""
     match form[0]:
         case "U":
             return bool(value == "")
@@ -202,7 +202,7 @@ def _restored(name: str, form: str, value: Any, absent: bool) -> object:
 
 
 def cell_of(name: str, value: object) -> object:
-    """Return the value that is written to a .csv for a member of an event."""
+    """Return the value of a member as it is written to a .csv."""
     if EVENT_MEMBER_KINDS.get(name) is Kind.JSON or isinstance(value, list | dict | bool) or value is None:
         return json.dumps(value)
     return value

@@ -45,9 +45,9 @@ Events: TypeAlias = Iterable[Mapping[str, Any]]
 Texts: TypeAlias = Mapping[str, Any]
 
 _PACKAGES_OF_SUFFIX: Final = {".mcap": ("mcap", "zstandard"), ".csv": ("pandas",)}
-"""Packages that each format needs. The first is also the name of hapticd's extra with these packages."""
+"""Packages that each format needs. The first has the name of hapticd's extra."""
 _BLOCK_SAMPLES: Final = 100_000
-"""Number of samples that are converted at once, so that memory stays bounded."""
+"""Number of samples that are converted at once."""
 _ATTACHED_TEXTS: Final = ("config", "scene", "materials", "status")
 _METADATA_TEXTS: Final = ("recording", "flight")
 _ROS_TYPES: Final = {"u8": "uint64", "i8": "int64", "f8": "float64", "u4": "uint32", "i4": "int32", "f4": "float32"}

@@ -12,7 +12,7 @@ from hapticd.base import wording
 from hapticd.base.core import Flag
 
 MAX_LISTED_GAPS: Final = 1000
-"""Maximum number of gaps that the text `recording` lists; the ticks of the samples show all gaps."""
+"""Maximum number of gaps that a recording lists; the ticks of its samples show all."""
 
 
 def missed_periods(

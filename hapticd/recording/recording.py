@@ -100,7 +100,7 @@ class Recording:
 
     @property
     def ended(self) -> Moment | None:
-        """The daemon's clocks when the recording ended; None if they were not read."""
+        """The daemon's clocks when the recording ended, if they were read."""
         return moment_of(self._about.get("ended"))
 
     @property
@@ -111,7 +111,7 @@ class Recording:
 
     @property
     def rate_hz(self) -> float:
-        """The servo rate at the start, in Hz. Raises HapticdError if it is not in the file."""
+        """Servo rate at the start. Raises HapticdError if it is not in the file."""
         servo = self.config.get("servo")
         configured = servo.get("rate_hz") if isinstance(servo, dict) else None
         first = self.changes[0].get("rate_hz") if self.changes else None

@@ -65,7 +65,7 @@ def recover(target: str | os.PathLike[str]) -> Recovered:
 
 
 def _recover(recording: Path, part: Path) -> Path | str:
-    """Recover one partial file. Return the path of the recording, or the reason why it was not recovered."""
+    """Recover one partial file; return the path of the recording, or the reason of the failure."""
     if not part.with_suffix(NOTES_ENDING).exists():
         return _DAMAGED_TEXT
     try:

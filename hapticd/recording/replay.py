@@ -53,7 +53,7 @@ _REASON_OF_LEFT_OUT: Final = {
     "streamed": "with a streamed force",
     "begun_before": "with an unknown state",
 }
-"""Phrases for the keys of `Replay.left_out`, each of which follows a number of ticks."""
+"""Text of a summary for each key of `Replay.left_out`."""
 _UNSETTLED_FLAGS: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
 """Flags of a tick whose state depends on earlier ticks."""
 _MAX_PERIODS: Final = 0xFFFFFFFF
@@ -83,7 +83,7 @@ class Replay:
     identical: int
     """Number of ticks whose three forces equal the recorded ones, bit for bit."""
     first_different: int | None
-    """First tick with a different force; None if all forces are identical."""
+    """First tick with a different force, if any."""
     differences: dict[str, Difference]
     """Difference over all rendered ticks, for each of FORCE_FIELDS."""
     missing_revisions: tuple[int, ...]
@@ -99,7 +99,7 @@ class Replay:
     texts: Mapping[str, Any]
     """Texts of the recording; see `hapticd.Recording`."""
     source: str | os.PathLike[str]
-    """Path of the recording."""
+    """Path of the replayed recording."""
 
     def summary(self) -> str:
         """Return the result as one line of text."""

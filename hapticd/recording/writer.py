@@ -49,7 +49,7 @@ _CHECKSUM_BLOCK_BYTES: Final = 1 << 20
 _SAMPLE_ALIGNMENT_BYTES: Final = 64
 """Samples begin at a multiple of 64 bytes, so that they can be mapped into memory."""
 _FIELD_FORMAT: Final = re.compile("[<>|]?[iuf][1248]")
-"""numpy format of a field of samples, which must be a plain number."""
+"""numpy format of a field of samples: a plain number."""
 _DISK_FULL_ERRORS: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 """Errors of a full disk, an exceeded quota or a file of the maximum size."""
 
@@ -111,7 +111,7 @@ class RecordingWriter:
 
     @property
     def written_bytes(self) -> int:
-        """Number of bytes written to the partial files; other threads may read it."""
+        """Bytes in the partial files; other threads may read it."""
         return self._part.size + self._notes.size
 
     def begin(self, texts: Texts, about: Texts | None = None) -> None:
@@ -183,7 +183,7 @@ class RecordingWriter:
     # ---- The archive -------------------------------------------------------------------------------------------------
 
     def _leave_room(self, start: int | None = None) -> None:
-        """Reserve room for the headers in front of the samples; `start` is where samples of a resumed file begin."""
+        """Reserve room for the headers; `start` is the offset of the samples in a resumed file."""
         outer = len(_zip_info(0, 0).FileHeader(zip64=True))
         least = outer + len(_npy_header(self._dtype, 10**18))
         self._start = least + -least % _SAMPLE_ALIGNMENT_BYTES if start is None else max(start, least)
@@ -384,7 +384,7 @@ class _PartialFile:
 
 @contextmanager
 def _closing(file: BinaryIO) -> Iterator[BinaryIO]:
-    """Close a file at the end of the block; after an error, ignore that of closing, which a full disk causes."""
+    """Close a file at the end of the block; after an error, ignore an error of closing."""
     try:
         yield file
     except BaseException:

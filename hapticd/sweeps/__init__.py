@@ -7,7 +7,7 @@ Studies and points:
     study             reads and validates a study, with every fault at its line
     axes              the values of each varied key, and their combination into points
     identity          the identity of a point: a hash of everything that its result depends on
-    plan              the points of a study, divided into pieces; a worker computes one piece at a time
+    plan              the points of a study, and pieces of them
     point             configuration, operator and run of one point
     refine            the search for the boundary of a condition along one key
     measures/         quantities that are measured at a point
@@ -37,6 +37,6 @@ Engine:
     cluster           dask clients of local processes, local threads, or a running scheduler
     forked_workers    the fork server, a process from which local workers are forked
     preloaded         the modules that the fork server imports
-    worker_check      the code version, which must be the same in the command and in a worker
+    worker_check      the code version, which command and worker must share
     store             the results in a folder, as Parquet files
 """

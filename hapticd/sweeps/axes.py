@@ -34,7 +34,6 @@ class Axis:
     of_point: Indices
     """For each point, the index of its value in `values`, (n,)."""
     kind: Kind
-    """Kind of the column."""
 
     @property
     def plain_values(self) -> Sequence[Value]:

@@ -47,7 +47,6 @@ class Scale:
     factor: float = 1.0
     """Factor from the column's unit to the unit of the axis."""
     unit: str = ""
-    """The unit of the axis."""
     ticks: tuple[float, ...] = ()
     """Positions of the ticks in the unit of the axis; if empty, matplotlib chooses them."""
     categories: tuple[Value, ...] = ()
@@ -126,10 +125,7 @@ def key_scale(results: Results, name: str) -> Scale:
 
 
 def measured_scale(results: Results, names: Sequence[str], words: str | None, values: Sequence[Value]) -> Scale:
-    """Return the scale of an axis that shows `values` of measured columns with the same unit.
-
-    `words` is the label without the unit; by default it is made of the labels of the columns.
-    """
+    """Return the scale of an axis that shows `values` of measured columns with the same unit; `words` is its label."""
     column = results.column(names[0])
     shows_no_unit = words is None and names[0] not in results.study.labels
     words = words or ", ".join(results.words(name) for name in names)

@@ -22,7 +22,7 @@ WORKERS_START_TIMEOUT_S: Final = 120.0
 WORKER_END_TIMEOUT_S: Final = 1.0
 """Time in s that a worker gets to end before it is killed."""
 _LOCAL_ADDRESS: Final = "127.0.0.1:0"
-"""Address with port 0: the system chooses a free port, which only this machine can reach."""
+"""Port 0 stands for any free port; only this machine can reach it."""
 _MONITORING_SETTINGS: Final = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
@@ -30,8 +30,8 @@ _MONITORING_SETTINGS: Final = {
 }
 """Settings of dask that reduce the monitoring of its processes.
 
-With two workers, monitoring takes 11 % of a processor core by default, and 3 % with these settings. The dashboard then
-shows no profiles.
+With two workers, monitoring takes 11 % of a core by default, and 3 % with these settings. The dashboard then shows no
+profiles.
 """
 
 
@@ -195,8 +195,5 @@ def _processes(count: int) -> Iterator[Any]:
 
 
 async def _end_workers(cluster: Any) -> None:
-    """End the workers, and kill those that still run after WORKER_END_TIMEOUT_S; dask would wait four seconds.
-
-    Workers hold no data that is still needed.
-    """
+    """End the workers, and kill those that still run after WORKER_END_TIMEOUT_S; dask would wait four seconds."""
     await asyncio.gather(*(each.close(timeout=WORKER_END_TIMEOUT_S / 0.8) for each in cluster.workers.values()))

@@ -45,7 +45,7 @@ def default_figures(results: Results) -> list[SweepFigure]:
 
 
 def _drawn(results: Results, is_map: bool) -> list[str]:
-    """Return the measured columns that can be drawn and have a value at one point or more."""
+    """Return the measured columns that can be drawn and have any value."""
     if results.study.refine is not None:
         return ["boundary"]
     found = []

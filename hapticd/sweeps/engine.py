@@ -62,7 +62,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Result of a run of a study: numbers of points, and times."""
+    """Result of a run of a study."""
 
     points: int
     reused: int
@@ -92,7 +92,7 @@ def run(
         opened: Returns a context manager for a `distributed.Client`. It is called only if there are points to compute.
         note: Is called with a line of text for each fault that does not end the study.
         report: Is called with the progress after each piece.
-        again: Also compute points again whose rows have an error.
+        again: Compute points again whose rows have an error.
 
     Raises HapticdError if no worker can be used, or if results cannot be written.
     """
@@ -138,9 +138,8 @@ class _Engine:
     to_retry: deque[Indices] = field(default_factory=deque)
     """Pieces that have to be computed again."""
     suspects: deque[Indices] = field(default_factory=deque)
-    """Points whose worker ended. Another piece may have ended it, so each is computed again, alone, at the end."""
+    """Points whose worker ended, perhaps because of another piece. Each is computed again, alone, at the end."""
     trying_suspect: bool = False
-    """Whether one of `suspects` is being computed."""
     submitted: dict[Any, _SubmittedPiece] = field(default_factory=dict)
     """Submitted pieces by their futures."""
     finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)
@@ -152,7 +151,6 @@ class _Engine:
     unwritten: list[Row] = field(default_factory=list)
     """Computed rows that are not written yet."""
     write_failed: bool = False
-    """Whether the last attempt to write rows failed."""
 
     def __post_init__(self) -> None:
         self.columns: tuple[Column, ...] = self.work.columns

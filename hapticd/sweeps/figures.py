@@ -28,7 +28,7 @@ _MAX_NAME_CHARACTERS: Final = 60
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure of the study with its title and caption, ready to be drawn."""
+    """A figure with its title and caption, ready to be drawn."""
 
     title: str
     caption: str

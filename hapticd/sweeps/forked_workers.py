@@ -25,8 +25,7 @@ Dask also sets MALLOC_TRIM_THRESHOLD_, which is not set here: it causes a thousa
 def start_fork_server() -> None:
     """Start the fork server if it is not running. It imports its modules while this process continues.
 
-    Ctrl-C at a terminal sends SIGINT to this process, the fork server and the workers. The latter two block the signal,
-    since this process ends them.
+    Ctrl-C sends SIGINT to all these processes. Fork server and workers block it, since this process ends them.
     """
     for name in _ONE_THREAD_VARIABLES:
         os.environ.setdefault(name, "1")

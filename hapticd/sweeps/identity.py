@@ -1,10 +1,9 @@
 """The identity of a point: 16 bytes, which are equal for two points of any studies if their results must be equal.
 
-The identity is a hash of a document, which is JSON data with everything that the result depends on. A leaf of a
-document is a path with the scalar at this path. The hash of a leaf is the BLAKE2b hash of path and value, as two
-integers modulo 2**64; the identity is the sum of the hashes of all leaves. So only the leaves that differ between
-points are hashed for each point, and points of different studies share an identity if their documents are equal.
-(Incremental hashing by sums: Bellare and Micciancio 1997. It protects against accidental collisions, not attacks.)
+It is the hash of a document, which is JSON data with everything that the result depends on. A leaf of a document is a
+path with the scalar at this path. Its hash is the BLAKE2b hash of path and value, as two integers modulo 2**64. The
+hash of a document is the sum of the hashes of its leaves, so that only leaves that differ between points are hashed for
+each point. (Incremental hashing by sums: Bellare and Micciancio 1997. It does not protect against attacks.)
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ def raise_interrupt(number: int) -> None:
 
 @contextmanager
 def sigterm_ends() -> Iterator[None]:
-    """Make SIGTERM raise SystemExit(143), so that cleanup runs as after Ctrl-C; shells report 143 for SIGTERM, too."""
+    """Make SIGTERM raise SystemExit(143), as shells report it, so that cleanup runs as after Ctrl-C."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise_interrupt(number)

@@ -69,7 +69,6 @@ class _Colors:
     keywords: dict[str, Any]
     """Keyword arguments of matplotlib's drawing functions."""
     has_infinite: bool = False
-    """Whether a number is infinite."""
 
     @property
     def largest(self) -> float:
@@ -176,7 +175,7 @@ def _colors(results: Results, keys: SweepFigure, panels: Sequence[_Panel]) -> _C
 def _draw_cells(
     axes: Axes, results: Results, panel: _Panel, keys: SweepFigure, x: Scale, y: Scale, colors: _Colors
 ) -> Any:
-    """Draw the points of a crossed study as cells, of others as dots; return matplotlib's mappable for a color bar."""
+    """Draw the points of a crossed study as cells, of others as dots; return the mappable for a color bar."""
     assert keys.x is not None and keys.y is not None
     at_x = x.at([row[keys.x] for row in panel.rows])
     at_y = y.at([row[keys.y[0]] for row in panel.rows])

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hapticd.sweeps.measures.measure import Measure
 
 _MATERIALS_KEY: Final = "materials"
-"""Key of the materials in a configuration; the name of a shipped material may replace the keys of a material."""
+"""Key of the materials in a configuration. A value may be the name of a shipped material."""
 
 
 @dataclass(frozen=True)

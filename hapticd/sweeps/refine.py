@@ -23,9 +23,9 @@ class Boundary:
     state: BoundaryState
     """`always` if the condition holds up to `end`, `never` if it does not hold at `start`."""
     holds_at: float | None
-    """The last tried value at which the condition holds; None if there is no such value."""
+    """The last tried value at which the condition holds, if any."""
     fails_at: float | None
-    """The first tried value at which the condition fails; None if there is no such value."""
+    """The first tried value at which the condition fails, if any."""
     tried: int
     """Number of values that were tried."""
 

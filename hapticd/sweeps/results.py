@@ -95,7 +95,7 @@ def _plain(part: str) -> str:
 
 
 def load_results(store: Store) -> Results:
-    """Read the results in a folder. Raises HapticdError if they cannot be read, or are not those of a sweep."""
+    """Read the results of a sweep from a folder. Raises HapticdError if they cannot be read."""
     manifest: dict[str, Any] = store.manifest()
     if manifest.get("kind") != "sweep":
         raise HapticdError(f"{store.folder}: holds no results of a sweep; only results of sweeps can be drawn")

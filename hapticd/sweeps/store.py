@@ -246,7 +246,7 @@ def _values(column: Any) -> Iterator[Value]:
 
 
 def _schema(columns: Sequence[Column]) -> Any:
-    """Return the pyarrow schema of columns; unit, description and role of each column are metadata of its field."""
+    """Return the schema of columns; unit, description and role of each column are metadata of its field."""
     import pyarrow
 
     made: dict[str, Callable[[], Any]] = {

@@ -198,7 +198,7 @@ def _measure_faults(study: SweepStudy) -> list[tuple[Path, str]]:
 
 
 def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
-    """Return the faults of varied and searched keys that exist neither in a configuration nor in a study."""
+    """Return the faults of varied keys, and of `refine.key`, that neither a configuration nor a study has."""
     faults: list[tuple[Path, str]] = []
     keys: list[tuple[Path, str]] = []
     for name, axis in study.vary.items():

@@ -14,8 +14,7 @@ from hapticd.config.shipped_files import folder_of
 def code_version() -> str:
     """Return the version of hapticd with 12 hexadecimal digits of a SHA-256 hash: `0.1.0 (1f2e3d4c5b6a)`.
 
-    The hash covers the files that results depend on: Python files, the C core, and the shipped materials. So a
-    modified clone has another code version than the release.
+    The hash covers the files that results depend on: Python files, the C core, and the shipped materials.
     """
     root = Path(__file__).parents[1]
     digest = sha256()

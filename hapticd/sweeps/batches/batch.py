@@ -1,8 +1,7 @@
 """A batch as a study of the engine: each point is a fit, identified by its recordings, its options and the code.
 
 The column `found` of a row holds the result of the fit as JSON: the keys of the material, provenance and report. So
-materials are made from rows, without reading recordings again. Workers read the recordings from the same paths as this
-process.
+materials are made from rows, without reading recordings again. Workers read recordings from the same paths.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     ranking.csv           a row for each fit, the best material first
     figures.csv           a row for each estimated quantity of each fit, with its 95 % confidence interval
 
-With a separate file for each material, users can choose materials, and only changed files are written again.
+With a file for each material, users can choose materials, and only changed files are written again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hapticd.sweeps.batches.ranking import MaterialResult
 from hapticd.sweeps.store import STUDY_FILE
 
 _DATE_ENTRY: Final = re.compile(r'date: "\d{4}-\d{2}-\d{2}"')
-"""The date of a fit in a material's file; files that differ only in it are not written again."""
+"""The date of a fit in a material's file."""
 
 
 def check_folder(folder: Path, tree: str) -> None:

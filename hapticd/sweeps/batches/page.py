@@ -56,8 +56,8 @@ def write_page(
 
     Args:
         title: Title of the page.
-        results: The materials in the order of their ranking.
-        files: The path of the YAML file of each material.
+        results: The materials in order of rank.
+        files: Path of the YAML file of each material.
         folder: The result folder.
         drawn: Whether to draw plots.
         note: Is called with a line of text when drawing begins.

@@ -46,7 +46,7 @@ class FitResult:
     estimates: Mapping[str, Estimate] | None = None
     plain: Mapping[str, float] | None = None
     panels: Sequence[Any] = ()
-    """Plots as JSON data."""
+    """Plots, as JSON data."""
 
     @property
     def kind(self) -> Kind:

@@ -50,7 +50,6 @@ class RecordingFile:
     name: str
     """Path of the file, relative to the tree."""
     sha256: str
-    """SHA-256 of the file."""
     yaml_sha256: str
     """SHA-256 of the YAML file that describes the recording; empty without one."""
 
@@ -121,9 +120,8 @@ class _Level:
     name: str
     """Path of the folder, relative to the tree."""
     yaml: FolderYaml | None = None
-    """The fit.yaml of the folder; None if it is missing or has faults."""
+    """The fit.yaml; None if it is missing or has faults."""
     faulty: bool = False
-    """Whether the fit.yaml has faults."""
     recordings: list[str] = field(default_factory=list)
     """Paths of the recordings in the folder, relative to the tree."""
     folders: list[str] = field(default_factory=list)
@@ -206,7 +204,7 @@ class _Reader:
             self.fault(name, f"must be named {printable(described)}.yaml")
 
     def material(self, name: str, root: _Level) -> tuple[list[RecordingSet], list[_Level]]:
-        """Return the recordings of each fit of a material, and the material's folder and subfolders."""
+        """Return the recordings of each fit of a material, and the material's folders."""
         try:
             validate_materials({name: {"stiffness_n_per_m": 0.0}})
         except InvalidError as error:
@@ -266,7 +264,7 @@ class _Reader:
     # ---- Faults ------------------------------------------------------------------------------------------------------
 
     def check_kinds(self, name: str, kinds: dict[Kind, _Level], levels: list[_Level]) -> None:
-        """Check the number of recordings of a material, and that its kinds can be combined."""
+        """Check the number of recordings of a material, and the combination of kinds."""
         if not kinds and len(levels) == 1 and not levels[0].recordings and not levels[0].folders:
             self.fault(
                 name, f"holds no recordings; put them into a folder {_KINDS_TEXT}, or here with kind in {FIT_YAML}"
@@ -278,7 +276,7 @@ class _Reader:
             self.fault(name, f"holds {count} recordings, at most {MAX_PROVENANCE_FILES} are allowed for a material")
 
     def check_options(self, options: FitOptions, above: list[_Level]) -> None:
-        """Check that options do not exclude each other; a fault is reported at the innermost fit.yaml with the key."""
+        """Check that options do not exclude each other; a fault is reported at the innermost fit.yaml."""
         spelled = {"form": "as:", "law": "law", "two_modes": "two_modes", "mode_table": "mode_table"}
         fault = options.fault(lambda option: spelled.get(option, option))
         if fault is None:

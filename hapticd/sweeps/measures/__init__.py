@@ -9,11 +9,14 @@
     loop                 difference between the sampled loop and the continuous loop
     continuous_wall      the continuous loop of a hand and one wall, in closed form
     onset                error of the reported time of a touch
-    margin               margin of the scene to instability, computed without a run
-    display              displayed error of a material's tap, computed without a run
-    passive_limit        the stiffness up to which a wall is passive, computed without a run
-    displayed_materials  the materials that a joystick can display, computed without a run
     user_function        a Python function of the user
+
+Measures without a run:
+
+    margin               margin of the scene to instability
+    display              displayed error of a material's tap
+    passive_limit        the stiffness up to which a wall is passive
+    displayed_materials  the materials that a joystick can display
 
 User functions:
 

@@ -30,8 +30,8 @@ _MAX_BISECTIONS: Final = 80
 _MAX_SEGMENTS: Final = 100_000
 """A motion with more segments is refused: it would touch and leave the wall without end."""
 _MINIMUM_JERK_COEFFICIENTS: Final = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
-"""Minimum-jerk path between two waypoints (Flash and Hogan 1985): coefficients of the fraction of the distance as a
-polynomial in the fraction of the time, from the lowest power up."""
+"""Minimum-jerk motion (Flash and Hogan 1985): coefficients of the distance as a polynomial in time, from the lowest
+power up; both are fractions between two waypoints."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Displayed error of a material's tap: how handle and hand distort its waveform, in closed form, without a run."""
+"""Displayed error of a material's tap: how handle and hand distort its waveform, in closed form."""
 
 from __future__ import annotations
 

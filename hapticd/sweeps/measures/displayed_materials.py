@@ -1,4 +1,4 @@
-"""The materials that a joystick design can display, computed without a run: for choosing components of a joystick."""
+"""The materials that a joystick design can display, as a criterion for choosing its components."""
 
 from __future__ import annotations
 

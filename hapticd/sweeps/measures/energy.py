@@ -18,7 +18,7 @@ from hapticd.sweeps.point import Point
 
 Floats = npt.NDArray[np.float64]
 _PERIOD_TOLERANCE: Final = 1e-9
-"""Tolerance, in periods, within which the age of the positions is rounded to an integer number of periods."""
+"""Tolerance, in periods, within which the age of positions is rounded to an integer."""
 
 
 def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], max_gap_ticks: int = 0) -> float:
@@ -63,7 +63,7 @@ class EnergyGiven:
     def of(self, point: Point) -> Row:
         """Measure over all contacts of the run.
 
-        Raises HapticdError if the scene has fields: the samples have only the sum of surface and field forces.
+        Raises HapticdError if the scene has fields: samples have only the total force.
         """
         config, run = point.config, point.run
         fields = field_ids(config.scene.objects)

@@ -44,9 +44,9 @@ class Function:
     file: str
     """Path from which the source was read; it need not exist at the worker."""
     folder: str
-    """Folder of the study, from which the module can import other modules."""
+    """Folder of the study, from which the module can import."""
     kinds: tuple[tuple[str, Kind], ...]
-    """Name and kind of each column that the function returns."""
+    """Name and kind of each returned column."""
 
     @property
     def call(self) -> str:

@@ -37,7 +37,7 @@ SESSION_COLUMNS: Final = (
 def row_of(study: Study, participant: str, session: int, seed: int) -> Row:
     """Run a session and return the values of SESSION_COLUMNS. Raises HapticdError.
 
-    The values are the same, bit for bit, for the same study, participant, session and seed.
+    They are determined bit for bit by study, participant, session and seed.
     """
     made = plan(study, participant, session, seed)
     records, duration_s = _run(made)
@@ -53,7 +53,7 @@ def row_of(study: Study, participant: str, session: int, seed: int) -> Row:
 
 
 def records_of(row: Row) -> list[Record]:
-    """Return the records of the session's log, which the column `log` of a row holds."""
+    """Return the records in the column `log` of a row."""
     found: list[Record] = json.loads(str(row["log"]))
     return found
 

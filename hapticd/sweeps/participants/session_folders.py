@@ -36,8 +36,8 @@ class SessionFolders:
     def __init__(self, root: Path, rows_folder: Path, source: bytes, work: Participants) -> None:
         """Check the data set `root`; `source` is the YAML text of the study, `rows_folder` the result folder.
 
-        Raises HapticdError if the data set has a session of another study, or a session that was not written from these
-        rows but has the same label and number.
+        Raises HapticdError if the data set has a session of another study, or another session with the same label and
+        number.
         """
         check_one_study(root, work.title)
         self._root, self._work, self._source = root, work, source
