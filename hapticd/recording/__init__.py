@@ -18,12 +18,12 @@ Rendering:
     replay          renders a recording again with the servo's tick, and compares the forces
     simulated       `hapticd simulate`: renders a scene and an operator into a recording
 
-Where to begin:
+Questions, and where to begin:
 
-    Content of a file
+    What does a file hold?
         docs/protocol.md (Files); then writer and event_columns.
-    Recording of a running daemon
+    What records a running daemon?
         client/record; the flight recorder is daemon/flight_recorder. Both use RecordingWriter.
-    Differences between a replay and its recording
+    Why does a replay differ from its recording?
         replay (_difference, _doubts).
 """

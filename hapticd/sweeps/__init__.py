@@ -7,7 +7,7 @@ Studies and points:
     study             reads and validates a study, with every fault at its line
     axes              the values of each varied key, and their combination into points
     identity          the identity of a point: a hash of everything that its result depends on
-    plan              the points of a study, and pieces of them
+    plan              the points of a study and their identities
     point             configuration, operator and run of one point
     refine            the search for the boundary of a condition along one key
     measures/         quantities that are measured at a point
@@ -30,7 +30,7 @@ Figures and pages:
 
 Engine:
 
-    work              the interface of a study to the engine: its points, their identities, and its pieces
+    work              the interface of a study to the engine: points, identities, and pieces (groups of points)
     engine            sends pieces to workers, and stores the rows of each as soon as it is done
     task              the function that a worker runs on a piece
     interrupts        defers SIGINT and SIGTERM to moments without half-written results
