@@ -144,7 +144,7 @@ def rows_of(events: Iterable[Mapping[str, Any]], columns: list[Column]) -> Itera
 
 @lru_cache
 def members_of(event: str) -> frozenset[str] | None:
-    """Return the members of events of a kind; None for a kind that this version does not know."""
+    """Return the members of events of a kind; None for an unknown kind."""
     from hapticd.base.core import EVENT_DTYPE, EventKind, records
     from hapticd.protocol.events import event_map
 
@@ -159,7 +159,7 @@ def members_of(event: str) -> frozenset[str] | None:
 def events_of_rows(rows: npt.NDArray[np.void]) -> Iterator[dict[str, Any]]:
     """Yield the events in rows of a .npz.
 
-    An event of a kind that this version does not know has the members whose values are not reserved for missing ones.
+    An event of an unknown kind has the members whose values are not reserved for missing ones.
     """
     names = rows.dtype.names or ()
     forms = [rows.dtype[name].str[1:] for name in names]

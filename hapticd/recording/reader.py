@@ -166,7 +166,7 @@ def _with_current_fields(samples: Samples) -> Samples:
 
 
 def _read_events(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[dict[str, Any]]:
-    """Yield the events, read in blocks, since the longest text determines the size of every row."""
+    """Yield the events, read in blocks of about ROW_BLOCK_BYTES."""
     with archive.open(info) as member:
         shape, dtype = _read_head(member, info)
         if len(shape) != 1:

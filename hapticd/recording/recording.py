@@ -75,7 +75,7 @@ class Recording:
 
     @property
     def status(self) -> dict[str, Any]:
-        """Result of get_status at the start; in a file of the flight recorder, at the time when it was written.
+        """Result of get_status at the start; in a file of the flight recorder, when it was written.
 
         Empty if no daemon was recorded.
         """
@@ -83,7 +83,7 @@ class Recording:
 
     @property
     def changes(self) -> list[dict[str, Any]]:
-        """Changes that commands made, in order; the first entry has the revision at the start."""
+        """Changes by commands, in order; the first entry has the revision at the start."""
         changes = self.texts.get("changes")
         return [change for change in changes if isinstance(change, dict)] if isinstance(changes, list) else []
 
@@ -189,7 +189,7 @@ def check_saved(target: str | os.PathLike[str], overwrite: bool) -> None:
 def load(path: str | os.PathLike[str]) -> Recording:
     """Read a recording: the .npz of `hapticd record`, `hapticd simulate` or `hapticd flight`.
 
-    Its samples are mapped into memory: they are read when they are used, and the file may be larger than the memory.
+    Its samples are mapped into memory, so that the file may be larger than the memory.
     Raises HapticdError (one line) if the file is not a recording.
     """
     return Recording(os.fspath(arguments.path("path", path)), *read(path))

@@ -1,7 +1,6 @@
 """Recovery of recordings whose process was killed: reports their partial files, or makes recordings of them.
 
 `hapticd record` reports partial files next to its target and continues; `hapticd recover` makes recordings of them.
-Unreadable partial files stay unchanged.
 """
 
 from __future__ import annotations
@@ -51,8 +50,7 @@ def partial_files_warning(target: str | os.PathLike[str]) -> str | None:
 def recover(target: str | os.PathLike[str]) -> Recovered:
     """Make a recording NAME.recovered.npz of each partial file that a killed process left for `target`.
 
-    Partial files of running processes, and unreadable ones, stay unchanged. Raises HapticdError if the ending of the
-    target is unknown.
+    Partial files of running processes, and unreadable ones, stay unchanged. Raises HapticdError for an unknown ending.
     """
     recording, recovered = recording_path(target), Recovered([], [])
     for part in _partial_files(recording):

@@ -6,8 +6,7 @@ replay begins where the state is known: at tick 0, or at a tick without contacts
 again after missing ticks, a fault, a change of the rate, or a streamed force, which recordings do not hold. Rendered
 forces should equal the recorded ones, bit for bit. If they do not, the recording lacks something that affects forces.
 
-Files of the flight recorder hold the scene at their beginning and later changes, as recordings do. Ticks before the
-first change of such a file are not rendered.
+In a file of the flight recorder, ticks before the first change that it holds are not rendered.
 
 A recording does not hold the number of earlier contacts of an object (which selects its noise), membranes that were
 punctured before, effects that the device played, the time within a period at which a real device's report arrived, and
@@ -90,8 +89,8 @@ class Replay:
     """Revisions whose scene is not in the recording; their ticks were not rendered."""
     left_out: Mapping[str, int]
     """Number of ticks that were not rendered, by reason: `fault` (a fault was latched), `scene` (the scene is not in
-    the recording), `streamed` (a force was streamed, which is not in the recording), `begun_before` (a contact, mode or
-    ramp began before the recording, or an earlier `play` is not in the file)."""
+    the recording), `streamed` (a force was streamed), `begun_before` (a contact, mode or ramp began before the
+    recording, or an earlier `play` is not in the file)."""
     doubts: tuple[str, ...]
     """Possible reasons for different forces; empty if all forces are identical."""
     settled: bool

@@ -34,7 +34,7 @@ def simulate_files(
 
     `rate_hz` replaces the configured rate. Returns the result of `simulate --json`, in which `largest_force_n` is the
     maximum magnitude of the command. Raises HapticdError or InvalidError for invalid values and for files that cannot
-    be read or written; for an existing output without `overwrite`, it does so before the simulation.
+    be read or written. An existing output without `overwrite` is refused before the simulation.
     """
     with nullcontext() if output is None else recording_into(output, overwrite) as writer:
         config = configuration(scene)

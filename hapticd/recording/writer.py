@@ -62,7 +62,7 @@ class RecordingWriter:
     """Writer of one recording, a context manager.
 
     At the end of the `with` block, an unfinished recording is deleted; if finishing failed, its partial files stay for
-    `hapticd recover`. Methods raise DiskFullError if the disk is full, HapticdError if writing fails otherwise.
+    `hapticd recover`. Methods raise DiskFullError on a full disk, HapticdError for other failures.
     """
 
     def __init__(self, target: str | os.PathLike[str], overwrite: bool = False, *, resume: Path | None = None) -> None:
@@ -235,7 +235,7 @@ class RecordingWriter:
         return checksum
 
     def _write_events(self, archive: zipfile.ZipFile) -> None:
-        """Write the events in blocks, compressed, since the longest text determines the size of every row."""
+        """Write the events, compressed, in blocks of about ROW_BLOCK_BYTES."""
         total, columns = columns_of(self._read_events())
         info = zipfile.ZipInfo("events.npy")
         info.compress_type = zipfile.ZIP_DEFLATED

@@ -107,7 +107,7 @@ def _listed(study: SweepStudy, name: str, axis: SweepAxis) -> tuple[Value, ...] 
 
 
 def _as_floats_if_mixed(values: tuple[Value, ...]) -> tuple[Value, ...] | Floats:
-    """Return floats, or a mix of floats and integers, as an array of floats; other values unchanged."""
+    """Return values as an array of floats if any are floats and all are numbers, otherwise unchanged."""
     kinds = set(map(type, values))
     if float in kinds and kinds <= {int, float}:
         return np.array(values, dtype=np.float64)

@@ -75,12 +75,12 @@ class Scale:
         return np.exp(found) if self.spacing == "logarithmic" else found
 
     def prepare(self, axes: Axes, which: Which) -> None:
-        """Make the axis of a figure logarithmic if the scale is. Must be called before anything is drawn."""
+        """Make the axis of a figure logarithmic if the scale is. Call it before drawing."""
         if self.spacing == "logarithmic":
             (axes.set_xscale if which == "x" else axes.set_yscale)("log")
 
     def label_ticks(self, axes: Axes, which: Which) -> None:
-        """Label as many ticks as have room, with plain numbers. Must be called after everything is drawn."""
+        """Label as many ticks as have room, with plain numbers. Call it after drawing."""
         from matplotlib.ticker import NullLocator
 
         axis = axes.xaxis if which == "x" else axes.yaxis

@@ -34,11 +34,11 @@ MAX_PIECE_S: Final = 10.0
 MIN_PIECES_PER_THREAD: Final = 20
 """A study has at least 20 pieces for each thread of a worker, unless these would be shorter than MIN_PIECE_S."""
 QUEUED_PIECES_PER_THREAD: Final = 2
-"""For each thread of a worker, this number of pieces waits at the worker while the thread computes one."""
+"""Number of pieces that wait at a worker for each of its threads, besides the one being computed."""
 WORKER_WAIT_S: Final = 30.0
 """Time in s after which a study ends if the scheduler has no workers."""
 WORKER_POLL_S: Final = 1.0
-"""While no piece finishes, the list of workers is read from the scheduler at this interval, in s."""
+"""Interval in s at which the list of workers is read while no piece finishes."""
 WORKERS_ENDED_REASON: Final = "every worker that computed it ended: too little memory, or a crash"
 """Error of a point if every worker that computed it ended."""
 MIN_LAST_PIECE_S: Final = 0.1

@@ -110,7 +110,7 @@ class _Figure:
         return faults
 
     def _key_faults(self, keys: Mapping[str, str]) -> list[tuple[Path, str]]:
-        """Return the faults of varied keys that are used twice, have too many values, or are missing in the figure."""
+        """Return the faults of varied keys that are used twice or not at all, or have too many values."""
         faults: list[tuple[Path, str]] = []
         names = [*keys.values(), *self._figure.where]
         faults += [((), f"{name} is used twice") for name in dict.fromkeys(names) if names.count(name) > 1]

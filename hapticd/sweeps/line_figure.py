@@ -139,7 +139,7 @@ def _draw_overlays(axes: Axes, results: Results, keys: SweepFigure, lines: Seque
 
 
 def _mark_missing(axes: Axes, lines: Sequence[_Line], key: str, x: Scale) -> None:
-    """Draw crosses for points without a value: one row of crosses for each line, at the lower edge of the figure."""
+    """Draw crosses for points without a value: one row for each line, at the lower edge."""
     for number, line in enumerate(lines):
         missing = [
             row[key]

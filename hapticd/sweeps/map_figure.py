@@ -88,7 +88,7 @@ def draw_map(figure: Figure, results: Results, keys: SweepFigure) -> None:
     """Draw the panels of a map with one color scale.
 
     A point without a result is a cross; the cell of a point that is not computed yet is empty. Infinite values have the
-    color of the largest number, and the color bar then ends in an arrow.
+    last color, and the color bar then ends in an arrow.
 
     Raises HapticdError if an overlay has several values at one x, or a column more than MAX_MAP_TEXTS different texts.
     """

@@ -28,7 +28,7 @@ class Results:
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     points: int
-    """Number of points of the study, including points that are not computed yet."""
+    """Number of points of the study, computed or not."""
     versions: Mapping[str, str]
     """Versions of hapticd, Python and numpy."""
 
@@ -53,14 +53,14 @@ class Results:
 
     @cached_property
     def _planned(self) -> dict[str, list[Value]]:
-        """The distinct values of each axis, including those of points that are not computed yet."""
+        """The distinct values of each axis, also at points that are not computed yet."""
         return {
             axis.name: list(dict.fromkeys(shown_value(value, axis.kind) for value in axis.plain_values))
             for axis in axes_of(self.study)
         }
 
     def values(self, name: str) -> list[Value]:
-        """Return the distinct values of a varied column, including those of points that are not computed yet.
+        """Return the distinct values of a varied column, also at points that are not computed yet.
 
         Numbers are sorted; texts are in the order of the study.
         """

@@ -39,7 +39,7 @@ POINTS_FILE: Final = "points.npy"
 PIECES_FOLDER: Final = "pieces"
 """Name of the subfolder with the rows in a result folder."""
 _ROWS_IN_MEMORY: Final = 500
-"""Number of rows that are converted to Python objects at a time, so that memory stays small."""
+"""Number of rows that are converted to Python objects at a time."""
 _PARTIAL_PIECE: Final = re.compile(r"\.[0-9a-f]{32}\.parquet\.\d+\.[0-9a-f]{16}\.part")
 """Name of a temporary file, which a killed process may leave behind."""
 _POINT_ID: Final = re.compile(r"[0-9a-f]{32}")

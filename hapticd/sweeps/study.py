@@ -54,8 +54,7 @@ def load_sweep(source: Mapping[str, object] | str | os.PathLike[str]) -> Plan:
 
     Paths in a study are relative to its file; those in a mapping are relative to the current folder.
 
-    Raises InvalidError, which states every fault with file, line, key and what would be right, and HapticdError for a
-    file that cannot be read.
+    Raises InvalidError with every fault, its file, line and key, and HapticdError for a file that cannot be read.
     """
     if isinstance(source, Mapping):
         return _load(Document(plain(source)), os.getcwd())

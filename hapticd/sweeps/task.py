@@ -1,8 +1,8 @@
 """The function that a worker runs on a piece, which it gets as pickled bytes.
 
 Dask ends a worker that cannot unpickle its task, and may then lose pieces of other workers. So the function is sent as
-code without references to hapticd, which every worker can unpickle. A worker without hapticd, or with another code
-version, returns a refusal.
+code that needs no hapticd, which every worker can unpickle. A worker without hapticd, or with another version, returns
+a refusal.
 """
 
 from __future__ import annotations

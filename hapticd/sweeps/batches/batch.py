@@ -156,7 +156,7 @@ class Batch:
 
 
 def _document(recordings: RecordingSet) -> dict[str, Json]:
-    """Return the document whose hash is the identity of a fit. It omits the stiffness, on which no fit depends."""
+    """Return the document whose hash is the identity of a fit; no fit depends on the stiffness."""
     options: Sequence[tuple[str, Json]] = list(dataclasses.asdict(recordings.options).items())
     return {
         "kind": recordings.kind,

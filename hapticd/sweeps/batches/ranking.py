@@ -68,7 +68,7 @@ class MaterialResult:
 
     @property
     def reasons(self) -> list[str]:
-        """The reasons of all fits. If there are several fits, each reason begins with the kind of its fit."""
+        """The reasons of all fits, each with the kind of its fit if there are several fits."""
         several = len(self.fits) > 1
         return [f"{fit.kind}: {reason}" if several else reason for fit in self.fits for reason in fit.reasons]
 

@@ -75,7 +75,7 @@ class Tree:
     path: str
     """Path as the user wrote it."""
     sets: tuple[RecordingSet, ...]
-    """The recordings of each fit, sorted by material, then by kind. Punctures are last: they measure the stiffness."""
+    """The recordings of each fit, by material, then by kind. A puncture is last: it measures the stiffness."""
     others: tuple[str, ...]
     """Paths of files that are not recordings, relative to the tree."""
 
@@ -308,7 +308,7 @@ class _Reader:
                 self.problems.append(level.yaml.problem(key, text))
 
     def check_duplicates(self, sets: list[RecordingSet]) -> None:
-        """Check that no two materials share a recording. The fit itself refuses duplicates among its recordings."""
+        """Check that no two materials share a recording; each fit checks its own recordings."""
         first: dict[str, tuple[str, str]] = {}
         for each in sets:
             for file in each.files:

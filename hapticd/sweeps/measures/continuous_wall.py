@@ -26,7 +26,7 @@ from numpy.polynomial import Polynomial
 
 Floats = npt.NDArray[np.float64]
 _MAX_BISECTIONS: Final = 80
-"""Maximum number of bisections; fewer are needed to find the time of an event to the last bit of a float."""
+"""Maximum number of bisections for the time of an event; fewer suffice for the last bit of a float."""
 _MAX_SEGMENTS: Final = 100_000
 """A motion with more segments is refused: it would touch and leave the wall without end."""
 _MINIMUM_JERK_COEFFICIENTS: Final = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)

@@ -36,9 +36,9 @@ class DisplayedMaterialsOptions(Model):
 class DisplayedMaterials:
     """Counts the materials that are displayed, and gives a reason for each material that is not.
 
-    A material is displayed if a handle that presses on a wall of it comes to rest in every hand (docs/stability.md),
-    the rate is high enough for its tap, the displayed error of the tap (docs/accuracy.md) is at most `error_at_most`,
-    and the vibration force of a tap at `speed_m_per_s` does not exceed device.max_force_n.
+    A material is displayed if a wall of it is stable in every hand (docs/stability.md), the rate is high enough for its
+    tap, the displayed error of the tap (docs/accuracy.md) is at most `error_at_most`, and the vibration force of a tap
+    at `speed_m_per_s` does not exceed device.max_force_n.
     """
 
     columns = (
@@ -117,7 +117,7 @@ def _shown(material: Material, mode: Mode, output: Output, speed_m_per_s: float)
 
 
 def _is_stable(config: Config, name: str) -> bool:
-    """Return whether a handle that presses on a wall of a material comes to rest in every hand."""
+    """Return whether a wall of a material is stable in every hand."""
     wall = Wall(kind="wall", point_m=(0.0, 0.0), normal=(0.0, 1.0), material=name)
     sets = sets_of(config.model_copy(update={"scene": Scene(objects={"wall": wall})}))
     assert sets is not None  # the handle is known

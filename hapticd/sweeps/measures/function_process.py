@@ -1,8 +1,7 @@
 """The process that calls a user's function, and that can be killed at any moment.
 
-Threads cannot be killed, and signals interrupt only the main thread: a function that never returned would block a
-thread of a worker for ever. So each thread of a worker has a process for each function. The process loads the module
-once, and is killed after a time-out or when the thread ends.
+Threads cannot be killed, and signals interrupt only the main thread. So each thread of a worker has a process for each
+function. The process loads the module once, and is killed after a time-out or when the thread ends.
 
     to the process      a Function, then a SweepPoint for each call
     from the process    None or the reason why the module cannot be used; then (values, None) or (None, reason)

@@ -20,7 +20,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Trajectory: TypeAlias = Callable[[Floats], Floats]
 """A function of times in s, (n,), that returns positions in m, (n, 2)."""
 _CROSSING_BISECTIONS: Final = 60
-"""Number of bisections of a period, after which the time of a crossing is exact to the last bit of a float."""
+"""Bisections of a period after which the time of a crossing is exact to the last bit of a float."""
 
 
 class OnsetError:

@@ -1,7 +1,7 @@
 """Writes rows of simulated participants as session folders, which `hapticd experiment analyze` reads.
 
-A session has about ten files; syncing each to disk would take longer than everything else. So the disk is synced once
-after SESSIONS_PER_SYNC sessions, and WRITTEN_FILE lists the sessions that are on disk. After a power failure the other
+Syncing each of the ten files of a session would take longer than everything else. So the disk is synced once after
+SESSIONS_PER_SYNC sessions, and WRITTEN_FILE lists the sessions that are on disk. After a power failure the other
 sessions are written again from their rows.
 """
 
