@@ -1,21 +1,21 @@
-"""Recordings: writing, reading, export to other formats, and replay. Their own format is .npz.
+"""Recordings: writing, reading, export to other formats, and replay. The format of recordings is .npz.
 
 Writing:
 
-    writer          writes the samples and events of a recording: partial files, notes, the end, a full disk
-    export          .mcap for the tools of robotics, .csv for everything else
+    writer          writes a recording into partial files, and finishes it, also on a full disk
+    export          exports to .mcap for robotics tools, and to .csv for other programs
     event_columns   converts events to columns, and back
-    recovery        completes the files of recordings that were killed
+    recovery        finishes recordings whose process was killed
 
 Reading:
 
-    recording       `hapticd.load`: a recording as its user sees it; its path, and the export at its end
-    reader          reads a .npz, and reports what is wrong in a damaged one
+    recording       `hapticd.load` and the class Recording; the files of a new recording
+    reader          reads a .npz, and reports the fault of a damaged file
     missed_periods  counts periods without a tick from samples
 
 Rendering:
 
-    replay          renders a recording again with the servo's tick, and compares
+    replay          renders a recording again with the servo's tick, and compares the forces
     simulated       `hapticd simulate`: renders a scene and an operator into a recording
 
 Questions, and where to begin:
@@ -23,7 +23,7 @@ Questions, and where to begin:
     What does a file hold?
         docs/protocol.md (Files); then writer and event_columns.
     What records a running daemon?
-        client/record; the flight recorder is daemon/flight_recorder. Both write by RecordingWriter.
+        client/record; the flight recorder is daemon/flight_recorder. Both use RecordingWriter.
     Why does a replay differ from its recording?
         replay (_difference, _doubts).
 """

@@ -1,6 +1,6 @@
-"""Conversion of events to columns of a recording, and back: the kind of each member, and the value of a missing one.
+"""Conversion of events to columns of a recording, and back. Members that an event lacks have a reserved value.
 
-An event that is read has the members and types that it had in telemetry.
+An event that is read from a recording has the same members and types as in telemetry.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 NO_TIME: Final = -(2**63)
-"""Value of a missing time: numpy's NaT."""
+"""Value of a missing time, which is numpy's NaT."""
 
 ROW_BLOCK_BYTES: Final = 1 << 20
-"""Rows are made in blocks of about 1 MiB, since a single long mark widens all rows."""
+"""Rows are converted in blocks of about 1 MiB, since the longest text determines the size of every row."""
 
 
 class Kind(Enum):
@@ -41,7 +41,7 @@ EVENT_MEMBER_KINDS: Final[dict[str, Kind]] = {
     **dict.fromkeys(("appeared", "completed"), Kind.TRUTH),
     **dict.fromkeys(("faults", "data"), Kind.JSON),
 }
-"""Members of events that docs/protocol.md lists, and their kinds."""
+"""Kinds of the members of events; docs/protocol.md describes the members."""
 
 COMMON_EVENT_MEMBERS: Final = ("event", "tick", "time_ns")
 """Members that every event has."""
@@ -68,7 +68,7 @@ class Column(NamedTuple):
     """Value in the row of an event without the member, or with None."""
 
     def cell(self, event: Mapping[str, Any]) -> object:
-        """Return the column's value in the row of an event."""
+        """Return the value of the column in the row of an event."""
         value = event.get(self.name)
         if value is None:
             return self.absent
@@ -82,12 +82,12 @@ def _text(kind: Kind, value: object) -> str:
 def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
     """Return the number of events, and a column for each member that occurs in them.
 
-    Without events there are the columns of `COMMON_EVENT_MEMBERS`. Types, and the values of missing members:
+    Without events there are the columns of `COMMON_EVENT_MEMBERS`. numpy types, and the values of missing members:
 
-    - truth values: i1, 0 or 1; -1
-    - integers: i8; 0, or NO_TIME if the name ends in `_ns`
-    - numbers, and unknown members that are always None: f8; NaN
-    - texts, and everything else as JSON: text; ""
+    - booleans: i1; missing: -1
+    - integers: i8; missing: 0, or NO_TIME if the name ends in `_ns`
+    - numbers, and unknown members that are always None: f8; missing: NaN
+    - texts, and other values as JSON texts: U; missing: ""
     """
     found: dict[str, set[type]] = {}
     widths: dict[str, int] = {}
@@ -112,7 +112,7 @@ def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
 
 
 def _guessed(types: set[type]) -> Kind:
-    """Return the kind of a member that this version does not know, by the types of its values."""
+    """Return the kind of an unknown member, determined by the types of its values."""
     if types == {bool}:
         return Kind.TRUTH
     if types == {int}:
@@ -144,7 +144,7 @@ def rows_of(events: Iterable[Mapping[str, Any]], columns: list[Column]) -> Itera
 
 @lru_cache
 def members_of(event: str) -> frozenset[str] | None:
-    """Return the members of an event of this kind, or None for a kind that this version does not know."""
+    """Return the members of events of a kind; None for an unknown kind."""
     from hapticd.base.core import EVENT_DTYPE, EventKind, records
     from hapticd.protocol.events import event_map
 
@@ -159,7 +159,7 @@ def members_of(event: str) -> frozenset[str] | None:
 def events_of_rows(rows: npt.NDArray[np.void]) -> Iterator[dict[str, Any]]:
     """Yield the events in rows of a .npz.
 
-    An event of a kind that this version does not know gets the members whose values are not those of missing ones.
+    An event of an unknown kind has the members whose values are not reserved for missing ones.
     """
     names = rows.dtype.names or ()
     forms = [rows.dtype[name].str[1:] for name in names]
@@ -183,7 +183,7 @@ def _values(column: npt.NDArray[Any]) -> list[Any]:
 
 
 def _is_absent(name: str, form: str, value: Any) -> bool:
-    """Return whether a cell holds the value of a missing member; an integer 0 may also be a value."""
+    """Return whether a cell may hold the reserved value of a missing member; 0 may also be a true value."""
     match form[0]:
         case "U":
             return bool(value == "")
@@ -202,7 +202,7 @@ def _restored(name: str, form: str, value: Any, absent: bool) -> object:
 
 
 def cell_of(name: str, value: object) -> object:
-    """Return a value as it is written to a .csv."""
+    """Return the value of a member as it is written to a .csv."""
     if EVENT_MEMBER_KINDS.get(name) is Kind.JSON or isinstance(value, list | dict | bool) or value is None:
         return json.dumps(value)
     return value

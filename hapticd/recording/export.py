@@ -1,18 +1,18 @@
-"""Export of recordings for other programs: .mcap by the mcap package, .csv by pandas. hapticd does not read them.
+"""Export of recordings to .mcap (with the package mcap) and .csv (with pandas). hapticd cannot read these files.
 
-.mcap, for the tools of robotics:
+.mcap, for robotics tools, has four topics:
 
-    hapticd/samples    one message per tick: CDR with a ros2msg schema. Its bytes are the 4 bytes of a CDR header, then
-                       the record
+    hapticd/samples    one message per tick, CDR with a ros2msg schema: a CDR header of 4 bytes, then the bytes of the
+                       sample
     hapticd/event      JSON: events
     hapticd/status     JSON: the status at the start
     hapticd/change     JSON: changes by commands
 
-`log_time` and `publish_time` are the tick's `time_ns`, CLOCK_MONOTONIC of the daemon's machine. Texts known at the
-start are attachments (`scene.json`, ...), those known at the end metadata.
+`log_time` and `publish_time` are the tick's `time_ns`, CLOCK_MONOTONIC of the daemon's machine. Texts that are known at
+the start are attachments (`scene.json`, ...); texts that are known at the end are metadata.
 
-.csv: samples, one row per tick, vectors in two columns (`position_m_x`, `position_m_y`); events in a second file,
-`NAME.events.csv`, and the texts in a third, `NAME.about.json`. Neither format holds arrays such as `truth`.
+NAME.csv holds the samples, one row per tick; a vector has two columns (`position_m_x`, `position_m_y`). The events are
+in `NAME.events.csv`, the texts in `NAME.about.json`. Neither format holds arrays such as `truth`.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ Events: TypeAlias = Iterable[Mapping[str, Any]]
 Texts: TypeAlias = Mapping[str, Any]
 
 _PACKAGES_OF_SUFFIX: Final = {".mcap": ("mcap", "zstandard"), ".csv": ("pandas",)}
-"""Packages that each format needs; the first is also the name of the extra."""
+"""Packages that each format needs. The first has the name of hapticd's extra."""
 _BLOCK_SAMPLES: Final = 100_000
-"""Samples that are converted at once."""
+"""Number of samples that are converted at once."""
 _ATTACHED_TEXTS: Final = ("config", "scene", "materials", "status")
 _METADATA_TEXTS: Final = ("recording", "flight")
 _ROS_TYPES: Final = {"u8": "uint64", "i8": "int64", "f8": "float64", "u4": "uint32", "i4": "int32", "f4": "float32"}
 _CDR_LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
 _SAMPLES_CHANNEL, _EVENT_CHANNEL, _STATUS_CHANNEL, _CHANGE_CHANNEL = range(1, 5)
-"""Ids of the channels and their schemas; mcap's writer numbers them from 1."""
+"""Ids of channels, which are also those of their schemas; mcap's writer numbers both from 1."""
 _STATUS_MEMBERS: Final = {
     name: {"type": kind}
     for name, kind in (("tick", "integer"), ("rate_hz", "number"), ("revision", "integer"), ("forces", "string"))
@@ -66,9 +66,9 @@ _JSON_CHANNELS: Final = {
 
 
 def files_of(target: Path) -> list[Path]:
-    """Return the files of an export of this name, `target` last.
+    """Return the files of an export to `target`, which is the last of them.
 
-    Raises HapticdError for another ending, and if packages of the format are not installed.
+    Raises HapticdError if its ending is not .csv or .mcap, or packages of the format are not installed.
     """
     packages = _PACKAGES_OF_SUFFIX.get(target.suffix.lower())
     if packages is None:
@@ -86,7 +86,7 @@ def files_of(target: Path) -> list[Path]:
 
 
 def export(samples: Samples, events: Events, texts: Texts, target: Path, overwrite: bool) -> None:
-    """Write a recording in the format of the ending of `target`. Raises HapticdError."""
+    """Write a recording in the format that the ending of `target` names. Raises HapticdError."""
     files = files_of(target)
     if len(files) == 1:
         with atomic_file(target, overwrite) as file:
@@ -103,7 +103,7 @@ def export(samples: Samples, events: Events, texts: Texts, target: Path, overwri
 def frame_of(samples: Samples) -> DataFrame:
     """Return samples as a DataFrame: one row per tick, a column for each field and for each component of a vector.
 
-    The index, `time_s`, is the time since the first sample. Raises HapticdError if pandas is not installed.
+    The index, `time_s`, is the time since the first sample in s. Raises HapticdError if pandas is not installed.
     """
     try:
         import pandas
@@ -121,7 +121,7 @@ def frame_of(samples: Samples) -> DataFrame:
 
 
 def _events_csv(events: Events) -> str:
-    """Return the text of a .csv of events: a header with all members that occur, and a line per event."""
+    """Return events as the text of a .csv: a header with all members that occur, and a line per event."""
     names = dict.fromkeys((*COMMON_EVENT_MEMBERS, *(name for event in events for name in event)))
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, names)

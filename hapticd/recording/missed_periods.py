@@ -12,7 +12,7 @@ from hapticd.base import wording
 from hapticd.base.core import Flag
 
 MAX_LISTED_GAPS: Final = 1000
-"""Gaps that a recording lists; the ticks of its samples show all."""
+"""Maximum number of gaps that a recording lists; the ticks of its samples show all."""
 
 
 def missed_periods(
@@ -22,8 +22,8 @@ def missed_periods(
 ) -> int:
     """Return the number of missed periods between the first and the last of these samples.
 
-    `rate_hz` is the servo's rate, or that of each sample, shape (n,). `before` is tick and time_ns of the sample before
-    the first. Samples that telemetry lost are not missed periods.
+    `rate_hz` is the servo rate, or that at each sample, shape (n,). `before` is (tick, time_ns) of the sample that
+    precedes `samples`. Ticks whose samples telemetry lost are not missed periods.
     """
     if len(samples) == 0:
         return 0
@@ -41,7 +41,7 @@ def missed_periods(
 def rates_of(
     samples: npt.NDArray[np.void], changes: Iterable[Mapping[str, Any]], rate_hz: float
 ) -> npt.NDArray[np.float64]:
-    """Return the servo's rate at each sample, shape (n,), from the rate at the start and the changes."""
+    """Return the servo rate at each sample, shape (n,), from the rate at the start and the text `changes`."""
     rates = np.full(len(samples), float(rate_hz))
     for change in changes:
         if "rate_hz" in change:
@@ -51,13 +51,13 @@ def rates_of(
 
 
 def gaps_of(ticks: npt.NDArray[np.int64], before: int | None = None) -> list[tuple[int, int]]:
-    """Return the first tick and the length of each gap. `before` is the tick before the first."""
+    """Return the first missing tick of each gap, and their number. `before` is the tick before `ticks`."""
     steps = np.diff(ticks, prepend=ticks[:1] - 1 if before is None else before)
     return [(int(ticks[place] - steps[place] + 1), int(steps[place]) - 1) for place in np.flatnonzero(steps > 1)]
 
 
 def share(missed: int, rendered: int) -> float:
-    """Return the fraction of missed periods."""
+    """Return the missed periods as a fraction of all periods."""
     return missed / (missed + rendered) if missed else 0.0
 
 

@@ -1,6 +1,6 @@
-"""Reader of recordings. Samples are mapped into memory, not copied; of a damaged file the error is one line.
+"""Reader of recordings. Samples are mapped into memory, not copied. The error of a damaged file is one line.
 
-The size that a member claims is compared with the archive before memory is allocated.
+The size in the header of a member is compared with the size of the archive before memory is allocated.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from hapticd.recording.event_columns import ROW_BLOCK_BYTES, events_of_rows
 from hapticd.recording.writer import Samples
 
 TEXT_MEMBERS: Final[tuple[str, ...]] = ("config", "scene", "materials", "changes", "status", "recording", "flight")
-"""Names of the texts of a file; other members are not read."""
+"""Names of the JSON texts in a file; unknown members are not read."""
 
 _READ_BLOCK_BYTES: Final = 1 << 20
-"""Bytes that are read at once to check a checksum."""
+"""Bytes that are read at once when a checksum is computed."""
 _MAX_REASON_CHARACTERS: Final = 200
-"""Length to which the reason is cut in the error of a damaged file."""
+"""Length in characters at which the reason is cut in the error of a damaged file."""
 _MAX_UNPACKED_BYTES, _MAX_COMPRESSION_RATIO = 2**30, 32
-"""A member may have 1 GiB, or 32 times its compressed size if that is more."""
+"""A member may take 1 GiB, or 32 times its compressed size if this is more."""
 _MAP_NORESERVE: Final = 0x4000
-"""Linux' MAP_NORESERVE, which Python 3.11 does not define: a file may be larger than the memory."""
+"""MAP_NORESERVE of Linux, which Python 3.11 does not define. With it a mapped file may be larger than the memory."""
 _LOCAL_HEADER: Final = struct.Struct("<4s22xHH")
 """Local header of a zip member: signature, and the lengths of name and extra field."""
 READING_ERRORS: Final = (
@@ -61,7 +61,7 @@ Contents: TypeAlias = tuple[Samples, list[dict[str, Any]], dict[str, Any], npt.N
 
 
 def read(path: str | os.PathLike[str]) -> Contents:
-    """Read a .npz of `hapticd record`, `simulate` or the flight recorder. Raises HapticdError for another file."""
+    """Read a .npz of `hapticd record`, `simulate` or the flight recorder. Raises HapticdError for any other file."""
     name = printable(os.fspath(path))
     if Path(path).suffix.lower() != ".npz":
         refuse_documents(path)
@@ -96,7 +96,7 @@ def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Contents:
 
 
 def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Read shape and type of a member, up to its data. Raises ValueError if its size is not that of its data."""
+    """Read the .npy header of a member: shape and type. Raises ValueError if they do not match the size of the data."""
     read_header = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
@@ -111,7 +111,7 @@ def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...
     if member.tell() + size != info.file_size:
         raise ValueError(f"{info.filename} should have {size} bytes of data, has {info.file_size - member.tell()}")
     if size > max(_MAX_UNPACKED_BYTES, _MAX_COMPRESSION_RATIO * info.compress_size):
-        raise ValueError(f"{info.filename} would take {size} bytes of memory, for {info.compress_size} in the file")
+        raise ValueError(f"{info.filename} needs {size} bytes of memory, too many for {info.compress_size} in the file")
     return shape, dtype
 
 
@@ -129,7 +129,7 @@ def _read_samples(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipIn
         shape, dtype = _read_head(member, info)
         begins = member.tell()
     if len(shape) != 1 or dtype.names is None:
-        raise ValueError("its samples are not records")
+        raise ValueError(f"{info.filename} is not an array of records")
     if info.compress_type == zipfile.ZIP_STORED and shape[0]:
         samples = _mapped(file, archive, info)[begins:].view(dtype)
     else:
@@ -137,7 +137,7 @@ def _read_samples(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipIn
     if dtype == SAMPLE_DTYPE:
         # Files of earlier versions are not aligned; the core needs aligned samples.
         return samples if samples.flags.aligned else samples.copy()
-    return _as_now(samples)
+    return _with_current_fields(samples)
 
 
 def _mapped(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> npt.NDArray[np.uint8]:
@@ -155,18 +155,18 @@ def _mapped(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipInfo) ->
     return np.frombuffer(mapped, np.uint8, info.file_size, at - begin)
 
 
-def _as_now(samples: Samples) -> Samples:
-    """Convert samples of another version to the fields of this one. Raises ValueError if one is missing."""
+def _with_current_fields(samples: Samples) -> Samples:
+    """Convert samples of another version to the fields of this version. Raises ValueError if a field is missing."""
     missing = [name for name in SAMPLE_DTYPE.names or () if name not in (samples.dtype.names or ())]
     if missing:
-        raise ValueError(f"its samples have no {', '.join(missing)}")
+        raise ValueError(f"samples.npy lacks {', '.join(missing)}")
     with np.errstate(invalid="ignore"):
         found: Samples = require_fields(samples, SAMPLE_DTYPE)
     return found
 
 
 def _read_events(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[dict[str, Any]]:
-    """Yield the events, read in blocks, since a single long mark widens all rows."""
+    """Yield the events, read in blocks of about ROW_BLOCK_BYTES."""
     with archive.open(info) as member:
         shape, dtype = _read_head(member, info)
         if len(shape) != 1:

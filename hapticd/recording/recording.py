@@ -1,6 +1,6 @@
-"""A recording as its user sees it, `hapticd.load`, and the files of a new recording.
+"""The public class Recording, `hapticd.load`, and the files of a new recording.
 
-A recording is always written to a .npz. A target of another format is exported from it at the end.
+A recording is always written to a .npz. For a target of another format, this file is exported at the end.
 
 recording = hapticd.load("tap.npz")          # of `hapticd record`, `simulate` or the flight recorder
 recording.samples["force_n"]                 # (n, 2), numpy
@@ -42,25 +42,25 @@ class Recording:
 
     path: str
     samples: Samples
-    """(n,) records of `hapticd.SAMPLE_DTYPE`, one per tick."""
+    """Records of `hapticd.SAMPLE_DTYPE`, one per tick, shape (n,)."""
     events: list[dict[str, Any]] = field(repr=False)
-    """Events with the members that they have in telemetry."""
+    """Events with the same members as in telemetry."""
     texts: Mapping[str, Any] = field(repr=False)
     """Other content of the file, by name: scene, materials, configuration and more."""
     truth: npt.NDArray[np.float64] | None = field(default=None, repr=False)
-    """(n, 4), of a simulation: the handle's exact x, y in m, and its velocity along x, y in m/s."""
+    """The exact x and y of the handle in m, and its velocities in m/s, shape (n, 4); None unless simulated."""
 
     def __repr__(self) -> str:
         return f"<hapticd.Recording {self.path}: {len(self.samples):,} ticks, {len(self.events):,} events>"
 
     @property
     def marks(self) -> list[dict[str, Any]]:
-        """Events of the kind `mark`, in order, with `tick`, `time_ns`, `text` and `data`."""
+        """The events of the kind `mark`, in order, with `tick`, `time_ns`, `text` and `data`."""
         return [event for event in self.events if event.get("event") == "mark"]
 
     @property
     def scene(self) -> dict[str, Any]:
-        """The scene at the start; empty if the file does not hold it."""
+        """The scene at the start; empty if it is not in the file."""
         return self._map("scene")
 
     @property
@@ -70,7 +70,7 @@ class Recording:
 
     @property
     def config(self) -> dict[str, Any]:
-        """`servo` and `device` of the configuration."""
+        """The keys `servo` and `device` of the configuration."""
         return self._map("config")
 
     @property
@@ -83,13 +83,13 @@ class Recording:
 
     @property
     def changes(self) -> list[dict[str, Any]]:
-        """Changes by commands; the first entry has the revision at the start."""
+        """Changes by commands, in order; the first entry has the revision at the start."""
         changes = self.texts.get("changes")
         return [change for change in changes if isinstance(change, dict)] if isinstance(changes, list) else []
 
     @property
     def notes(self) -> dict[str, Json]:
-        """Notes of `--note`, as texts, or of `daemon.record(path, trial=3)`, with their types."""
+        """Notes: from `--note` as texts, from `daemon.record(path, trial=3)` with their types."""
         notes = self._about.get("notes")
         return dict(notes) if isinstance(notes, dict) else {}
 
@@ -100,18 +100,18 @@ class Recording:
 
     @property
     def ended(self) -> Moment | None:
-        """The daemon's clocks when the recording ended, or None."""
+        """The daemon's clocks when the recording ended, if they were read."""
         return moment_of(self._about.get("ended"))
 
     @property
     def ended_because(self) -> str | None:
-        """Why the recording ended early, or None."""
+        """Why the recording ended early; None if it did not."""
         reason = self._about.get("ended_because", self._about.get("ended"))
         return reason if isinstance(reason, str) else None
 
     @property
     def rate_hz(self) -> float:
-        """Ticks per second at the start. Raises HapticdError if the file does not have it."""
+        """Servo rate at the start. Raises HapticdError if it is not in the file."""
         servo = self.config.get("servo")
         configured = servo.get("rate_hz") if isinstance(servo, dict) else None
         first = self.changes[0].get("rate_hz") if self.changes else None
@@ -122,16 +122,16 @@ class Recording:
 
     @cached_property
     def missed_periods(self) -> int:
-        """Number of the servo's periods without a tick, between the first sample and the last."""
+        """Number of servo periods without a tick, between the first sample and the last."""
         counted = self._about.get("missed_periods")
         if type(counted) is int:
             return counted
         return missed_periods(self.samples, rates_of(self.samples, self.changes, self.rate_hz))
 
     def utc(self) -> npt.NDArray[np.datetime64]:
-        """Return the time of day of each sample, UTC, shape (n,), by the clocks at the start.
+        """Return the time of day (UTC) of each sample, shape (n,), computed from the clocks at the start.
 
-        Raises HapticdError if the file does not hold them.
+        Raises HapticdError if these clocks are not in the file.
         """
         moment = self.started or self.ended
         if moment is None:
@@ -142,16 +142,16 @@ class Recording:
     def to_pandas(self) -> DataFrame:
         """Return the samples as a DataFrame with one row per tick.
 
-        It has a column for each field, and two for a vector (`force_n_x`, `force_n_y`). The index, `time_s`, is the
-        time since the first sample in s; `frame.set_index(recording.utc())` has the time of day instead. Raises
-        HapticdError if pandas is not installed.
+        Each field is a column, a vector two (`force_n_x`, `force_n_y`). The index, `time_s`, is the time since the
+        first sample in s; `frame.set_index(recording.utc())` replaces it by the time of day. Raises HapticdError if
+        pandas is not installed.
         """
         return frame_of(self.samples)
 
     def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
-        """Write the recording to another file, by its ending a .npz, or an export for other programs: .csv or .mcap.
+        """Write the recording to a file: a .npz, or an export (.csv or .mcap), which does not hold `truth`.
 
-        Only a .npz holds `truth`. Returns `path`. Raises HapticdError.
+        Returns `path`. Raises HapticdError.
         """
         target = Path(path)
         check_saved(target, overwrite)
@@ -179,7 +179,7 @@ class Recording:
 def check_saved(target: str | os.PathLike[str], overwrite: bool) -> None:
     """Raise HapticdError if a recording cannot be saved as `target`.
 
-    That is: its ending is another one, or one of its files exists and `overwrite` is False, or is not a regular file.
+    Reasons are an unknown ending, an existing file without `overwrite`, and a file that is not a regular file.
     """
     path = Path(target)
     for file in (path,) if path.suffix.lower() == ".npz" else reversed(files_of(path)):
@@ -189,7 +189,7 @@ def check_saved(target: str | os.PathLike[str], overwrite: bool) -> None:
 def load(path: str | os.PathLike[str]) -> Recording:
     """Read a recording: the .npz of `hapticd record`, `hapticd simulate` or `hapticd flight`.
 
-    Its samples are mapped into memory: they take none until they are used, and the file may be larger than the memory.
+    Its samples are mapped into memory, so that the file may be larger than the memory.
     Raises HapticdError (one line) if the file is not a recording.
     """
     return Recording(os.fspath(arguments.path("path", path)), *read(path))
@@ -199,7 +199,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
 
 
 def recording_path(target: str | os.PathLike[str]) -> Path:
-    """Return the path of the .npz of a recording into `target`. Raises HapticdError for an unknown ending."""
+    """Return the path of the .npz that a recording into `target` writes. Raises HapticdError for an unknown ending."""
     path = Path(target)
     if path.suffix.lower() == ".npz":
         return path
@@ -208,7 +208,7 @@ def recording_path(target: str | os.PathLike[str]) -> Path:
 
 
 def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
-    """Raise HapticdError as `check_saved` does, also for the .npz of an export."""
+    """Raise HapticdError as `check_saved` does; for an export, check the .npz, too."""
     check_saved(target, overwrite)
     check_new(recording_path(target), overwrite)
 
@@ -217,8 +217,8 @@ def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
 def recording_into(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator[RecordingWriter]:
     """Open the writer of a recording, which must be finished in the block.
 
-    Raises HapticdError as `check_target` does, before anything is written. At the end it raises HapticdError if
-    another program has created the target meanwhile, or the export failed; the text then names the recording's file.
+    Raises HapticdError as `check_target` does, before anything is written. At the end it raises HapticdError if another
+    program has created the target meanwhile, or the export failed; the error names the file that holds the recording.
     """
     check_target(target, overwrite)
     recording = recording_path(target)

@@ -1,7 +1,6 @@
-"""Recovery of recordings that were killed: finds their partial files, reports them, and completes them.
+"""Recovery of recordings whose process was killed: reports their partial files, or makes recordings of them.
 
-`hapticd record` reports partial files in the folder of its target and continues; `hapticd recover` makes recordings of
-them. Unreadable partial files stay unchanged.
+`hapticd record` reports partial files next to its target and continues; `hapticd recover` makes recordings of them.
 """
 
 from __future__ import annotations
@@ -23,22 +22,22 @@ _DAMAGED_TEXT: Final = "damaged; left unchanged"
 
 
 class Recovered(NamedTuple):
-    """Recordings that were made of partial files, and a line for each partial file that could not be recovered."""
+    """Recovered recordings, and a line of text for each partial file that could not be recovered."""
 
     files: list[Path]
     problems: list[str]
 
 
-def _parts(recording: Path) -> list[Path]:
-    """Return the partial files of recordings into this file."""
-    place = Path(os.path.realpath(recording))
-    return sorted(place.parent.glob(f".{glob.escape(place.name)}.*.part"))
+def _partial_files(recording: Path) -> list[Path]:
+    """Return the partial files of a recording's path."""
+    path = Path(os.path.realpath(recording))
+    return sorted(path.parent.glob(f".{glob.escape(path.name)}.*.part"))
 
 
 def partial_files_warning(target: str | os.PathLike[str]) -> str | None:
     """Return a warning about partial files of earlier recordings into `target`, or None if none exist."""
     recording = recording_path(target)
-    name, parts = os.fspath(recording), _parts(recording)
+    name, parts = os.fspath(recording), _partial_files(recording)
     if not parts:
         return None
     more = f" and {len(parts) - 1} more" if len(parts) > 1 else ""
@@ -49,13 +48,12 @@ def partial_files_warning(target: str | os.PathLike[str]) -> str | None:
 
 
 def recover(target: str | os.PathLike[str]) -> Recovered:
-    """Make recordings of the partial files that killed recordings into `target` left: NAME.recovered.npz.
+    """Make a recording NAME.recovered.npz of each partial file that a killed process left for `target`.
 
-    Partial files of running processes, and unreadable ones, stay unchanged. Raises HapticdError for a target with an
-    unknown ending.
+    Partial files of running processes, and unreadable ones, stay unchanged. Raises HapticdError for an unknown ending.
     """
     recording, recovered = recording_path(target), Recovered([], [])
-    for part in _parts(recording):
+    for part in _partial_files(recording):
         result = _recover(recording, part)
         if isinstance(result, Path):
             recovered.files.append(result)
@@ -65,7 +63,7 @@ def recover(target: str | os.PathLike[str]) -> Recovered:
 
 
 def _recover(recording: Path, part: Path) -> Path | str:
-    """Return the recording that was made, or why none was."""
+    """Recover one partial file; return the path of the recording, or the reason of the failure."""
     if not part.with_suffix(NOTES_ENDING).exists():
         return _DAMAGED_TEXT
     try:

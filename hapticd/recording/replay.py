@@ -1,18 +1,16 @@
 """Replay of recordings: the servo's tick with the recorded input, and comparison of the forces.
 
-A tick is a function of scene, state and input. Samples hold the input (position, velocity, time, whether forces were
-on), and a recording holds the scenes and the commands `play` and `reset`. The state is that of the servo if it began
-from the same state. So a replay begins where the state is known: at tick 0, or at a tick at which nothing is touched,
-rings or ramps. It begins again after missing ticks, after a fault, at another rate, and after a streamed force, which
-recordings do not hold. The rendered forces should equal the recorded ones, bit for bit. If they do not, the recording
-does not hold all that had an influence.
+The force of a tick is a function of scene, state and input. Samples hold the input (position, velocity, time, whether
+forces were on); a recording also holds the scenes and the commands `play` and `reset`. It does not hold the state. So a
+replay begins where the state is known: at tick 0, or at a tick without contacts, ringing modes and ramps. It begins
+again after missing ticks, a fault, a change of the rate, or a streamed force, which recordings do not hold. Rendered
+forces should equal the recorded ones, bit for bit. If they do not, the recording lacks something that affects forces.
 
-Files of the flight recorder hold the scene at their beginning and later changes, as recordings do. Ticks before the
-first change of such a file are not rendered.
+In a file of the flight recorder, ticks before the first change that it holds are not rendered.
 
-A recording does not hold: the number of earlier contacts of an object (from which its noise begins), membranes that
-were punctured before, effects that the device played, the time within a period at which a real device's report
-arrived, and the order in which the servo found objects that are touched together (the last bits of a sum).
+A recording does not hold the number of earlier contacts of an object (which selects its noise), membranes that were
+punctured before, effects that the device played, the time within a period at which a real device's report arrived, and
+the order in which the forces of objects that are touched at once were summed (the last bits of the sum).
 """
 
 from __future__ import annotations
@@ -46,15 +44,15 @@ FORCE_FIELDS: Final = ("contact_force_n", "vibration_force_n", "force_n")
 """Fields of the samples that are compared."""
 
 REQUIRED_TEXTS: Final = ("config", "scene", "materials", "changes")
-"""Texts that a recording must hold."""
+"""Texts that a recording must hold to be rendered again."""
 
 _REASON_OF_LEFT_OUT: Final = {
     "fault": "with a fault latched",
     "scene": "whose scene is not in the file",
     "streamed": "with a streamed force",
-    "begun_before": "until nothing was touched, rang or ramped",
+    "begun_before": "with an unknown state",
 }
-"""Words of a summary for the keys of `Replay.left_out`."""
+"""Text of a summary for each key of `Replay.left_out`."""
 _UNSETTLED_FLAGS: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
 """Flags of a tick whose state depends on earlier ticks."""
 _MAX_PERIODS: Final = 0xFFFFFFFF
@@ -63,7 +61,7 @@ _MAX_PERIODS: Final = 0xFFFFFFFF
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Magnitude of the difference between the recorded and the rendered force, in N: maximum and RMS."""
+    """Maximum and RMS of the magnitude of the difference between recorded and rendered force, in N."""
 
     largest_n: float
     rms_n: float
@@ -74,9 +72,9 @@ class Replay:
     """A recording that was rendered again."""
 
     samples: Samples
-    """(m,) records of SAMPLE_DTYPE: the ticks that were rendered again."""
+    """Rendered samples, records of SAMPLE_DTYPE, shape (m,)."""
     recorded: Samples
-    """(m,) the same ticks as recorded."""
+    """Recorded samples of the same ticks, shape (m,)."""
     events: list[dict[str, object]]
     """Events of the rendered ticks."""
     ticks: int
@@ -84,23 +82,23 @@ class Replay:
     identical: int
     """Number of ticks whose three forces equal the recorded ones, bit for bit."""
     first_different: int | None
-    """First tick with a different force, or None."""
+    """First tick with a different force, if any."""
     differences: dict[str, Difference]
-    """Difference over all rendered ticks, by field."""
+    """Difference over all rendered ticks, for each of FORCE_FIELDS."""
     missing_revisions: tuple[int, ...]
     """Revisions whose scene is not in the recording; their ticks were not rendered."""
     left_out: Mapping[str, int]
     """Number of ticks that were not rendered, by reason: `fault` (a fault was latched), `scene` (the scene is not in
-    the recording), `streamed` (a force was streamed, which is not in the recording), `begun_before` (a contact, mode or
-    ramp began before the recording, or an earlier `play` is not in the file)."""
+    the recording), `streamed` (a force was streamed), `begun_before` (a contact, mode or ramp began before the
+    recording, or an earlier `play` is not in the file)."""
     doubts: tuple[str, ...]
-    """Possible reasons for different forces that the recording does not hold; empty if all forces are identical."""
+    """Possible reasons for different forces; empty if all forces are identical."""
     settled: bool
-    """False if no tick has a known state to begin from; then the state before the recording is assumed to be empty."""
+    """False if the state is not known at any tick; then nothing is assumed to act before the recording begins."""
     texts: Mapping[str, Any]
     """Texts of the recording; see `hapticd.Recording`."""
     source: str | os.PathLike[str]
-    """Path of the recording."""
+    """Path of the replayed recording."""
 
     def summary(self) -> str:
         """Return the result as one line of text."""
@@ -115,7 +113,7 @@ class Replay:
         if self.left_out:
             text += f"; left out: {_left_out_text(self.left_out)}"
         if not self.settled:
-            text += "; something is touched, rings or ramps in each of them"
+            text += "; each has a contact, a ringing mode or a ramp"
         if self.missing_revisions:
             text += f"; {wording.count(len(self.missing_revisions), 'revision')} of the scene missing"
         return text + "".join(f"; {doubt}" for doubt in self.doubts)
@@ -123,7 +121,7 @@ class Replay:
     def write(self, target: str | os.PathLike[str], overwrite: bool = False) -> None:
         """Write the rendered ticks as another recording.
 
-        Raises HapticdError if it cannot be written, if the target already exists, or if it is the recording itself.
+        Raises HapticdError if the target cannot be written, already exists, or is the replayed recording.
         """
         made = recording_path(target)
         if made.exists() and made.samefile(self.source):
@@ -152,8 +150,8 @@ class Replay:
 def replay(path: str | os.PathLike[str]) -> Replay:
     """Render a recording (.npz) again, and compare the forces. It takes about 400 bytes of memory per sample.
 
-    Raises HapticdError if the file is not a recording, does not hold scene, materials, configuration and changes, or
-    holds values that this version refuses.
+    Raises HapticdError if the file is not a recording, lacks one of REQUIRED_TEXTS, or holds values that this version
+    refuses.
     """
     recorded = load(path)
     missing = [name for name in REQUIRED_TEXTS if not recorded.texts.get(name)]
@@ -185,7 +183,7 @@ def _replay(recorded: Recording) -> Replay:
     # Files of the flight recorder hold all commands from the tick `complete_from` on; other recordings hold all.
     complete_from = int((texts.get("flight") or {}).get("complete_from", 0))
     is_known = np.isin(samples["revision"], known) & (samples["tick"] >= complete_from)
-    stretches, settled = _stretches(samples, rates_hz, is_known, texts)
+    segments, settled = _segments(samples, rates_hz, is_known, texts)
     link_hz = (status.get("connection") or {}).get("link_hz")
 
     device = texts["config"]["device"]
@@ -201,20 +199,20 @@ def _replay(recorded: Recording) -> Replay:
     periods = _periods(samples, rates_hz)
     intervals = _intervals(samples, periods, rates_hz, configs[rate_hz].device)
     commands = _commands(texts)
-    place = -1
-    count = sum(stretch.stop - stretch.start for stretch, _ in stretches)
+    index = -1
+    count = sum(segment.stop - segment.start for segment, _ in segments)
     again, at = np.empty(count, SAMPLE_DTYPE), 0
     events: list[dict[str, object]] = []
-    for stretch, muted in stretches:
+    for segment, muted in segments:
         rerun.restart(muted)
-        if rates_hz[stretch.start] != rate_hz:  # its first revision is set below
-            rate_hz = float(rates_hz[stretch.start])
+        if rates_hz[segment.start] != rate_hz:  # its first revision is set below
+            rate_hz = float(rates_hz[segment.start])
             rerun.change_rate(outputs[rate_hz])
-        periods[stretch.start] = 1
-        for part in _parts(samples, stretch, commands):
+        periods[segment.start] = 1
+        for part in _split(samples, segment, commands):
             number = int(samples["revision"][part.start])
-            if place < 0 or known[place] != number:
-                place = _turn(rerun, revisions, place, known.index(number))
+            if index < 0 or known[index] != number:
+                index = _change_scene(rerun, revisions, index, known.index(number))
             for command in commands.get(int(samples["tick"][part.start]), ()):
                 _carry_out(rerun, command, int(samples["time_ns"][part.start]))
             rendered, happened = rerun.run(samples[part], intervals[part], periods[part])
@@ -225,7 +223,7 @@ def _replay(recorded: Recording) -> Replay:
         raise HapticdError(f"no tick can be rendered again: {_left_out_text(_left_out(samples, known, 0))}")
     before = samples
     if count < len(samples):
-        before = np.concatenate([samples[stretch] for stretch, _ in stretches])
+        before = np.concatenate([samples[segment] for segment, _ in segments])
     different = np.zeros(len(again), bool)
     for name in FORCE_FIELDS:
         different |= (again[name].view(np.uint64) != before[name].view(np.uint64)).any(axis=1)
@@ -268,7 +266,7 @@ def _difference(between: npt.NDArray[np.float64]) -> Difference:
 
 
 def _doubts(device: Device, revisions: list[_Revision]) -> tuple[str, ...]:
-    """Return possible reasons for different forces: influences that recordings do not hold."""
+    """Return possible reasons for different forces, which recordings do not hold."""
     noise = any(
         isinstance(revision.materials[name].texture, Stochastic | Autoregressive)
         for revision in revisions
@@ -298,12 +296,12 @@ class _Revision:
     scene: Scene
     materials: Mapping[str, Material]
     changed: tuple[str, ...]
-    """Ids of objects that changed since the previous revision of the list, in the order of their changes."""
+    """Ids of objects that changed since the previous _Revision, in the order of their changes."""
     rate_hz: float
 
 
 def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> Iterator[_Revision]:
-    """Yield the revisions of the recording that samples were rendered with, in order."""
+    """Yield the revisions of the scene with the numbers `wanted`, in order."""
     scene = validate_scene(texts["scene"], ("scene",))
     materials: dict[str, Material] = validate_materials(texts["materials"])
     pending = dict.fromkeys(scene.objects)
@@ -330,12 +328,12 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> It
             pending = {}
 
 
-def _turn(rerun: Rerun, revisions: list[_Revision], place: int, to: int) -> int:
-    """Change the scene from the revision at index `place` to the one at `to`; below 0 there is no scene yet."""
-    if to > place:
-        changed = [id for revision in revisions[place + 1 : to + 1] for id in revision.changed]
+def _change_scene(rerun: Rerun, revisions: list[_Revision], index: int, to: int) -> int:
+    """Change the scene from `revisions[index]`, or none if `index` is negative, to `revisions[to]`. Return `to`."""
+    if to > index:
+        changed = [id for revision in revisions[index + 1 : to + 1] for id in revision.changed]
     else:
-        changed = [*revisions[place].scene.objects, *revisions[to].scene.objects]
+        changed = [*revisions[index].scene.objects, *revisions[to].scene.objects]
     revision = revisions[to]
     # The order of the changed objects determines the order in which forces are summed.
     rerun.turn_to(revision.scene, dict.fromkeys(changed), revision.materials, revision.number)
@@ -345,12 +343,12 @@ def _turn(rerun: Rerun, revisions: list[_Revision], place: int, to: int) -> int:
 # ---- Begin, and input of each tick -----------------------------------------------------------------------------------
 
 
-def _stretches(
+def _segments(
     samples: Samples, rates_hz: npt.NDArray[np.float64], known: npt.NDArray[np.bool_], texts: Mapping[str, Any]
 ) -> tuple[list[tuple[slice, bool]], bool]:
-    """Return stretches of consecutive ticks, each with whether its command begins at zero; and `settled`.
+    """Return segments of consecutive ticks, each with whether its command begins at zero, and `settled`.
 
-    `settled` is whether the stretches begin with a known state.
+    `settled` is whether the state is known at the beginning of the segments.
     """
     flags = samples["flags"]
     usable = known & (flags & (Flag.FAULT | Flag.STREAMED) == 0)
@@ -364,7 +362,7 @@ def _stretches(
     fit = (quiet & np.roll(quiet, 1) & follows) | at_start
     runs = list(zip(begins.tolist(), ends.tolist(), strict=True))
     settled = bool((usable & fit).any())
-    stretches = []
+    segments = []
     for begin, end in runs:
         if settled:
             left = np.flatnonzero(fit[begin:end])
@@ -375,18 +373,18 @@ def _stretches(
         # During the check of signs the command is zero.
         on = int(flags[begin]) & (Flag.FORCES_ON | Flag.CHECKING) == Flag.FORCES_ON
         muted = "status" in texts if at_start[begin] else not on
-        stretches.append((slice(begin, end), muted))
-    return stretches, settled
+        segments.append((slice(begin, end), muted))
+    return segments, settled
 
 
-def _parts(samples: Samples, stretch: slice, commands: Mapping[int, object]) -> Iterator[slice]:
-    """Yield the parts of a stretch between changes of the revision and commands."""
-    inside = samples[stretch]
+def _split(samples: Samples, segment: slice, commands: Mapping[int, object]) -> Iterator[slice]:
+    """Divide a segment where the revision changes and where commands take effect."""
+    inside = samples[segment]
     edges = {0, len(inside), *(np.flatnonzero(np.diff(inside["revision"])) + 1).tolist()}
     first = int(inside["tick"][0])
     edges |= {tick - first for tick in commands if 0 < tick - first < len(inside)}
     for begin, end in pairwise(sorted(edges)):
-        yield slice(stretch.start + begin, stretch.start + end)
+        yield slice(segment.start + begin, segment.start + end)
 
 
 def _commands(texts: Mapping[str, Any]) -> dict[int, list[dict[str, Any]]]:
@@ -408,7 +406,7 @@ def _carry_out(rerun: Rerun, command: Mapping[str, Any], time_ns: int) -> None:
 
 
 def _periods(samples: Samples, rates_hz: npt.NDArray[np.float64]) -> npt.NDArray[np.uint32]:
-    """Return the periods between each tick and the one before, shape (n,); above 1 if periods were missed."""
+    """Return the number of periods since the previous tick, shape (n,); above 1 if periods were missed."""
     elapsed = np.diff(samples["time_ns"], prepend=samples["time_ns"][:1]) * (rates_hz / 1e9)
     missed = samples["flags"] & Flag.SKIPPED != 0
     return np.where(missed, np.clip(np.rint(elapsed), 1, _MAX_PERIODS), 1).astype(np.uint32)
@@ -417,7 +415,7 @@ def _periods(samples: Samples, rates_hz: npt.NDArray[np.float64]) -> npt.NDArray
 def _intervals(
     samples: Samples, periods: npt.NDArray[np.uint32], rates_hz: npt.NDArray[np.float64], device: Device
 ) -> npt.NDArray[np.float64]:
-    """Return the time in s between the position report of each tick and the one before; 0 without a new report."""
+    """Return the time in s between a tick's position report and the previous report, (n,); 0 without a new report."""
     report_s = device.sim.reports_s[0] if device.kind == "sim" else 0.0
     fresh = samples["flags"] & Flag.REPEATED == 0
     intervals = np.zeros(len(samples))

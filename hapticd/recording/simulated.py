@@ -32,9 +32,9 @@ def simulate_files(
 ) -> dict[str, Any]:
     """Simulate a scene or a configuration with the simulated joystick, and write a recording if `output` is given.
 
-    Without `rate_hz` the configuration's rate holds. Returns the result of `simulate --json`; `largest_force_n` is the
-    maximum magnitude of the command. Raises HapticdError or InvalidError for files that cannot be read or written and
-    for invalid values; for an existing output that must not be replaced before the simulation.
+    `rate_hz` replaces the configured rate. Returns the result of `simulate --json`, in which `largest_force_n` is the
+    maximum magnitude of the command. Raises HapticdError or InvalidError for invalid values and for files that cannot
+    be read or written. An existing output without `overwrite` is refused before the simulation.
     """
     with nullcontext() if output is None else recording_into(output, overwrite) as writer:
         config = configuration(scene)
@@ -70,6 +70,6 @@ def _write(writer: RecordingWriter, config: Config, run: Run, notes: Mapping[str
 
 
 def configuration(path: str) -> Config:
-    """Load a configuration from a file that holds one, or only a scene. Raises HapticdError or InvalidError."""
+    """Load a configuration from a file with a configuration or a scene. Raises HapticdError or InvalidError."""
     refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene")
     return load_config(path)

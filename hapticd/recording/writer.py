@@ -1,13 +1,13 @@
 """Writer of recordings: a .npz that numpy.load reads without pickle.
 
 Samples are appended to a hidden partial file in the target's folder, so that memory stays bounded for any length of a
-recording. This file becomes the archive: the samples are its first member, whose header and checksum are written in
-front of them at the end, when their number is known; events and texts follow. Until then events and texts are in a
-second partial file, the notes, one JSON value per line. At the end the archive is renamed to the target.
+recording. At the end this file becomes the archive. The samples are its first member; their header, with number and
+checksum, is then written into the room that is reserved in front of them. Events and texts follow. Until then they are
+in a second partial file, the notes, one JSON value per line. Last, the archive is renamed to the target.
 
-A recording that fails leaves no file and changes none, with two exceptions. On a full disk the newest samples are
-dropped, so that the file can be finished. The partial files stay if the process is killed, if the archive cannot be
-renamed, or if writing fails for another reason; recovery.py makes a recording of them.
+On a full disk the newest samples are dropped, so that the recording can be finished. The partial files stay if the
+process is killed, if the archive cannot be renamed, or if writing fails for another reason; recovery.py makes a
+recording of them. Any other failed recording leaves no file.
 
 The section Files of docs/protocol.md describes the content of a recording.
 """
@@ -39,37 +39,37 @@ Samples: TypeAlias = npt.NDArray[np.void]
 Texts: TypeAlias = Mapping[str, object]
 
 NOTES_ENDING: Final = ".notes"
-"""Ending of the second partial file."""
+"""Ending of the second partial file, the notes."""
 _WRITE_BLOCK_SAMPLES: Final = 10_000
-"""Samples that `write_all` writes at once."""
+"""Number of samples that `write_all` writes at once."""
 _DROPPED_BLOCK_BYTES: Final = 1 << 18
-"""Size of the samples that are dropped at once on a full disk."""
+"""Bytes of samples that are dropped at once on a full disk."""
 _CHECKSUM_BLOCK_BYTES: Final = 1 << 20
-"""Bytes that are read at once for the checksum."""
+"""Bytes that are read at once when the checksum is computed."""
 _SAMPLE_ALIGNMENT_BYTES: Final = 64
 """Samples begin at a multiple of 64 bytes, so that they can be mapped into memory."""
 _FIELD_FORMAT: Final = re.compile("[<>|]?[iuf][1248]")
-"""Format of a field of samples: a plain number."""
+"""numpy format of a field of samples: a plain number."""
 _DISK_FULL_ERRORS: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
-"""Errors of a full disk, an exceeded quota or the maximum size of a file."""
+"""Errors of a full disk, an exceeded quota or a file of the maximum size."""
 
 
 class DiskFullError(HapticdError):
-    """The disk is full. The samples before are complete, and the recording can be finished."""
+    """The disk is full. Samples that were written before are complete, and the recording can be finished."""
 
 
 class RecordingWriter:
     """Writer of one recording, a context manager.
 
-    An unfinished recording is deleted at the end of its `with`; if finishing failed, its partial files stay for
-    `hapticd recover`. Methods raise HapticdError if writing fails, DiskFullError if the disk is full.
+    At the end of the `with` block, an unfinished recording is deleted; if finishing failed, its partial files stay for
+    `hapticd recover`. Methods raise DiskFullError on a full disk, HapticdError for other failures.
     """
 
     def __init__(self, target: str | os.PathLike[str], overwrite: bool = False, *, resume: Path | None = None) -> None:
-        """Begin a recording; `resume` is a partial file that a killed process left, to be finished.
+        """Begin a recording, or resume one from `resume`, the partial file of a killed process.
 
-        Raises HapticdError if the target cannot be written, or exists and `overwrite` is False. With `resume` it
-        raises BlockingIOError if the process still runs, and OSError, ValueError and others for an unreadable file.
+        Raises HapticdError if the target cannot be written, or exists and `overwrite` is False. With `resume`, raises
+        BlockingIOError if that process still runs, and OSError or one of READING_ERRORS for an unreadable file.
         """
         self._name = os.fspath(target)
         self.target = Path(os.path.realpath(target))
@@ -91,7 +91,7 @@ class RecordingWriter:
         if resume is None:
             check_new(target, overwrite)
             if self.target.exists() and not os.access(self.target, os.W_OK):
-                raise HapticdError(f"{self._name}: may not be overwritten")
+                raise HapticdError(f"{self._name}: exists and is not writable")
         part = resume or temporary_path(self.target)
         self._files: list[_PartialFile] = []
         try:
@@ -111,13 +111,13 @@ class RecordingWriter:
 
     @property
     def written_bytes(self) -> int:
-        """Bytes written until now; may be read by another thread."""
+        """Bytes in the partial files; other threads may read it."""
         return self._part.size + self._notes.size
 
     def begin(self, texts: Texts, about: Texts | None = None) -> None:
-        """Write the texts, and members of the text `recording`, that are known at the start.
+        """Write texts that are known at the start; `about` has the known members of the text `recording`.
 
-        A recovered recording holds them too.
+        A recovered recording holds them, too.
         """
         self.texts, self.about = dict(texts), dict(about or {})
         self._note("texts", self.texts)
@@ -146,11 +146,11 @@ class RecordingWriter:
         self.event_count += 1
 
     def write_change(self, change: Texts) -> None:
-        """Append a change by a command."""
+        """Append a change that a command made."""
         self._note("change", change)
 
     def write_all(self, texts: Texts, changes: Iterable[Texts], samples: Samples, events: Iterable[Texts]) -> None:
-        """Write a complete recording, except for the call of `finish`."""
+        """Write all data of a recording; the caller must then call `finish`."""
         self.begin(texts)
         for change in changes:
             self.write_change(change)
@@ -162,7 +162,7 @@ class RecordingWriter:
     def finish(
         self, texts: Callable[[], Texts] | Texts | None = None, arrays: Mapping[str, npt.NDArray[Any]] | None = None
     ) -> None:
-        """Finish the recording with `texts`, as JSON, and `arrays`, and rename it to the target.
+        """Add `texts`, as JSON, and `arrays` to the recording, finish it, and rename it to the target.
 
         `texts` may be a function, which is called again after samples were dropped.
         """
@@ -183,7 +183,7 @@ class RecordingWriter:
     # ---- The archive -------------------------------------------------------------------------------------------------
 
     def _leave_room(self, start: int | None = None) -> None:
-        """Reserve room for the headers in front of the samples, which begin at `start`."""
+        """Reserve room for the headers; `start` is the offset of the samples in a resumed file."""
         outer = len(_zip_info(0, 0).FileHeader(zip64=True))
         least = outer + len(_npy_header(self._dtype, 10**18))
         self._start = least + -least % _SAMPLE_ALIGNMENT_BYTES if start is None else max(start, least)
@@ -191,11 +191,11 @@ class RecordingWriter:
 
     @property
     def _end(self) -> int:
-        """End of the samples in the partial file, in bytes."""
+        """Offset in bytes of the end of the samples in the partial file."""
         return self._start + self.count * self._dtype.itemsize
 
     def _finish(self, texts: Texts, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Finish the recording. Raises OSError; then it can be called again."""
+        """Finish the recording. After an OSError, it can be called again."""
         if not self._start:
             self._leave_room()
         self._part.cut(self._end)
@@ -235,7 +235,7 @@ class RecordingWriter:
         return checksum
 
     def _write_events(self, archive: zipfile.ZipFile) -> None:
-        """Write the events in blocks. A single long mark widens all rows, which compression undoes."""
+        """Write the events, compressed, in blocks of about ROW_BLOCK_BYTES."""
         total, columns = columns_of(self._read_events())
         info = zipfile.ZipInfo("events.npy")
         info.compress_type = zipfile.ZIP_DEFLATED
@@ -245,7 +245,7 @@ class RecordingWriter:
                 member.write(rows.tobytes())
 
     def _read_events(self) -> Iterator[dict[str, Any]]:
-        """Yield the events of the remaining samples; all if no sample was dropped."""
+        """Yield the events, without those of dropped samples."""
         for event in self._read_notes("event"):
             if not self._gave_up_samples or int(event.get("tick", 0)) <= self.last_tick:
                 yield event
@@ -253,7 +253,7 @@ class RecordingWriter:
     # ---- Full disk, and killed process -------------------------------------------------------------------------------
 
     def _give_up_newest(self) -> bool:
-        """Drop the newest samples to make room, and return whether any are left."""
+        """Drop the newest samples to make room on the disk, and return whether any samples remain."""
         if self.count == 0:
             return False
         self._keep(max(0, self.count - _DROPPED_BLOCK_BYTES // self._dtype.itemsize))
@@ -270,7 +270,7 @@ class RecordingWriter:
         self.event_count = sum(1 for _ in self._read_events())
 
     def _resume(self) -> None:
-        """Read the partial files of a killed process. Raises ValueError and others for unknown content."""
+        """Read the partial files of a killed process. Raises one of READING_ERRORS for unknown content."""
         for texts in self._read_notes("texts"):
             self.texts = texts
         for about in self._read_notes("about"):
@@ -330,7 +330,7 @@ class _PartialFile:
     """A partial file, locked while its process runs. Data are appended completely or not at all."""
 
     def __init__(self, path: Path, resume: bool) -> None:
-        """Create a file, or with `resume` open one. Raises OSError: BlockingIOError if another process writes it."""
+        """Create a file, or with `resume` open one. Raises BlockingIOError if another process writes it, or OSError."""
         self.path = path
         self._file: BinaryIO = open(path, "r+b", 0) if resume else create(path, buffering=0)  # noqa: SIM115
         try:
@@ -341,7 +341,7 @@ class _PartialFile:
         self.size = os.fstat(self._file.fileno()).st_size
 
     def append(self, data: bytes) -> None:
-        """Append data. Raises OSError; then the file is unchanged."""
+        """Append data. After an OSError, the file is unchanged."""
         remaining, at = memoryview(data), self.size
         try:
             while remaining:
@@ -384,7 +384,7 @@ class _PartialFile:
 
 @contextmanager
 def _closing(file: BinaryIO) -> Iterator[BinaryIO]:
-    """Close a file at the end of the block; after an error, ignore a second one, which a full disk causes."""
+    """Close a file at the end of the block; after an error, ignore an error of closing."""
     try:
         yield file
     except BaseException:
@@ -409,7 +409,7 @@ def _npy_header(dtype: np.dtype[Any], count: int, size: int = 0) -> bytes:
 
 
 def _zip_info(size: int, checksum: int) -> zipfile.ZipInfo:
-    """Return the archive's entry of the samples, its first member. The length of its header is constant."""
+    """Return the archive's entry for its first member, the samples. The length of its header is constant."""
     info = zipfile.ZipInfo("samples.npy")
     info.header_offset, info.CRC = 0, checksum
     info.file_size = info.compress_size = size

@@ -32,9 +32,8 @@ class Axis:
     values: tuple[Value, ...] | Floats
     """The values of the key, or the names of the levels."""
     of_point: Indices
-    """Index of the value of each point, (n,)."""
+    """For each point, the index of its value in `values`, (n,)."""
     kind: Kind
-    """Kind of the column."""
 
     @property
     def plain_values(self) -> Sequence[Value]:
@@ -43,7 +42,7 @@ class Axis:
 
 
 def axes_of(study: SweepStudy) -> tuple[Axis, ...]:
-    """Return the axes of a study, with the value that each point has on each; without axes there is one point.
+    """Return the axes of a study. A study without axes has one point.
 
     Random values depend only on the seed and the name of the axis, not on other axes. Raises InvalidError for more than
     MAX_SWEEP_POINTS points, or zipped axes of different lengths.
@@ -88,7 +87,7 @@ def _random(study: SweepStudy, name: str) -> np.random.Generator:
 
 
 def _listed(study: SweepStudy, name: str, axis: SweepAxis) -> tuple[Value, ...] | Floats:
-    """Return the values of an axis that has a list, levels, a count or a number of draws."""
+    """Return the values of an axis with the key `values`, `levels`, `count` or `draws`."""
     if axis.values is not None:
         return _as_floats_if_mixed(axis.values)
     if axis.levels is not None:
@@ -108,7 +107,7 @@ def _listed(study: SweepStudy, name: str, axis: SweepAxis) -> tuple[Value, ...] 
 
 
 def _as_floats_if_mixed(values: tuple[Value, ...]) -> tuple[Value, ...] | Floats:
-    """Return values as an array of floats if they are floats and integers, otherwise unchanged."""
+    """Return values as an array of floats if any are floats and all are numbers, otherwise unchanged."""
     kinds = set(map(type, values))
     if float in kinds and kinds <= {int, float}:
         return np.array(values, dtype=np.float64)
@@ -116,38 +115,38 @@ def _as_floats_if_mixed(values: tuple[Value, ...]) -> tuple[Value, ...] | Floats
 
 
 def shown_value(value: Value, kind: Kind) -> Value:
-    """Return a value as it is written in a column of this kind: in a text column all values are texts."""
+    """Return a value as a column of this kind stores it: a text column stores numbers and booleans as text."""
     if kind != "text" or isinstance(value, str):
         return value
     return str(value).lower() if isinstance(value, bool) else f"{value}"
 
 
-def _quantiles(axis: SweepAxis, part: Floats) -> Floats:
-    """Return the quantiles of the distribution of an axis, (n,), at probabilities `part`, (n,), from 0 to 1."""
+def _quantiles(axis: SweepAxis, probabilities: Floats) -> Floats:
+    """Return the quantiles of the distribution of an axis, (n,), at probabilities from 0 to 1, (n,)."""
     if axis.is_normal:
         assert axis.mean is not None and axis.standard_deviation is not None
         inverse = NormalDist(axis.mean, axis.standard_deviation).inv_cdf
-        return np.array([inverse(min(max(each, 1e-16), 1.0 - 1e-16)) for each in part.tolist()])
+        return np.array([inverse(min(max(each, 1e-16), 1.0 - 1e-16)) for each in probabilities.tolist()])
     assert axis.low is not None and axis.high is not None
     if axis.spacing == "logarithmic":
-        return cast(Floats, np.exp(np.log(axis.low) + part * (np.log(axis.high) - np.log(axis.low))))
-    return axis.low + part * (axis.high - axis.low)
+        return cast(Floats, np.exp(np.log(axis.low) + probabilities * (np.log(axis.high) - np.log(axis.low))))
+    return axis.low + probabilities * (axis.high - axis.low)
 
 
 def _drawn(study: SweepStudy, name: str, axis: SweepAxis, count: int) -> Axis:
-    """Return an axis of `count` random values; in a Latin hypercube each of `count` equally probable parts has one."""
+    """Return an axis of `count` random values; in a Latin hypercube they are stratified in probability."""
     random = _random(study, name)
     if study.combine == "random":
-        part = random.random(count)
+        probabilities = random.random(count)
     else:
-        part = (random.permutation(count) + random.random(count)) / count
+        probabilities = (random.permutation(count) + random.random(count)) / count
     if axis.values is None and axis.levels is None:
-        return Axis(name, _quantiles(axis, part), np.arange(count, dtype=np.int32), "number")
+        return Axis(name, _quantiles(axis, probabilities), np.arange(count, dtype=np.int32), "number")
     values = tuple(axis.levels) if axis.levels is not None else _as_floats_if_mixed(axis.values or ())
-    return Axis(name, values, np.minimum(part * len(values), len(values) - 1).astype(np.int32), _kind(values))
+    return Axis(name, values, np.minimum(probabilities * len(values), len(values) - 1).astype(np.int32), _kind(values))
 
 
 def settings(study: SweepStudy, name: str, value: Value) -> Mapping[str, Json]:
-    """Return the keys that a value of an axis sets: the varied key itself, or those of the level of that name."""
+    """Return the keys that a value of an axis sets: the varied key, or the keys of the level with this name."""
     levels = study.vary[name].levels
     return {name: value} if levels is None else levels[str(value)]

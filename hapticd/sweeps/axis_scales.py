@@ -23,18 +23,18 @@ Spacing: TypeAlias = Literal["linear", "logarithmic", "categories"]
 Which: TypeAlias = Literal["x", "y"]
 
 LOGARITHMIC_FROM_RATIO: Final = 30.0
-"""Positive measured values get a logarithmic axis if the largest is at least 30 times the smallest."""
+"""The axis of positive measured values is logarithmic if the largest is at least 30 times the smallest."""
 _PLAIN_FROM, _PLAIN_BELOW = 1e4, 1e7
-"""Floats in this range are written without an exponent: 10000."""
+"""Floats of a magnitude from 1e4 to 1e7 are written without an exponent: 10000."""
 _MAX_TICKS: Final = 8
-"""Up to this number, the listed values of a varied key have a tick each."""
+"""If a varied key has at most 8 listed values, each has a tick."""
 _READABLE_UNITS: Final[dict[str, tuple[tuple[float, float, str], ...]]] = {
     "m": ((1e-3, 1e6, "µm"), (1.0, 1e3, "mm")),
     "s": ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms")),
     "kg": ((1.0, 1e3, "g"),),
     "us": ((math.inf, 1.0, "µs"),),
 }
-"""For each unit, tuples (limit, factor, unit): if the largest value is below limit, values times factor are in unit."""
+"""Tuples (limit, factor, unit) for each unit: if all values are below the limit, values times factor are in `unit`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,16 +42,15 @@ class Scale:
     """The scale of one axis."""
 
     label: str
-    """Axis label: words and unit."""
+    """Axis label with the unit."""
     spacing: Spacing
     factor: float = 1.0
     """Factor from the column's unit to the unit of the axis."""
     unit: str = ""
-    """The unit of the axis."""
     ticks: tuple[float, ...] = ()
     """Positions of the ticks in the unit of the axis; if empty, matplotlib chooses them."""
     categories: tuple[Value, ...] = ()
-    """Values at the positions 0, 1, 2... of an axis of categories."""
+    """Values at the positions 0, 1, 2... of a categorical axis; otherwise empty."""
 
     def at(self, values: Sequence[Value]) -> Floats:
         """Return the positions of values on the axis, (n,); NaN for None."""
@@ -76,12 +75,12 @@ class Scale:
         return np.exp(found) if self.spacing == "logarithmic" else found
 
     def prepare(self, axes: Axes, which: Which) -> None:
-        """Set a logarithmic scale if the axis has one. Must be called before anything is drawn."""
+        """Make the axis of a figure logarithmic if the scale is. Call it before drawing."""
         if self.spacing == "logarithmic":
             (axes.set_xscale if which == "x" else axes.set_yscale)("log")
 
     def label_ticks(self, axes: Axes, which: Which) -> None:
-        """Set ticks with plain numbers, as many as have room. Must be called after everything is drawn."""
+        """Label as many ticks as have room, with plain numbers. Call it after drawing."""
         from matplotlib.ticker import NullLocator
 
         axis = axes.xaxis if which == "x" else axes.yaxis
@@ -120,18 +119,15 @@ def key_scale(results: Results, name: str) -> Scale:
     numbers = np.array([float(value) for value in values if isinstance(value, int | float)])
     ranged = axis.is_range and numbers.min() > 0
     logarithmic = axis.spacing == "logarithmic" if ranged else _geometric(numbers)
-    found = _scale(results.words(name), column, numbers, logarithmic, bare=name not in results.study.labels)
+    found = _scale(results.words(name), column, numbers, logarithmic, shows_no_unit=name not in results.study.labels)
     listed = axis.values is not None and len(numbers) <= _MAX_TICKS
     return replace(found, ticks=tuple((found.factor * numbers).tolist())) if listed else found
 
 
 def measured_scale(results: Results, names: Sequence[str], words: str | None, values: Sequence[Value]) -> Scale:
-    """Return the scale of measured columns of one unit that are drawn with these values.
-
-    `words` replaces the labels of the columns.
-    """
+    """Return the scale of an axis that shows `values` of measured columns with the same unit; `words` is its label."""
     column = results.column(names[0])
-    bare = words is None and names[0] not in results.study.labels
+    shows_no_unit = words is None and names[0] not in results.study.labels
     words = words or ", ".join(results.words(name) for name in names)
     if column.kind == "boolean":
         return Scale(words, "categories", categories=(False, True))
@@ -144,30 +140,30 @@ def measured_scale(results: Results, names: Sequence[str], words: str | None, va
         logarithmic = len(numbers) > 0 and bool(
             numbers.min() > 0 and numbers.max() >= LOGARITHMIC_FROM_RATIO * numbers.min()
         )
-    return _scale(words, column, numbers, logarithmic, bare)
+    return _scale(words, column, numbers, logarithmic, shows_no_unit)
 
 
 def unit_scale(unit: str, largest: float) -> tuple[float, str]:
-    """Return factor and symbol of a readable unit for values in `unit` up to the magnitude `largest`."""
+    """Return a readable unit for values in `unit` up to the magnitude `largest`, as (factor, symbol)."""
     for below, factor, text in _READABLE_UNITS.get(unit, ()):
         if largest < below:
             return factor, text
     return 1.0, unit
 
 
-def _scale(words: str, column: Column, numbers: Floats, logarithmic: bool, bare: bool) -> Scale:
+def _scale(words: str, column: Column, numbers: Floats, logarithmic: bool, shows_no_unit: bool) -> Scale:
     """Return a linear or logarithmic scale in a readable unit.
 
-    With `bare`, a number without a unit is labelled `(no unit)`; a label of the study itself is used as it is.
+    With `shows_no_unit`, the label of a number without a unit ends in `(no unit)`.
     """
     factor, unit = unit_scale(column.unit, float(np.abs(numbers).max(initial=0.0)))
-    without = " (no unit)" if bare and column.kind == "number" else ""
+    without = " (no unit)" if shows_no_unit and column.kind == "number" else ""
     label = f"{words}, {unit}" if unit else words + without
     return Scale(label, "logarithmic" if logarithmic else "linear", factor, unit)
 
 
 def _geometric(numbers: Floats) -> bool:
-    """Return whether listed numbers are closer to equal ratios than to equal steps."""
+    """Return whether the ratios of successive numbers vary less than their differences."""
     if len(numbers) < 3 or numbers.min() <= 0:
         return False
     steps, ratios = np.diff(numbers), np.diff(np.log(numbers))

@@ -18,11 +18,11 @@ from hapticd.sweeps.interrupts import deferred_interrupts
 SCHEDULER_TIMEOUT_S: Final = 10.0
 """Time in s within which a scheduler must answer."""
 WORKERS_START_TIMEOUT_S: Final = 120.0
-"""Time in s within which all local worker processes must have started; long enough for a busy machine."""
+"""Time in s within which all local worker processes must start; long enough for a busy machine."""
 WORKER_END_TIMEOUT_S: Final = 1.0
 """Time in s that a worker gets to end before it is killed."""
 _LOCAL_ADDRESS: Final = "127.0.0.1:0"
-"""A free port that only this machine can reach."""
+"""Port 0 stands for any free port; only this machine can reach it."""
 _MONITORING_SETTINGS: Final = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
@@ -30,7 +30,8 @@ _MONITORING_SETTINGS: Final = {
 }
 """Settings of dask that reduce the monitoring of its processes.
 
-With two workers it takes 11 % of a processor by default, and 3 % with these. The dashboard then shows no profiles.
+With two workers, monitoring takes 11 % of a core by default, and 3 % with these settings. The dashboard then shows no
+profiles.
 """
 
 
@@ -42,7 +43,7 @@ def require_dask() -> None:
 
 
 def processors() -> int:
-    """Return the number of processors that this process may use."""
+    """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
@@ -53,7 +54,7 @@ def client_of(scheduler: str | None, workers: int | None, threads: bool) -> Iter
     Args:
         scheduler: Address of a running scheduler. TLS is configured in dask's own configuration.
         workers: Number of local processes or threads, by default the number of processors.
-        threads: Use threads of this process, which open no port. Local processes listen on 127.0.0.1 only.
+        threads: Use threads of this process, which open no port, instead of processes, which listen on 127.0.0.1.
 
     Raises HapticdError if the scheduler cannot be used, or local processes do not start.
     """
@@ -194,8 +195,5 @@ def _processes(count: int) -> Iterator[Any]:
 
 
 async def _end_workers(cluster: Any) -> None:
-    """End the workers, and kill them after WORKER_END_TIMEOUT_S; dask would wait four seconds.
-
-    Workers hold no data that is still needed.
-    """
+    """End the workers, and kill those that still run after WORKER_END_TIMEOUT_S; dask would wait four seconds."""
     await asyncio.gather(*(each.close(timeout=WORKER_END_TIMEOUT_S / 0.8) for each in cluster.workers.values()))

@@ -20,7 +20,7 @@ class Column:
     kind: Kind
     role: Role
     unit: str = ""
-    """For example `N/m`; empty for a column without a unit."""
+    """Unit, for example `N/m`; empty for a column without a unit."""
     description: str = ""
 
 

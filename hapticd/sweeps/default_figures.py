@@ -12,15 +12,15 @@ from hapticd.sweeps.results import Results
 MAX_DEFAULT_FIGURES: Final = 6
 """Largest number of default figures."""
 _MIN_MAP_VALUES: Final = 5
-"""Two keys with at least 5 values each become the axes of a map; with fewer, a line for each value is clearer."""
+"""Two keys with at least 5 values each are drawn as a map; with fewer values, one line for each is clearer."""
 
 
 def default_figures(results: Results) -> list[SweepFigure]:
     """Return one figure for each measured column, up to MAX_DEFAULT_FIGURES; with `refine` only the boundary.
 
     The x axis is the numeric key with the most values. The key with the second most values is the y axis of a map if it
-    is numeric and has at least _MIN_MAP_VALUES values, otherwise it has a line for each value. Other keys of a crossed
-    study are kept at their first value. Without a varied number there are no figures.
+    is numeric and has at least _MIN_MAP_VALUES values; otherwise each of its values is a line. Other keys of a crossed
+    study are kept at their first value. A study without a numeric varied key has no figures.
     """
     study = results.study
     counts = {name: len(results.values(name)) for name in results.named("varied")}
@@ -45,7 +45,7 @@ def default_figures(results: Results) -> list[SweepFigure]:
 
 
 def _drawn(results: Results, is_map: bool) -> list[str]:
-    """Return the measured columns that can be drawn and have a value."""
+    """Return the measured columns that can be drawn and have any value."""
     if results.study.refine is not None:
         return ["boundary"]
     found = []

@@ -1,8 +1,8 @@
 """The engine: computes the points of a study on the workers of a dask scheduler.
 
-Points are submitted in pieces of 1 to 10 s, shorter ones at the end, and only a few pieces at a time, so that a million
-points are never a million tasks. Only this process writes results, and it writes each piece as soon as it is done. A
-worker needs only hapticd and the content of its piece.
+A piece is a group of points that a worker computes as one dask task, in 1 to 10 s (less for the last ones). Only a few
+pieces are submitted at a time, so that a million points are never a million tasks. Only this process writes results; it
+writes the rows of a piece as soon as they arrive. A worker needs only hapticd and the content of its piece.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ MAX_PIECE_S: Final = 10.0
 MIN_PIECES_PER_THREAD: Final = 20
 """A study has at least 20 pieces for each thread of a worker, unless these would be shorter than MIN_PIECE_S."""
 QUEUED_PIECES_PER_THREAD: Final = 2
-"""Number of pieces that wait at a worker for each of its threads, in addition to the one that it computes."""
+"""Number of pieces that wait at a worker for each of its threads, besides the one being computed."""
 WORKER_WAIT_S: Final = 30.0
 """Time in s after which a study ends if the scheduler has no workers."""
 WORKER_POLL_S: Final = 1.0
-"""Interval in s at which the scheduler is asked for its workers while no piece finishes."""
+"""Interval in s at which the list of workers is read while no piece finishes."""
 WORKERS_ENDED_REASON: Final = "every worker that computed it ended: too little memory, or a crash"
-"""Error of a point that ended every worker which computed it."""
+"""Error of a point if every worker that computed it ended."""
 MIN_LAST_PIECE_S: Final = 0.1
 """Shortest computing time in s of the last pieces, which are made short so that all workers finish together."""
 
 Indices = npt.NDArray[np.int64]
-"""Indices of points in the study, (n,)."""
+"""Indices of points in the list of the study's points, (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +62,11 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Numbers of points, and times, of a study that was run."""
+    """Result of a run of a study."""
 
     points: int
     reused: int
-    """Points whose rows the folder already held."""
+    """Points that were not computed because the folder had their rows."""
     computed: int
     failed: int
     """Computed points whose row has an error."""
@@ -84,7 +84,7 @@ def run(
     report: Callable[[Progress], None],
     again: bool = False,
 ) -> Outcome:
-    """Compute the points of a study that the folder does not hold.
+    """Compute the points of a study whose rows are not in the folder.
 
     Args:
         work: The study.
@@ -92,7 +92,7 @@ def run(
         opened: Returns a context manager for a `distributed.Client`. It is called only if there are points to compute.
         note: Is called with a line of text for each fault that does not end the study.
         report: Is called with the progress after each piece.
-        again: Also compute the points again whose row has an error.
+        again: Compute points again whose rows have an error.
 
     Raises HapticdError if no worker can be used, or if results cannot be written.
     """
@@ -138,9 +138,8 @@ class _Engine:
     to_retry: deque[Indices] = field(default_factory=deque)
     """Pieces that have to be computed again."""
     suspects: deque[Indices] = field(default_factory=deque)
-    """Points whose workers ended. Since another piece may have been the cause, each is computed alone at the end."""
+    """Points whose worker ended, perhaps because of another piece. Each is computed again, alone, at the end."""
     trying_suspect: bool = False
-    """Whether a suspect is being computed."""
     submitted: dict[Any, _SubmittedPiece] = field(default_factory=dict)
     """Submitted pieces by their futures."""
     finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)
@@ -152,7 +151,6 @@ class _Engine:
     unwritten: list[Row] = field(default_factory=list)
     """Computed rows that are not written yet."""
     write_failed: bool = False
-    """Whether the last attempt to write rows failed."""
 
     def __post_init__(self) -> None:
         self.columns: tuple[Column, ...] = self.work.columns
@@ -189,7 +187,7 @@ class _Engine:
         return found
 
     def check_versions(self) -> None:
-        """Refuse each worker whose code version differs. A worker that joins later is checked with its first piece."""
+        """Refuse each worker with another code version. Workers that join later are checked with their first piece."""
         for address, answer in self.client.run(code_version, on_error="return").items():
             if isinstance(answer, OSError):
                 continue  # the worker has ended
@@ -209,7 +207,7 @@ class _Engine:
     # ---- Pieces ------------------------------------------------------------------------------------------------------
 
     def next_piece_size(self, threads: int) -> int:
-        """Return the number of points of the next piece, from the mean time of the computed points."""
+        """Return the number of points of the next piece, estimated from the mean computing time of a point."""
         if not self.done:
             return 1
         each_s = max(self.spent_s / self.done, 1e-7)
@@ -228,7 +226,7 @@ class _Engine:
         return part
 
     def submit(self) -> None:
-        """Submit pieces until each worker has one for each thread to compute, and QUEUED_PIECES_PER_THREAD waiting."""
+        """Submit pieces until 1 + QUEUED_PIECES_PER_THREAD are submitted for each thread of the workers."""
         self.end_if_interrupted()
         workers = frozenset(self.usable_workers())
         self.cancel_stranded(workers)
@@ -284,7 +282,7 @@ class _Engine:
         self.write_unwritten()
 
     def interrupt(self, number: int) -> None:
-        """Wake the loop, which then ends the study. Is called from the handler of a signal."""
+        """Wake `compute_all`, which then ends the study. The signal handler calls this method."""
         self.interrupted = number
         self.finished.put(None)
 
@@ -306,7 +304,7 @@ class _Engine:
     def handle_finished(self, future: Any) -> None:
         """Store the rows of a finished piece, or submit its points again.
 
-        Dask itself computes a piece again whose worker ended before its rows arrived here.
+        If a worker ends before its rows arrive, dask computes its pieces again.
         """
         from distributed import CancelledError, KilledWorker
 
@@ -336,9 +334,9 @@ class _Engine:
         self.trying_suspect = False
 
     def retry_or_fail(self, part: Indices, why: str) -> None:
-        """Submit the points of a failed piece again in up to eight parts; give a single point a row with the reason.
+        """Divide a failed piece into up to eight pieces, which are computed again; for a single point, store the error.
 
-        A single point whose workers ended is first suspected, and computed alone at the end.
+        A single point whose workers ended is added to `suspects` first.
         """
         if len(part) > 1:
             self.to_retry.extend(np.array_split(part, min(len(part), 8)))

@@ -12,7 +12,7 @@ from hapticd.sweeps.figure_keys import SweepFigure
 from hapticd.sweeps.keys import SweepStudy
 
 MAX_FIGURE_LINES: Final = 10
-"""Largest number of lines in a figure, and of panels in a map; more cannot be distinguished."""
+"""Maximum number of lines in a figure, and of panels in a map; readers cannot distinguish more."""
 _DRAWN_AS_NUMBERS: Final = ("number", "integer", "boolean")
 """Kinds of columns whose values are drawn as numbers."""
 
@@ -55,13 +55,13 @@ class _Figure:
         if figure.by is not None:
             keys["by"] = figure.by
         faults += [
-            ((place,), f"{name} is not a varied key; {known_names(name, list(self._values))}")
-            for place, name in keys.items()
+            ((key,), f"{name} is not a varied key; {known_names(name, list(self._values))}")
+            for key, name in keys.items()
             if name not in self._values
         ]
         measured = {"color": figure.color} if figure.kind == "map" else {"y": figure.y}
-        for place, names in {**measured, "overlay": figure.overlay}.items():
-            faults += self._measured_faults(place, names or (), texts=place == "color")
+        for key, names in {**measured, "overlay": figure.overlay}.items():
+            faults += self._measured_faults(key, names or (), text_allowed=key == "color")
         if faults:
             return faults
         faults += [
@@ -72,29 +72,29 @@ class _Figure:
         return [*faults, *self._key_faults(keys)]
 
     def _table_faults(self) -> Iterator[tuple[Path, str]]:
-        for place, names in (("columns", self._figure.columns or ()), ("best", tuple(self._figure.best or ()))):
+        for key, names in (("columns", self._figure.columns or ()), ("best", tuple(self._figure.best or ()))):
             for name in names:
                 if name not in self._columns:
-                    yield (place,), f"unknown column {name}; {known_names(name, list(self._columns))}"
-                elif place == "best" and self._columns[name].kind == "text":
-                    yield (place, name), f"{name} is a text column; best needs numbers"
+                    yield (key,), f"unknown column {name}; {known_names(name, list(self._columns))}"
+                elif key == "best" and self._columns[name].kind == "text":
+                    yield (key, name), f"{name} is a text column; best needs numbers"
 
     def _unit(self, name: str) -> str:
         return self._columns[name].unit or "no unit"
 
-    def _measured_faults(self, place: str, names: Sequence[str], texts: bool) -> list[tuple[Path, str]]:
-        """Return the faults of columns that are not measured or cannot be drawn; `texts` allows a text column."""
+    def _measured_faults(self, key: str, names: Sequence[str], text_allowed: bool) -> list[tuple[Path, str]]:
+        """Return the faults of columns that are not measured, cannot be drawn, or have different units."""
         measured = [name for name, column in self._columns.items() if column.role == "measured"]
         for name in names:
             if name not in measured:
-                return [((place,), f"unknown measured column {name}; {known_names(name, measured)}")]
+                return [((key,), f"unknown measured column {name}; {known_names(name, measured)}")]
             kind = self._columns[name].kind
-            if kind not in _DRAWN_AS_NUMBERS and not (texts and len(names) == 1):
-                return [((place,), f"{name} is a text column: only a map of this single column can draw it")]
+            if kind not in _DRAWN_AS_NUMBERS and not (text_allowed and len(names) == 1):
+                return [((key,), f"{name} is a text column: only a map of this single column can draw it")]
         units = {self._columns[name].unit for name in names}
         if len(units) > 1:
             listed = ", ".join(f"{name} ({self._unit(name)})" for name in names)
-            return [((place,), f"columns of one figure must have the same unit, have: {listed}")]
+            return [((key,), f"columns of one figure must have the same unit, have: {listed}")]
         return []
 
     def _where_faults(self) -> list[tuple[Path, str]]:
@@ -110,7 +110,7 @@ class _Figure:
         return faults
 
     def _key_faults(self, keys: Mapping[str, str]) -> list[tuple[Path, str]]:
-        """Return the faults of keys that are used twice, have too many values, or are varied but not used."""
+        """Return the faults of varied keys that are used twice or not at all, or have too many values."""
         faults: list[tuple[Path, str]] = []
         names = [*keys.values(), *self._figure.where]
         faults += [((), f"{name} is used twice") for name in dict.fromkeys(names) if names.count(name) > 1]

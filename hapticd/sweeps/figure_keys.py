@@ -1,6 +1,6 @@
 """The keys of `figures` in the YAML file of a sweep.
 
-Faults that concern the columns of the study, too, are found by hapticd.sweeps.figure_faults.
+hapticd.sweeps.figure_faults compares them with the columns of the study.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _ALLOWED_KEYS: Final[dict[FigureKind, tuple[str, ...]]] = {
     "line": ("x", "y", "axis_label", "by", "overlay"),
     "table": ("best", "columns"),
 }
-"""Keys that a figure may have in addition to the common ones, by its kind."""
+"""For each kind of figure, the keys that it may have besides those of every kind."""
 _REQUIRED_KEYS: Final[dict[FigureKind, tuple[str, ...]]] = {"map": ("x", "y", "color"), "line": ("x", "y"), "table": ()}
-"""Keys that a figure must have, by its kind."""
+"""For each kind of figure, the keys that it must have."""
 
 
 class SweepFigure(CheckedTogether):

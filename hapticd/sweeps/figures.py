@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MATPLOTLIB_STYLE: Final = {"font.size": 9, "axes.titlesize": 9, "axes.linewidth": 0.6, "legend.fontsize": 8}
-"""Settings of matplotlib for all figures; sizes in points."""
+"""Settings of matplotlib for all figures; sizes are in points."""
 _MAX_NAME_CHARACTERS: Final = 60
-"""Largest length of a file name without its number and ending."""
+"""Maximum length in characters of the part of a file name that is made of the title."""
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure with its title, ready to be drawn."""
+    """A figure with its title and caption, ready to be drawn."""
 
     title: str
     caption: str
@@ -37,7 +37,7 @@ class Drawing:
     results: Results
 
     def draw(self) -> Figure:
-        """Draw a figure of matplotlib with the current settings. Raises HapticdError."""
+        """Return a matplotlib figure, drawn with matplotlib's current settings. Raises HapticdError."""
         from matplotlib.figure import Figure
 
         draw: Callable[[Figure, Results, SweepFigure], None] = draw_map if self.keys.kind == "map" else draw_lines
@@ -74,7 +74,7 @@ def file_names(drawings: Sequence[Drawing]) -> list[str]:
 
 
 def title_of(results: Results, figure: SweepFigure) -> str:
-    """Return the title of a figure, by default made of the drawn columns and their axes."""
+    """Return the title of a figure; by default it is made of the labels of its columns and axes."""
     if figure.title is not None:
         return figure.title
     if figure.kind == "table":

@@ -1,6 +1,6 @@
-"""The fork server: the process that local workers are forked from, with dask, numpy and hapticd already imported.
+"""The fork server: a process with dask, numpy and hapticd imported, from which local workers are forked.
 
-Without it each worker would import these again, which takes longer than many studies.
+Without it each worker would import these packages, which takes longer than many studies.
 """
 
 from __future__ import annotations
@@ -12,21 +12,20 @@ from multiprocessing import forkserver, resource_tracker
 from typing import Any, Final, cast
 
 START_METHOD: Final = "forkserver"
-"""The start method of multiprocessing for local workers."""
+"""Start method of multiprocessing with which local workers are created."""
 _PRELOADED_MODULES: Final = ("distributed.nanny", "hapticd.sweeps.preloaded")
 """Modules that the fork server imports."""
 _ONE_THREAD_VARIABLES: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""Environment variables that limit numerical libraries to one thread; dask sets them for its workers, too.
+"""Environment variables that limit numerical libraries to one thread; dask also sets them for its workers.
 
-Dask's setting that makes malloc return memory at once is not used: it causes a thousand page faults for each point.
+Dask also sets MALLOC_TRIM_THRESHOLD_, which is not set here: it causes a thousand page faults for each point.
 """
 
 
 def start_fork_server() -> None:
     """Start the fork server if it is not running. It imports its modules while this process continues.
 
-    Ctrl-C at a terminal sends SIGINT to every process of the command. The fork server and its workers block it, since
-    this process ends them.
+    Ctrl-C sends SIGINT to all these processes. Fork server and workers block it, since this process ends them.
     """
     for name in _ONE_THREAD_VARIABLES:
         os.environ.setdefault(name, "1")

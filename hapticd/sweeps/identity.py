@@ -1,10 +1,9 @@
-"""The identity of a point: 16 bytes that are equal for two points, of any study or run, which compute the same.
+"""The identity of a point: 16 bytes, which are equal for two points of any studies if their results must be equal.
 
-A document of plain data is the set of its leaves, each a path and a value. The hash of a leaf is the BLAKE2b hash of
-both, as two integers modulo 2**64; the identity of a document is the sum of the hashes of its leaves. So the identities
-of a million points that differ in a few keys need the hashes of only those keys, and two studies with different axes
-agree where they reach the same document. (Incremental hashing by sums: Bellare and Micciancio 1997. It protects against
-accidental collisions, not against attacks.)
+It is the hash of a document, which is JSON data with everything that the result depends on. A leaf of a document is a
+path with the scalar at this path. Its hash is the BLAKE2b hash of path and value, as two integers modulo 2**64. The
+hash of a document is the sum of the hashes of its leaves, so that only leaves that differ between points are hashed for
+each point. (Incremental hashing by sums: Bellare and Micciancio 1997. It does not protect against attacks.)
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ def sum_of(data: Json, path: Path = ()) -> Sums:
 
 
 def sums_at(path: Path, values: Iterable[Json]) -> Sums:
-    """Return the leaf hash of each scalar, (n, 2), as if it was the value at `path`."""
+    """Return the hash of a leaf at `path` for each of n scalars, (n, 2)."""
     prefix = blake2b(_path_bytes(path), digest_size=16)
     found = bytearray()
     for value in values:
@@ -64,7 +63,7 @@ def _path_bytes(path: Path) -> bytes:
 
 
 def _scalar_bytes(value: Json) -> bytes:
-    """Return the JSON text of a scalar; 1000 and 1000.0 have the same text."""
+    """Return the JSON text of a scalar as bytes; it is the same for 1000 and 1000.0."""
     if isinstance(value, float) or (
         isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _MAX_EXACT_INTEGER
     ):

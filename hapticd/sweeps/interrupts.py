@@ -1,4 +1,4 @@
-"""Handling of SIGINT and SIGTERM at moments at which no row is lost and no process is left running."""
+"""Defers SIGINT and SIGTERM until a command can end without losing rows or leaving processes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ENDING_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def noted_interrupts(note: Callable[[int], object]) -> Iterator[None]:
-    """Make SIGINT and SIGTERM only call `note` with their number while the context is active.
+    """Replace the handlers of SIGINT and SIGTERM by `note`, which gets the signal number, while the context is active.
 
     Signals that the process ignores, for example under nohup, stay ignored. In a thread other than the main one, which
     cannot set handlers, nothing changes.
@@ -60,7 +60,7 @@ def raise_interrupt(number: int) -> None:
 
 @contextmanager
 def sigterm_ends() -> Iterator[None]:
-    """Make SIGTERM raise SystemExit(143), the exit code that a shell reports, so that cleanup runs as after Ctrl-C."""
+    """Make SIGTERM raise SystemExit(143), as shells report it, so that cleanup runs as after Ctrl-C."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise_interrupt(number)

@@ -1,6 +1,6 @@
 """The keys of the YAML file of a sweep, each with its range.
 
-Faults that concern the base configuration, too, are found by hapticd.sweeps.study, which knows the line of each key.
+hapticd.sweeps.study validates them together with the base configuration, and reports faults with their lines.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ Run: TypeAlias = Literal["simulate", "render", "none"]
 Spacing: TypeAlias = Literal["linear", "logarithmic"]
 
 MAX_SWEEP_POINTS: Final = 10_000_000
-"""Largest number of points of a study; the identities and indices of that many take 240 MB."""
+"""Maximum number of points of a study: their identities and indices take 240 MB."""
 MAX_SCAN_STEPS: Final = 10_000
 """Largest number of steps of `refine.scan`."""
 DRAWING_COMBINES: Final = ("latin_hypercube", "random")
-"""Values of `combine` with which points are drawn at random."""
+"""The values of `combine` that draw points at random."""
 
 
 def _name_or_mapping(value: object) -> str | dict[str, Json]:
@@ -104,7 +104,7 @@ class SweepAxis(CheckedTogether):
 
 
 class SweepCondition(Model):
-    """A condition on a measured column: its values are at most or at least a limit."""
+    """A condition on a measured column: its value is at most, or at least, a limit."""
 
     column: KeyPath = Field(description="A measured column.")
     at_most: Number | None = Field(
@@ -116,7 +116,7 @@ class SweepCondition(Model):
 
 
 class SweepRefine(CheckedTogether):
-    """The search for the value of one key at which a condition ceases to hold, by bisection at every point."""
+    """At every point, a search by bisection for the value of one key at which a condition ceases to hold."""
 
     key: KeyPath = Field(description="The key whose value is searched; it must not be in `vary`.")
     start: Number = Field(description="Value at which the condition holds.")

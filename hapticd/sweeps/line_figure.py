@@ -1,4 +1,4 @@
-"""Draws measured columns over a varied key: a line for each column, or for each value of another key."""
+"""Draws measured columns over a varied key: one line for each column, or for each value of another varied key."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NO_RESULT_LABEL: Final = "no result"
-"""Label of points without a result in the legend."""
+"""Label in the legend of points without a result."""
 BOUNDARY_COLUMN: Final = "boundary"
-"""Column of the last value at which the condition of `refine` holds."""
+"""Column with the last value at which the condition of `refine` holds."""
 BOUNDARY_FAILS_COLUMN: Final = "boundary_fails"
-"""Column of the first value at which the condition of `refine` fails."""
+"""Column with the first value at which the condition of `refine` fails."""
 BOUNDARY_STATE_COLUMN: Final = "boundary_state"
 """Column that states whether the boundary was found."""
 BOUNDARY_STATE_MARKERS: Final = {
     "always": ("^", "holds to the end of the search"),
     "never": ("v", "does not hold at the start of the search"),
 }
-"""Marker and label for each state of a boundary that was not found; the marker is at the last value that was tried."""
+"""Marker and label for a boundary that was not found, by its state; the marker is at the last value that was tried."""
 _MAX_DOTS: Final = 40
-"""Lines with at most 40 points have a dot at each."""
+"""A line with at most 40 points has a dot at each point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class _Line:
 
 
 def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
-    """Draw lines on one pair of axes. Points without a result are crosses at the lower edge."""
+    """Draw a line figure. Points without a result are crosses at its lower edge."""
     assert keys.x is not None and keys.y is not None
     rows = with_values(results.rows, keys.where)
     lines = _lines(results, keys, rows)
@@ -115,7 +115,7 @@ def _lines(results: Results, keys: SweepFigure, rows: Sequence[Row]) -> list[_Li
 def _draw_boundary(
     axes: Axes, rows: Sequence[Row], at: np.ndarray, y: Scale, color: str, style: str, label: str
 ) -> None:
-    """Draw a line at the last value that holds, and a band from there to the first that fails."""
+    """Draw a line through the values of BOUNDARY_COLUMN, and a band from them to those of BOUNDARY_FAILS_COLUMN."""
     found = np.array([row[BOUNDARY_STATE_COLUMN] == "found" for row in rows])
     last, first = y.at([row[BOUNDARY_COLUMN] for row in rows]), y.at([row[BOUNDARY_FAILS_COLUMN] for row in rows])
     axes.plot(at, np.where(found, last, math.nan), style, ms=3.5, lw=1.3, color=color, label=literal(label))
@@ -128,7 +128,7 @@ def _draw_boundary(
 
 
 def _draw_overlays(axes: Axes, results: Results, keys: SweepFigure, lines: Sequence[_Line], x: Scale, y: Scale) -> None:
-    """Draw overlays as dashed lines: one if it is the same for all lines, otherwise one in the color of each line."""
+    """Draw an overlay as one dashed line if all lines have the same, otherwise as one in the color of each line."""
     assert keys.x is not None
     for name in keys.overlay or ():
         each = [(x.at([row[keys.x] for row in line.rows]), y.at([row[name] for row in line.rows])) for line in lines]
@@ -139,7 +139,7 @@ def _draw_overlays(axes: Axes, results: Results, keys: SweepFigure, lines: Seque
 
 
 def _mark_missing(axes: Axes, lines: Sequence[_Line], key: str, x: Scale) -> None:
-    """Draw crosses at the lower edge for points without a value, with a row of crosses for each line."""
+    """Draw crosses for points without a value: one row for each line, at the lower edge."""
     for number, line in enumerate(lines):
         missing = [
             row[key]

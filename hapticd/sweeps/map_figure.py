@@ -1,6 +1,6 @@
-"""Draws a measured column as a color over two varied keys.
+"""Draws a map: the values of a measured column as colors over two varied keys.
 
-Several columns, or the values of a third key, are drawn in panels.
+Several columns, or the values of a third varied key, have one panel each.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ _ONE_PANEL_INCHES: Final = (5.4, 3.9)
 _MARGINS_INCHES: Final = (1.6, 1.3)
 """Width and height of the figure outside its panels, in inches."""
 _PANEL_PADDING_INCHES: Final = 0.1
-"""Horizontal padding of each panel, in inches, so that numbers of neighbouring axes do not overlap."""
+"""Horizontal padding of each panel, in inches: tick labels of neighbouring axes must not overlap."""
 MAX_MAP_TEXTS: Final = 8
-"""Largest number of different texts in a map: the number of text colors."""
+"""Maximum number of different texts in a map, which is the number of _TEXT_COLORS."""
 _TEXT_COLORS: Final = ("#4477aa", "#88ccee", "#ddaa33", "#cc4455", "#aa77aa", "#777777", "#228833", "#663333")
-"""Colors of texts, which people with a color vision deficiency can distinguish, too."""
+"""Colors of texts; people with a color vision deficiency can distinguish them, too."""
 _BOOLEAN_COLORS: Final = ("#cc6644", "#4477aa")
 """Colors of no and yes."""
 _MAX_INTEGER_COLORS: Final = 12
-"""Integers with a smaller range have one color each."""
+"""Integers that span at most 12 values have a separate color for each value."""
 _MAX_VECTOR_CELLS: Final = 5000
 """A map with more cells or dots is drawn as one raster image in an SVG."""
 _OVERLAY_TOLERANCE: Final = 1e-9
@@ -60,7 +60,7 @@ class _Panel:
 
 @dataclass(frozen=True, slots=True)
 class _Colors:
-    """The color scale of a map: numbers, or categories for texts and booleans."""
+    """The color scale of a map: a numeric scale for numbers, categories for texts and booleans."""
 
     scale: Scale | None
     """Scale of numbers; None for categories."""
@@ -69,15 +69,14 @@ class _Colors:
     keywords: dict[str, Any]
     """Keyword arguments of matplotlib's drawing functions."""
     has_infinite: bool = False
-    """Whether a number is infinite."""
 
     @property
     def largest(self) -> float:
-        """The number of the last color."""
+        """The number that has the last color of the color map."""
         return float(self.keywords["norm"].vmax)
 
     def at(self, values: Sequence[Value]) -> npt.NDArray[np.float64]:
-        """Return numbers for the color map, (n,); NaN for None."""
+        """Return the position of each value on the color map, (n,); NaN for None."""
         if self.scale is not None:
             numbers = self.scale.at(values)
             # matplotlib omits infinite numbers; a finite one above the largest gets the color of the largest.
@@ -86,12 +85,12 @@ class _Colors:
 
 
 def draw_map(figure: Figure, results: Results, keys: SweepFigure) -> None:
-    """Draw panels with one color scale.
+    """Draw the panels of a map with one color scale.
 
-    A point without a result is a cross, and a point that is not computed yet leaves its cell empty. Infinite values
-    have the color of the largest number, and the color bar then ends in an arrow.
+    A point without a result is a cross; the cell of a point that is not computed yet is empty. Infinite values have the
+    last color, and the color bar then ends in an arrow.
 
-    Raises HapticdError for an overlay with several values at one x, and a column of more than MAX_MAP_TEXTS texts.
+    Raises HapticdError if an overlay has several values at one x, or a column more than MAX_MAP_TEXTS different texts.
     """
     assert keys.x is not None and keys.y is not None and keys.color is not None
     panels = _panels(results, keys, with_values(results.rows, keys.where))
@@ -176,7 +175,7 @@ def _colors(results: Results, keys: SweepFigure, panels: Sequence[_Panel]) -> _C
 def _draw_cells(
     axes: Axes, results: Results, panel: _Panel, keys: SweepFigure, x: Scale, y: Scale, colors: _Colors
 ) -> Any:
-    """Draw cells for a crossed study, otherwise dots; return the mappable for a color bar."""
+    """Draw the points of a crossed study as cells, of others as dots; return the mappable for a color bar."""
     assert keys.x is not None and keys.y is not None
     at_x = x.at([row[keys.x] for row in panel.rows])
     at_y = y.at([row[keys.y[0]] for row in panel.rows])
@@ -208,7 +207,7 @@ def _draw_cells(
 
 
 def _draw_overlays(axes: Axes, results: Results, panel: _Panel, keys: SweepFigure, x: Scale, y: Scale) -> None:
-    """Draw overlays as dashed black lines with a white border, which is visible on every color and page."""
+    """Draw overlays as dashed black lines with a white border, which are visible on any color."""
     from matplotlib.patheffects import withStroke
 
     assert keys.x is not None

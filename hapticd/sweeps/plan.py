@@ -1,4 +1,4 @@
-"""The plan of a sweep: its points, their identities, and the pieces in which they are computed."""
+"""The plan of a sweep: its points, their identities, and the pieces that workers compute."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hapticd.sweeps.measures.measure import Measure
 
 _MATERIALS_KEY: Final = "materials"
-"""Key of a configuration whose values may be names of shipped materials."""
+"""Key of the materials in a configuration. A value may be the name of a shipped material."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Job:
 
     study: SweepStudy
     root: Mapping[str, Json]
-    """The document of every point, before the varied keys are set in it."""
+    """The document of all points (see identity.py), before the varied keys are set in it."""
     run: Run
     names: tuple[str, ...]
     """Names of the axes."""
@@ -44,7 +44,7 @@ class Job:
     """Kinds of the columns of the axes."""
 
     def document(self, values: Sequence[Value]) -> dict[str, Json]:
-        """Return the document of the point with these values, one for each axis. Raises InvalidError."""
+        """Return the document of the point with these values, one value for each axis. Raises InvalidError."""
         document = dict(self.root)
         for name, value in zip(self.names, values, strict=True):
             for path, each in self.settings(name, value):
@@ -77,7 +77,7 @@ class Job:
         return (POINT_COLUMN, *varied, *searched, *measured, ERROR_COLUMN)
 
     def row(self, point: str, values: Sequence[Value]) -> Row:
-        """Compute the row of a point. If that fails, measured columns are empty and `error` has the reason."""
+        """Compute the row of a point. After an error, measured columns are None and `error` has the reason."""
         shown = {
             name: shown_value(value, kind) for name, kind, value in zip(self.names, self.kinds, values, strict=True)
         }
@@ -98,7 +98,7 @@ class Job:
         return found
 
     def _refined(self, document: dict[str, Json]) -> Row:
-        """Search for the boundary; measure at the last value at which the condition holds, or else at `start`."""
+        """Search for the boundary; measure at the last value that meets the condition, or at `start` if none does."""
         refine = self.study.refine
         assert refine is not None
         path = path_of(refine.key)
@@ -126,7 +126,7 @@ class Points:
     job: Job
     ids: tuple[str, ...]
     values: tuple[tuple[Value, ...], ...]
-    """For each point, its value of each axis."""
+    """For each point, its value on each axis."""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -145,7 +145,7 @@ class Plan:
     ids: npt.NDArray[np.void] = field(repr=False)
     """Identities of the points, (n,) ID_DTYPE."""
     places: npt.NDArray[np.int64] = field(repr=False)
-    """For each point, the index of its combination of axis values, (n,); the first if several compute the same."""
+    """For each point, the index of its combination of axis values, (n,); the first one of equal documents."""
     source: str | None = field(default=None, repr=False)
     """Text of the study's file; None if the study was not read from a file."""
 
@@ -167,7 +167,7 @@ class Plan:
         return Points(self.job, tuple(each.tobytes().hex() for each in self.ids[indices]), values)
 
     def manifest(self) -> dict[str, Json]:
-        """Return the members of study.json besides title and columns."""
+        """Return the members of study.json other than title and columns."""
         study = self.job.study
         found: dict[str, Json] = {"kind": "sweep", "study": study.to_dict(), "seed": study.seed}
         return found if self.source is None else {**found, "source": self.source}
@@ -182,9 +182,9 @@ def _values_at(axis: Axis, places: npt.NDArray[np.int64]) -> Sequence[Value]:
 
 
 def plan(study: SweepStudy) -> Plan:
-    """Return the plan of a validated study. Combinations that compute the same are one point.
+    """Return the plan of a validated study. Combinations of values that give the same document are one point.
 
-    Raises InvalidError, with paths of the study's keys. A fault of a single point does not raise: its row reports it.
+    Raises InvalidError, with paths of the study's keys. A fault of a single point is not raised: its row reports it.
     """
     axes = axes_of(study)
     root: dict[str, Json] = dict(study.base)
@@ -204,7 +204,7 @@ def plan(study: SweepStudy) -> Plan:
 
 
 def _shared_hash(job: Job) -> npt.NDArray[np.uint64]:
-    """Return the hash, (2,), of what results depend on besides the documents of points: measures, code, names."""
+    """Return the hash, (2,), of everything but the documents on which results depend: measures, code and names."""
     from hapticd.sweeps.measures.registry import identity_of
 
     study = job.study
@@ -222,7 +222,7 @@ def _shared_hash(job: Job) -> npt.NDArray[np.uint64]:
 
 
 def _document_hashes(job: Job, axes: Sequence[Axis], total: int) -> npt.NDArray[np.uint64]:
-    """Return the hashes of the documents of `total` points, (n, 2).
+    """Return the hashes of the documents of n = `total` points, (n, 2).
 
     If the axes are independent, each value of an axis is hashed only once. Otherwise each document is hashed.
     """
@@ -242,7 +242,7 @@ def _combination(axes: Sequence[Axis], index: int) -> list[Value]:
 
 
 def _axis_hashes(job: Job, axis: Axis) -> npt.NDArray[np.uint64]:
-    """Return the hash of all keys of an axis for each of its m values, (m, 2)."""
+    """Return for each of the m values of an axis the hash of all keys that the axis sets, (m, 2)."""
     values = axis.plain_values
     if job.study.vary[axis.name].levels is None and not _names_material(path_of(axis.name), values):
         return sums_at(path_of(axis.name), values)
@@ -257,7 +257,7 @@ def _axis_hashes(job: Job, axis: Axis) -> npt.NDArray[np.uint64]:
 
 
 def _part_at(document: Json, path: Path) -> Json:
-    """Return the part of a document at a path; an empty mapping, which adds nothing to a hash, if it does not exist."""
+    """Return the part of a document at a path, or an empty mapping, which does not change a hash."""
     for key in path:
         inside = key in document if isinstance(document, dict) else isinstance(key, int)
         if not isinstance(document, dict | list) or not inside:
@@ -267,14 +267,14 @@ def _part_at(document: Json, path: Path) -> Json:
 
 
 def _paths(job: Job, axis: Axis) -> set[Path]:
-    """Return the keys that an axis sets at one or more of its values."""
+    """Return the paths of the keys that an axis sets for any of its values."""
     if job.study.vary[axis.name].levels is None:
         return {path_of(axis.name)}
     return {path for value in axis.values for path, _ in job.settings(axis.name, value)}
 
 
 def _names_material(path: Path, values: Sequence[Value]) -> bool:
-    """Return whether an axis replaces a material by the name of a shipped one, which stands for its keys."""
+    """Return whether the values of an axis are names of shipped materials, each of which replaces a material."""
     return len(path) == 2 and path[0] == _MATERIALS_KEY and any(isinstance(value, str) for value in values)
 
 

@@ -1,4 +1,4 @@
-"""One point of a sweep: its configuration, operator and run, each computed at first use."""
+"""One point of a sweep: its configuration, operator and run, each computed when first used."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hapticd.rendering.offline import Run, render_run, simulate_run
 from hapticd.sweeps.keys import Run as RunKind
 
 OPERATOR_KEY: Final = "operator"
-"""Key of the motion of the hand in the document of a point."""
+"""Key of the operator (the motion of the hand) in the document of a point."""
 PARAMETERS_KEY: Final = "parameters"
 """Key of the free parameters in the document of a point."""
 DURATION_KEY: Final = "duration_s"
@@ -49,7 +49,7 @@ class Point:
 
     @property
     def operator_source(self) -> dict[str, Json] | None:
-        """The operator, which is the motion of the hand, as plain data; None without one."""
+        """The operator as plain data, or None."""
         given = self._document.get(OPERATOR_KEY)
         return given if isinstance(given, dict) else None
 
@@ -61,7 +61,7 @@ class Point:
 
     @cached_property
     def operator(self) -> Operator | None:
-        """The validated operator; None without one. Raises InvalidError."""
+        """The validated operator, or None. Raises InvalidError."""
         given: Any = self._document.get(OPERATOR_KEY)
         return None if given is None else parse_operator(given)
 
@@ -88,7 +88,7 @@ class Point:
     def run(self) -> Run:
         """The run: the closed loop with the simulated joystick, or with `run: render` the open loop.
 
-        In the open loop the tick is computed at positions on the path of the hand. Raises InvalidError, HapticdError.
+        In the open loop, positions are those on the path of the hand. Raises InvalidError, HapticdError.
         """
         operator = self.operator
         if operator is None or self.run_kind == "none":

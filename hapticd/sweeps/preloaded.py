@@ -1,4 +1,4 @@
-"""Modules that workers need for a piece of a sweep; the fork server (`forked_workers`) imports this module."""
+"""Imports the modules that workers need; the fork server (`forked_workers`) imports this module."""
 
 import hapticd.rendering.offline
 import hapticd.sweeps.engine

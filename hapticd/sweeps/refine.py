@@ -13,7 +13,7 @@ from hapticd.sweeps.keys import SweepCondition, SweepRefine
 
 BoundaryState: TypeAlias = Literal["found", "always", "never"]
 MAX_BISECTIONS: Final = 200
-"""Number of bisections after which the search ends even if the interval is wider than `within`."""
+"""Maximum number of bisections, even if the interval is still wider than `within`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +23,9 @@ class Boundary:
     state: BoundaryState
     """`always` if the condition holds up to `end`, `never` if it does not hold at `start`."""
     holds_at: float | None
-    """The last tried value at which the condition holds, or None."""
+    """The last tried value at which the condition holds, if any."""
     fails_at: float | None
-    """The first tried value at which the condition fails, or None."""
+    """The first tried value at which the condition fails, if any."""
     tried: int
     """Number of values that were tried."""
 
@@ -57,8 +57,8 @@ def holds(refine: SweepRefine, row: Row) -> bool:
 def boundary_of(refine: SweepRefine, at: Callable[[float], bool]) -> Boundary:
     """Search from `start` towards `end` for the boundary of a condition; `at(value)` returns whether it holds.
 
-    The steps of `scan` are tried in turn from `start` on. The interval between the first value that fails and the one
-    before it is then bisected until it is narrower than `within`, or its ends are neighbouring floats.
+    First, the ends of `scan` steps between `start` and `end` are tried in order. The step in which the condition first
+    fails is then bisected until it is narrower than `within`, or its ends are neighbouring floats.
     """
     tried = 1
     if not at(refine.start):

@@ -15,7 +15,7 @@ from hapticd.sweeps.figures import Drawing, title_of
 from hapticd.sweeps.results import Results, best_of, with_values
 
 MAX_TABLE_ROWS: Final = 1000
-"""Largest number of rows of a table on the page."""
+"""Maximum number of rows of a table on the page."""
 
 
 def page(results: Results, drawings: Sequence[Drawing]) -> str:

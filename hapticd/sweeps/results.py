@@ -28,16 +28,16 @@ class Results:
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     points: int
-    """Number of points of the study; those without a row are not computed yet."""
+    """Number of points of the study, computed or not."""
     versions: Mapping[str, str]
     """Versions of hapticd, Python and numpy."""
 
     def column(self, name: str) -> Column:
-        """Return the column of this name."""
+        """Return the column with this name."""
         return next(column for column in self.columns if column.name == name)
 
     def named(self, role: str) -> list[str]:
-        """Return the names of the columns of a role, in order."""
+        """Return the names of the columns with a role, such as `varied`, in order."""
         return [column.name for column in self.columns if column.role == role]
 
     @cached_property
@@ -53,14 +53,14 @@ class Results:
 
     @cached_property
     def _planned(self) -> dict[str, list[Value]]:
-        """The different values of each axis, including those of points that are not computed yet."""
+        """The distinct values of each axis, also at points that are not computed yet."""
         return {
             axis.name: list(dict.fromkeys(shown_value(value, axis.kind) for value in axis.plain_values))
             for axis in axes_of(self.study)
         }
 
     def values(self, name: str) -> list[Value]:
-        """Return the different values of a varied column, including those of points that are not computed yet.
+        """Return the distinct values of a varied column, also at points that are not computed yet.
 
         Numbers are sorted; texts are in the order of the study.
         """
@@ -71,9 +71,9 @@ class Results:
 
 
 def words_of(columns: Sequence[Column], labels: Mapping[str, str]) -> dict[str, str]:
-    """Return the label of each column: that of the study, or else the last part of its name without the unit.
+    """Return the label of each column: the study's label, or else the last part of its dotted name, without the unit.
 
-    As many preceding parts are added as make the label unique.
+    Preceding parts are added until the label is unique.
     """
     parts = {column.name: [_plain(part) for part in column.name.split(".")] for column in columns}
     found: dict[str, str] = {}
@@ -95,7 +95,7 @@ def _plain(part: str) -> str:
 
 
 def load_results(store: Store) -> Results:
-    """Read the results of a folder. Raises HapticdError, also if they are not results of a sweep."""
+    """Read the results of a sweep from a folder. Raises HapticdError if they cannot be read."""
     manifest: dict[str, Any] = store.manifest()
     if manifest.get("kind") != "sweep":
         raise HapticdError(f"{store.folder}: holds no results of a sweep; only results of sweeps can be drawn")
@@ -126,14 +126,14 @@ def in_order(rows: Sequence[Row], columns: Sequence[Column]) -> list[Row]:
 
 
 def with_values(rows: Sequence[Row], where: Mapping[str, Value]) -> list[Row]:
-    """Return the rows with these values."""
+    """Return the rows whose columns have the values in `where`."""
     return [row for row in rows if all(row[name] == value for name, value in where.items())]
 
 
 def best_of(rows: Sequence[Row], better: Mapping[str, str]) -> list[Row]:
     """Return the Pareto-optimal rows: no other row is at least as good in all columns of `better`, and better in one.
 
-    `better` is `least` or `most` for each column. A row without a value in one of these columns is left out.
+    `better` has `least` or `most` for each column. Rows without a value in one of these columns are left out.
     """
     known = [row for row in rows if all(row[name] is not None for name in better)]
     if not known:

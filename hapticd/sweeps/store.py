@@ -1,11 +1,11 @@
-"""The results of sweeps in a folder: the study, and pieces of rows as Parquet files, each written atomically.
+"""The results of sweeps in a folder: the study, and its rows as Parquet files, each written atomically.
 
     lock                  locked by the process that writes
     study.json            title, columns, the study itself, seed and versions
     points.npy            the identities of the study's points, (n,)
-    pieces/HASH.parquet   rows, sorted by point; HASH is the hash of the identities of their points
+    pieces/HASH.parquet   rows, sorted by identity; HASH is the hash of these identities
 
-Two studies in one folder share the points that compute the same.
+Two studies in one folder share the rows of points with the same identity.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from hapticd.sweeps.work import ID_DTYPE, Work
 from hapticd.sweeps.worker_check import code_version
 
 STUDY_FILE: Final = "study.json"
-"""File of the study in a result folder."""
+"""Name of the file with the study in a result folder."""
 POINTS_FILE: Final = "points.npy"
-"""File of the identities in a result folder."""
+"""Name of the file with the identities in a result folder."""
 PIECES_FOLDER: Final = "pieces"
-"""Folder of the pieces in a result folder."""
+"""Name of the subfolder with the rows in a result folder."""
 _ROWS_IN_MEMORY: Final = 500
-"""Number of rows that are converted to Python objects at a time while all rows are visited."""
+"""Number of rows that are converted to Python objects at a time."""
 _PARTIAL_PIECE: Final = re.compile(r"\.[0-9a-f]{32}\.parquet\.\d+\.[0-9a-f]{16}\.part")
 """Name of a temporary file, which a killed process may leave behind."""
 _POINT_ID: Final = re.compile(r"[0-9a-f]{32}")
@@ -58,7 +58,7 @@ class Store:
     """A folder of results."""
 
     def __init__(self, folder: Path, note: Callable[[str], None]) -> None:
-        """`note` is called with a line about each piece that cannot be read, or a folder that cannot be locked."""
+        """Open a folder. `note` is called with a line of text if a piece cannot be read or the folder not be locked."""
         require_pyarrow()
         self._folder = folder
         self._note = note
@@ -149,7 +149,7 @@ class Store:
         return np.frombuffer(found.tobytes(), ID_DTYPE)
 
     def present(self, columns: Sequence[Column], again: bool = False) -> npt.NDArray[np.void]:
-        """Return the identities of all rows of the folder that have these columns, (m,) ID_DTYPE.
+        """Return the identities of the rows of the folder that have these columns, (m,) ID_DTYPE.
 
         With `again`, rows with an error are left out.
         """
@@ -163,7 +163,7 @@ class Store:
         return np.frombuffer(b"".join(found), ID_DTYPE)
 
     def write(self, rows: Sequence[Row], columns: Sequence[Column]) -> None:
-        """Write rows as one piece, atomically; it is on disk when this returns. Raises HapticdError."""
+        """Write rows as one piece, atomically, and sync it to disk. Raises HapticdError."""
         import pyarrow
         from pyarrow import parquet
 
@@ -190,7 +190,7 @@ class Store:
         return pyarrow.Table.from_pylist([rows[point] for point in sorted(rows)], schema=schema)
 
     def digest(self) -> str:
-        """Return the SHA-256 of column names, types and values of the sorted rows, independent of the pieces."""
+        """Return the SHA-256 of names, types and values of the columns; it does not depend on the pieces."""
         table = self.table()
         digest = sha256()
         for name in table.column_names:
@@ -209,7 +209,7 @@ class Store:
             yield from table.slice(begin, _ROWS_IN_MEMORY).to_pylist()
 
     def _tables(self, schema: Any, columns: list[str]) -> Any:
-        """Yield `columns` of each readable piece that has the fields of `schema`, as a pyarrow.Table."""
+        """Yield a pyarrow.Table with `columns` for each readable piece that has the fields of `schema`."""
         import pyarrow
         from pyarrow import parquet
 
@@ -234,7 +234,7 @@ class Store:
 
 
 def _same_kind(one: Any, other: Any) -> bool:
-    """Return whether two fields have the same type; integers and floats count as the same."""
+    """Return whether two fields have the same type; integers and floats count as one type."""
     kinds = [str(each.type) for each in (one, other)]
     return kinds[0] == kinds[1] or set(kinds) <= {"int64", "double"}
 
@@ -246,7 +246,7 @@ def _values(column: Any) -> Iterator[Value]:
 
 
 def _schema(columns: Sequence[Column]) -> Any:
-    """Return the schema of a table; unit, description and role of each column are metadata of its field."""
+    """Return the schema of columns; unit, description and role of each column are metadata of its field."""
     import pyarrow
 
     made: dict[str, Callable[[], Any]] = {

@@ -30,13 +30,12 @@ from hapticd.sweeps.point import NON_CONFIG_KEYS, OPERATOR_KEY, PARAMETERS_KEY
 _BASE_KEY: Final = "base"
 """Key of the base configuration in a study."""
 _MAX_CHECKED_VALUES: Final = 200
-"""Number of values of each axis that are validated before the study begins; faults of the others are found when their
-points are computed."""
+"""Only the first 200 values of an axis are validated before the study begins, others when their points are computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """The document of a study, and that of its base if the base is a separate file."""
+    """The YAML document of a study, and that of its base configuration if it is a separate file."""
 
     study: Document
     base: Document | None
@@ -55,8 +54,7 @@ def load_sweep(source: Mapping[str, object] | str | os.PathLike[str]) -> Plan:
 
     Paths in a study are relative to its file; those in a mapping are relative to the current folder.
 
-    Raises InvalidError, which states every fault with file, line, key and what would be right, and HapticdError for a
-    file that cannot be read.
+    Raises InvalidError with every fault, its file, line and key, and HapticdError for a file that cannot be read.
     """
     if isinstance(source, Mapping):
         return _load(Document(plain(source)), os.getcwd())
@@ -99,7 +97,7 @@ def _load(document: Document, folder: str) -> Plan:
 
 
 def _with_base(document: Document, data: dict[str, Json], folder: str) -> Document | None:
-    """Replace the name of the base by its configuration; return the document of its file, or None without a file."""
+    """Replace the name of a base by its configuration; return the document of its file, or None without a file."""
     given = data.get(_BASE_KEY, {})
     source: Document | None = None
     if isinstance(given, str):
@@ -127,7 +125,7 @@ def _file(name: str, folder: str, shipped: str) -> Document:
 
 
 def _with_operator(document: Document, data: dict[str, Json], folder: str) -> None:
-    """Replace the name of the operator by its keys."""
+    """Replace the name of an operator by its content."""
     given = data.get(OPERATOR_KEY)
     if isinstance(given, str):
         local = FilePath(folder, given)
@@ -142,7 +140,7 @@ def _with_operator(document: Document, data: dict[str, Json], folder: str) -> No
 
 
 def _with_functions(document: Document, data: dict[str, Json], folder: str) -> None:
-    """Add the source of its module to the options of each user function."""
+    """Add to the options of each user function the source of its module."""
     measures = data.get("measure")
     if not isinstance(measures, list):
         return
@@ -170,7 +168,7 @@ def _plain_operator(operator: Operator) -> dict[str, Json]:
 
 
 def _elements(where: str) -> Path:
-    """Return the path that the `where` of a problem stands for; empty if it is not a path."""
+    """Return the `where` of a problem as a path; empty if it is not a path."""
     try:
         return path_of(where)
     except ValueError:
@@ -199,7 +197,7 @@ def _measure_faults(study: SweepStudy) -> list[tuple[Path, str]]:
 
 
 def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
-    """Return the faults of keys that neither a configuration nor a study has."""
+    """Return the faults of varied keys, and of `refine.key`, that neither a configuration nor a study has."""
     faults: list[tuple[Path, str]] = []
     keys: list[tuple[Path, str]] = []
     for name, axis in study.vary.items():
@@ -225,7 +223,7 @@ def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
 def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
     """Return the faults of values that are invalid in the configuration.
 
-    The values of each axis are checked with the first values of all other axes.
+    Each value of an axis is checked together with the first value of every other axis.
     """
     values = [axis.plain_values[:_MAX_CHECKED_VALUES] for axis in axes]
     first = [each[0] for each in values]
@@ -249,7 +247,7 @@ def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
 def _faults_with(job: Job, values: Sequence[Value], name: str) -> list[tuple[Path, str]]:
     """Return the faults of the configuration at a point.
 
-    The place of a fault is the axis that sets the key, otherwise the axis `name`, or without one the base.
+    Its path is that of the axis that sets the key, otherwise of the axis `name`, or if `name` is empty of the base.
     """
     try:
         document = job.document(values)
@@ -285,7 +283,7 @@ def _config_faults(document: Mapping[str, Json]) -> list[tuple[Path, str]]:
 
 
 def _column_faults(found: Plan) -> list[tuple[Path, str]]:
-    """Return the fault of `refine.holds` if it does not name a measured column."""
+    """Return a fault if `refine.holds` does not name a measured column."""
     study, names = found.job.study, [column.name for column in found.columns if column.role == "measured"]
     if study.refine is None:
         return []

@@ -33,7 +33,7 @@ def sweep(
     Args:
         study: A YAML file, the name of a shipped study, or a mapping.
         client: A `distributed.Client`. By default one with local processes is started for this call.
-        folder: Where results are kept; points that it already holds are not computed again.
+        folder: Folder for the results; points with rows in it are not computed again.
         workers: Number of local processes, by default the number of processors.
         threads: Use threads of this process instead of processes. Processes are spawned, so a script must make this
             call below `if __name__ == "__main__":`.

@@ -1,8 +1,8 @@
 """The function that a worker runs on a piece, which it gets as pickled bytes.
 
-Dask ends a worker that cannot unpickle its task, and may lose pieces of other workers with it. So the function is sent
-as code that refers to nothing of hapticd, and every worker can unpickle it. A worker without hapticd, or with another
-version, returns a refusal.
+Dask ends a worker that cannot unpickle its task, and may then lose pieces of other workers. So the function is sent as
+code that needs no hapticd, which every worker can unpickle. A worker without hapticd, or with another version, returns
+a refusal.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from hapticd.sweeps.columns import Row
 from hapticd.sweeps.work import Piece
 
 Refusal: TypeAlias = tuple[str, str]
-"""The address of a worker that cannot compute the piece, and the reason."""
+"""Address of a worker that cannot compute the piece, and the reason."""
 Answer: TypeAlias = "tuple[list[Row], float] | Refusal"
-"""The rows and the time that the worker spent on them, in s; or a refusal."""
+"""The rows of the piece and their computing time in s, or a refusal."""
 
 
 def pickled(piece: Piece) -> bytes:

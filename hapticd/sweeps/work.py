@@ -1,4 +1,4 @@
-"""The interface of a study to the engine: points with an identity each, in pieces that a worker computes."""
+"""The interface of a study to the engine: its points, their identities, and pieces, which are groups of points."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hapticd.base.yaml_source import Json
 from hapticd.sweeps.columns import Column, Row
 
 ID_DTYPE: Final = np.dtype("V16")
-"""The identity of a point: 16 bytes of a hash of everything that its result depends on."""
+"""Identity of a point: a hash of 16 bytes of everything on which its result depends."""
 
 
 class Piece(Protocol):
@@ -21,7 +21,7 @@ class Piece(Protocol):
         """Return the number of points."""
 
     def rows(self) -> list[Row]:
-        """Compute one row for each point, in their order.
+        """Compute one row for each point, in order.
 
         The row of a point that cannot be computed has the reason in its column `error`.
         """
@@ -46,4 +46,4 @@ class Work(Protocol):
         """Return the points with these indices."""
 
     def manifest(self) -> dict[str, Json]:
-        """Return the members of study.json besides title and columns: at least `kind`, `study` and `seed`."""
+        """Return the members of study.json other than title and columns: at least `kind`, `study` and `seed`."""

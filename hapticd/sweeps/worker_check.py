@@ -1,4 +1,4 @@
-"""The code version, by which a worker is checked to run the same hapticd as the command."""
+"""The code version of hapticd, which must be the same in a worker and in the command."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from hapticd.config.shipped_files import folder_of
 
 @cache
 def code_version() -> str:
-    """Return the version of hapticd with 12 hexadecimal digits of a hash: `0.1.0 (1f2e3d4c5b6a)`.
+    """Return the version of hapticd with 12 hexadecimal digits of a SHA-256 hash: `0.1.0 (1f2e3d4c5b6a)`.
 
-    The SHA-256 covers the files that results depend on: Python files, the C core, and the shipped materials. So a
-    modified clone differs from the release of the same version.
+    The hash covers the files that results depend on: Python files, the C core, and the shipped materials.
     """
     root = Path(__file__).parents[1]
     digest = sha256()

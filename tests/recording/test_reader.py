@@ -71,8 +71,8 @@ OTHER_SAMPLES = [(name, *rest) for name, *rest in SAMPLES if name != "force_n"]
         ({"samples": b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**31)}, "samples.npy has an invalid header"),
         ({"samples": array((10**15,), SAMPLES)}, "samples.npy should have 112000000000000000 bytes of data, has"),
         ({"samples": array((1,), "|O", b"cos\nsystem\n.")}, "samples.npy is not a plain array"),
-        ({"samples": array((2,), "<f8", bytes(16))}, "its samples are not records"),
-        ({"samples": array((1,), OTHER_SAMPLES, bytes(96))}, "its samples have no force_n"),
+        ({"samples": array((2,), "<f8", bytes(16))}, "samples.npy is not an array of records"),
+        ({"samples": array((1,), OTHER_SAMPLES, bytes(96))}, "samples.npy lacks force_n"),
         (
             {"truth": array((100, 3), "<f8", bytes(2400))},
             "truth has shape (100, 3) of float64, not (100, 4) of float64",

@@ -20,7 +20,7 @@ from hapticd.config.configuration import default_config, load_config
 from hapticd.config.modes import Mode
 from hapticd.config.scene import validate_scene
 from hapticd.recording.recording import load
-from hapticd.recording.replay import FORCE_FIELDS, _Revision, _turn, replay
+from hapticd.recording.replay import FORCE_FIELDS, _change_scene, _Revision, replay
 from hapticd.recording.simulated import simulate_files
 from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.device_output import output_of
@@ -290,7 +290,7 @@ def test_without_such_a_tick_all_of_it_is_rendered_and_said_so(tmp_path: Path) -
     # What was pressed is met anew, and its force comes in over the ramp: 200 ticks.
     different = np.flatnonzero((again.samples["force_n"] != again.recorded["force_n"]).any(axis=1))
     assert 190 <= len(different) <= 200 and different[-1] <= 200
-    assert "touched, rings or ramps in each" in again.summary()
+    assert "each has a contact, a ringing mode or a ramp" in again.summary()
 
 
 def test_it_begins_anew_after_a_gap_and_after_a_fault(tmp_path: Path) -> None:
@@ -463,6 +463,6 @@ def test_objects_are_taken_in_the_order_in_which_they_changed() -> None:
     names = [f"o{number}" for number in range(40, 0, -1)]
     revisions = [_Revision(1, scene, {}, (*names, "c"), 1e3), _Revision(2, scene, {}, ("z", "o7", "c", "a"), 1e3)]
     rerun = cast(Rerun, Took())
-    assert _turn(rerun, revisions, -1, 1) == 1
-    assert _turn(rerun, revisions, 1, 0) == 0
+    assert _change_scene(rerun, revisions, -1, 1) == 1
+    assert _change_scene(rerun, revisions, 1, 0) == 0
     assert taken == [[*names, "c", "z", "a"], ["c", "a", "b"]]

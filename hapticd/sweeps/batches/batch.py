@@ -1,8 +1,7 @@
-"""A batch as work of the engine: each point is a fit, identified by its recordings, its options and the code.
+"""A batch as a study of the engine: each point is a fit, identified by its recordings, its options and the code.
 
-The column `found` of a row has the result of the fit as JSON: the keys of the material, provenance and report. So
-materials are made from rows, without reading recordings again. Workers read the recordings themselves, and must see the
-same files at the same paths.
+The column `found` of a row holds the result of the fit as JSON: the keys of the material, provenance and report. So
+materials are made from rows, without reading recordings again. Workers read recordings from the same paths.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ FIT_COLUMNS: Final = (
     Column("found", "text", "measured", description="Figures, provenance and plots, as JSON."),
     ERROR_COLUMN,
 )
-"""The columns of the rows of a batch."""
+"""Columns of the result table of a batch."""
 
 
 @dataclass(frozen=True)
@@ -151,13 +150,13 @@ class Batch:
         return bytes(self.ids[index].tobytes()).hex()
 
     def manifest(self) -> dict[str, Json]:
-        """Return the members of study.json besides title and columns."""
+        """Return the members of study.json other than title and columns."""
         path = os.fsencode(self.tree.path).decode(errors="backslashreplace")
         return {"kind": "batch", "study": {"tree": path}, "seed": 0}
 
 
 def _document(recordings: RecordingSet) -> dict[str, Json]:
-    """Return the document whose hash is the identity of a fit. It omits the stiffness, which no fit reads."""
+    """Return the document whose hash is the identity of a fit; no fit depends on the stiffness."""
     options: Sequence[tuple[str, Json]] = list(dataclasses.asdict(recordings.options).items())
     return {
         "kind": recordings.kind,

@@ -1,6 +1,6 @@
-"""The keys of fit.yaml, which sets the fit options of the recordings below its folder.
+"""The keys of fit.yaml, which sets the options of all fits in its folder and below.
 
-A key applies to all fits below the folder that use it. A fit.yaml in a deeper folder overrides it, key by key.
+A fit.yaml in a deeper folder overrides the keys that it sets.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ KINDS_OF_KEY: Final[Mapping[Key, tuple[Kind, ...]]] = {
     "mode_table": ("tap",),
     "autoregressive": ("texture",),
 }
-"""The kinds of fit that use a key, for keys that not all kinds use."""
+"""For each key that not every kind of fit uses, the kinds that use it."""
 
 
 class BatchFolder(Model):
@@ -62,7 +62,7 @@ class BatchFolder(Model):
 
 
 def key_of(field: str) -> Key:
-    """Return the key of a field of BatchFolder in YAML."""
+    """Return the key in fit.yaml of a field of BatchFolder."""
     return BatchFolder.model_fields[field].alias or field
 
 
@@ -94,7 +94,7 @@ class FolderYaml:
 
 
 def merged(folders: Iterable[BatchFolder]) -> BatchFolder:
-    """Return the options that apply below nested folders, given from the outermost to the innermost."""
+    """Return the options in the last of nested folders, given from the outermost on."""
     found: dict[str, object] = {}
     for folder in folders:
         found |= {key_of(field): getattr(folder, field) for field in folder.model_fields_set}

@@ -1,10 +1,10 @@
 """The output files of a batch in addition to its rows: a YAML file for each material, and CSV tables.
 
-    materials/NAME.yaml   a file for -c and `material set`, as written by `hapticd fit -o`
+    materials/NAME.yaml   a file for `hapticd -c` and `hapticd material set`, as written by `hapticd fit -o`
     ranking.csv           a row for each fit, the best material first
-    figures.csv           a row for each figure of each fit, with its 95 % interval
+    figures.csv           a row for each estimated quantity of each fit, with its 95 % confidence interval
 
-Each material has a separate file so that a user can choose the good ones, and only changed files are written again.
+With a file for each material, users can choose materials, and only changed files are written again.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from hapticd.sweeps.batches.ranking import MaterialResult
 from hapticd.sweeps.store import STUDY_FILE
 
 _DATE_ENTRY: Final = re.compile(r'date: "\d{4}-\d{2}-\d{2}"')
-"""The date of a fit in a file of a material."""
+"""The date of a fit in a material's file."""
 
 
 def check_folder(folder: Path, tree: str) -> None:
-    """Raise HapticdError if results cannot be written to a folder: one in the tree, or one with other content."""
+    """Raise HapticdError if a folder must not be written: it is in the tree, or holds files but no results."""
     inside, above = os.path.realpath(folder), os.path.realpath(tree)
     if os.path.commonpath([inside, above]) == above:
         raise HapticdError(f"{folder}: is inside the tree of recordings; give a folder outside of it with -o")
@@ -43,8 +43,8 @@ def check_folder(folder: Path, tree: str) -> None:
 def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[dict[str, str], list[str]]:
     """Write a file for each material that was not refused.
 
-    Returns the path of each material's file by its name, and the paths of files of other materials, which an earlier
-    batch wrote. A file that differs only in the date is kept. Raises HapticdError.
+    Returns a mapping from the name of a material to the path of its file, and the paths of files that remain from
+    earlier batches. A file that would change only in the date is kept. Raises HapticdError.
     """
     target = folder / "materials"
     try:
@@ -101,6 +101,6 @@ def _write(path: Path, heads: Sequence[str], rows: Sequence[Sequence[object]]) -
 
 
 def shown_files(names: Sequence[str], most: int = 3) -> str:
-    """Return the first `most` names and the number of the others, on one line."""
+    """Return the first `most` names and the number of the others, as one line of text."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(map(printable, names[:most])) + more

@@ -1,4 +1,4 @@
-"""The HTML page of a batch: the ranking of the materials, a comparison of their figures, and each fit with its plot."""
+"""The HTML page of a batch: the ranking of materials, a comparison of fitted quantities, and the plots of each fit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ COMPARED_FIGURES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "texture": ("peak_hz", "mean_hz", "velocity_gain_per_s"),
     "puncture": ("stiffness_n_per_m", "force_n", "frequency_hz"),
 }
-"""For each kind of fit, the figures that are compared between all materials."""
+"""For each kind of fit, the estimated quantities that a plot compares between all materials."""
 QUALITY_COLORS: Final[Mapping[Quality, str]] = {"good": "C2", "fair": "C1", "poor": "C3", "refused": "C7"}
 """matplotlib's color for each verdict."""
 MAX_INTERVAL_RATIO: Final = 1.5
@@ -56,8 +56,8 @@ def write_page(
 
     Args:
         title: Title of the page.
-        results: The materials in the order of their ranking.
-        files: The path of the file of each material.
+        results: The materials in order of rank.
+        files: Path of the YAML file of each material.
         folder: The result folder.
         drawn: Whether to draw plots.
         note: Is called with a line of text when drawing begins.
@@ -116,7 +116,7 @@ def _anchor(rank: int) -> str:
 
 
 def _section(rank: int, result: MaterialResult, files: Mapping[str, str], folder: Path, drawn: bool) -> str:
-    """Return the section of a material; that of a good one is collapsed."""
+    """Return the section of a material; it is collapsed if the verdict is good."""
     file = files.get(result.name)
     link = ""
     if file is not None:
@@ -159,7 +159,7 @@ def _array(values: Sequence[float | None]) -> Floats:
 
 
 def _compared(results: Sequence[MaterialResult]) -> Iterator[tuple[Panel, ...]]:
-    """Yield for each kind of fit a row of plots of its figures over the rank of the material."""
+    """Yield for each kind of fit a row of plots: each shows an estimated quantity over the rank of the material."""
     for kind, names in COMPARED_FIGURES.items():
         fits = [(rank, fit) for rank, each in enumerate(results, 1) for fit in each.fits if fit.kind == kind]
         panels = tuple(panel for name in names if (panel := _over_ranks(kind, name, fits)) is not None)

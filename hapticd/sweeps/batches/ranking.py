@@ -35,18 +35,18 @@ class FitResult:
     recordings: RecordingSet
     quality: Quality
     verdict: str
-    """The verdict with its reasons; for a refused fit only the reason."""
+    """The verdict with its reasons; for a refused fit, the reason of the refusal."""
     reasons: tuple[str, ...]
     left_out: int
     """Number of recordings that were not used."""
     contribution: Contribution | None
-    """The figures that the fit adds to its material; None if the fit was refused."""
+    """The keys that the fit sets in its material; None if the fit was refused."""
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     estimates: Mapping[str, Estimate] | None = None
     plain: Mapping[str, float] | None = None
     panels: Sequence[Any] = ()
-    """Plots, as plain data."""
+    """Plots, as JSON data."""
 
     @property
     def kind(self) -> Kind:
@@ -68,7 +68,7 @@ class MaterialResult:
 
     @property
     def reasons(self) -> list[str]:
-        """The reasons of all fits; with the kind of the fit if there are several fits."""
+        """The reasons of all fits, each with the kind of its fit if there are several fits."""
         several = len(self.fits) > 1
         return [f"{fit.kind}: {reason}" if several else reason for fit in self.fits for reason in fit.reasons]
 
@@ -80,7 +80,7 @@ class MaterialResult:
 
 
 def ranked(batch: Batch, rows: Iterable[Row], day: datetime.date) -> list[MaterialResult]:
-    """Return the materials from best to worst verdict; with equal verdicts by number of reasons, then by name.
+    """Return the materials sorted by verdict (best first), then by number of reasons, then by name.
 
     `day` is the date of the fits in the provenance. A material without rows is left out.
     """
@@ -125,7 +125,7 @@ def _number(value: float | None) -> float:
 
 
 def _material(name: str, fits: Sequence[FitResult], root: str, day: datetime.date) -> MaterialResult:
-    """Merge the fits into one material in their order, as `hapticd fit --merge` does."""
+    """Merge the fits into one material, one after the other, as `hapticd fit --merge` does."""
     material: Material | None = None
     assumed: float | None = None
     notes: list[str] = []
@@ -157,7 +157,7 @@ def _material(name: str, fits: Sequence[FitResult], root: str, day: datetime.dat
 
 
 def _with_folder(origin: Mapping[str, object], root: str) -> dict[str, object]:
-    """Return a provenance in which the paths of the recordings begin with the path of the tree."""
+    """Return a provenance with the path of the tree in front of the paths of its recordings."""
     files = origin["files"]
     assert isinstance(files, list)
     above = os.fsencode(root).decode(errors="backslashreplace")

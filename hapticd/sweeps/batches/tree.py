@@ -1,9 +1,9 @@
-"""Reads a tree of recordings, by material and kind of fit, and finds all its faults before anything is fitted.
+"""Reads a tree of recordings, sorted by material and kind of fit, and reports all its faults before any fit begins.
 
     TREE/fit.yaml                  options of all materials; each fit.yaml may be left out
     TREE/MATERIAL/fit.yaml         options of one material
-    TREE/MATERIAL/*.npz            recordings of the `kind` that one of these two files sets
-    TREE/MATERIAL/KIND/*.npz       recordings of that kind: tap, grooves, texture, puncture
+    TREE/MATERIAL/*.npz            recordings; one of the two files above must set their `kind`
+    TREE/MATERIAL/KIND/*.npz       recordings of this kind: tap, grooves, texture or puncture
     TREE/MATERIAL/KIND/fit.yaml    options of one fit
 
 A recording may have a YAML file that describes it, as in `hapticd fit`: tap1.csv.yaml for tap1.csv. Names that begin
@@ -50,7 +50,6 @@ class RecordingFile:
     name: str
     """Path of the file, relative to the tree."""
     sha256: str
-    """SHA-256 of the file."""
     yaml_sha256: str
     """SHA-256 of the YAML file that describes the recording; empty without one."""
 
@@ -62,7 +61,7 @@ class RecordingSet:
     material: str
     kind: Kind
     folder: str
-    """Path of their folder, relative to the tree."""
+    """Path of the folder of the recordings, relative to the tree."""
     files: tuple[RecordingFile, ...]
     options: FitOptions
     strict: bool
@@ -76,7 +75,7 @@ class Tree:
     path: str
     """Path as the user wrote it."""
     sets: tuple[RecordingSet, ...]
-    """The fits, by material, then by kind: a puncture comes last, since it measures the stiffness."""
+    """The recordings of each fit, by material, then by kind. A puncture is last: it measures the stiffness."""
     others: tuple[str, ...]
     """Paths of files that are not recordings, relative to the tree."""
 
@@ -121,13 +120,12 @@ class _Level:
     name: str
     """Path of the folder, relative to the tree."""
     yaml: FolderYaml | None = None
-    """Its fit.yaml; None without one, or if it has faults."""
+    """The fit.yaml; None if it is missing or has faults."""
     faulty: bool = False
-    """Whether its fit.yaml has faults."""
     recordings: list[str] = field(default_factory=list)
     """Paths of the recordings in the folder, relative to the tree."""
     folders: list[str] = field(default_factory=list)
-    """Paths of the folders in the folder, relative to the tree."""
+    """Paths of the subfolders, relative to the tree."""
 
 
 @dataclass(slots=True)
@@ -137,10 +135,10 @@ class _Reader:
     root: str
     problems: list[Problem] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
-    taken: dict[str, set[Kind]] = field(default_factory=lambda: defaultdict(set))
-    """For each folder, the kinds that are fitted in it and below."""
-    loose: set[str] = field(default_factory=set)
-    """Folders whose fit.yaml may set `kind`: a material's folder that holds recordings itself, and the tree."""
+    fitted_kinds: dict[str, set[Kind]] = field(default_factory=lambda: defaultdict(set))
+    """For each folder, the kinds of the fits in it and below."""
+    sets_kind: set[str] = field(default_factory=set)
+    """Folders whose fit.yaml may set `kind`: each material's folder with recordings directly in it, and the tree."""
 
     def fault(self, name: str, text: str) -> None:
         self.problems.append(Problem(printable(os.path.join(self.root, name) if name else self.root), text))
@@ -206,7 +204,7 @@ class _Reader:
             self.fault(name, f"must be named {printable(described)}.yaml")
 
     def material(self, name: str, root: _Level) -> tuple[list[RecordingSet], list[_Level]]:
-        """Return the fits of a material, and its folders."""
+        """Return the recordings of each fit of a material, and the material's folders."""
         try:
             validate_materials({name: {"stiffness_n_per_m": 0.0}})
         except InvalidError as error:
@@ -215,7 +213,7 @@ class _Reader:
         kinds: dict[Kind, _Level] = {}
         if own.recordings:
             kind = _merged(root, own).kind
-            self.loose |= {"", name}
+            self.sets_kind |= {"", name}
             if kind is None and not (own.faulty or root.faulty):
                 self.fault(
                     name,
@@ -250,7 +248,7 @@ class _Reader:
         """Return the recordings and options of one fit."""
         above = [root, own] if level is own else [root, own, level]
         for each in above:
-            self.taken[each.name].add(kind)
+            self.fitted_kinds[each.name].add(kind)
         given = _merged(*above)
         options = options_of(given, kind)
         self.check_options(options, above)
@@ -266,7 +264,7 @@ class _Reader:
     # ---- Faults ------------------------------------------------------------------------------------------------------
 
     def check_kinds(self, name: str, kinds: dict[Kind, _Level], levels: list[_Level]) -> None:
-        """Check number and kinds of the recordings of a material."""
+        """Check the number of recordings of a material, and the combination of kinds."""
         if not kinds and len(levels) == 1 and not levels[0].recordings and not levels[0].folders:
             self.fault(
                 name, f"holds no recordings; put them into a folder {_KINDS_TEXT}, or here with kind in {FIT_YAML}"
@@ -278,7 +276,7 @@ class _Reader:
             self.fault(name, f"holds {count} recordings, at most {MAX_PROVENANCE_FILES} are allowed for a material")
 
     def check_options(self, options: FitOptions, above: list[_Level]) -> None:
-        """Check for options that exclude one another; the fault is reported in the innermost fit.yaml."""
+        """Check that options do not exclude each other; a fault is reported at the innermost fit.yaml."""
         spelled = {"form": "as:", "law": "law", "two_modes": "two_modes", "mode_table": "mode_table"}
         fault = options.fault(lambda option: spelled.get(option, option))
         if fault is None:
@@ -293,11 +291,11 @@ class _Reader:
         """Check the fit.yaml of a folder for keys that no fit below the folder uses."""
         if level.yaml is None:
             return
-        taken = self.taken[level.name]
+        fitted = self.fitted_kinds[level.name]
         for key in level.yaml.keys:
             kinds = KINDS_OF_KEY.get(key)
-            if kinds is not None and not taken & {*kinds}:
-                has = ", ".join(kind for kind in FIT_KINDS if kind in taken) or "nothing"
+            if kinds is not None and not fitted & {*kinds}:
+                has = ", ".join(kind for kind in FIT_KINDS if kind in fitted) or "nothing"
                 self.problems.append(level.yaml.problem(key, f"only for {kinds[0]}; fitted here: {has}"))
             if key != "kind":
                 continue
@@ -305,12 +303,12 @@ class _Reader:
             if level.name.count(os.sep) == 1:
                 if level.yaml.folder.kind not in (None, last):
                     self.problems.append(level.yaml.problem(key, f"must be {last}, the name of the folder"))
-            elif level.name not in self.loose:
+            elif level.name not in self.sets_kind:
                 text = "only for recordings directly in the folder of a material, which do not exist here"
                 self.problems.append(level.yaml.problem(key, text))
 
     def check_duplicates(self, sets: list[RecordingSet]) -> None:
-        """Check that no two materials have the same recording; duplicates within a fit are refused by the fit."""
+        """Check that no two materials share a recording; each fit checks its own recordings."""
         first: dict[str, tuple[str, str]] = {}
         for each in sets:
             for file in each.files:

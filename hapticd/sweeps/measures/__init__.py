@@ -1,19 +1,22 @@
 """Measures: the quantities that are measured at a point of a sweep.
 
-    registry             the measures by their names in `measure`
+    registry             the measures by their names in the study's key `measure`
     measure              the interface of a measure
     rest                 how the motion of the closed loop ends
     peaks                largest force and speed of a run
-    quantile             a quantile of a field of the samples
+    quantile             quantile over time of a field of the samples
     energy               energy that touched surfaces gave to the hand
-    loop                 difference between the closed loop and the continuous loop
+    loop                 difference between the sampled loop and the continuous loop
     continuous_wall      the continuous loop of a hand and one wall, in closed form
     onset                error of the reported time of a touch
-    margin               margin of the scene to instability, without a run
-    display              displayed error of a material's tap, without a run
-    passive_limit        the stiffness up to which a wall is passive, without a run
-    displayed_materials  which of the given materials a joystick can display, without a run
-    user_function        a function of the user
+    user_function        a Python function of the user
+
+Measures without a run:
+
+    margin               margin of the scene to instability
+    display              displayed error of a material's tap
+    passive_limit        the stiffness up to which a wall is passive
+    displayed_materials  the materials that a joystick can display
 
 User functions:
 

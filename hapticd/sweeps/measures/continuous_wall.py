@@ -5,12 +5,12 @@ With the height y of the handle above the surface, along the wall's normal, and 
     M y'' = k (w - y) + c (w' - y') - b y' + P + F,    F = max(0, -K y - D y') if y < 0, else 0.
 
 M is the mass of handle and hand, b the damping of the handle, k and c are stiffness and damping of the hand, K and D
-those of the wall, and P is a constant push. Between two waypoints the reference is a polynomial in time. So between two
-events (waypoint, touch or release) the equation is linear, and its solution is
+those of the wall, P is a constant force, and F that of the wall. Between two waypoints the reference is a polynomial in
+time. So between two events (waypoint, touch or release) the equation is linear, and its solution is
 
     y(t) = polynomial(t) + exp(-a t) (A cos(q t) + B sin(q t)/q),    a = R/2M,  q^2 = S/M - a^2,
 
-where R and S are the sums of all damping and all stiffness; q may be imaginary or 0. Events are found by bisection.
+where R is the total damping and S the total stiffness; q may be imaginary or 0. Events are found by bisection.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from numpy.polynomial import Polynomial
 
 Floats = npt.NDArray[np.float64]
 _MAX_BISECTIONS: Final = 80
-"""Bisections until the time of an event is exact to the last bit of a float."""
-_MAX_STRETCHES: Final = 100_000
-"""Number of stretches at which a motion is refused that touches and leaves the wall without end."""
+"""Maximum number of bisections for the time of an event; fewer suffice for the last bit of a float."""
+_MAX_SEGMENTS: Final = 100_000
+"""A motion with more segments is refused: it would touch and leave the wall without end."""
 _MINIMUM_JERK_COEFFICIENTS: Final = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
-"""Coefficients, from the lowest power up, of the fraction of the path over the fraction of the time between waypoints
-(Flash and Hogan 1985)."""
+"""Minimum-jerk motion (Flash and Hogan 1985): coefficients of the distance as a polynomial in time, from the lowest
+power up; both are fractions between two waypoints."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +51,14 @@ class WallLoop:
 
 
 @dataclass(frozen=True)
-class _Stretch:
-    """The motion between two events, in which the wall either exerts a force or does not."""
+class _Segment:
+    """The motion between two successive events: either the wall exerts a force all the time, or never."""
 
     begin_s: float
     pressed: bool
     """Whether the wall exerts a force."""
     forced: Polynomial
-    """The polynomial part of the height, in m, over the time since `begin_s`."""
+    """The polynomial part of the height, in m, as a function of the time since `begin_s`."""
     decay_per_s: float
     """a, in 1/s."""
     square: float
@@ -87,7 +87,7 @@ class _Stretch:
 
 
 class ContinuousWall:
-    """The motion that begins at rest at the hand's first waypoint, which is above the wall."""
+    """The motion of the handle, which begins at rest at the hand's first waypoint, above the wall."""
 
     def __init__(self, loop: WallLoop, waypoints: Floats, minimum_jerk: bool, end_s: float, step_s: float) -> None:
         """Compute the motion from 0 s to `end_s`.
@@ -97,42 +97,42 @@ class ContinuousWall:
         """
         self._loop = loop
         self._minimum_jerk = minimum_jerk
-        self._way = waypoints
-        self._stretches: list[_Stretch] = []
+        self._waypoints = waypoints
+        self._segments: list[_Segment] = []
         self._compute(end_s, step_s)
 
     def at(self, time_s: Floats) -> tuple[Floats, Floats]:
         """Return the height above the surface in m and the normal force of the wall in N at times (n,), each (n,)."""
         loop = self._loop
         height, force = np.empty_like(time_s), np.zeros_like(time_s)
-        begins = [stretch.begin_s for stretch in self._stretches]
+        begins = [segment.begin_s for segment in self._segments]
         which = np.searchsorted(begins, time_s, side="right") - 1
         for index in np.unique(which):
-            here, stretch = which == index, self._stretches[index]
-            height[here], speed = stretch.at(time_s[here])
-            if stretch.pressed:
+            here, segment = which == index, self._segments[index]
+            height[here], speed = segment.at(time_s[here])
+            if segment.pressed:
                 pressed = -loop.wall_stiffness_n_per_m * height[here] - loop.wall_damping_n_s_per_m * speed
                 force[here] = np.maximum(pressed, 0.0)
         return height, force
 
     def _compute(self, end_s: float, step_s: float) -> None:
         loop = self._loop
-        now, height, speed, pressed = 0.0, float(self._way[0, 1]), 0.0, False
+        now, height, speed, pressed = 0.0, float(self._waypoints[0, 1]), 0.0, False
         while now < end_s:
-            if len(self._stretches) == _MAX_STRETCHES:
+            if len(self._segments) == _MAX_SEGMENTS:
                 raise ArithmeticError("the continuous loop touches and leaves the wall without end")
             until = min(end_s, self._next_waypoint(now))
-            stretch = self._stretch(now, height, speed, pressed)
-            self._stretches.append(stretch)
+            segment = self._segment(now, height, speed, pressed)
+            self._segments.append(segment)
 
             def changes(y: Floats, v: Floats, pressed: bool = pressed) -> npt.NDArray[np.bool_]:
-                """Return where the wall exerts a force and did not at the begin of the stretch, or vice versa."""
+                """Return where the wall begins to exert a force if it exerted none in the segment, or vice versa."""
                 force = -loop.wall_stiffness_n_per_m * y - loop.wall_damping_n_s_per_m * v
                 found: npt.NDArray[np.bool_] = ((y < 0.0) & (force > 0.0)) != pressed
                 return found
 
             times = np.append(np.arange(now + step_s, until, step_s), until)
-            changed = np.flatnonzero(changes(*stretch.at(times)))
+            changed = np.flatnonzero(changes(*segment.at(times)))
             if len(changed):
                 low = now if changed[0] == 0 else float(times[changed[0] - 1])
                 high = float(times[changed[0]])
@@ -140,29 +140,31 @@ class ContinuousWall:
                     middle = 0.5 * (low + high)
                     if middle in (low, high):
                         break
-                    low, high = (low, middle) if changes(*stretch.at(np.array([middle])))[0] else (middle, high)
+                    low, high = (low, middle) if changes(*segment.at(np.array([middle])))[0] else (middle, high)
                 until = high
                 pressed = not pressed
-            (height,), (speed,) = (each.tolist() for each in stretch.at(np.array([until])))
+            (height,), (speed,) = (each.tolist() for each in segment.at(np.array([until])))
             now = until
 
     def _next_waypoint(self, now_s: float) -> float:
-        later = self._way[self._way[:, 0] > now_s, 0]
+        later = self._waypoints[self._waypoints[:, 0] > now_s, 0]
         return float(later[0]) if len(later) else math.inf
 
     def _reference(self, now_s: float) -> Polynomial:
         """Return the height of the reference as a polynomial in the time since `now_s`, up to the next waypoint."""
-        way = self._way
-        index = int(np.searchsorted(way[:, 0], now_s, side="right")) - 1
-        if index < 0 or index + 1 >= len(way):
-            return Polynomial([way[max(index, 0), 1]])
-        (begin_s, begin), (end_s, end) = way[index], way[index + 1]
-        part = Polynomial([(now_s - begin_s) / (end_s - begin_s), 1.0 / (end_s - begin_s)])
-        gone = Polynomial(_MINIMUM_JERK_COEFFICIENTS)(part) if self._minimum_jerk else part
-        found: Polynomial = begin + (end - begin) * gone
+        waypoints = self._waypoints
+        index = int(np.searchsorted(waypoints[:, 0], now_s, side="right")) - 1
+        if index < 0 or index + 1 >= len(waypoints):
+            return Polynomial([waypoints[max(index, 0), 1]])
+        (begin_s, begin), (end_s, end) = waypoints[index], waypoints[index + 1]
+        time_fraction = Polynomial([(now_s - begin_s) / (end_s - begin_s), 1.0 / (end_s - begin_s)])
+        distance_fraction = (
+            Polynomial(_MINIMUM_JERK_COEFFICIENTS)(time_fraction) if self._minimum_jerk else time_fraction
+        )
+        found: Polynomial = begin + (end - begin) * distance_fraction
         return found
 
-    def _stretch(self, now_s: float, height: float, speed: float, pressed: bool) -> _Stretch:
+    def _segment(self, now_s: float, height: float, speed: float, pressed: bool) -> _Segment:
         loop = self._loop
         damping = loop.damping_n_s_per_m + loop.hand_damping_n_s_per_m
         stiffness = loop.hand_stiffness_n_per_m
@@ -176,13 +178,14 @@ class ContinuousWall:
         square = stiffness / loop.mass_kg - decay * decay
         first = height - float(forced(0.0))
         second = speed - float(forced.deriv()(0.0)) + decay * first
-        return _Stretch(now_s, pressed, forced, decay, square, first, second)
+        return _Segment(now_s, pressed, forced, decay, square, first, second)
 
 
 def _particular(mass: float, damping: float, stiffness: float, drive: Sequence[float]) -> list[float]:
     """Return the coefficients of a polynomial y with M y'' + R y' + S y = drive, from the lowest power up.
 
-    Without stiffness its degree is one higher than that of the drive, without damping, too, two higher; then y(0) = 0.
+    Its degree is that of `drive`; without stiffness it is one higher, without stiffness and damping two higher, and
+    y(0) = 0.
     """
     if stiffness == 0.0:
         if damping == 0.0:

@@ -1,4 +1,4 @@
-"""Displayed error of a material's tap: how handle and hand distort its waveform, in closed form, without a run."""
+"""Displayed error of a material's tap: how handle and hand distort its waveform, in closed form."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class DisplayedErrorOptions(Model):
 
 
 class DisplayedError:
-    """RMS difference of the handle's acceleration and the tap's waveform, relative to the RMS of the waveform.
+    """RMS difference of the handle's acceleration and the tap's waveform, as a fraction of the RMS of the waveform.
 
-    It is computed from 30 Hz to 0.4 of the rate (docs/accuracy.md) for a tap that begins at a tick and touches nothing.
-    A value of 0.1 is 10 %. It is None if the frequency of the mode is too high for the rate of servo or link.
+    It is computed from 30 Hz to 0.4 of the servo rate (docs/accuracy.md), for a tap that begins at a tick while nothing
+    is touched. It is None if the frequency of the mode is too high for the rate of the servo or the link.
     """
 
     needs_run = False

@@ -1,4 +1,4 @@
-"""Which of the given materials a joystick design can display, without a run: for choosing the parts of a joystick."""
+"""The materials that a joystick design can display, as a criterion for choosing its components."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class DisplayedMaterialsOptions(Model):
 
 
 class DisplayedMaterials:
-    """Counts the materials that are displayed, and gives a reason for each other one.
+    """Counts the materials that are displayed, and gives a reason for each material that is not.
 
-    A material is displayed if a wall of it comes to rest in every hand (docs/stability.md), the rate is high enough for
-    its tap, the displayed error of the tap (docs/accuracy.md) is at most `error_at_most`, and the vibration of a tap
+    A material is displayed if a wall of it is stable in every hand (docs/stability.md), the rate is high enough for its
+    tap, the displayed error of the tap (docs/accuracy.md) is at most `error_at_most`, and the vibration force of a tap
     at `speed_m_per_s` does not exceed device.max_force_n.
     """
 
@@ -92,7 +92,7 @@ class DisplayedMaterials:
         }
 
     def _fault(self, max_force_n: float, is_stable: bool, shown: tuple[float, float] | None) -> tuple[str, str] | None:
-        """Return the reason why a material is not displayed and its value; None if it is displayed."""
+        """Return why a material is not displayed, and the value that is too large; None if it is displayed."""
         if not is_stable:
             return "may oscillate", ""
         if shown is None:
@@ -104,7 +104,7 @@ class DisplayedMaterials:
 
 
 def _shown(material: Material, mode: Mode, output: Output, speed_m_per_s: float) -> tuple[float, float] | None:
-    """Return displayed error and largest force in N of a tap; None if its frequency is too high for the rate."""
+    """Return displayed error and maximum force in N of a tap; None if the frequency of the tap is too high."""
     error = strike_error(mode, output)
     if error is None:
         return None
@@ -117,7 +117,7 @@ def _shown(material: Material, mode: Mode, output: Output, speed_m_per_s: float)
 
 
 def _is_stable(config: Config, name: str) -> bool:
-    """Return whether a wall of a material comes to rest in every hand."""
+    """Return whether a wall of a material is stable in every hand."""
     wall = Wall(kind="wall", point_m=(0.0, 0.0), normal=(0.0, 1.0), material=name)
     sets = sets_of(config.model_copy(update={"scene": Scene(objects={"wall": wall})}))
     assert sets is not None  # the handle is known

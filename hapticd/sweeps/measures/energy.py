@@ -18,20 +18,20 @@ from hapticd.sweeps.point import Point
 
 Floats = npt.NDArray[np.float64]
 _PERIOD_TOLERANCE: Final = 1e-9
-"""Rounding tolerance, in periods, for an age that is an integer number of periods."""
+"""Tolerance, in periods, within which the age of positions is rounded to an integer."""
 
 
-def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], together: int = 0) -> float:
-    """Return the largest partial sum of f.(x' - x) over one contact, in J, at least 0.
+def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], max_gap_ticks: int = 0) -> float:
+    """Return the largest energy that one contact had given at any tick, a partial sum of f.(x' - x), in J, at least 0.
 
-    A force f acts while the position changes from x to x', also after the last tick of the contact. `force_n` and
-    `position_m` have shape (n, 2), `touched` (n,). Contacts with at most `together` ticks between them count as one.
+    The force f acts while the position changes from x to x'; that of the last tick acts after the contact. `force_n`
+    and `position_m` have shape (n, 2), `touched` (n,). Contacts count as one if the gap is at most `max_gap_ticks`.
     """
     steps = np.zeros(len(force_n))
     steps[1:] = (force_n[:-1] * np.diff(position_m, axis=0)).sum(1)
     largest = 0.0
     edges = np.flatnonzero(np.diff(np.concatenate(([0], touched.astype(np.int8), [0]))))
-    gaps = np.flatnonzero(edges[2::2] - edges[1:-1:2] > together) if len(edges) else edges
+    gaps = np.flatnonzero(edges[2::2] - edges[1:-1:2] > max_gap_ticks) if len(edges) else edges
     edges = np.concatenate((edges[:1], np.stack((edges[1 + 2 * gaps], edges[2 + 2 * gaps]), 1).ravel(), edges[-1:]))
     for begin, end in edges.reshape(-1, 2):
         sums = np.cumsum(steps[begin + 1 : end + 1])
@@ -43,8 +43,8 @@ def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_],
 class EnergyGiven:
     """The largest net energy that the surfaces had given to the hand at any time of one contact.
 
-    It is the sum of f.(x' - x), where f is the commanded force of the touched objects (after the limit, without
-    vibration) and x the true position of the handle; in the open loop x is the position on the path of the hand.
+    The energy is the sum of f.(x' - x) over ticks. f is the commanded force of the touched objects after the force
+    limit, without vibration. x is the true position of the handle, or in the open loop that on the path of the hand.
     """
 
     columns = (
@@ -61,9 +61,9 @@ class EnergyGiven:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Measure over all contacts of the run. Raises HapticdError if the scene has fields.
+        """Measure over all contacts of the run.
 
-        The samples have only the sum of the forces of surfaces and fields.
+        Raises HapticdError if the scene has fields: samples have only the total force.
         """
         config, run = point.config, point.run
         fields = field_ids(config.scene.objects)

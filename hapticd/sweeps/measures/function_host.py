@@ -22,13 +22,13 @@ from hapticd.sweeps.measures.sweep_point import SweepPoint
 _PR_SET_PDEATHSIG: Final = 1
 """Option of prctl(2): the signal that a process gets when the thread that started it ends."""
 _MAX_ERROR_CHARACTERS: Final = 500
-"""Length at which error texts of a function are cut."""
+"""Length in characters at which error texts of a function are cut."""
 
 
 def serve() -> None:
     """Load the function, then call it for each point from the pipe until the pipe is closed.
 
-    The process is killed when the thread that started it ends, also during a call.
+    The system kills the process when the thread that started it ends, even during a call.
     """
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != int(sys.argv[1]):
@@ -50,7 +50,7 @@ def serve() -> None:
 
 
 def loaded(function: Function) -> Callable[[SweepPoint], object]:
-    """Create a module from its source and return the function. Raises HapticdError (one line)."""
+    """Create the module of a function from its source, and return the function. Raises HapticdError (one line)."""
     name = function.module
     if function.folder:
         sys.path.insert(0, function.folder)

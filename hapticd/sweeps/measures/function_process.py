@@ -1,8 +1,7 @@
 """The process that calls a user's function, and that can be killed at any moment.
 
-Threads cannot be killed, and alarms interrupt only the main thread: a function that never returns to Python would block
-a worker for ever. So each thread of a worker has a process for each function. It loads the module once, and is killed
-after a time-out or when the thread ends.
+Threads cannot be killed, and signals interrupt only the main thread. So each thread of a worker has a process for each
+function. The process loads the module once, and is killed after a time-out or when the thread ends.
 
     to the process      a Function, then a SweepPoint for each call
     from the process    None or the reason why the module cannot be used; then (values, None) or (None, reason)
@@ -29,9 +28,9 @@ from hapticd.sweeps.columns import Kind, Row
 from hapticd.sweeps.measures.sweep_point import SweepPoint
 
 MODULE_LOAD_TIMEOUT_S: Final = 60.0
-"""Time in s to start Python and load the module."""
+"""Time-out in s for starting Python and loading the module."""
 _MAX_PROCESSES_PER_THREAD: Final = 4
-"""Number of function processes that a thread keeps; that of the function used longest ago is ended first."""
+"""Maximum number of function processes of a thread; beyond it, the least recently used process is ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +41,11 @@ class Function:
     name: str
     source: str
     file: str
-    """Path at which the source was found; it may not exist on another machine."""
+    """Path from which the source was read; it need not exist at the worker."""
     folder: str
-    """Folder of the study, from which the module can import others."""
+    """Folder of the study, from which the module can import."""
     kinds: tuple[tuple[str, Kind], ...]
-    """Name and kind of each column."""
+    """Name and kind of each returned column."""
 
     @property
     def call(self) -> str:
@@ -77,8 +76,8 @@ class FunctionProcess:
         except OSError as error:
             raise HapticdError(f"cannot start a process for {function.call}: {os.strerror(error.errno or 0)}") from None
         self._end = weakref.finalize(self, _end, self._process, self._pipe)
-        late = f"its module was not loaded within {duration(MODULE_LOAD_TIMEOUT_S)}"
-        why = self._exchange(function, MODULE_LOAD_TIMEOUT_S, late)
+        timeout_text = f"its module was not loaded within {duration(MODULE_LOAD_TIMEOUT_S)}"
+        why = self._exchange(function, MODULE_LOAD_TIMEOUT_S, timeout_text)
         if why is not None:
             self.end()
             raise HapticdError(why)
@@ -90,8 +89,8 @@ class FunctionProcess:
 
     def values(self, point: SweepPoint, timeout_s: float) -> Row:
         """Call the function for a point and return its values by column. Raises HapticdError (one line)."""
-        late = f"timed out after {duration(timeout_s)} and was killed (timeout_s)"
-        values, why = self._exchange(point, timeout_s, late)
+        timeout_text = f"timed out after {duration(timeout_s)} and was killed (timeout_s)"
+        values, why = self._exchange(point, timeout_s, timeout_text)
         if why is not None:
             raise HapticdError(f"{self.function.call}: {why}")
         found: Row = values
@@ -101,10 +100,10 @@ class FunctionProcess:
         """Kill the process."""
         self._end()
 
-    def _exchange(self, message: object, timeout_s: float, late: str) -> Any:
+    def _exchange(self, message: object, timeout_s: float, timeout_text: str) -> Any:
         """Send a message and return the answer; kill the process after `timeout_s` without one.
 
-        Raises HapticdError with the text `late` after a time-out, or with the exit status if the process has ended.
+        Raises HapticdError: with `timeout_text` after a time-out, with the exit status if the process has ended.
         """
         is_late = threading.Event()
 
@@ -124,7 +123,7 @@ class FunctionProcess:
             timer.cancel()
         code = self._process.wait()
         self.end()
-        raise HapticdError(f"{self.function.call}: {late if is_late.is_set() else _ended(code)}")
+        raise HapticdError(f"{self.function.call}: {timeout_text if is_late.is_set() else _ended(code)}")
 
 
 def _ended(code: int) -> str:

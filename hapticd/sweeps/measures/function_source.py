@@ -22,7 +22,7 @@ class FunctionSource:
 
 
 def source_of(module: str, folder: str) -> FunctionSource:
-    """Read the source of a module from `folder`, or else from the file that Python would import.
+    """Read the source of a module from `folder`; if it is not there, from the file that Python would import.
 
     Raises HapticdError (one line).
     """

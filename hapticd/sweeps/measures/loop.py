@@ -1,4 +1,4 @@
-"""The error of the closed loop relative to the continuous loop in closed form (docs/accuracy.md, The closed loop)."""
+"""The error of the sampled loop relative to the continuous loop, in closed form (docs/accuracy.md, The closed loop)."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from hapticd.sweeps.point import Point
 class LoopError:
     """Largest errors of force and penetration of a hand that presses on one wall.
 
-    They are due to rate, hold, encoder, delay, limit and actuator. The reference is a servo of infinite rate with exact
-    positions and no delay.
+    The causes are servo rate, zero-order hold, encoder, delay, force limit and actuator. The reference is a servo with
+    infinite rate, exact positions and no delay.
     """
 
     columns = (
@@ -29,7 +29,7 @@ class LoopError:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Measure over all ticks. Raises HapticdError if the continuous loop has no closed form, with the reason."""
+        """Measure over all ticks. Raises HapticdError with the reason if the continuous loop has no closed form."""
         if point.run_kind != "simulate":
             raise HapticdError("loop_error needs the closed loop: set run: simulate")
         wall, material, push = _the_wall(point)

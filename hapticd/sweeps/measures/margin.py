@@ -1,4 +1,4 @@
-"""The margin of a scene to instability (docs/stability.md), without a run."""
+"""The margin of a scene to instability (docs/stability.md)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from hapticd.sweeps.point import Point
 
 
 class StabilityFactor:
-    """The largest factor by which all stiffnesses may grow while each contact set stays proved stable in every hand.
+    """The largest factor by which all stiffnesses can be multiplied so that stability in every hand is still proved.
 
-    Below 1 the scene itself is not proved stable. The value is None if the scene has no surfaces.
+    Below 1 the scene is not proved stable. The value is None if the scene has no surfaces.
     """
 
     columns = (

@@ -10,11 +10,11 @@ from hapticd.sweeps.point import Point
 
 
 class Measure(Protocol):
-    """A quantity, or several, that is measured at a point."""
+    """One or more quantities that are measured at a point."""
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """The columns that the measure fills."""
+        """The columns of the measured quantities."""
 
     @property
     def needs_run(self) -> bool:
@@ -25,4 +25,4 @@ class Measure(Protocol):
 
 
 class NoOptions(Model):
-    """Options of a measure that has none."""
+    """The empty options of a measure without options."""

@@ -17,18 +17,18 @@ from hapticd.sweeps.measures.measure import NoOptions
 from hapticd.sweeps.point import Point
 
 Floats: TypeAlias = npt.NDArray[np.float64]
-Way: TypeAlias = Callable[[Floats], Floats]
-"""A function that returns positions, (n, 2), at times, (n,)."""
+Trajectory: TypeAlias = Callable[[Floats], Floats]
+"""A function of times in s, (n,), that returns positions in m, (n, 2)."""
 _CROSSING_BISECTIONS: Final = 60
-"""Bisections of a tick until the time of a crossing is exact to the last bit of a float."""
+"""Bisections of a period after which the time of a crossing is exact to the last bit of a float."""
 
 
 class OnsetError:
     """The time of a touch as reported by its event, minus the time at which the probe crosses the surface.
 
-    In the open loop the probe moves along the path of the hand. In the closed loop its true motion is interpolated
-    between two ticks by a cubic through positions and velocities. A touch is compared with the crossing of the same
-    object that is nearest in time.
+    In the open loop the probe moves along the path of the hand. In the closed loop its true motion between two ticks is
+    the cubic with the true positions and velocities at both. A touch is compared with the crossing of the same object
+    that is nearest in time.
     """
 
     columns = (
@@ -48,20 +48,20 @@ class OnsetError:
     def of(self, point: Point) -> Row:
         """Measure over all touches of the run; the error is None without a touch.
 
-        Raises HapticdError if an object was touched and its surface is never crossed.
+        Raises HapticdError if an object was touched although the probe never crosses its surface.
         """
         run, objects = point.run, point.config.scene.objects
         touched = run.events[run.events["kind"] == EventKind.CONTACT]
         reported = touched[(touched["code"] & lib.HD_CONTACT_SILENT) == 0]
         time_s = np.arange(len(run.samples)) / run.rate_hz
-        way: Way = point.hand_at if run.truth is None else _cubic(run.truth, run.rate_hz)
-        positions = way(time_s) if run.truth is None else run.truth[:, :2]
+        trajectory: Trajectory = point.hand_at if run.truth is None else _cubic(run.truth, run.rate_hz)
+        positions = trajectory(time_s) if run.truth is None else run.truth[:, :2]
         crossings: dict[str, Floats] = {}
         errors = []
         for event in reported:
             name = run.objects[int(event["slot"]), int(event["generation"])]
             if name not in crossings:
-                crossings[name] = _crossings(objects[name], time_s, positions, way)
+                crossings[name] = _crossings(objects[name], time_s, positions, trajectory)
             if not len(crossings[name]):
                 raise HapticdError(f"onset_error: a touch of {name} is reported, but its surface is never crossed")
             late_s = float(event["tick"]) / run.rate_hz - float(event["before_tick_s"]) - crossings[name]
@@ -69,22 +69,22 @@ class OnsetError:
         return {"onset_error_s": max(errors, key=abs, default=None), "onsets": len(errors)}
 
 
-def _crossings(item: SceneObject, time_s: Floats, positions: Floats, way: Way) -> Floats:
-    """Return the times in s at which the probe enters an object, each between a tick outside and a tick inside."""
+def _crossings(item: SceneObject, time_s: Floats, positions: Floats, trajectory: Trajectory) -> Floats:
+    """Return the times in s at which the probe enters an object: in periods that begin outside and end inside."""
     height = _height_of(item, positions)
     into = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0))
     low, high = time_s[into], time_s[into + 1]
     for _ in range(_CROSSING_BISECTIONS):
         middle = 0.5 * (low + high)
-        above = _height_of(item, way(middle)) > 0.0
+        above = _height_of(item, trajectory(middle)) > 0.0
         low, high = np.where(above, middle, low), np.where(above, high, middle)
     return high
 
 
 def _height_of(item: SceneObject, position: Floats) -> Floats:
-    """Return the heights above the surface of an object in m, (n,), negative inside.
+    """Return the heights of positions above the surface of an object in m, (n,); inside they are negative.
 
-    In a box it is the larger of the distances along its two axes.
+    For a box, the height is the larger of the heights along its two axes.
     """
     if not isinstance(item, SURFACE_MODELS):
         raise HapticdError(f"onset_error: a {item.kind} has no surface")
@@ -104,8 +104,8 @@ def _height_of(item: SceneObject, position: Floats) -> Floats:
     raise HapticdError("onset_error needs walls, discs or boxes: a membrane can be touched from both sides")
 
 
-def _cubic(truth: Floats, rate_hz: float) -> Way:
-    """Return the path that interpolates positions and velocities at ticks, (n, 4), by cubics."""
+def _cubic(truth: Floats, rate_hz: float) -> Trajectory:
+    """Return the trajectory that interpolates positions and velocities at ticks, (n, 4), by cubics."""
 
     def at(time_s: Floats) -> Floats:
         index = np.clip((time_s * rate_hz).astype(np.int64), 0, len(truth) - 2)

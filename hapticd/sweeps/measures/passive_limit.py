@@ -20,10 +20,10 @@ class PassiveLimitOptions(Model):
 class PassiveLimit:
     """The stiffness K = (b - |D|) / (T/2 + t_d) in N/m.
 
-    b is the damping of the handle, D that of the wall, T the period and t_d the age of the positions. With exact
-    positions, no passive hand makes a wall of a lower stiffness oscillate (Colgate and Schenkel, J. Robotic Systems 14,
-    1997). The limit is 0 if |D| is at least b. If reports, ticks and frames have different rates, T/2 + t_d is replaced
-    by the reach of docs/stability.md.
+    b is the damping of the handle, D that of the wall, T the servo's period and t_d the age of the positions. A wall
+    with a lower stiffness oscillates in no passive hand if positions are exact (Colgate and Schenkel, J. Robotic
+    Systems 14, 1997). The limit is 0 if |D| is at least b. If position reports, ticks and force frames have different
+    rates, the reach (docs/stability.md) replaces T/2 + t_d.
     """
 
     columns = (

@@ -1,4 +1,4 @@
-"""A quantile of a field of the samples."""
+"""The quantile over time of a field of the samples."""
 
 from __future__ import annotations
 

@@ -25,9 +25,9 @@ class RestOptions(Model):
 class Rest:
     """How the motion of the closed loop ends, without vibration (hapticd.rendering.end_state).
 
-    `end` is `rests`, `cycles`, `grows`, or `falls` if its energy still fell after `longest_s`. `rests` is true only of
-    the first; `decays` is true of `rests` and `falls`. Search the boundary of stability with `decays`, since a motion
-    close to it takes long to come to rest.
+    The column `end` is `rests`, `cycles`, `grows`, or `falls` if the energy of the motion still fell after `longest_s`.
+    `rests` is true if `end` is `rests`; `decays` is true if `end` is `rests` or `falls`. Use `decays` to search the
+    boundary of stability, close to which a motion takes long to come to rest.
     """
 
     columns = (
@@ -41,7 +41,7 @@ class Rest:
         self._longest_s = options.longest_s
 
     def of(self, point: Point) -> Row:
-        """Measure from the last waypoint of the hand on; the duration of the study is ignored."""
+        """Measure the motion after the last waypoint of the hand; the study's `duration_s` is ignored."""
         if point.run_kind != "simulate":
             raise HapticdError("end needs the closed loop: set run: simulate")
         config, operator = point.config, point.operator

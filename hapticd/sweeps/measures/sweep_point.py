@@ -1,4 +1,4 @@
-"""The argument of a user's function. Its members are a stable interface; others may be added."""
+"""The argument of a user's function. Its fields are a stable interface; later versions may add fields."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """One point of a sweep, as a user's function gets it."""
+    """One point of a sweep, the argument of a user's function."""
 
     config: dict[str, Any]
     """The configuration with this point's values, for `hapticd.render` and `hapticd.simulate`."""
     operator: dict[str, Any] | None
-    """The operator, which is the motion of the hand, with this point's values; None without one."""
+    """The operator, which is the motion of the hand, with this point's values, or None."""
     parameters: dict[str, Any]
     """`parameters` of the study, with this point's values."""
     duration_s: float | None

@@ -19,9 +19,9 @@ from hapticd.sweeps.point import Point
 FUNCTION_MEASURE: Final = "function"
 """Name of the measure."""
 _KIND_OF_UNIT: Final[Mapping[str, Kind]] = {"integer": "integer", "boolean": "boolean", "text": "text"}
-"""Kinds that `columns` names instead of a unit; any other text is the unit of a number."""
+"""Values in the option `columns` that are kinds of columns; any other value is the unit of a number."""
 _ADDED_OPTIONS: Final = ("source", "file", "folder")
-"""Options that are not set by the user, but when a study is read."""
+"""Options that are added when a study is read; users do not set them."""
 _NON_IDENTITY_OPTIONS: Final = ("file", "folder", "timeout_s")
 """Options that results do not depend on."""
 
@@ -84,9 +84,9 @@ def _column(call: str, name: str, unit: str) -> Column:
 
 
 def with_source(options: Mapping[str, Json], folder: str) -> dict[str, Json]:
-    """Return the options with the source of the module, so that a worker needs no other file.
+    """Return the options with the source of the module added, so that a worker needs no file.
 
-    `folder` is that of the study. Raises InvalidError, with paths relative to the options.
+    `folder` is the study's folder. Raises InvalidError, with paths relative to the options.
     """
     given = {key: value for key, value in options.items() if key not in _ADDED_OPTIONS}
     parsed = FunctionOptions.model_validate(given)

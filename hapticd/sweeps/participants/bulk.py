@@ -1,4 +1,4 @@
-"""The simulated participants of a study as work of the engine."""
+"""The simulated participants of an experiment as points of the engine."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Sessions:
 
 @dataclass(frozen=True)
 class Participants:
-    """Simulated participants, each with one session of the same study: work of the engine."""
+    """Simulated participants, each with one session of the same experiment, as points of the engine."""
 
     study: Study
     session: int
@@ -90,7 +90,7 @@ class Participants:
         return Sessions(self.study, self.session, self.seed, ids, labels)
 
     def manifest(self) -> dict[str, Json]:
-        """Return the members of study.json besides title and columns."""
+        """Return the members of study.json other than title and columns."""
         return {
             "kind": "participants",
             "study": self.study.to_dict(),

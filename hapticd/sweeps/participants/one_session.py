@@ -21,7 +21,7 @@ from hapticd.experiment.stimuli import at_level
 from hapticd.sweeps.columns import Column, Row
 
 CLOCK_KEY: Final = "clock"
-"""Member of the first record of a log with the time of day, which is left out of a row."""
+"""Member of the first record of a log with the time of day; rows omit it."""
 SESSION_COLUMNS: Final = (
     Column("trials", "integer", "measured", "", "Number of trials of the plan."),
     Column("answered", "integer", "measured", "", "Number of trials with an answer."),
@@ -31,13 +31,13 @@ SESSION_COLUMNS: Final = (
     Column("duration_s", "number", "measured", "s", "Duration of the session for the participant."),
     Column("log", "text", "measured", "", "The records of the session's log, as JSON."),
 )
-"""The measured columns of the row of a session."""
+"""The measured columns in the row of a session."""
 
 
 def row_of(study: Study, participant: str, session: int, seed: int) -> Row:
     """Run a session and return the values of SESSION_COLUMNS. Raises HapticdError.
 
-    The same study, participant, session and seed give the same bits.
+    They are determined bit for bit by study, participant, session and seed.
     """
     made = plan(study, participant, session, seed)
     records, duration_s = _run(made)
@@ -53,13 +53,13 @@ def row_of(study: Study, participant: str, session: int, seed: int) -> Row:
 
 
 def records_of(row: Row) -> list[Record]:
-    """Return the records of the log in a row."""
+    """Return the records in the column `log` of a row."""
     found: list[Record] = json.loads(str(row["log"]))
     return found
 
 
 def stage_of(point: str) -> dict[str, Json]:
-    """Return the member `stage` of session.json of the participant with this identity."""
+    """Return the member `stage` of session.json for the participant with the identity `point`."""
     return {**OfflineStage().describe(), "simulated": True, "telemetry": False, "point": point}
 
 

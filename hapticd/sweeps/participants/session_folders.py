@@ -1,8 +1,8 @@
 """Writes rows of simulated participants as session folders, which `hapticd experiment analyze` reads.
 
-Syncing each of about ten files of a session to disk would take longer than everything else. So the disk is synced only
-once in SESSIONS_PER_SYNC sessions, and WRITTEN_FILE lists the sessions that are on disk. After a power failure the
-others are written again from their rows.
+Syncing each of the ten files of a session would take longer than everything else. So the disk is synced once after
+SESSIONS_PER_SYNC sessions, and WRITTEN_FILE lists the sessions that are on disk. After a power failure the other
+sessions are written again from their rows.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hapticd.sweeps.participants.bulk import PARTICIPANT_COLUMN, Participants
 from hapticd.sweeps.participants.one_session import CLOCK_KEY, records_of, stage_of
 
 WRITTEN_FILE: Final = "written.txt"
-"""Name of the file in the result folder with the identities of participants whose folders are on disk, one a line."""
+"""File in the result folder with the identities of participants whose folders are on disk, one per line."""
 SESSIONS_PER_SYNC: Final = 500
 """Number of sessions after which the disk is synced."""
 
@@ -34,10 +34,10 @@ class SessionFolders:
     """The session folders of simulated participants in a data set."""
 
     def __init__(self, root: Path, rows_folder: Path, source: bytes, work: Participants) -> None:
-        """Check the data set; `source` is the YAML text of the study, `rows_folder` the folder of rows.
+        """Check the data set `root`; `source` is the YAML text of the study, `rows_folder` the result folder.
 
-        Raises HapticdError if the data set has a session of another study, or another session with the label and number
-        of one of these.
+        Raises HapticdError if the data set has a session of another study, or another session with the same label and
+        number.
         """
         check_one_study(root, work.title)
         self._root, self._work, self._source = root, work, source
@@ -61,7 +61,7 @@ class SessionFolders:
         )
 
     def write(self, rows: Iterable[Row]) -> int:
-        """Write the missing folders of all rows without an error, and return their number. Raises HapticdError."""
+        """Write the missing session folders of rows that have no error; return their number. Raises HapticdError."""
         fresh: list[str] = []
         count = 0
         for row in rows:
@@ -86,7 +86,7 @@ class SessionFolders:
         write_session_tables(folder, synced=False)
 
     def _sync(self, fresh: list[str]) -> None:
-        """Sync the disk, then add the identities `fresh` to WRITTEN_FILE and clear the list."""
+        """Sync the disk, then move the identities in `fresh` to WRITTEN_FILE."""
         if not fresh:
             return
         os.sync()
