@@ -259,7 +259,7 @@ def _quantities(
         known = ", ".join(COLUMN_OF.values())
         has = known_names("", map(short_name, [*table.names, *table.others])).removeprefix("known: ")
         raise ValueError(f"none of the columns {known}; the file has {has}: name the columns in {where}")
-    places = {quantity: table.place(column.column) for quantity, column in wanted.items()}
+    places = {quantity: table.index_of(column.column) for quantity, column in wanted.items()}
     # `uniform` reports values that are too large or NaN.
     with np.errstate(all="ignore"):
         read = dict(zip(places, table.read(list(places.values())), strict=True))
