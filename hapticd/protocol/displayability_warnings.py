@@ -1,6 +1,6 @@
-"""Warnings of objects and materials in a message that cannot be displayed as written, with their places in its params.
+"""Warnings of objects and materials in a message that are not displayed as written, with their paths in its params.
 
-`get_status` reports the same of the complete scene (rendering/displayability.py).
+`get_status` has the same warnings of the complete scene (rendering/displayability.py).
 """
 
 from collections.abc import Collection, Mapping
@@ -29,7 +29,7 @@ _PATH_BY_MODE: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove
 
 
 class MaterialReport(NamedTuple):
-    """What an output cannot display of a material as written."""
+    """The parts of a material that an output does not display as written."""
 
     material: Material
     output: Output
@@ -42,7 +42,7 @@ class MaterialReport(NamedTuple):
 
     @classmethod
     def of(cls, name: str, material: Material, output: Output) -> Self:
-        """Return the report of a material at an output."""
+        """Return the report of a material that is displayed at an output."""
         lacking, warnings = undisplayable({name: material}, output), material_warnings(name, material, output)
         fine = not (lacking or warnings or material_rate_faults(name, material, output))
         return cls(material, output, lacking, warnings, fine)
@@ -87,8 +87,8 @@ def change_warnings(
     """Return at most MAX_FAULTS warnings of the objects and materials in a message, and of materials they name.
 
     Paths of objects begin with `root`, those of materials in `sent` with `materials`. Other materials are reported
-    at the first object that names them. `reports` has all these materials. `played` are pairs of material and mode that
-    the device plays itself.
+    with the path of the first object that names them. `reports` has all these materials. `played` are pairs of
+    material and mode that the device plays itself.
     """
     if not sent and all(_is_fine(item, reports) for item in objects.values()):
         return []
@@ -108,14 +108,14 @@ def change_warnings(
 
 
 def _is_fine(item: SceneObject, reports: Mapping[str, MaterialReport]) -> bool:
-    """Whether there is certainly nothing to report of an object."""
+    """Return whether an object certainly has no warnings."""
     if item.kind == "wall" and item.patches:
         return False
     return all(reports[name].fine for name in material_names(item))
 
 
 def operator_warnings(waypoints: npt.NDArray[np.float64], workspace_m: float, where: str | None) -> list[Problem]:
-    """Return a warning of the first of the waypoints, shape (n, 3), that is beyond the stops of the handle.
+    """Return a warning of the first waypoint, of shape (n, 3), that is beyond the stops of the handle; else [].
 
     `where` is the place of the warning, by default that of the waypoint.
     """
