@@ -115,7 +115,7 @@ class Sim(Model):
 
     @property
     def reports_s(self) -> tuple[float, float]:
-        """Time between position reports (0: one at every tick), and their age when read, in s."""
+        """Time between position reports in s, 0 for a report at every tick, and their age in s when read."""
         if self.link is None:
             return self.report_interval_s, self.report_delay_s
         return 1.0 / self.link.rate_hz, self.link.delay_frames / self.link.rate_hz
@@ -236,7 +236,7 @@ class Device(Model):
 
     @property
     def lag(self) -> Actuator | None:
-        """The actuator's lag; None if it has none or it is not known."""
+        """The actuator's lag; None if the force follows at once or the lag is unknown."""
         return self.sim.actuator if self.actuator is None and self.kind == "sim" else self.actuator
 
     @model_validator(mode="after")
@@ -332,12 +332,12 @@ def default_config() -> Config:
 
 
 def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
-    """Load the configuration of a command: of the files that it names, or of those that locations.choose finds."""
+    """Load the configuration of a command from the files given with -c, or from those that locations.choose finds."""
     return chosen_config(choose(paths))
 
 
 def chosen_config(chosen: ConfigFiles) -> Config:
-    """Load the chosen files as load_config does, or without any the built-in configuration.
+    """Load the chosen files as load_config does; without files return the built-in configuration.
 
     A shipped scene may be given by its name. Raises HapticdError also if the environment names a missing file.
     """
@@ -367,13 +367,13 @@ def config_of_documents(documents: Sequence[Document]) -> Config:
 
 
 def _as_configuration(document: Document) -> Document:
-    """Return a document as a configuration, also for a scene alone. Raises InvalidError for another kind."""
+    """Return a configuration or a bare scene as a configuration. Raises InvalidError for another kind of document."""
     refuse_other_kinds(document, "configuration", "change", "scene", "bare scene", "materials")
     return document.below("scene") if kind_of(document.data) == "bare scene" else document
 
 
 class Merged:
-    """Several documents merged into one, which knows the document of each value."""
+    """Several documents merged into one, with the document that each value comes from."""
 
     def __init__(self) -> None:
         self.data: dict[str, Json] = {}

@@ -58,7 +58,7 @@ KEYS_OF_KIND: Final[dict[Kind, tuple[str, ...]]] = {
     "study": ("experiment", "factors", "trial", "questions"),
     "sweep": ("vary", "measure", "refine"),
 }
-"""Keys of which one shows the kind of a document."""
+"""Keys by kind. A document with any of these keys is of this kind."""
 KINDS_WITH_PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
     "objects": ("scene", "bare scene", "objects"),
     "materials": ("materials", "bare materials"),
@@ -67,7 +67,7 @@ KINDS_WITH_PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
 
 
 def kind_of(data: Json) -> Kind | None:
-    """Return the kind of a document by its keys, or None if they do not show it."""
+    """Return the kind of a document by its keys, or None if it cannot be recognized."""
     if not isinstance(data, dict) or not data:
         return None
     inner = [value for key, value in data.items() if value is not None or key in SCENE_KEYS]
@@ -90,7 +90,7 @@ def kind_of(data: Json) -> Kind | None:
 
 
 def refuse_other_kinds(document: Document, *taken: Kind) -> None:
-    """Raise InvalidError if a document is of a kind that only another command reads.
+    """Raise InvalidError if a document is of a known kind other than `taken`.
 
     A document of unknown kind is accepted; its reader checks the keys.
     """

@@ -52,7 +52,7 @@ MAX_MATERIALS: Final = 1000
 LIBRARY_FOLDER: Final = "materials"
 """Folder of the shipped materials, below `config/`."""
 _FIRST_LIBRARY_FILE: Final = "okamura1998.yaml"
-"""The paper's materials come first in the library."""
+"""File that comes first in the library: the materials of Okamura et al. 1998."""
 MAX_TAP_POINTS: Final = 256
 """Maximum number of `tap.amplitudes`: the core's HD_TAP_POINTS."""
 MIN_TAP_STEP_M_PER_S: Final = 1e-6
@@ -89,7 +89,7 @@ Interval: TypeAlias = Annotated[
     Strict(False),
     AfterValidator(_rising),
 ]
-"""[low, high] in the unit of the figure."""
+"""[low, high] in the unit of the fitted value."""
 Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\u0000-\u001f\u007f]+$")]
 
 
@@ -168,7 +168,7 @@ class Tap(AimedKeys):
 
     @property
     def mode(self) -> Mode:
-        """The mode; of a mode table, the one in the middle of its speeds."""
+        """The mode; for a mode table, its mode in the middle of the speeds."""
         return super().mode if self.mode_table is None else self.mode_table.middle
 
     def mode_at(self, speed_m_per_s: float) -> Mode:
@@ -177,7 +177,7 @@ class Tap(AimedKeys):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """The mode; of a mode table those of its lowest and highest frequency; empty for a waveform."""
+        """The mode; for a mode table its modes of lowest and highest frequency; empty for a waveform."""
         if self.waveform is not None:
             return ()
         return (self.mode,) if self.mode_table is None else self.mode_table.bounds
@@ -193,7 +193,7 @@ class Tap(AimedKeys):
         return None if self.mode_table is not None else self.ringing
 
     def coefficient(self, amplitude: float) -> float:
-        """Return the A of the mode's or the waveform's equation for an amplitude with the meaning of `attack`."""
+        """Return A of the mode's or the waveform's equation for an amplitude as defined by `attack`."""
         return (self.waveform or self.mode).coefficient(amplitude, self.attack)
 
     def cross_faults(self) -> list[str]:
@@ -368,7 +368,8 @@ class Material(Model):
     def groove_modes(self) -> tuple[Mode, ...]:
         """Modes of grooves that are displayed as vibration; empty for another texture.
 
-        They are the texture's mode, of a frequency table those of the lowest and highest frequency, or the tap's mode.
+        They are the texture's mode, or for a frequency table its modes of lowest and highest frequency. A texture
+        without a mode uses the tap's mode.
         """
         if not isinstance(self.texture, Grooves) or self.texture.display != "vibration":
             return ()
@@ -384,7 +385,7 @@ class Material(Model):
         return next(iter(self.groove_modes), None)
 
     def groove_mode_at(self, speed_m_per_s: float, force_n: float) -> Mode | None:
-        """Return the mode of a groove that is passed with this tangential speed and normal force."""
+        """Return the mode of a groove that is crossed at this tangential speed and normal force."""
         mode = self.groove_mode
         if mode is None or not isinstance(self.texture, Grooves) or self.texture.frequency_table is None:
             return mode
@@ -424,7 +425,7 @@ def _parsed(data: object, root: Path) -> dict[str, Material]:
 def shipped_materials() -> Materials:
     """Load the shipped library, every file of `config/materials`, the paper's materials first.
 
-    Raises InvalidError for a fault, and for a name that two files define.
+    Raises InvalidError for a fault, and for a material that two files define.
     """
     library: dict[str, Material] = {}
     for name in library_files():
