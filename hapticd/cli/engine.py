@@ -38,7 +38,9 @@ class Where:
 def engine_options(what: str) -> Callable[[_F], _F]:
     """Return the options `--workers`, `--threads`, `--scheduler` and `--again`. `what` is a plural such as "points"."""
     return options(
-        click.option("--workers", type=click.IntRange(1, 1024), help="Number of processes [default: the processors]."),
+        click.option(
+            "--workers", type=click.IntRange(1, 1024), help="Number of processes [default: number of processors]."
+        ),
         click.option("--threads", is_flag=True, help="Compute in threads instead of processes; no port is opened."),
         click.option(
             "--scheduler",

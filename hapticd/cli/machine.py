@@ -273,7 +273,7 @@ def _bench() -> ModuleType:
     metavar="DIR",
     help="Folder of the pages [default: docs of the source tree if everything is measured].",
 )
-@click.option("--overwrite", is_flag=True, help="Replace existing pages; of a partial run, its sections only.")
+@click.option("--overwrite", is_flag=True, help="Replace existing pages; a partial run replaces only its sections.")
 def bench_command(names: tuple[str, ...], list_names: bool, quick: bool, out: Path | None, overwrite: bool) -> int:
     """Measure speed and accuracy on this machine: the benchmarks NAMES, or all of them.
 

@@ -33,11 +33,11 @@ class Overruns(Model):
     """Limit of missed periods, and the reaction to more."""
 
     threshold: float = Field(
-        default=0.1, ge=0.001, le=1, description="Fraction of a second's periods that may be missed; 1: all."
+        default=0.1, ge=0.001, le=1, description="Largest fraction of missed periods in a second; 1: all."
     )
     action: Literal["warn", "step_down", "fault"] = Field(
         default="warn",
-        description="Reaction to more missed periods: an event, half the rate (a fault if impossible), or a fault.",
+        description="Reaction if more periods are missed: an event, half the rate (a fault if impossible), or a fault.",
     )
 
 
@@ -51,9 +51,9 @@ class Servo(Model):
     priority: int = Field(default=80, ge=1, le=99, description="Real-time priority (SCHED_FIFO).")
     realtime: Literal["required", "preferred", "off"] = Field(
         default="preferred",
-        description="Real-time rights: refuse to start without them, ask for them, or do without.",
+        description="Real-time rights: refuse to start without them, request them, or do without.",
     )
-    spin_us: float = Field(default=0.0, ge=0, le=100, description="Busy waiting before each deadline.")
+    spin_us: float = Field(default=0.0, ge=0, le=100, description="Duration of busy waiting before each deadline.")
     clock: Literal["timer", "device"] = Field(
         default="timer", description="What starts a tick: a timer, or the position reports of a HID device."
     )
@@ -189,7 +189,7 @@ class Device(Model):
     )
     max_force_n: ActuatorForce = Field(default=8.9, description="Maximum magnitude of the commanded force.")
     max_speed_m_per_s: float = Field(
-        default=5.0, ge=0.01, le=1000, description="A faster step between two positions is a glitch."
+        default=5.0, ge=0.01, le=1000, description="A faster step between two positions is treated as a glitch."
     )
     rearm_m: float = Field(
         default=0.0,
@@ -257,7 +257,7 @@ class Device(Model):
 class FlightRecorder(Model):
     """The flight recorder: the last seconds of telemetry, written to a file on a fault or on request."""
 
-    seconds: float = Field(default=10.0, ge=1, le=60, description="Duration that is kept.")
+    seconds: float = Field(default=10.0, ge=1, le=60, description="Duration of the kept telemetry.")
     directory: str | None = Field(
         default=None,
         min_length=1,

@@ -281,10 +281,11 @@ class ProvenanceFile(Model):
     """A recording that a material was fitted to."""
 
     path: Annotated[str, StringConstraints(min_length=1, max_length=4096)] = Field(
-        description="Its path at the time of the fit."
+        description="Path of the recording at the time of the fit."
     )
     sha256: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")] | None = Field(
-        default=None, description="Hash of its bytes, in hex digits; left out for data that was not read from a file."
+        default=None,
+        description="Hash of the file's bytes, in hex digits; left out for data that was not read from a file.",
     )
 
 
@@ -297,11 +298,11 @@ class FitVerdict(Model):
         Strict(False),
         Field(max_length=MAX_REASONS),
         at_most(MAX_REASONS),
-    ] = Field(default=(), description="Reasons why it is not good.")
+    ] = Field(default=(), description="Reasons why the quality is not good.")
 
 
 class Provenance(Model):
-    """Origin of a material's figures. It has no influence on forces."""
+    """Origin of a material's values. It has no influence on forces."""
 
     files: Annotated[tuple[ProvenanceFile, ...], Strict(False), at_most(MAX_PROVENANCE_FILES)] = Field(
         min_length=1, max_length=MAX_PROVENANCE_FILES, description="The recordings."
@@ -311,13 +312,14 @@ class Provenance(Model):
     )
     version: Annotated[str, StringConstraints(min_length=1, max_length=64)] = Field(description="Version of hapticd.")
     intervals: Annotated[dict[Words, Interval], Field(max_length=256)] | None = Field(
-        default=None, description="95 % intervals, [low, high], by the name of the figure."
+        default=None, description="95 % intervals, [low, high], by the name of the fitted value."
     )
     verdict: Annotated[dict[Words, FitVerdict], Field(max_length=16)] | None = Field(
         default=None, description="Verdict of each fit, by its kind: tap, grooves, texture, puncture."
     )
     choices: Annotated[dict[Words, Reason], Field(max_length=64)] | None = Field(
-        default=None, description="The model that was chosen among several, and why, by the name of the figure."
+        default=None,
+        description="Model that was chosen among several, and the reason, by the name of the fitted value.",
     )
 
 
@@ -342,7 +344,7 @@ class Material(Model):
     texture: Texture | None = Field(
         default=None, description="Texture under a stroke; without it the surface is smooth."
     )
-    provenance: Provenance | None = Field(default=None, description="Origin of the figures of a fitted material.")
+    provenance: Provenance | None = Field(default=None, description="Origin of the values of a fitted material.")
 
     @field_validator("texture", mode="after")
     @classmethod

@@ -132,7 +132,7 @@ class Wall(Model):
     point_m: Position = Field(description="A point of the surface, [x, y].")
     normal: Normal = Field(description="Direction out of the solid, [x, y]; kept as a unit vector.")
     material: Name = Field(description="Name of a material.")
-    patches: Patches = Field(default=(), description="Stretches of other materials, which do not overlap.")
+    patches: Patches = Field(default=(), description="Sections with other materials, which do not overlap.")
     patch_ramp_m: float = Field(
         default=0.001, ge=1e-5, le=1, description="Width of the blend between two materials, centred on their edge."
     )
@@ -157,8 +157,8 @@ class Box(Model):
     """A solid rectangle."""
 
     kind: Literal["box"]
-    center_m: Position = Field(description="Its middle, [x, y].")
-    size_m: Size = Field(description="Its sides, [width, height].")
+    center_m: Position = Field(description="Centre, [x, y].")
+    size_m: Size = Field(description="Lengths of the sides, [width, height].")
     angle_rad: float = Field(default=0.0, ge=-1000, le=1000, description="Angle of rotation, counterclockwise.")
     material: Name = Field(description="Name of a material.")
 
@@ -167,11 +167,11 @@ class Disc(Model):
     """A solid disc."""
 
     kind: Literal["disc"]
-    center_m: Position = Field(description="Its middle, [x, y].")
+    center_m: Position = Field(description="Centre, [x, y].")
     radius_m: float = Field(
         ge=1e-4,
         le=10,
-        description="Its radius R. A force above stiffness times R pushes the probe through to the other side.",
+        description="Radius R. A force above stiffness times R pushes the probe through to the other side.",
     )
     material: Name = Field(description="Name of a material.")
 
@@ -180,9 +180,9 @@ class Membrane(Model):
     """A straight elastic membrane that can be pushed from both sides and, with `rupture`, punctured."""
 
     kind: Literal["membrane"]
-    center_m: Position = Field(description="Its middle, [x, y].")
+    center_m: Position = Field(description="Centre, [x, y].")
     normal: Normal = Field(description="Direction across the membrane, [x, y]; kept as a unit vector.")
-    width_m: float = Field(ge=1e-4, le=20, description="Its length.")
+    width_m: float = Field(ge=1e-4, le=20, description="Length of the membrane.")
     material: Name = Field(description="Name of a material; without `rupture` the membrane never breaks.")
 
 
