@@ -5,8 +5,8 @@ The core and the process:
     core               the C core as Python sees it: `ffi`, `lib`, records as numpy dtypes, enums
     clock              CLOCK_MONOTONIC and the time of day, read together
     memory             memory allocation of a process that runs for months
-    threads            background threads; checks the user's limit of processes before more are started
-    steps              long work as a generator, whose caller can do something else between its parts
+    threads            background threads; checks the user's limit of processes
+    steps              long work as a generator that yields between its parts
 
 Text that people and programs write and read:
 
@@ -30,7 +30,7 @@ Questions, and where to begin:
     Where does Python call C?
         core; the functions and structs themselves are in csrc/api/.
     Where do the text and the line of a validation error come from?
-        model (faults_of) takes text and path from pydantic; yaml_source (Document) knows the line of each path.
+        model (faults_of) takes text and path from pydantic; yaml_source (Document) has the lines.
     How is a file written atomically?
         files (write_atomically, atomic_file).
 """

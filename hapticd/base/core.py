@@ -1,8 +1,8 @@
 """The C core as Python sees it: `ffi`, `lib`, its records as numpy dtypes, its enums, and a few helpers.
 
 Only this module imports the compiled extension, except for one call in memory.py. Layouts, enums and constants come
-from the compiled code, never from a second definition here. mypy reads them from hapticd/_core.pyi, which the build
-generates from the same headers. `csrc/api/hd_api.h` documents every function and field.
+from the compiled code, never from a second definition here. `csrc/api/hd_api.h` documents every
+function and field.
 """
 
 import os

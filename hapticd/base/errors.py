@@ -18,7 +18,7 @@ _MAX_SHOWN_CHARACTERS = 60
 _MAX_SHOWN_NAMES = 20
 """Largest number of known names that a message lists."""
 _MAX_COMPARED_NAMES = 64
-"""Largest number of known names among which similar ones are searched, since each comparison takes time."""
+"""Largest number of known names among which similar ones are searched."""
 _MAX_SHOWN_PROBLEMS = 50
 """Largest number of faults that a message lists; the others are counted."""
 _LOCATION_PATTERN = re.compile(r"(.+?):(\d+):(\d+)(?:: |$)")

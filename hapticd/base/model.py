@@ -45,7 +45,7 @@ class DescribedAs:
 
 NAME_MAX_CHARACTERS = 64
 MAX_KEYS_OF_MAPPING: Final = 256
-"""Largest number of keys of a mapping that a model validates; no model has as many."""
+"""Largest number of keys of a mapping; no model has as many."""
 MAX_FAULTS = 200
 """Largest number of faults that are reported, as reporting thousands takes seconds; the others are counted."""
 UNKNOWN_KEY: Final = "unknown key"
@@ -57,13 +57,13 @@ Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME
 """Name of a material or id of an object: without a dot, which separates the keys of a path."""
 
 Coordinate: TypeAlias = Annotated[float, Field(ge=-10, le=10)]
-"""A coordinate, in m."""
+"""Unit: m."""
 Position: TypeAlias = Annotated[tuple[Coordinate, Coordinate], Strict(False)]
 """[x, y] in m."""
 Stiffness: TypeAlias = Annotated[float, Field(ge=0, le=1e5)]
-"""A stiffness, in N/m."""
+"""Unit: N/m."""
 Damping: TypeAlias = Annotated[float, Field(ge=0, le=1e3)]
-"""A damping, in N s/m."""
+"""Unit: N s/m."""
 
 
 class Model(BaseModel):
@@ -283,7 +283,7 @@ _REPLACED_MESSAGES: Final = {
     "tuple_type": "should be a list",
     "union_tag_not_found": "Field required",
 }
-"""Texts of faults, by pydantic's type of the fault, that replace those which name Python types."""
+"""Texts by type of fault, which replace those of pydantic that name Python types."""
 _KINDS_WITHOUT_VALUE: Final = frozenset({"missing", "too_long", "too_short", "union_tag_not_found"})
 """Kinds of faults whose text already has the value, or that have no value."""
 

@@ -102,10 +102,7 @@ def _verdict(item: Found) -> str:
 
 
 def _selected(device: str | None, found: Sequence[Found], what: str) -> Found:
-    """Return the device with this path or VENDOR:PRODUCT, by default the only one in `found`.
-
-    `what` says in errors what these devices have in common: "can be driven".
-    """
+    """Return the device with this path or VENDOR:PRODUCT, or the only one in `found`; `what` describes it in errors."""
     matching = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
     if len(matching) == 1:
         return matching[0]
@@ -168,7 +165,7 @@ def release_command(device: str | None, as_json: bool) -> None:
 
 
 def _hand_over(device: str | None, as_json: bool, *, release: bool) -> None:
-    """Claim or release the named device, by default the only one that can be driven or is claimed, respectively."""
+    """Claim or release the named device, or the only one that can be driven or is claimed."""
     from hapticd.hid.claim import Claims
     from hapticd.hid.discovery import find
 

@@ -63,7 +63,7 @@ def require_engine(where: Where) -> None:
 
 
 def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome, Store]:
-    """Compute the points that the folder lacks, with progress on stderr. `what` names one of them: "point", "fit"."""
+    """Compute the points that the folder lacks, with progress on stderr. `what` names one of them: "point"."""
     from hapticd.sweeps import engine
     from hapticd.sweeps.cluster import client_of
     from hapticd.sweeps.interrupts import sigterm_ends
@@ -87,7 +87,7 @@ def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome
 
 
 def outcome_dict(outcome: Outcome, folder: Path, digest: str, what: str) -> dict[str, object]:
-    """Return the outcome for --json. `what` is the key of the number of points: "points", "fits"."""
+    """Return the outcome for --json. `what` is the key of their number: "points"."""
     fields = asdict(outcome)
     for name in ("seconds", "worker_seconds"):
         fields[name] = round(fields[name], 3)
@@ -95,7 +95,7 @@ def outcome_dict(outcome: Outcome, folder: Path, digest: str, what: str) -> dict
 
 
 def outcome_text(outcome: Outcome, what: str) -> str:
-    """Return the outcome in one line. `what` names one point: "point", "fit"."""
+    """Return the outcome in one line. `what` names one of the points: "fit"."""
     return (
         f"{wording.count(outcome.points, what)}: {outcome.computed} computed in {outcome.seconds:.1f} s "
         f"({outcome.worker_seconds:.1f} s of workers), {outcome.reused} already existed, {outcome.failed} failed"

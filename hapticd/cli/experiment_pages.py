@@ -77,11 +77,11 @@ def run_on_pages(
     place: RuntimePaths,
     simulated: bool,
     listening: Listening,
-    made: Plan,
+    plan: Plan,
     lsl: bool,
     session: Callable[[Stage, PagesFront], int],
 ) -> int:
-    """Serve both pages while `session` runs on the daemon at `place`, and return the exit code of the session.
+    """Serve both pages while `session` runs on the daemon at `place`; return the session's exit code.
 
     `simulated` says whether that daemon has the simulated joystick.
     """
@@ -91,7 +91,7 @@ def run_on_pages(
     from hapticd.experiment.pages.process import News, Options, run
 
     news = News()
-    front = PagesFront(made, news)
+    front = PagesFront(plan, news)
 
     def on_stage() -> int:
         with live_stage(place, lsl) as stage:

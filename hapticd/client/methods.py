@@ -588,9 +588,9 @@ class Subscription(Generic[T]):
 
 
 def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) -> GestureEnd | None:
-    """Return the end of the motion that was set at a tick, if this message of topic `event` or `status` reports it.
+    """Return the end of the motion that was set at a tick, or None if this event or status does not report it.
 
-    Returns None otherwise. Raises HapticdError if the daemon no longer knows the motion.
+    Raises HapticdError if the daemon no longer knows the motion.
     """
     if topic == "event":
         ours = message.get("event") == "gesture_end" and message.get("started_tick") == started_tick

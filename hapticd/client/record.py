@@ -280,7 +280,7 @@ class _Session:
             self._writer.write_event(event)
 
     def account(self, ended: str | None) -> dict[str, Any]:
-        """Return the member `recording` of the file: counts of recorded and missing data, and the reason of the end."""
+        """Return the member `recording` of the file: counts of recorded and missing data, and notes."""
         return {
             "ticks": self._writer.count,
             "duration_s": self._interval.duration_s(self._writer.last_time_ns),
@@ -345,7 +345,7 @@ class _Scenes:
         return {"status": status, "scene": scene, "materials": dict(self._materials)}
 
     def reached(self, revisions: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
-        """Return for each revision whether it is the newest known one or a later one, modulo 2^32."""
+        """Return for each revision whether it is the newest known one or a later one."""
         return (revisions - np.uint32(self.revision)).astype(np.int32) >= 0
 
     def note_used(self, revisions: npt.NDArray[np.uint32]) -> None:
@@ -453,7 +453,7 @@ class _Interval:
         return self.duration_s(self._last_ns)
 
     def duration_s(self, last_ns: int) -> float:
-        """Return the time from the first sample to the end of the period of the sample at `last_ns`, in s."""
+        """Return the time from the first sample to one period after that at `last_ns`, in s."""
         return (last_ns + self._period_ns - self._first_ns) / 1e9
 
     def clip(self, batch: SampleBatch) -> Samples:

@@ -224,7 +224,7 @@ _EVENT_TEXT_BY_KIND: Final[dict[str, Callable[[Mapping[str, Any]], str]]] = {
     "gesture_end": lambda event: "completed" if event["completed"] else "replaced by another operator",
     "revision": lambda event: str(event["revision"]),
 }
-"""Functions that return the text of an event after its object, by kind."""
+"""Text of an event after its object, by kind of event."""
 
 
 def event_line(event: Mapping[str, Any]) -> str:
@@ -245,7 +245,7 @@ def bar(value: float, scale: float, width: int) -> str:
 
 
 def signed_bar(value: float, scale: float, width: int) -> str:
-    """Return a bar from the middle of `width` characters: to the left if `value` is negative, else to the right."""
+    """Return a bar from the middle of `width` characters, to the left for negative values."""
     left, right = (bar(max(0.0, part), scale, width // 2) for part in (-value, value))
     return f"{left[::-1]}│{right}"
 

@@ -29,13 +29,11 @@ Kind: TypeAlias = Literal[
 CONFIGURATION_KEYS: Final = ("servo", "device", "flight")
 """Keys that only a configuration has, in addition to `materials` and `scene`."""
 SCENE_KEYS: Final = ("display", "ramp_s", "passivity", "objects")
-"""Keys of a scene."""
 OBJECT_KINDS: Final = ("wall", "membrane", "box", "disc", "spring", "viscous", "constant")
 """Values of the key `kind` of an object."""
 MATERIAL_KEYS: Final = (
     "stiffness_n_per_m", "damping_n_s_per_m", "tap", "rupture", "friction", "texture", "provenance",
 )  # fmt: skip
-"""Keys of a material."""
 
 _COMMAND_OF_KIND: Final[dict[Kind, tuple[str, str]]] = {
     "configuration": ("a configuration", "run -c"),

@@ -247,7 +247,7 @@ class Hid(Model):
 
     @property
     def names_one(self) -> bool:
-        """Whether a key selects a device; otherwise any device that can be driven matches."""
+        """Whether a key selects a device; otherwise any device is used."""
         return any(key is not None for key in (self.vendor, self.product, self.serial, self.path))
 
     @model_validator(mode="after")

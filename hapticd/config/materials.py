@@ -1,8 +1,4 @@
-"""Materials: what a surface is made of, and the library that ships with hapticd.
-
-A ringing mode is Q(t) = A exp(-B t) sin(w t) (Okamura, Dennerlein and Howe, "Vibration Feedback Models for
-Virtual Environments", ICRA 1998, eq. 1 and 3), B the decay rate in 1/s, w the angular frequency in rad/s.
-"""
+"""Materials, and the library that ships with hapticd. modes.py defines the ringing mode Q(t)."""
 
 import datetime
 import math
@@ -52,7 +48,7 @@ MAX_MATERIALS: Final = 1000
 LIBRARY_FOLDER: Final = "materials"
 """Folder of the shipped materials, below `config/`."""
 _FIRST_LIBRARY_FILE: Final = "okamura1998.yaml"
-"""File that comes first in the library: the materials of Okamura et al. 1998."""
+"""First file of the library: the materials of Okamura et al."""
 MAX_TAP_POINTS: Final = 256
 """Maximum number of `tap.amplitudes`: the core's HD_TAP_POINTS."""
 MIN_TAP_STEP_M_PER_S: Final = 1e-6
@@ -370,8 +366,8 @@ class Material(Model):
     def groove_modes(self) -> tuple[Mode, ...]:
         """Modes of grooves that are displayed as vibration; empty for another texture.
 
-        They are the texture's mode, or for a frequency table its modes of lowest and highest frequency. A texture
-        without a mode uses the tap's mode.
+        They are the texture's mode, for a frequency table its modes of lowest and highest frequency, or without both
+        the tap's mode.
         """
         if not isinstance(self.texture, Grooves) or self.texture.display != "vibration":
             return ()

@@ -62,11 +62,9 @@ PRESS_TIME_S: Final = 0.15
 SPEED_TOLERANCE: Final = 0.01
 """Maximum relative deviation of the handle's speed from the commanded speed at contact."""
 CLEARANCE_HEIGHT_M: Final = 0.005
-"""Default height from which the hand is lowered for a stroke; also a margin of the approach heights of other gestures
-and of the depth of a puncture."""
+"""Height from which the hand is lowered for a stroke; margin of other heights and of a puncture's depth."""
 
 _CSV_COLUMNS: Final = ("t_s", "x_m", "y_m")
-"""Header of a CSV file."""
 
 Speed: TypeAlias = Annotated[float, Field(ge=0.001, le=2)]
 Count: TypeAlias = Annotated[int, Field(ge=1, le=1000)]
@@ -254,7 +252,7 @@ def parse_operator(data: Mapping[str, object]) -> Operator:
 def load_operator(path: str | os.PathLike[str]) -> Operator:
     """Load an operator from a file: CSV or JSON by its ending, YAML otherwise.
 
-    A CSV file has the columns t_s,x_m,y_m, with or without a header line; waypoints are joined by straight lines.
+    A CSV file may have a header line; its waypoints are joined by straight lines.
     Raises InvalidError, which names file and line of every fault, or HapticdError for a file that cannot be
     read.
     """
@@ -313,7 +311,7 @@ class _Path:
         self._at, self._height = x * n_y - y * n_x, x * n_x + y * n_y
 
     def go(self, at: float, height: float, speed: float) -> None:
-        """Move in a straight line to `at` and `height`, at a speed in m/s."""
+        """Move in a straight line to `at` and `height`."""
         distance = math.hypot(at - self._at, height - self._height)
         self._at, self._height = at, height
         if distance >= 2 * MIN_STEP_S * speed:

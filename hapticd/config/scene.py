@@ -216,7 +216,7 @@ SceneObject: TypeAlias = Surface | Spring | Viscous | Constant
 SURFACE_MODELS: Final = (Wall, Membrane, Box, Disc)
 """Models of the objects that can be touched."""
 SURFACE_KINDS: Final = tuple(tag for kind in SURFACE_MODELS for tag in get_args(kind.model_fields["kind"].annotation))
-"""Values of the key `kind` of objects that can be touched."""
+"""Values of `kind` of objects that can be touched."""
 
 
 def materials_of(item: SceneObject) -> tuple[str, ...]:

@@ -19,7 +19,6 @@ from hapticd.base.yaml_source import printable
 Folder: TypeAlias = Literal["scenes", "operators", "materials", "experiments", "sweeps"]
 
 _SHIPPED_SUFFIXES: Final = (".yaml", ".csv")
-"""Suffixes of shipped files."""
 _MAX_SUGGESTIONS: Final = 3
 """Largest number of similar names that an error suggests."""
 

@@ -23,7 +23,7 @@ Connection:
 Questions, and where to begin:
 
     What are the parameters and the result of a method?
-        docs/protocol.md; the models of parameters are in daemon/params, the types of results in results.
+        docs/protocol.md; parameters are in daemon/params, results in results.
     Where does an error get its code?
         messages (Code) has the codes; daemon/methods chooses one; calls (RemoteError) raises it in a client.
     Where are parameters validated?

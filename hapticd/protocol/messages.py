@@ -1,7 +1,7 @@
 """Messages between daemon and client: JSON-RPC 2.0 objects in msgpack, and the frames around them, without I/O.
 
-The decoder accepts exactly what `docs/protocol.md` describes. It is safe for untrusted bytes: it uses at most a small
-multiple of the length of the message as memory, and it does not recurse.
+The decoder is safe for untrusted bytes: it uses at most a small multiple of the length of the message as memory, and
+does not recurse.
 """
 
 from __future__ import annotations
